@@ -48,7 +48,10 @@ def test_where_the_hot_air_was_is_found(idea: str) -> None:
             parts.append(point(rng, z, condition="temperature", error_cm=error_cm, **context))
     (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
     assert found.best == idea
-    assert found.uniform_per_cent == pytest.approx(100 * (np.sqrt(319.25 / 294.25) - 1), abs=1e-6)
+    # Speeds at 22.5, 21.1 and 46.1 deg C: c_cal (1 / c_room - 1 / c_box).
+    ratio = np.sqrt(295.65 / 294.25) - np.sqrt(295.65 / 319.25)
+    assert found.uniform_per_cent == pytest.approx(100.0 * ratio, abs=1e-6)
+    assert found.compared == ("as" if idea == "uniform" else "and not")
     if idea == "confined":
         assert contains(found.depth, 30.0)
         assert contains(found.per_cent, 0.0)
@@ -57,6 +60,30 @@ def test_where_the_hot_air_was_is_found(idea: str) -> None:
         # The reading is short by 4.16 % of what it is in the room's air; the per cent are of range.
         assert found.per_cent.value == pytest.approx(100 * (1 - np.sqrt(294.25 / 319.25)) * 1.0024, abs=0.15)
         assert found.depth.high is None
+
+
+def test_three_ranges_of_hot_air_are_a_shift() -> None:
+    """The shift grows with range, so the scatter about its mean is no reason to doubt it."""
+    rng = np.random.default_rng(4)
+    parts = []
+    for z in (50, 100, 150):
+        for air_c in (46.1, 21.1):
+            error_cm = z * np.sqrt(295.65 / (air_c + 273.15)) - z
+            parts.append(point(rng, z, condition="temperature", error_cm=error_cm, air_temperature_c=air_c))
+    (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
+    assert found.best == "uniform"
+    assert "no shift" not in found.answer
+
+
+def test_rows_without_a_temperature_are_no_hot_ones() -> None:
+    rng = np.random.default_rng(5)
+    parts = [
+        point(rng, z, condition="temperature", run=str(air_c), air_temperature_c=air_c)
+        for z in (50, 100, 150)
+        for air_c in (46.0, 21.0, np.nan)
+    ]
+    found = [each.found for each in sort_into_points(table(*parts), SENSOR)]
+    assert sorted(each.level for each in found) == ["", "", "", *["21 C"] * 3, *["46 C"] * 3]
 
 
 def test_a_box_that_changes_nothing_is_reported_so() -> None:

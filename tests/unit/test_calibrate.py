@@ -19,6 +19,17 @@ SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "
 RANGES_CM = np.arange(40.0, 301.0, 20.0)
 
 
+def test_where_the_range_changes_missed_echoes_do_not_move_the_calibration() -> None:
+    """Of each piece of 20 cm the farther half is not heard: its hits are at other ranges than its rows."""
+    true_cm = np.linspace(60.0, 299.9, 2400)
+    part = point(np.random.default_rng(4), 100, n=2400)
+    heard = true_cm % 20.0 < 10.0
+    part |= {"true_range_cm": true_cm, "reading_cm": np.where(heard, np.rint(true_cm), 765.0)}
+    found = calibrated(table(part))
+    assert found.bias.value == pytest.approx(0.0, abs=0.1)
+    assert found.form == "none"
+
+
 def calibrated(data: MeasuredData, reference_std_cm: float | None = None) -> CalibrationFindings:
     found = calibrate(sort_into_points(data, SENSOR), reference_std_cm)
     assert found is not None
@@ -66,6 +77,25 @@ def test_what_set_ups_differ_by_is_the_sensors_where_the_tape_is_better(
     assert found.set_up_offset.low is not None
     assert found.set_up_offset.high is not None
     assert found.set_up_offset.low < np.sqrt(0.4**2 - stated_cm**2) < found.set_up_offset.high
+
+
+def test_an_error_of_placements_that_is_stated_twice_counts_once() -> None:
+    rng = np.random.default_rng(9)
+    placed = [(z, rng.normal(0.0, 0.85)) for z in (*RANGES_CM, *RANGES_CM)]
+    found = {}
+    for column in (0.0, 0.5):
+        parts = [
+            point(np.random.default_rng(i), z, n=60, error_cm=off, run=str(i), true_range_std_cm=column)
+            for i, (z, off) in enumerate(placed)
+        ]
+        for stated in (0.0, 0.5):
+            calibration = calibrate(sort_into_points(table(*parts), SENSOR), set_up_std_cm=stated)
+            assert calibration is not None
+            assert calibration.set_up_offset is not None
+            found[column, stated] = calibration.set_up_offset.value
+    assert found[0.5, 0.0] == pytest.approx(found[0.0, 0.5], abs=0.02)
+    assert found[0.5, 0.5] == pytest.approx(found[0.0, 0.5], abs=0.02)
+    assert found[0.0, 0.0] > found[0.5, 0.5] + 0.1
 
 
 def test_readings_that_depend_on_each_other_are_no_offsets_of_set_ups() -> None:

@@ -54,6 +54,23 @@ def test_a_mean_between_two_steps_is_not_moved_by_strays(strays: list[float]) ->
         assert found.spread.value < 0.26
 
 
+@pytest.mark.parametrize("n", [5, 20])
+def test_the_spread_of_short_set_ups_is_not_lost(n: int) -> None:
+    """Ten readings of two steps are likeliest with their mean on the boundary and no spread at all."""
+    rng = np.random.default_rng(7)
+    held, spreads, trials = [], [], 40
+    for _ in range(trials):
+        true_ones_cm = rng.uniform(50.0, 51.0, 12)
+        groups = [np.rint(rng.normal(each, 0.35, n)) for each in true_ones_cm]
+        usual = usual_spread(groups, 1.0)
+        assert usual is not None
+        spreads.append(usual)
+        for true_cm, values in zip(true_ones_cm, groups, strict=True):
+            held.append(contains(mean_and_spread(values, step=1.0, usual_spread=usual).mean, true_cm))
+    assert 0.25 < np.median(spreads) < 0.4
+    assert np.mean(held) >= 0.92
+
+
 def test_two_groups_of_readings_are_no_strays() -> None:
     found = mean_and_spread(np.repeat([50.0, 58.0], [80, 100]), step=1.0)
     assert found.mean.value == pytest.approx((80 * 50 + 100 * 58) / 180)

@@ -20,6 +20,16 @@ REPORT = {50: 23.4, 100: 18.0, 150: 14.4, 200: 12.6}
 ANGLES_DEG = [round(1.8 * k, 1) for k in range(-15, 16)]
 
 
+def test_a_wall_that_is_seen_edge_on_is_left_out() -> None:
+    rng = np.random.default_rng(1)
+    parts = [
+        point(rng, 100, condition="field_of_view", incidence_deg=each, missed=0.99 if each else 0.0)
+        for each in (0.0, 45.0, 90.0)
+    ]
+    found = known(find_field_of_view(sort_into_points(table(*parts), SENSOR), IDENTITY))
+    assert [each.incidence_deg for each in found.points] == [0.0, 45.0]
+
+
 def swept(
     seed: int,
     edges: dict[int, tuple[float, float]],

@@ -14,7 +14,7 @@ from msp_lab.gap.problem import CandidateFit, Problem, State, _has_its_form, fir
 from msp_lab.gap.refit import refit
 from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, select, select_more, settled
-from msp_lab.gap.validation import Validated
+from msp_lab.gap.validation import Dropped, Validated
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
@@ -246,10 +246,30 @@ def test_a_search_that_had_no_room_goes_on_without_what_did_not_hold() -> None:
     problem = problem_of((200.0, 240.0), 25.0)
     full = select(problem, 1)
     assert (full.is_full, names_of(full)) == (True, ["latency"])
-    more = select_more(problem, replace(full, state=full.base), {"latency"}, 2)
+    more = select_more(problem, replace(full, state=full.base), {("latency", None)}, 2)
     (name,) = names_of(more)
     assert name != "latency"
     assert "range_rate_cm_s" in name
+
+
+def test_without_the_offset_of_one_sensor_that_of_another_is_still_sought() -> None:
+    rng = np.random.default_rng(6)
+    sensor_of = rng.choice(["a", "b", "c"], N)
+    contexts = {
+        "run": np.array([f"run{k:02d}" for k in np.arange(N) * RUNS // N]),
+        "sensor": sensor_of,
+        "true_range_cm": rng.uniform(60.0, 350.0, N),
+    }
+    off_cm = np.where(sensor_of == "a", 2.0, np.where(sensor_of == "b", -1.5, 0.0))
+    reading_cm = np.array(sensor().readings((contexts["true_range_cm"] + off_cm).tolist(), 3))
+    problem = Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), rng)
+    full = select(problem, 2)
+    assert {each.label for each in full.state.terms} == {"mounting_offset of a", "mounting_offset of b"}
+    (kept,) = [k for k, each in enumerate(full.state.terms) if each.key[1] == "b"]
+    left = without(problem, full.state, 1 - kept)
+    more = select_more(problem, replace(full, state=left), {("mounting_offset", "a")}, 2)
+    assert ("mounting_offset", "b") in more.state.keys
+    assert ("mounting_offset", "a") not in more.state.keys
 
 
 def test_where_the_only_name_does_not_hold_another_one_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -258,13 +278,13 @@ def test_where_the_only_name_does_not_hold_another_one_is_sought(monkeypatch: py
     def without_latency(problem: Problem, state: State, splits: object) -> Validated:
         if "latency" not in [term.key[0] for term in state.terms]:
             return Validated(state, {}, {})
-        return Validated(first_state(problem), {}, {}, (("latency", "for this test"),))
+        return Validated(first_state(problem), {}, {}, (Dropped(state.terms[0], "for this test"),))
 
     monkeypatch.setattr(naming, "validated", without_latency)
     selection, kept = naming._validated(problem, select(problem, 1), cast(Any, None), 1)
     (name,) = names_of(selection)
     assert "range_rate_cm_s" in name
-    assert kept.dropped == (("latency", "for this test"),)
+    assert [each.term.label for each in kept.dropped] == ["latency"]
 
 
 def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:

@@ -118,6 +118,19 @@ def test_the_error_in_other_air_is_taken_back_by_eq_7() -> None:
     assert found.compensated_error.value == pytest.approx(0.0, abs=0.15)
 
 
+def test_without_a_temperature_of_a_hit_nothing_is_compensated() -> None:
+    part = point(np.random.default_rng(7), 300, n=50)
+    part["reading_cm"][0] = 765.0
+    part["air_temperature_c"] = np.where(np.arange(50) == 0, 5.0, np.nan)
+    assert sort_into_points(table(part), SENSOR)[0].found.compensated_error is None
+
+
+def test_equal_ranges_are_equal_however_many_readings_they_have() -> None:
+    rng = np.random.default_rng(7)
+    first, second = sort_into_points(table(point(rng, 502.3, n=40), point(rng, 502.3, n=7, run="2")), SENSOR)
+    assert first.range_cm == second.range_cm == 502.3
+
+
 def test_without_a_condition_what_is_varied_gives_it() -> None:
     rng = np.random.default_rng(8)
     parts = [

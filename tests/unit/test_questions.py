@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.characterise.question_findings import FactorEffect, Question
-from msp_lab.characterise.questions import answer_questions
+from msp_lab.characterise.questions import _paired, answer_questions
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.known import contains, known
 from tests.support.plain_bench import point, table
@@ -42,6 +43,19 @@ def bench(
     return [
         point(rng, z, condition=condition, error_cm=error_cm + rng.normal(0.0, setup_cm), **context) for z in ranges
     ]
+
+
+def test_set_ups_of_the_reference_have_an_error_too() -> None:
+    """One set-up of plywood and five of concrete at one range, and nothing but what placements differ by."""
+    rng = np.random.default_rng(3)
+    seen = []
+    for _ in range(400):
+        placed = [SimpleNamespace(true_range_cm=100.0, error=each) for each in rng.normal(0.0, 0.5, 6)]
+        question = cast(Question, SimpleNamespace(points=placed[1:], reference_points=placed[:1]))
+        raw = _paired(question, lambda p: cast(Any, p.error), 1.0)
+        assert raw is not None
+        seen.append(raw.p_value < 0.05)
+    assert np.mean(seen) < 0.08
 
 
 def test_an_effect_on_each_property_is_found_with_its_size() -> None:

@@ -87,7 +87,9 @@ def calibrate(
     # A point whose readings give no interval counts as one rounded reading.
     variance = np.where(np.isfinite(variance), variance, 1.0) + [point.placement_cm2 for point in used]
     true_cm = np.array([float(point.apparent_cm[point.is_hit].mean()) for point in used])
-    reading_cm = np.array([point.range_cm + error.value for point, error in zip(used, errors, strict=True)])
+    # An error is about the true range of the hits: where the range changes, missed echoes are at other ranges.
+    hits_cm = np.array([float(point.true_range_cm[point.is_hit].mean()) for point in used])
+    reading_cm = hits_cm + np.array([error.value for error in errors])
     runs = np.unique([point.run for point in used], return_inverse=True)[1].ravel().astype(np.float64)
     data = _Points(true_cm, reading_cm, variance, np.array([round(point.range_cm, 6) for point in used]), runs)
     ranges = np.unique(data.range_cm)
@@ -131,7 +133,11 @@ def _set_up_offset(
         return None
     curve = curve_through(knots)
     factor = dependence_factor([point.error_cm[point.is_hit] for point in used])
-    return between_points(data.reading_cm - curve.forward(data.true_cm), data.variance_cm2 * factor, set_up_std_cm**2)
+    # The error of a placement is stated once for all of them, or in a column for each.
+    placements_cm2 = np.array([point.placement_cm2 for point in used])
+    own_cm2 = factor * (data.variance_cm2 - placements_cm2) + np.maximum(placements_cm2 - set_up_std_cm**2, 0.0)
+    residual_cm = data.reading_cm - curve.forward(data.true_cm)
+    return between_points(residual_cm, own_cm2, set_up_std_cm**2, max(len(knots), 1))
 
 
 def line_design(x: _Array) -> _Array:

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
-from scipy.special import log_ndtr
+from scipy.special import log_ndtr, logsumexp
 
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_sim.intervals import CONFIDENCE, Z, wilson
 
 _LIKELIHOOD_DROP = Z**2 / 2
 DITHERED = 0.6
-"""Readings that scatter by more than this many of their steps lose nothing by rounding: the average's bias is then
-under exp(-2 pi^2 0.36) / pi = 0.0003 steps."""
+"""Rounded readings that scatter by more than this many of their steps lose nothing by it: before rounding that is
+sqrt(0.36 - 1 / 12) = 0.53, and the average's bias is under exp(-2 pi^2 0.277) / pi = 0.0014 steps."""
 STRAY = 1e-4
 """Chance that a reading that is not of the surface is in any one step of those near it: of the 1 % that a sensor in
 order has, spread over a hundred steps. At 0 one such reading widens the spread of readings that are nearly all alike,
@@ -129,7 +129,7 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
     return PointsFit(coefficients, covariance, low, freedom)
 
 
-def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> IntervalEstimate:
+def between_points(residual: _Array, variance: _Array, known: float = 0.0, fitted: int = 1) -> IntervalEstimate:
     """Standard deviation between points beyond the scatter of readings and a known variance [cm].
 
     Parameters
@@ -138,6 +138,8 @@ def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> In
         A point each: its distance from what is expected, and the variance that its readings give it.
     known
         Variance between points that has another cause.
+    fitted
+        Numbers that were fitted to the same points.
 
     Notes
     -----
@@ -149,7 +151,7 @@ def between_points(residual: _Array, variance: _Array, known: float = 0.0) -> In
     >>> between_points(np.array([0.31, -0.28, 0.02, -0.4, 0.35]), np.full(5, 0.01)).low > 0.05
     True
     """
-    freedom = residual.size - 1
+    freedom = residual.size - fitted
 
     def beyond(wanted: float) -> float:
         def less(between: float) -> float:
@@ -259,7 +261,8 @@ def usual_spread(groups: Sequence[_Array], step: float) -> float | None:
     for values in few:
         steps, counts = np.unique(np.rint(values / step), return_counts=True)
         means = float(np.median(values)) / step + np.linspace(-1.0, 1.0, 81)
-        total += _log_likelihood(steps, counts, means, spreads).max(axis=0)
+        # Over all means alike: with the likeliest one of each group its boundary takes the place of the spread.
+        total += logsumexp(_log_likelihood(steps, counts, means, spreads), axis=0)
     return step * float(spreads[total.argmax()])
 
 
@@ -286,7 +289,7 @@ def _of_rounded(values: _Array, step: float, unit: str, usual: float | None) -> 
         top = float(log_likelihood.max())
         mean_low, mean_high = _where_likely(means, by_mean, top)
         spread_low, spread_high = _where_likely(spreads, by_spread, top)
-        mean_ends, spread_ends = _widened(means, mean_low, mean_high), _widened(spreads, spread_low, spread_high)
+        mean_ends, spread_ends = (mean_low, mean_high), (spread_low, spread_high)
     # Where the likelihood is flat, its middle.
     flat = means[by_mean > top - 1e-6]
     mean = float(flat.mean())
@@ -317,10 +320,6 @@ def _log_likelihood(steps: _Array, counts: NDArray[np.int64], means: _Array, spr
 def _where_likely(grid: _Array, profile: _Array, top: float) -> tuple[float, float]:
     likely = np.flatnonzero(profile > top - _LIKELIHOOD_DROP)
     return float(grid[max(likely[0] - 1, 0)]), float(grid[min(likely[-1] + 1, grid.size - 1)])
-
-
-def _widened(grid: _Array, low: float, high: float) -> tuple[float, float]:
-    return max(low, float(grid[0])), min(high, float(grid[-1]))
 
 
 def standard_error(estimate: IntervalEstimate) -> float:

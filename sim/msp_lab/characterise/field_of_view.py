@@ -41,7 +41,7 @@ def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration
     Parameters
     ----------
     points
-        Of the field-of-view experiment, incidence known.
+        Of the field-of-view experiment; those at 90 deg, or of an unknown angle, are left out.
     calibration
         Of the sensor: what it reads at a range.
 
@@ -51,7 +51,7 @@ def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration
         None where no range was tried at more than one angle.
     """
     found = sorted(
-        (_angle_point(point, calibration) for point in points if not math.isnan(point.incidence_deg)),
+        (_angle_point(point, calibration) for point in points if abs(point.incidence_deg) < 90.0),
         key=lambda each: (each.range_cm, each.incidence_deg),
     )
     ranges = sorted({each.range_cm for each in found})

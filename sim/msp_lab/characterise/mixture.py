@@ -93,7 +93,7 @@ def fit_mixture(
     notes = []
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
-    has_ranges = np.unique(expected_cm).size > 1
+    has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
     try:
         result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
     except (FitError, ValueError) as error:
@@ -150,7 +150,7 @@ def with_correlation(fitted: FittedMixture, found: HitCorrelation | None) -> Fit
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
     """Error of a placement; None: too few hits, or a moving range."""
     mean = point.found.error
-    if mean is None or point.hits < ENOUGH_HITS or np.ptp(point.true_range_cm) > 0.0:
+    if mean is None or point.hits < ENOUGH_HITS or not point.is_fixed:
         return None
     expected_cm = float(np.mean(calibration.forward(point.apparent_cm[point.is_hit])))
     error_cm = point.range_cm + mean.value - expected_cm

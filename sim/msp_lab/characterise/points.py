@@ -88,7 +88,7 @@ class PointReadings:
     rows
         Their row numbers in the data.
     usual_spread_cm
-        Standard deviation of the readings of all points with nothing varied, where these are nearly all of two steps.
+        Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any.
     """
 
     condition: str
@@ -109,7 +109,8 @@ class PointReadings:
     @cached_property
     def range_cm(self) -> float:
         """True range, the mean over the point [cm]."""
-        return float(self.true_range_cm.mean())
+        # Their mean differs from it in the last digit, and equal ranges have to be equal.
+        return float(self.true_range_cm[0] if self.is_fixed else self.true_range_cm.mean())
 
     @property
     def is_fixed(self) -> bool:
@@ -208,8 +209,8 @@ class PointReadings:
         codes = self.reading_cm[self.is_code]
         no_echo = int((codes == self.sensor_model.maximum_cm).sum())
         compensated = None
-        if statistics is not None and not np.isnan(self.air_temperature_c).all():
-            # Each row by its own air; the interval is that of the mean, moved and stretched alike.
+        if statistics is not None and not np.isnan(self.air_temperature_c[self.is_hit]).all():
+            # Each row by its own air; the interval is that of the mean, moved.
             change = np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit])
             compensated = _shifted(statistics.mean, float(change))
         return PointResult(
@@ -323,12 +324,12 @@ def _levels(
 
 
 def _temperature_words(air_c: _Array) -> list[str]:
-    """Clusters of temperatures, each by its mean."""
-    order = np.argsort(air_c)
-    group = np.zeros(air_c.size, dtype=int)
-    group[order[1:]] = np.cumsum(np.diff(air_c[order]) > LEVEL_GAP_C)
-    means = [_mean(air_c[group == i]) for i in range(int(group.max(initial=0)) + 1)]
-    return [_word(float(np.round(means[i])), "C") for i in group]
+    """Clusters of temperatures, each by its mean; "" where the temperature is not known."""
+    found, known = np.full(air_c.size, "", dtype="U48"), np.flatnonzero(~np.isnan(air_c))
+    order = known[np.argsort(air_c[known])]
+    for cluster in np.split(order, np.flatnonzero(np.diff(air_c[order]) > LEVEL_GAP_C) + 1):
+        found[cluster] = _word(float(np.round(_mean(air_c[cluster]))), "C")
+    return found.tolist()
 
 
 def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:

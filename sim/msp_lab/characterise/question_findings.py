@@ -36,7 +36,10 @@ class HotBox:
     depth
         Length of the box's air that explains the shifts [cm].
     per_cent, uniform_per_cent
-        Error in per cent of range as measured (slope) and as expected of that air all the way.
+        Correction in per cent of range: what the readings call for (minus the slope of their shift), and what that air
+        all the way would.
+    compared
+        Whether the first may be the second, as words of a sentence.
     best
         Which idea is nearest: "uniform", "gradient", "confined", or "none" where no shift is seen.
     """
@@ -48,6 +51,7 @@ class HotBox:
     depth: IntervalEstimate
     per_cent: IntervalEstimate
     uniform_per_cent: float
+    compared: Literal["as", "and not"]
     rows: tuple[HotBoxRow, ...]
     best: AirBefore | Literal["none"]
     answer: str

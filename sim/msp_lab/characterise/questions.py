@@ -20,6 +20,7 @@ from scipy.optimize import brentq
 from msp_lab.characterise.estimates import Z, detectable, holm, student
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.question_findings import FactorEffect, Metric, Question, Verdict
+from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 
 LEVEL = 0.05
 """Family-wise false-positive rate over all questions (Holm)."""
@@ -158,10 +159,12 @@ def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
     """The level of the experiment itself that the others are compared with; None: the baseline."""
     levels = list(dict.fromkeys(p.level for p in points))
     if name == "material":
-        return next((each for each in levels if "plywood" in each.lower() or "wood" in each.lower()), None)
+        return next((each for word in ("plywood", "wood") for each in levels if word in each.lower()), None)
     if name == "temperature":
-        known = [(abs((p.air_temperature_c or 0.0) - 21.0), p.level) for p in points if p.air_temperature_c is not None]
-        return min(known)[1] if known and min(known)[0] < 5.0 else None
+        known = [
+            (abs((p.air_temperature_c or 0.0) - ROOM_C), p.level) for p in points if p.air_temperature_c is not None
+        ]
+        return min(known)[1] if known and min(known)[0] < ROOM_WITHIN_C else None
     if name == "external_interference":
         return "quiet" if "quiet" in levels else None
     if name == "vibration":
@@ -184,20 +187,25 @@ def _log_spread(point: PointResult) -> float | None:
 
 
 def _paired(question: Question, value: Callable[[PointResult], float | None], bound: float) -> _Raw | None:
-    """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, from set-up
-    to set-up."""
+    """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, that of
+    set-ups at one range, of both sides alike: the set-ups of the reference have it too."""
     varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
     common = sorted(varied.keys() & reference.keys())
     differences = np.array([np.mean(varied[each]) - np.mean(reference[each]) for each in common])
-    if len(common) < FEW_RANGES:
-        of_points = np.array([one - np.mean(reference[each]) for each in common for one in varied[each]])
-        differences = of_points if of_points.size > differences.size else differences
-    if differences.size < 2:
+    count, freedom = len(common), len(common) - 1
+    variance = float(differences.var(ddof=1)) / count if freedom > 0 else 0.0
+    sides = [np.array(side[each]) for each in common for side in (varied, reference)]
+    of_set_ups = sum(side.size - 1 for side in sides)
+    if len(common) < FEW_RANGES and of_set_ups > freedom:
+        count, freedom = sum(len(varied[each]) for each in common), of_set_ups
+        scatter = sum(float(((side - side.mean()) ** 2).sum()) for side in sides) / freedom
+        variance = scatter * sum(1.0 / side.size for side in sides) / len(common) ** 2
+    if freedom < 1:
         return None
-    error = math.hypot(float(differences.std(ddof=1)), MIN_SCATTER_CM) / math.sqrt(differences.size)
-    mean, freedom = float(differences.mean()), differences.size - 1
+    error = math.sqrt(variance + MIN_SCATTER_CM**2 / count)
+    mean = float(differences.mean())
     p_value = 2.0 * float(stats.t.sf(abs(mean) / error, freedom))
-    return _Raw(mean, error, freedom, differences.size, "points", p_value, bound, False)
+    return _Raw(mean, error, freedom, count, "points", p_value, bound, False)
 
 
 def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], float | None]) -> dict[float, list[float]]:

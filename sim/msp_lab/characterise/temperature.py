@@ -6,6 +6,7 @@ without compensation, leave. Speeds of sound are those of `msp_range.acoustics.a
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,9 @@ from msp_lab.characterise.question_findings import AirBefore, CompensationRow, H
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.correction.calibration import Calibration
 
-ROOM_C = 21.1
+ROOM_C, ROOM_WITHIN_C = 21.1, 5.0
 """Room temperature where nobody measured the air at the target: 70 deg F. It decides which readings of the temperature
-experiment are those of room temperature, within 5 deg, and what air is assumed beyond a box."""
+experiment are those of room temperature, within so much, and what air is assumed beyond a box."""
 
 _Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ def hot_boxes(points: Sequence[PointResult], calibration_c: float) -> tuple[HotB
         Air temperature that the sensor assumes [deg C].
     """
     here = [p for p in points if p.condition == "temperature" and p.air_temperature_c is not None and p.error]
-    room = [p for p in here if abs((p.air_temperature_c or 0.0) - ROOM_C) < 5.0]
+    room = [p for p in here if abs((p.air_temperature_c or 0.0) - ROOM_C) < ROOM_WITHIN_C]
     reference = room or [p for p in points if p.condition == "baseline" and p.error]
     zero = _by_range(reference)
     levels = dict.fromkeys(p.level for p in here if p not in room)
@@ -70,14 +71,17 @@ def _hot_box(
     # Correction that the readings call for: slope of -shift over range, in per cent.
     fit = stats.linregress(range_cm, -100.0 * shift)
     per_cent = IntervalEstimate.about(float(fit.slope), student(float(fit.stderr), n - 2), "%", n, "points")
-    uniform_per_cent = 100.0 * (speed_of_sound(box_c) / speed_of_sound(room_c) - 1.0)
+    uniform_per_cent = -float(confined(np.array([100.0]), math.inf)[0])
     ideas: dict[AirBefore, _Array] = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
     squares = {name: float(((shift - idea) ** 2).sum()) for name, idea in ideas.items()}
     # The confined air has a parameter: it must explain significantly more (1.92 in the log-likelihood).
     squares["confined"] *= math.exp(2 * 1.92 / n)
     best = min(squares, key=lambda name: squares[name])
     mean = float(shift.mean())
-    is_none = abs(mean) <= half
+    # A shift that grows with range has a wide mean and a slope.
+    low, high = per_cent.low or 0.0, per_cent.high or 0.0
+    is_none = abs(mean) <= half and low <= 0.0 <= high
+    compared: Literal["as", "and not"] = "as" if low <= uniform_per_cent <= high else "and not"
     return HotBox(
         level=level,
         box_c=box_c,
@@ -86,6 +90,7 @@ def _hot_box(
         depth=depth,
         per_cent=per_cent,
         uniform_per_cent=uniform_per_cent,
+        compared=compared,
         rows=tuple(
             HotBoxRow(r, IntervalEstimate.about(s, Z * e, "cm", p.hits), *ideas_here)
             for r, s, e, (p, _), *ideas_here in zip(
@@ -101,7 +106,7 @@ def _hot_box(
         answer=(
             f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by {mean:+.2f} cm "
             f"({mean - half:+.2f} to {mean + half:+.2f}) over {range_cm.min():g} to {range_cm.max():g} cm, which is "
-            f"{per_cent.value:.1f} % of range and not the {uniform_per_cent:.1f} % of air like that all the way; "
+            f"{per_cent.value:.1f} % of range {compared} the {uniform_per_cent:.1f} % of air like that all the way; "
             + (
                 "no shift is seen"
                 if is_none

@@ -149,7 +149,7 @@ class SelectedTerm:
             ripple = self.active.shape[2][0]
             what = f"ripple of {ripple.period:.3g}" if isinstance(ripple, Ripple) else self.active.shape[0]
             return f"{what} over {' and '.join(self.active.shape[1])}"
-        return self.active.effect.name
+        return self.active.effect.name + (f" of {self.active.of}" if self.active.of else "")
 
     @property
     def cost_nats(self) -> float:

@@ -72,7 +72,8 @@ def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> St
         neither = without(problem, state, k)
         gained = problem.evidence_nats(neither.fit, only_tails.fit, state.by_run)
         wanted = gained - tails.cost_nats >= needed_nats
-        state = (only_tails if wanted else neither).logging(f"tails in place of {term.label}")
+        dropped = f"tails in place of {term.label}" if wanted else f"neither {term.label} nor tails"
+        state = (only_tails if wanted else neither).logging(dropped)
     return state
 
 

@@ -202,15 +202,14 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
         return selection, kept
     left = replace(selection, state=refitted(kept.state))
     if selection.is_full:
-        selection = select_more(problem, left, {label for label, _ in kept.dropped}, max_terms)
+        selection = select_more(problem, left, {each.term.key for each in kept.dropped}, max_terms)
     else:
         selection = settled(problem, left)
     if selection.state.keys == kept.state.keys:
         return selection, replace(kept, state=selection.state)
     again = validated(problem, selection.state, splits)
     # One that was dropped may have come back, once another one had gone.
-    there = {term.label for term in again.state.terms}
-    dropped = tuple(each for each in (*kept.dropped, *again.dropped) if each[0] not in there)
+    dropped = tuple(each for each in (*kept.dropped, *again.dropped) if each.term.key not in again.state.keys)
     return selection, replace(again, state=refitted(again.state), dropped=dropped)
 
 
@@ -276,7 +275,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         selection.first.p_value,
         detectable(problem, selection.first),
         gained,
-        kept.dropped,
+        tuple((each.term.label, each.why) for each in kept.dropped),
         tuple(_messages(problem, selection, by_run)),
     )
 

@@ -84,9 +84,9 @@ def _search(problem: Problem, state: State, seen: Screen, needed_nats: float, ma
     return state
 
 
-def select_more(problem: Problem, selection: Selection, without: Set[str], max_terms: int) -> Selection:
-    """Go on where the search had ended for want of room, without effects of these names, which did not hold."""
-    problem = replace(problem, candidates=tuple(each for each in problem.candidates if each.effect.name not in without))
+def select_more(problem: Problem, selection: Selection, without: Set[Key], max_terms: int) -> Selection:
+    """Go on where the search had ended for want of room, without these effects, which did not hold."""
+    problem = replace(problem, candidates=tuple(each for each in problem.candidates if each.key not in without))
     state = reinformed(problem, selection.state)
     seen = screened(problem, state, by_run=False)
     state = _search(problem, state, seen, selection.needed_nats, max_terms)

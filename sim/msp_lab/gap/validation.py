@@ -6,14 +6,14 @@ leaves. Each part of a split is left out once, so that each reading is scored by
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import Key
+from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated, sums_by
 from msp_lab.gap.problem import Problem, State, without
 from msp_lab.gap.refit import JointFit
@@ -80,8 +80,16 @@ def gain_of_runs(sums: NDArray[Any], counts: NDArray[Any]) -> Gain:
         return Gain(0.0, 0.0, 1.0, 0, 0)
     mean = float(sums.sum() / n)
     se = float(np.sqrt(((sums - mean * counts) ** 2).sum() * runs / max(runs - 1, 1)) / n)
-    p_value = float(stdtr(max(runs - 1, 1), -mean / se)) if se > 0.0 else (0.0 if mean > 0.0 else 1.0)
+    # One run alone says nothing of how far runs differ.
+    p_value = float(stdtr(max(runs - 1, 1), -mean / se)) if se > 0.0 else (0.0 if mean > 0.0 and runs > 1 else 1.0)
     return Gain(mean, se, p_value, runs, round(n))
+
+
+class Dropped(NamedTuple):
+    """A term that does not hold, and why."""
+
+    term: SelectedTerm
+    why: str
 
 
 @dataclass(frozen=True)
@@ -97,13 +105,13 @@ class Validated:
     agree
         In which share of the splits each of them holds.
     dropped
-        Labels of the others, and why.
+        The others.
     """
 
     state: State
     gains: dict[Key, Gain]
     agree: dict[Key, float]
-    dropped: tuple[tuple[str, str], ...] = ()
+    dropped: tuple[Dropped, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,7 +131,7 @@ class _Agreement:
 def validated(problem: Problem, state: State, splits: Splits) -> Validated:
     """Keep the terms that nearly all splits agree on; the worst is taken out first."""
     parts = Parts(problem, splits)
-    dropped: list[tuple[str, str]] = []
+    dropped: list[Dropped] = []
     crossed = _Crossed.of(parts, state)
     while state.terms:
         smaller = [without(problem, state, k) for k in range(len(state.terms))]
@@ -139,9 +147,8 @@ def validated(problem: Problem, state: State, splits: Splits) -> Validated:
                 {key: each.share for key, each in zip(keys, found, strict=True)},
                 tuple(dropped),
             )
-        label = state.terms[worst].label
-        dropped.append((label, _why(lost)))
-        state, crossed = smaller[worst].logging(f"not validated: {label}"), before[worst]
+        dropped.append(Dropped(state.terms[worst], _why(lost)))
+        state, crossed = smaller[worst].logging(f"not validated: {state.terms[worst].label}"), before[worst]
     return Validated(state, {}, {}, tuple(dropped))
 
 

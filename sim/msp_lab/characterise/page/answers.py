@@ -199,8 +199,8 @@ def _boxes(findings: Findings) -> Iterator[Conclusion]:
         yield Conclusion(
             f"Air of {box.box_c:.0f} °C at the sensor",
             f"mean errors move by {plus(min(shifts))} to {plus(max(shifts))} cm: they call for a correction of "
-            f"{interval(box.per_cent)} of range, and not of the {plus(box.uniform_per_cent)} % of such air all over; "
-            f"{interval(box.depth)} of it explain them",
+            f"{interval(box.per_cent)} of range, {box.compared} the {plus(box.uniform_per_cent)} % of such air "
+            f"all over; {interval(box.depth)} of it explain them",
             "open" if box.best == "none" else "yes",
             _AIR[box.best],
         )
