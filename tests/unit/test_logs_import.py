@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
-from msp_lab.logs import px4, show
+from msp_lab.logs import ardupilot, px4, show, truth
 from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot, by_px4
 from msp_lab.logs.join import Joined, join
-from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog
+from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog, make_ranger
 from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
@@ -165,7 +165,8 @@ def test_old_logs_of_px4_have_the_flag_of_the_range_in_a_number() -> None:
     assert np.isfinite(kept.series.values).tolist() == [True] * 7 + [False] * 3
     (refused,) = px4._references(old_px4([in_range] * 9 + [tilted]), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
     assert refused.refused == (
-        "bit 10 of estimator_status.control_mode_flags is set for 90 % of the time, so the range is fused into it"
+        "bit 10 of estimator_status.control_mode_flags is set for 90 % of the time, so the range is fused into it from "
+        "0 s on"
     )
 
 
@@ -268,9 +269,50 @@ def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
         assert sorted(kept[name].tolist()) == sorted(given[name].tolist())
 
 
+def test_a_fixed_solution_is_that_of_the_receiver_that_has_it() -> None:
+    stamps = np.repeat(np.arange(5) * 10**6, 2)
+    gps = {
+        "TimeUS": stamps,
+        "I": np.tile([0.0, 1.0], 5),
+        "Status": np.tile([3.0, 6.0], 5),
+        "Alt": np.arange(10.0),
+    }
+    (rtk,) = ardupilot._references({"GPS": gps}, {})
+    assert (rtk.kind, rtk.series.source) == ("rtk", "GPS[1].Alt")
+    assert rtk.series.values.tolist() == [1.0, 3.0, 5.0, 7.0, 9.0]
+    assert ardupilot._references({"GPS": gps | {"Status": np.full(10, 3.0)}}, {}) == []
+
+
+def test_a_code_of_no_echo_is_no_distance_where_the_log_states_no_maximum(tmp_path: Path) -> None:
+    columns = {
+        "time_s": np.arange(4.0),
+        "sensor": np.full(4, "a"),
+        "reading_cm": np.array([100.0, 765.0, 900.0, np.nan]),
+    }
+    rangers = tuple(rangers_of(tmp_path, MeasuredData(columns), 765.0))
+    found = truth.choose(VehicleLog(tmp_path, "CSV table", rangers, {}, ()), truth.parse_truth("sensor:a"))
+    assert found is not None
+    assert found.series.values.tolist() == pytest.approx([1.0, np.nan, 9.0, np.nan], nan_ok=True)
+
+
+def test_readings_at_one_time_count_once(tmp_path: Path) -> None:
+    near = make_ranger(
+        "a", Series("a", np.array([1.0, 1.0, 2.0]), np.array([5.0, 5.0, 50.0])), True, 7.0, np.array([1, 1, 0]) > 0
+    )
+    assert (near.too_near, len(near.series), np.isnan(near.series.values).sum()) == (1, 2, 1)
+
+
+def test_without_truth_a_table_has_none(tmp_path: Path) -> None:
+    write_csv(tmp_path / "bench.csv", readings(400, runs=2))
+    (found,) = imported(tmp_path / "bench.csv", "--truth", "none", "--out", tmp_path / "set")
+    assert found["truth"] == "none"
+    assert found["rangers"][0]["with_truth"] == 0
+    assert "true_range_cm" not in read_dataset(tmp_path / "set")
+
+
 def test_rows_of_a_table_are_put_in_the_order_of_their_times(tmp_path: Path) -> None:
     table = {"time_s": np.array([2.0, 1.0]), "sensor": np.array(["a", "a"]), "reading_cm": np.array([20.0, 10.0])}
-    (ranger,) = rangers_of(tmp_path, MeasuredData(table))
+    (ranger,) = rangers_of(tmp_path, MeasuredData(table), 765.0)
     assert ranger.series.values.tolist() == [10.0, 20.0]
 
 
@@ -483,6 +525,10 @@ def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
         (["{logs}/px4.ulg", "--truth", "mocap"], "no mocap in this log. References that it has: barometer, simulator"),
         (["{logs}/px4.ulg", "--truth", "sensor:lidar"], "no range finder 'lidar' in this log; it has distance_sensor"),
         (["{logs}/px4.ulg", "--truth", "column:a.b"], "no column:a.b in this log"),
+        (
+            ["{logs}/px4.ulg", "--truth", "recorded"],
+            "this PX4 ULog, PX4 1.17.0 has no true_range_cm next to its readings",
+        ),
         (["{logs}/px4.ulg", "--map", "reading_cm=a"], "--map is for CSV tables"),
         (["{tmp}/empty.bin"], "empty"),
         (["{tmp}/none.bin"], "cannot be read: No such file"),

@@ -174,6 +174,8 @@ def test_a_files_step_is_found() -> None:
     assert step_of(np.rint(millimetres / 10.0)) == 1.0
     assert step_of(2.54 * np.rint(millimetres / 25.4)) == 2.54
     assert step_of(rng.uniform(30.0, 500.0, 30)) == 0.0
+    with_a_mean = np.append(np.rint(millimetres / 10.0), 400.37)
+    assert (step_of(with_a_mean), step_of(with_a_mean, 0.95)) == (0.01, 1.0)
 
 
 def test_selected_sensors_only(tmp_path: Path) -> None:

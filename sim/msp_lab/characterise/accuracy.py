@@ -45,8 +45,7 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
     hits = np.concatenate([point.error_cm[point.is_hit] for point in echoes])
     range_cm = np.array([each.true_range_cm for each in found if each.error is not None])
     mean_cm = np.array([each.value for each in errors])
-    # A point whose readings give no interval counts as one rounded reading.
-    variance_cm2 = np.array([min(standard_error(each) ** 2, 1.0) for each in errors])
+    variance_cm2 = np.array([standard_error(each) ** 2 for each in errors])
     between = None
     if np.unique(range_cm).size >= 3:
         line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
@@ -98,8 +97,8 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
 def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
     """Peaks of whole-centimetre readings, the largest first.
 
-    A peak is where most readings are within 3 cm, by `MIN_PEAK_SHARE` and the like; it ends where they are less than a
-    tenth of its top.
+    A peak is where most readings are within `PEAK_HALF_CM`, of at least `MIN_PEAK_SHARE`, `MIN_READINGS` and
+    `PEAK_DEVIATIONS`; it ends where they are less than a tenth of its top.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ SESSION_EFFECT = "run_offsets"
 NOT_MEASURED = "no readings of this condition, or none at ranges to compare with"
 KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
-"""Warn about points with fewer readings: their mean error is not known to a third of their spread."""
+"""Warn about points with fewer readings: the 95 % interval of their mean error is wider than half their spread."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def characterise(
     Raises
     ------
     RecordingError
-        Nothing can be found in these readings.
+        Nothing can be found in these readings, they are of different sensors, or most are far from their true ranges.
     """
     started_cm, step_cm = sensor.resolution_cm, step_with(loaded.data, Model.of(sensor))
     sensor = SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})

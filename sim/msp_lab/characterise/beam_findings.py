@@ -15,7 +15,7 @@ class AnglePoint:
     reliable
         Share of the readings that are of the wall, with its interval.
     is_reliable
-        By the criterion of `FieldOfView`.
+        By the criterion of `FieldOfView`, at this angle alone.
     reading
         Mean of those readings [cm]; None without any.
     slant_cm, nearest_cm

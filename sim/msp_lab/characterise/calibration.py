@@ -84,8 +84,7 @@ def calibrate(
         return None
     errors = [point.found.error for point in points if point.found.error is not None]
     variance = np.array([standard_error(error) ** 2 for error in errors])
-    # A point whose readings give no interval counts as one rounded reading.
-    variance = np.where(np.isfinite(variance), variance, 1.0) + [point.placement_cm2 for point in used]
+    variance += [point.placement_cm2 for point in used]
     true_cm = np.array([float(point.apparent_cm[point.is_hit].mean()) for point in used])
     # An error is about the true range of the hits: where the range changes, missed echoes are at other ranges.
     hits_cm = np.array([float(point.true_range_cm[point.is_hit].mean()) for point in used])
@@ -112,7 +111,7 @@ def calibrate(
         spread=pooled_spread(used),
         resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
         resolution_note=(
-            f"all readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
+            f"readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
         linearity=linearity,
         linearity_noise_floor_cm=noise_floor,

@@ -69,7 +69,7 @@ class HeldOut:
     rms_cm
         Root mean square error over the points left out in turn [cm].
     gain
-        Mean square error that it takes off the next simpler form [cm^2], by points; None for the simplest.
+        Mean square error that it takes off the form that was kept before it [cm^2], by points; None for the first.
     """
 
     form: Form
@@ -96,7 +96,7 @@ class CalibrationFindings:
         Step of the readings, and its evidence in `resolution_note`.
     linearity
         Largest distance of a point's mean from the straight line [cm], and in `linearity_noise_floor_cm` what the
-        scatter of readings alone reaches in 95 % of cases.
+        scatter of readings and the stated error of the placements reach in 95 % of cases.
     reference_std_cm
         Standard deviation of the reference itself as its owner states it [cm]; None: not stated.
     set_up_offset
@@ -107,7 +107,8 @@ class CalibrationFindings:
     held_out_unit
         What was left out in turn: "range", or "range and run" where runs hold several ranges each.
     true_cm, reading_cm, reading_std_cm
-        The points' data: apparent true range, mean of the hits, standard error of that mean.
+        The points' data: apparent true range, mean of the hits, standard error of their difference as far as the
+        readings and the stated error of the placement say it.
     """
 
     form: Form

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread, usual_spread
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
-from msp_lab.readings.resolution import step_of
+from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
@@ -192,8 +192,9 @@ class PointReadings:
         truth, is_fixed = float(self.true_range_cm[0]), self.is_fixed
         found = self.reading_cm[self.is_hit] - (0.0 if is_fixed else self.true_range_cm[self.is_hit])
         mean, spread = mean_and_spread(found, self.step_cm if is_fixed else 0.0, usual_spread=self.usual_spread_cm)
-        reference_cm2 = 0.0 if is_fixed else float(np.mean(self.reference_std_cm[self.is_hit] ** 2))
-        return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), _without(spread, reference_cm2))
+        # Where the truth changes, its error and the rounding are part of the scatter.
+        other_cm2 = 0.0 if is_fixed else float(np.mean(self.reference_std_cm[self.is_hit] ** 2)) + self.step_cm**2 / 12
+        return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), _without(spread, other_cm2))
 
     @property
     def hits(self) -> int:
@@ -265,7 +266,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     different = (condition, words["sensor"], words["run"], words["target"], level, place, incidence, *settings)
     keys = np.column_stack([_codes(each) for each in different])
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    step_cm = step_of(known["reading_cm"])
+    step_cm = step_of(known["reading_cm"], ON_STEP_SHARE)
     members = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
     points = [
         PointReadings(

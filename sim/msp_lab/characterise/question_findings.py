@@ -99,8 +99,8 @@ class FactorEffect:
     bound
         What is small enough not to matter, in the estimate's unit: |bias| below it, a ratio within 1/bound to bound.
     verdict
-        "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter": its 90 %
-        interval (two one-sided tests) lies within the bound. Else "cannot tell".
+        "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter":
+        it is within the bound by two one-sided tests, after Holm. Else "cannot tell".
     smallest_detectable
         Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
         thousandfold, or it is not known.

@@ -119,7 +119,7 @@ def _in_its_place(
     if not again or again[0].log_likelihood < state.fit.log_likelihood - ENOUGH_NATS:
         # The other terms have settled elsewhere without this one: there no candidate is what it can be in its place.
         found = [_at_others(problem, state, k, less, each) for each in found]
-    # What counts for less than its likelihood, as repeats do where nothing moves, does not count for more here.
+    # Some gain less evidence than likelihood, as repeats before a wall that stands still; the evidence is what counts.
     enough_nats = rules.EXCHANGE_KEEPS * needed_nats
     others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
     last = len(less.terms)

@@ -435,8 +435,9 @@ the fit of the part that it is not in. Chosen by judgement. Higher: weak right n
 VALIDATED_NATS = 2.0
 """And if it gains so much in all. The smallest gain of a term of 2 standard errors. Higher: as above."""
 LEARNT_SHARE = 0.1
-"""A part that has less than this share of all information about a term's strength says nothing of it. Halves that are
-alike have 0.5 each. Higher: causes that vary in few runs cannot be validated; lower: strengths that one run decides."""
+"""A run counts if a fit without its part still has this share of what all runs know of the term's strength there; five
+parts that are alike leave 0.8. Higher: causes that vary in few runs cannot be validated; lower: strengths that one run
+decides."""
 EXPANSION_NATS = 3.0
 """A part's fit follows from the sums of scores if it gains no more than so many nats for each number over that of all.
 Half a nat is usual where readings are independent. Higher: parts that differ are taken for more alike; lower:

@@ -23,11 +23,12 @@ BLOCKS = 30
 """The log is cut into so many blocks for the bootstrap. Fewer: their number limits what the interval can know; more:
 blocks become shorter than manoeuvres, whose errors then count twice."""
 RESAMPLES = 500
-"""The 2.5 and 97.5 % points of so many are off by a tenth of the interval's width."""
+"""The 2.5 and 97.5 % points of so many have a standard error of 3 % of the interval's width."""
 GATE = 4.5
-"""Readings whose difference is more than so many standard deviations from the median are outliers, as in
-`MEDIAN_TO_STD` of a normal distribution: one good reading in 150,000 is lost."""
+"""Readings whose difference is more than so many standard deviations from the median are outliers; of a normal
+distribution one good reading in 150,000 is lost."""
 MEDIAN_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over the median distance from its middle."""
 LEAST_STD_CM = 0.5
 """Differences scatter at least by this [cm] where a gate is set: the rounding of readings and logs."""
 WIDEST_SHARE = 0.25

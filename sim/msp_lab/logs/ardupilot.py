@@ -140,13 +140,14 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthS
     if (simulated := _first(found, "SIM", "Alt")) is not None:
         references.append(TruthSource("simulator", simulated))
     gps = found.get("GPS", {})
-    if (altitude := _first(found, "GPS", "Alt")) is not None and (gps.get("Status", np.zeros(1)) == RTK_FIXED).any():
-        fixed = _first(found, "GPS", "Status")
-        assert fixed is not None
-        values = np.where(fixed.values == RTK_FIXED, altitude.values, np.nan)
-        references.append(
-            TruthSource("rtk", Series(altitude.source, altitude.time_s, values), std=_first(found, "GPA", "VAcc"))
-        )
+    with_fix = gps.get("Status", np.zeros(0)) == RTK_FIXED
+    # Of several receivers the first one that ever has a fixed solution.
+    receiver = float(gps["I"][with_fix].min()) if with_fix.any() and "I" in gps else 0.0
+    altitude, status = (_first(found, "GPS", each, receiver) for each in ("Alt", "Status"))
+    if with_fix.any() and altitude is not None and status is not None:
+        values = np.where(status.values == RTK_FIXED, altitude.values, np.nan)
+        fixed = Series(altitude.source, altitude.time_s, values)
+        references.append(TruthSource("rtk", fixed, std=_first(found, "GPA", "VAcc", receiver)))
     if (seen := _up(found, "VISP", "PZ")) is not None:
         references.append(TruthSource("mocap", seen))
     for message, refused in (("XKF1", by_ekf3(parameters)), ("NKF1", by_ekf2_of_ardupilot(parameters))):

@@ -41,7 +41,8 @@ def clock_difference_s(readings: Series, height: Series) -> float:
     Raises
     ------
     RecordingError
-        They do not show the same flight, or fit each other in several ways; the text follows a file's name.
+        They do not show the same flight, fit each other in several ways, or are longer than a day; the text follows a
+        file's name.
     """
     known = readings.known()
     if len(known) < 2 * SMOOTHED or len(height.known()) < 2 * SMOOTHED:

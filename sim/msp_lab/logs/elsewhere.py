@@ -22,8 +22,8 @@ _UNITS_S = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 """Times larger than this are since 1970 in a smaller unit than seconds; 1e11 s would be the year 5138."""
 
 
-def reference_of(path: Path, truth: Truth, log: VehicleLog) -> tuple[TruthSource, float]:
-    """The reference of a log in another file, and by how much its clock differs [s].
+def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -> tuple[TruthSource, float]:
+    """The reference of a log in another file, and by how much its clock differs [s]; the maximum as for `open_log`.
 
     Raises
     ------
@@ -35,16 +35,16 @@ def reference_of(path: Path, truth: Truth, log: VehicleLog) -> tuple[TruthSource
             raise RecordingError(f"{path}: of a CSV file --truth needs the column: column:NAME*FACTOR@{path.name}")
         reference = TruthSource("column", _column(path, truth))
     else:
-        found = choose(open_log(path, lambda share: None, field=truth.field), truth)
+        found = choose(open_log(path, lambda share: None, field=truth.field, maximum_cm=maximum_cm), truth)
         if found is None:
             raise RecordingError(f"{path}: no reference in this file")
         reference = found
     ranger = next((each for each in log.rangers if each.is_down), None)
     if ranger is None:
         raise RecordingError(f"{log.path}: no range finder that looks down, to compare with {path.name}")
-    answered = np.where(ranger.series.values < ranger.maximum_cm, ranger.series.values, np.nan)
     try:
-        difference_s = clock_difference_s(Series(ranger.name, ranger.series.time_s, answered), reference.series)
+        echoes = Series(ranger.name, ranger.series.time_s, ranger.echoes_cm)
+        difference_s = clock_difference_s(echoes, reference.series)
     except RecordingError as error:
         raise RecordingError(f"{log.path} and {path}: {error}") from None
     std = None if reference.std is None else _later(reference.std, difference_s)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
-from msp_lab.logs.log import TruthSource, VehicleLog
+from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
-from msp_lab.logs.truth import OTHERS, Truth, choose, is_same
+from msp_lab.logs.truth import NONE, OTHERS, RECORDED, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import origin, record_runs, write_tables
 from msp_lab.readings.intake import sha256
@@ -27,7 +27,7 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.model.derived import derived_columns
 from msp_sim.model.model import Model
 from msp_sim.workers import Workers
@@ -293,10 +293,14 @@ def import_log(common: Import, named: NamedLog) -> Imported:
     if not log.rangers:
         raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
     notes: list[str] = []
+    if truth.kind == RECORDED and not any(TRUE_RANGE in each.columns for each in log.rangers):
+        raise RecordingError(f"{path}: --truth recorded: this {log.form} has no {TRUE_RANGE} next to its readings")
+    if truth.kind == NONE:
+        log = replace(log, rangers=tuple(_without_truth(each) for each in log.rangers))
     if truth.file is None:
         reference = choose(log, truth)
     else:
-        reference, difference_s = reference_of(truth.file, truth, log)
+        reference, difference_s = reference_of(truth.file, truth, log, common.sensor.maximum_cm)
         notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
     joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
     if reference is not None and not any(TRUE_RANGE in each.data for each in joined):
@@ -309,6 +313,11 @@ def import_log(common: Import, named: NamedLog) -> Imported:
     for name, tables in runs.items():
         write_tables(common.out, name, tables)
     return _account(tuple(runs), log, reference, joined, notes, truth)
+
+
+def _without_truth(ranger: Ranger) -> Ranger:
+    kept = {name: column for name, column in ranger.columns.items() if name not in (TRUE_RANGE, REFERENCE_STD)}
+    return replace(ranger, columns=kept)
 
 
 def _why_no_truth(joined: Sequence[Joined]) -> str:

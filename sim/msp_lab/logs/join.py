@@ -119,8 +119,7 @@ def _join(
             "more: the beam does not meet the ground (a crash, or the attitude was not known yet)"
         )
     if reference is not None and _is_for(log, reference, ranger):
-        is_echo = (ranger.series.values < ranger.maximum_cm) & ~is_overturned
-        answered = np.where(is_echo, ranger.series.values, np.nan)
+        answered = np.where(is_overturned, np.nan, ranger.echoes_cm)
         alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
         lag_s = alignment.lag_s if alignment is not None and shift and alignment.has_lag else 0.0
         error = _error(log, reference, time_s, answered, alignment, rng)

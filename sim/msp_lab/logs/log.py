@@ -108,6 +108,8 @@ class Ranger:
         Whether it looks down along the vehicle's axis.
     maximum_cm
         Reading of no echo; infinite where the log does not state it.
+    code_cm
+        Where it does not: the sensor's code of no echo. Other readings may be beyond it, of another sensor.
     columns
         What the log says of each reading, in the names of the CSV form.
     too_near
@@ -120,6 +122,13 @@ class Ranger:
     maximum_cm: float = np.inf
     columns: Mapping[str, Column] = field(default_factory=dict)
     too_near: int = 0
+    code_cm: float = np.nan
+
+    @property
+    def echoes_cm(self) -> Array:
+        """Readings that are of something [cm]; NaN: no echo, or no answer."""
+        values = self.series.values
+        return np.where((values < self.maximum_cm) & (values != self.code_cm), values, np.nan)
 
 
 @dataclass(frozen=True)
@@ -275,6 +284,9 @@ def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is
         is another thing for each sensor, so they count as no answer.
     """
     is_too_near = is_too_near & ~np.isnan(readings.values)
-    reading_cm = np.where(is_too_near, np.nan, readings.values)
+    reading_cm = np.where(is_too_near, -np.inf, readings.values)
     kept = series(readings.source, readings.time_s, reading_cm)
+    # Of readings at one time one is kept.
+    is_too_near = kept.values == -np.inf
+    kept = Series(kept.source, kept.time_s, np.where(is_too_near, np.nan, kept.values))
     return Ranger(name, kept, is_down, float(rounded_cm(maximum_m)), too_near=int(is_too_near.sum()))

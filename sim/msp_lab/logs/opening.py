@@ -59,7 +59,7 @@ def open_log(
     column_map
         Columns of a CSV file.
     maximum_cm
-        Reading of no echo, for a CSV file whose map has a code for it.
+        Reading of no echo, for recordings and CSV files; the other formats state it.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def open_log(
     if column_map is not None:
         raise RecordingError(f"{path}: --map is for CSV tables, and this is a {FORMATS[kind]}")
     if kind == ".mcap":
-        return read_recording(path)
+        return read_recording(path, maximum_cm)
     require("logs", f"Reading a {FORMATS[kind]}")
     module, function = _READERS[kind]
     log: VehicleLog = getattr(importlib.import_module(f"msp_lab.logs.{module}"), function)(path, progress, field)

@@ -62,6 +62,9 @@ _TOPICS = [
     "actuator_controls_0",
     "vehicle_imu_status",
 ]
+MOST_AFTER = 0.5
+"""A height is refused if more of it than this share is after the range was first fused. Higher: a reference for the
+take-off alone, of which nobody is told; lower: logs in which a landing is fused are refused as a whole."""
 MOST_READ = 20
 """A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
 end. A damaged file is searched a few times over."""
@@ -185,7 +188,7 @@ def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSour
 
 
 def _without_fused(height: Series, found: _Topics, parameters: Mapping[str, Any]) -> tuple[Series, str]:
-    """EKF2's height while the range is not fused into it, and why it is refused where it always is."""
+    """EKF2's height until the range is first fused into it, and why it is refused where that is most of the log."""
     flags = _field(found, "estimator_status_flags", "cs_rng_hgt") or _range_height_bit(found)
     if flags is None or not len(flags):
         return height, by_px4(parameters)
@@ -194,10 +197,13 @@ def _without_fused(height: Series, found: _Topics, parameters: Mapping[str, Any]
     fused = flags.values[before] != 0
     # What was fused once stays in the height, and a bias of the barometer learnt from it too.
     after = np.maximum.accumulate(fused)
-    if after.mean() > 0.5:
-        share = 100.0 * float(fused.mean())
+    if after.mean() > MOST_AFTER:
+        share, first_s = 100.0 * float(fused.mean()), float(height.time_s[after.argmax()] - height.time_s[0])
         name = flags.source.removeprefix("estimator_status_flags.")
-        return height, f"{name} is set for {share:.0f} % of the time, so the range is fused into it"
+        return (
+            height,
+            f"{name} is set for {share:.0f} % of the time, so the range is fused into it from {first_s:.0f} s on",
+        )
     return Series(height.source, height.time_s, np.where(after, np.nan, height.values)), ""
 
 

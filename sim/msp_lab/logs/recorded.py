@@ -19,8 +19,8 @@ LARGEST_RECORDING_BYTES = 200 * 2**20
 of an hour with four sensors has 20 MB."""
 
 
-def read_recording(path: Path) -> VehicleLog:
-    """Read a recording of the bridge, of a simulator or of a bench.
+def read_recording(path: Path, maximum_cm: float) -> VehicleLog:
+    """Read a recording of the bridge, of a simulator or of a bench, whose sensors have this reading of no echo.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def read_recording(path: Path) -> VehicleLog:
     if angles:
         rows = np.array([(each.time_s, each.roll_rad, each.pitch_rad) for _, each in angles])
         context[TILT] = series("/attitude", rows[:, 0], tilt_deg(rows[:, 1], rows[:, 2]))
-    return VehicleLog(path, "recording of msp-range", tuple(rangers_of(path, data)), context, (), lost)
+    return VehicleLog(path, "recording of msp-range", tuple(rangers_of(path, data, maximum_cm)), context, (), lost)
 
 
 def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> VehicleLog:
@@ -61,11 +61,11 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> V
                 raise
             raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
     notes = (column_map.note,) if column_map is not None and column_map.note else ()
-    return VehicleLog(path, "CSV table", tuple(rangers_of(path, data)), {}, (), notes)
+    return VehicleLog(path, "CSV table", tuple(rangers_of(path, data, maximum_cm)), {}, (), notes)
 
 
-def rangers_of(path: Path, data: MeasuredData) -> list[Ranger]:
-    """The range finders of a table, each with its rows in the order of time."""
+def rangers_of(path: Path, data: MeasuredData, code_cm: float) -> list[Ranger]:
+    """The range finders of a table, each with its rows in the order of time, and their code of no echo."""
     if not len(data):
         raise RecordingError(f"{path}: no readings")
     rangers = []
@@ -75,5 +75,6 @@ def rangers_of(path: Path, data: MeasuredData) -> list[Ranger]:
         left_out = {"time_s", "sensor", "reading_cm", *BRIDGE_COLUMNS}
         columns = {key: column[rows] for key, column in data.columns.items() if key not in left_out}
         reading_cm: Array = data["reading_cm"][rows]
-        rangers.append(Ranger(name, Series(path.name, data["time_s"][rows], reading_cm), columns=columns))
+        readings = Series(path.name, data["time_s"][rows], reading_cm)
+        rangers.append(Ranger(name, readings, columns=columns, code_cm=code_cm))
     return rangers

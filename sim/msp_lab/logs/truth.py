@@ -156,8 +156,8 @@ def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
     if ranger is None:
         raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {_names(log)}")
     series = ranger.series
-    range_m = np.where(series.values < ranger.maximum_cm, series.values / 100.0, np.nan)
-    return TruthSource("sensor", Series(f"{name}: {series.source}", series.time_s, range_m), True, True, ranger=name)
+    range_m = Series(f"{name}: {series.source}", series.time_s, ranger.echoes_cm / 100.0)
+    return TruthSource("sensor", range_m, True, True, ranger=name)
 
 
 def _names(log: VehicleLog) -> str:

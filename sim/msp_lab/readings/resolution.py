@@ -18,8 +18,8 @@ TOLERANCE = 0.005
 millimetre; of readings without a step 1 % are within this, so that 30 of them never are."""
 
 
-def step_of(reading_cm: NDArray[np.float64]) -> float:
-    """Return the largest usual step of which all readings are whole multiples [cm], and 0 where there is none.
+def step_of(reading_cm: NDArray[np.float64], share: float = 1.0) -> float:
+    """Return the largest usual step of which this share of the readings are whole multiples [cm]; 0: there is none.
 
     Examples
     --------
@@ -29,7 +29,7 @@ def step_of(reading_cm: NDArray[np.float64]) -> float:
     known = reading_cm[~np.isnan(reading_cm)]
     for step_cm in STEPS_CM:
         steps = known / step_cm
-        if np.abs(steps - np.rint(steps)).max(initial=0.0) < TOLERANCE:
+        if (np.abs(steps - np.rint(steps)) >= TOLERANCE).sum() <= (1.0 - share) * steps.size:
             return step_cm
     return 0.0
 
