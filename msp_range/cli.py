@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from msp_range import __version__
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.recordings_cli import export, layout, recover, replay, tune
-from msp_range.user_errors import Commands
+from msp_range.user_errors import Commands, VersionOption
 from msp_range.yaml_file import ConfigError, writing
 
 if TYPE_CHECKING:
@@ -35,18 +34,8 @@ FILE_KINDS = "msp_range.file_kinds"
 here."""
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
-        print(f"msp-range {__version__} (Python {sys.version.split()[0]})")
-        raise typer.Exit
-
-
 @app.callback()
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and exit")
-    ] = False,
-) -> None:
+def _options(version: VersionOption = False) -> None:
     """Options of the program itself."""
 
 

@@ -5,11 +5,12 @@ import signal
 import sys
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, ParamSpec
+from typing import Annotated, Any, ParamSpec
 
 import typer
 from typer.core import TyperGroup
 
+from msp_range import __version__
 from msp_range.errors import UserError
 from msp_range.input_file import printable
 
@@ -54,3 +55,15 @@ class Commands(TyperGroup):
     def invoke(self, context: Any) -> Any:
         """Run the command that was named."""
         return report_user_errors(super().invoke)(context)
+
+
+def _show_version(context: typer.Context, wanted: bool) -> None:
+    if wanted:
+        print(f"{context.info_name} {__version__} (Python {sys.version.split()[0]})")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and exit")
+]
+"""Of all programs of the project."""

@@ -299,13 +299,15 @@ def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
     if name not in WORD_COLUMNS:
         try:
             numbers = np.array([float(cell) if cell else math.nan for cell in cells], dtype=float)
-            if not (np.abs(numbers) > LARGEST_NUMBER).any():
+            if not (np.abs(numbers) > LARGEST_NUMBER).any() and not (name == "time_s" and np.isnan(numbers).any()):
                 return numbers
         except ValueError:
             pass
         if is_known:
-            row = next(row for row, cell in enumerate(cells) if not is_number(cell))
-            expected = "a number, or nothing where it is unknown"
+            is_time = name == "time_s"
+            bad = (not is_number(cell) or (is_time and math.isnan(float(cell))) for cell in cells)
+            row = next(row for row, is_bad in enumerate(bad) if is_bad)
+            expected = "a number" if is_time else "a number, or nothing where it is unknown"
             raise _cell_error(path, name, first + row, repr(cells[row][:LONGEST_CELL]), expected)
     return word_column(str(path), name, cells)
 

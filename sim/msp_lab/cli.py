@@ -35,6 +35,9 @@ app = typer.Typer(
 )
 app.callback()(choose_figures)
 
+MOST_STD_CM = 1000.0
+"""Largest error of a reference that an option may state [cm]: more than any range of these sensors."""
+
 
 @app.command()
 def collect(
@@ -138,12 +141,15 @@ def characterise(
     ] = "recorded",
     reference_std_cm: Annotated[
         float | None,
-        typer.Option(min=0.0, help="standard deviation of an error that all true ranges have in common [cm]"),
+        typer.Option(
+            min=0.0, max=MOST_STD_CM, help="standard deviation of an error that all true ranges have in common [cm]"
+        ),
     ] = None,
     set_up_std_cm: Annotated[
         float | None,
         typer.Option(
             min=0.0,
+            max=MOST_STD_CM,
             help="standard deviation of the error of each placement's true range [cm]; differences beyond it are "
             "attributed to the sensor and enter the model",
         ),

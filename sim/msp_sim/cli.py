@@ -8,7 +8,7 @@ import typer
 
 from msp_range.extras import DRAWING, require
 from msp_range.moved import EXIT_COMMAND_LINE, add_moved
-from msp_range.user_errors import Commands
+from msp_range.user_errors import Commands, VersionOption
 from msp_range.watch.place import parse_listen
 from msp_range.yaml_file import ConfigError
 
@@ -46,7 +46,7 @@ FigureFormat = Annotated[
 ]
 
 
-def choose_figures(figures: FigureFormat = "png") -> None:
+def choose_figures(figures: FigureFormat = "png", version: VersionOption = False) -> None:
     """Options of all commands."""
     if figures != "png":
         require("sim", f"--format {figures}")
@@ -216,6 +216,7 @@ def sample(
     range, the time in the run, the incidence from roll_deg and pitch_deg. The previous reading is the one drawn before.
     """
     require("sim", "msp-sim sample")
+    from msp_range.recording.context_limits import check_contexts
     from msp_range.recording.csv_form import read_csv, write_csv
     from msp_sim.effects.own import add_own_effects
     from msp_sim.model.derived import PREVIOUS, derived_columns, sample_in_order
@@ -224,6 +225,7 @@ def sample(
     add_own_effects(effects or ())
     readings = load_model(model)
     given = read_csv(contexts, required=("true_range_cm",))
+    check_contexts(str(contexts), given)
     added, sources = derived_columns(readings.columns, given.columns)
     columns = {**given.columns, **added}
     reading_cm = sample_in_order(readings, columns, seed)

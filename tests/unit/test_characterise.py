@@ -116,6 +116,11 @@ def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> No
         (("--out", "{}/m.yaml", "--report", "{}/a.csv"), "a.csv is a file, expected a folder"),
         (("--out", "{}"), "there is a folder already"),
         (("--out", "{}/m.yaml", "--date", "today"), "expected a day such as 2026-10-05"),
+        (
+            ("--out", "{}/m.yaml", "--report", "{}/m.yaml"),
+            "is to be the model file, expected another name for the folder",
+        ),
+        (("--out", "{}/m.yaml", "--report", "{}/m.yaml/page"), "expected another name for the folder"),
     ],
 )
 def test_what_cannot_be_written_is_reported_before_the_work(
@@ -126,6 +131,14 @@ def test_what_cannot_be_written_is_reported_before_the_work(
     assert result.exit_code == 3
     assert message in result.output
     assert [each.name for each in tmp_path.iterdir()] == ["a.csv"]
+
+
+@pytest.mark.parametrize("option", ["--reference-std-cm", "--set-up-std-cm"])
+def test_an_error_of_the_reference_has_a_size(tmp_path: Path, option: str) -> None:
+    for size in ("inf", "1e9", "-1"):
+        result = run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", option, size)
+        assert result.exit_code == 2
+        assert f"Invalid value for '{option}': Input should be" in result.output
 
 
 def test_nothing_is_overwritten(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import typer
 from typer.testing import CliRunner
 
 from msp_lab.cli import app as lab_app
+from msp_range import __version__
 from msp_range.cli import app
 from msp_range.clock import SystemClock
 from msp_range.config import Airframe, load_airframe
@@ -47,6 +48,13 @@ def test_every_command_explains_itself(command: str) -> None:
     result = CliRunner().invoke(app, [command, "--help"])
     assert result.exit_code == 0
     assert len(result.output.splitlines()) > 6
+
+
+@pytest.mark.parametrize(("program", "name"), [(app, "msp-range"), (sim_app, "msp-sim"), (lab_app, "msp-lab")])
+def test_every_program_says_its_version(program: typer.Typer, name: str) -> None:
+    found = CliRunner().invoke(program, ["--version"], prog_name=name)
+    assert found.exit_code == 0
+    assert found.output.startswith(f"{name} {__version__} (Python 3")
 
 
 @pytest.mark.parametrize("command", ["fly", "sample", "sitl", "show"])

@@ -8,10 +8,12 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
+from msp_lab.fleet.findings import FleetFindings
 from msp_lab.fleet.meta import left_out, paule_mandel, pooled, shrunk
 from msp_lab.fleet.statistics import NumberOverSessions, between_sessions, over_sessions
 from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.vehicles import units_of
+from msp_lab.fleet.words import sentence_of
 from msp_range.errors import UserError
 
 BCG = np.array(
@@ -33,6 +35,12 @@ BCG = np.array(
     dtype=float,
 )
 """Cases and others with and without BCG vaccine in 13 trials (Colditz et al. 1994, JAMA 271:698)."""
+
+
+@pytest.mark.parametrize(("vehicles", "says"), [(4, True), (5, True), (6, False), (20, False)])
+def test_a_small_fleet_says_that_it_can_hardly_tell(vehicles: int, says: bool) -> None:
+    findings = FleetFindings("", "", "", vehicles, vehicles, 12, 3600, (), 0, (), 0.05, 40, (), 1, "", "")
+    assert ("even one that is far off" in sentence_of(findings)) == says
 
 
 def bcg() -> tuple[np.ndarray, np.ndarray]:

@@ -140,6 +140,15 @@ def test_what_was_added_and_made_it_worse_explains_nothing() -> None:
     assert verdict(replace(found, effects=()), GIVEN) == "nothing missing"
 
 
+def test_a_gap_that_random_variation_makes_is_none() -> None:
+    """Of sixty readings the bounds are narrower than what two draws of one model differ by."""
+    small = replace(gap(0.012), nats_per_reading=Measure(0.03, 0.012, 0.14), spread_ratio=Measure(1.11, 1.11, 1.08))
+    found = replace(FULL, verdict=None, effects=(), unknown=(), gap=small)
+    assert verdict(found, GIVEN) == "nothing missing"
+    large = replace(small, nats_per_reading=Measure(0.15, 0.15, 0.14))
+    assert verdict(replace(found, gap=large), GIVEN) == "unexplained"
+
+
 def test_nothing_is_missing_only_where_nothing_was() -> None:
     """A gap that the base's own numbers close is absorbed in them; one that was closed before is none."""
     found = replace(FULL, verdict=None, effects=(), unknown=())

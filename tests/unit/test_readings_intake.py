@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
-from msp_lab.readings.resolution import step_of
+from msp_lab.readings.resolution import measured_step, step_of
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.csv_form import MeasuredData, write_csv
+from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
+from msp_sim.model.model import Model
 from tests.support.plain_bench import point, table
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
@@ -164,6 +165,47 @@ def test_without_times_nothing_came_before(tmp_path: Path) -> None:
     assert "range_rate_cm_s" not in found
     path.write_text("r,z,time_s\n" + "\n".join(f"{row},{k}" for k, row in enumerate(rows)), encoding="utf-8")
     assert load_readings([path], SENSOR, load_map([str(names)])).data["previous_reading_cm"][1] == 100.0
+
+
+@pytest.mark.parametrize(
+    ("step_cm", "ranges_cm", "found_cm"),
+    [
+        (5.0, np.arange(43.0, 350.0, 11.3), 5.0),
+        (10.0, np.arange(43.0, 350.0, 11.3), 10.0),
+        (1.0, np.arange(43.0, 350.0, 11.3), 1.0),
+        # A quiet sensor of whole centimetres at ranges that are tens.
+        (1.0, np.arange(40.0, 350.0, 10.0), 1.0),
+    ],
+)
+def test_the_step_of_a_bench_is_that_of_its_readings(step_cm: float, ranges_cm: Any, found_cm: float) -> None:
+    true_cm = np.repeat(ranges_cm, 50)
+    reading_cm = step_cm * np.rint((true_cm + 0.1 * np.random.default_rng(1).standard_normal(true_cm.size)) / step_cm)
+    words = {name: np.full(true_cm.size, "a") for name in ("run", "sensor")}
+    data = MeasuredData({"true_range_cm": true_cm, "reading_cm": reading_cm, **words})
+    assert measured_step(data, Model.of(SENSOR)) == found_cm
+
+
+def test_readings_that_are_all_no_echo_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bench.csv"
+    rows = "".join(f"{k},a,765,{50 + k}\n" for k in range(60))
+    path.write_text("time_s,sensor,reading_cm,true_range_cm\n" + rows, encoding="utf-8")
+    with pytest.raises(RecordingError, match="all 60 readings are 765 cm, the sensor's code of no echo"):
+        load_readings([path], SENSOR)
+    path.write_text(path.read_text("utf-8").replace(",765,", ",,"), encoding="utf-8")
+    with pytest.raises(RecordingError, match="no row has a reading: reading_cm is empty in all 60"):
+        load_readings([path], SENSOR)
+    path.write_text("time_s,sensor,reading_cm\nnan,a,100\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match="found 'nan', expected a number"):
+        read_csv(path)
+
+
+def test_a_true_range_of_nothing_does_not_count(tmp_path: Path) -> None:
+    write_csv(
+        tmp_path / "a.csv", data(true_range_cm=lambda own: np.where(np.arange(300) < 2, -3.0, own["true_range_cm"]))
+    )
+    found = load_readings([tmp_path / "a.csv"], SENSOR)
+    assert np.isnan(found.data["true_range_cm"]).sum() == 2
+    assert any("2 of 300 true ranges are 0 cm or less and do not count" in each for each in found.messages)
 
 
 def test_a_files_step_is_found() -> None:

@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from msp_range.geometry import Vector
+from msp_range.yaml_file import Section
+from msp_sim.flight.scenario import Thermometer, ThermometerFault
 from msp_sim.world.surfaces import Box, GroundSection, GroundStep, HalfAngle, Roughness
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import AirSection, MountedBeam, Ping, WarmLayer, World
@@ -17,6 +20,17 @@ from tests.support.known import known
 
 DOWN = (0.0, 0.0, 1.0)
 FORWARD = (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [(AirSection, "lapse_c_per_m", 6.5), (Thermometer, "warmer_by_c", 1e5), (ThermometerFault, "by_c", -1e3)],
+)
+def test_air_that_nobody_flies_in_is_refused(section: type[Section], key: str, value: float) -> None:
+    """A lapse of kilometres written for metres, and temperatures that no message holds."""
+    given = {"kind": "jump", "from_s": 0, "to_s": 1} if section is ThermometerFault else {}
+    with pytest.raises(ValidationError, match=key):
+        section.model_validate({**given, key: value})
 
 
 def degrees(angle_deg: float) -> HalfAngle:

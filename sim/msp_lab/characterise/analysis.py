@@ -22,7 +22,7 @@ from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_
 from msp_lab.characterise.questions import TOPICS, answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
-from msp_lab.readings.resolution import step_with
+from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import curve_through
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
@@ -93,8 +93,9 @@ def characterise(
     RecordingError
         Nothing can be found in these readings, they are of different sensors, or most are far from their true ranges.
     """
-    started_cm, step_cm = sensor.resolution_cm, step_with(loaded.data, Model.of(sensor))
-    sensor = SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
+    started_cm = sensor.resolution_cm
+    sensor, about_step = _with_step(sensor, loaded)
+    step_cm = sensor.resolution_cm
     progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
@@ -158,6 +159,7 @@ def characterise(
         temperature_compensation=table,
         absent=absent,
         warnings=(
+            *about_step,
             *_warnings(loaded, points, undisturbed, calibration, view.angles if view else (), rows),
             *_quieter(sensor, fitted.parameters if isinstance(fitted, FittedMixture) else None),
         ),
@@ -177,6 +179,25 @@ def characterise(
             "which varies everything at once, is for msp-lab gap"
         )
     return Characterised(findings, replace(changes, resolution_cm=None if step_cm == started_cm else step_cm))
+
+
+def _with_step(sensor: SensorModel, loaded: LoadedReadings) -> tuple[SensorModel, list[str]]:
+    """The sensor with the step in which its readings come, or a warning where the model cannot have it."""
+    model = Model.of(sensor)
+    coarse_cm = measured_step(loaded.data, model)
+    for step_cm in (coarse_cm, step_with(loaded.data, model)):
+        try:
+            found = SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
+        except ValueError:
+            continue
+        break
+    if step_cm == coarse_cm:
+        return found, []
+    return found, [
+        f"the readings come in steps of {coarse_cm:g} cm, and this model cannot have them (whole centimetres, of which "
+        f"its {sensor.minimum_cm} and {sensor.maximum_cm} cm are multiples): its mixture takes their step to be "
+        f"{step_cm:g} cm, so its sigma_cm is wrong"
+    ]
 
 
 def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> None:

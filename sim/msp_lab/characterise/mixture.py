@@ -120,7 +120,11 @@ def fit_mixture(
         for name in result.not_identified
     ]
     found = Mixture(
-        parameters=tuple(_parameter(name, result, sensor.reading_model, name in bound) for name in result.estimates),
+        parameters=tuple(
+            _parameter(name, result, sensor.reading_model, name in bound)
+            for name in result.estimates
+            if name not in result.not_identified
+        ),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
         pit_counts=() if good is None else good.pit_histogram,

@@ -20,8 +20,10 @@ def check_free(out: Path, folder: Path | None) -> None:
     Raises
     ------
     ConfigError
-        One of the files exists, or its folder cannot be created.
+        One of the files exists, its folder cannot be created, or is the model file.
     """
+    if folder is not None and out in (folder, *folder.parents):
+        raise ConfigError(f"--report {folder}: {out} is to be the model file, expected another name for the folder")
     taken = [out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])]
     for path in taken:
         if path.exists():

@@ -204,7 +204,8 @@ def _doubt(fit: JointFit, alone: bool = False) -> float:
     strength = strength_of(term.effect)
     place = fit.names.index(f"{len(fit.effects) - 1}.{strength.name}")
     covariance = fit.covariance()
-    variance = 1.0 / np.linalg.pinv(covariance)[place, place] if alone else covariance[place, place]
+    known = np.linalg.pinv(covariance)[place, place]
+    variance = (1.0 / known if known > 0.0 else np.inf) if alone else covariance[place, place]
     size = term.values[strength.name] - (strength.neutral or 0.0)
     return float(np.sqrt(max(variance, 0.0))) / max(abs(size), 1e-12)
 

@@ -9,6 +9,9 @@ from msp_sim.effects.plain import plain_finding
 
 MAX_NAMES = 8
 """Vehicles that a sentence names; the table has all."""
+ENOUGH_VEHICLES = 6
+"""With fewer vehicles the spread between the others has so few degrees of freedom that 40 standard errors are no
+finding among all that is asked. Fewer: a silence that sounds like an answer."""
 MAX_SENTENCES = 3
 """Findings in the first sentence; the list below it has all."""
 
@@ -54,7 +57,10 @@ def sentence_of(findings: FleetFindings) -> str:
     """The answer, for an operator."""
     found = [each for each in findings.effects[: findings.found] if each.kind != "calibration"]
     if not found:
-        return f"No vehicle of {findings.vehicles} differs from the others, as far as these readings can tell."
+        text = f"No vehicle of {findings.vehicles} differs from the others, as far as these readings can tell."
+        if findings.vehicles < ENOUGH_VEHICLES:
+            text += f" Of fewer than {ENOUGH_VEHICLES} even one that is far off is within what they scatter."
+        return text
     lines = [line_of(each, findings) for each in found[:MAX_SENTENCES]]
     more = len(found) - MAX_SENTENCES
     text = "; ".join(lines) + (f"; and {more} more finding{'s' * (more > 1)}" if more > 0 else "")

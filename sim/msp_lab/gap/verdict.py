@@ -57,6 +57,13 @@ def _is_within(findings: GapFindings, model: Model, when: Literal["before", "aft
     return all(measured[key] is not None and measured[key] <= limit for key, limit in limits.items())
 
 
+def _is_noise(findings: GapFindings) -> bool:
+    """Whether random variation makes a gap like that of the given model: of few readings it is beyond the bounds."""
+    assert findings.gap is not None
+    nats = findings.gap.nats_per_reading
+    return None not in (nats.before, nats.noise_floor) and (nats.before or 0.0) <= (nats.noise_floor or 0.0)
+
+
 def verdict(findings: GapFindings, model: Model) -> Verdict:
     """What the findings amount to.
 
@@ -70,7 +77,7 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
     closed = is_closed(findings, model)
     if not findings.effects and not findings.unknown:
         if not closed:
-            return "unexplained"
+            return "nothing missing" if _is_noise(findings) else "unexplained"
         # What the base's own numbers close was there all the same.
         return "nothing missing" if _was_closed(findings, model) else "absorbed"
     sure = findings.unknown or any(each.verdict != "suggested" for each in findings.effects)

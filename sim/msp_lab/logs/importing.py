@@ -15,7 +15,7 @@ from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
-from msp_lab.logs.truth import NONE, OTHERS, RECORDED, Truth, choose, is_same
+from msp_lab.logs.truth import OTHERS, RECORDED, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import origin, record_runs, write_tables
 from msp_lab.readings.intake import sha256
@@ -295,7 +295,8 @@ def import_log(common: Import, named: NamedLog) -> Imported:
     notes: list[str] = []
     if truth.kind == RECORDED and not any(TRUE_RANGE in each.columns for each in log.rangers):
         raise RecordingError(f"{path}: --truth recorded: this {log.form} has no {TRUE_RANGE} next to its readings")
-    if truth.kind == NONE:
+    if truth.kind not in ("", RECORDED):
+        # What is asked for takes the place of what the file has.
         log = replace(log, rangers=tuple(_without_truth(each) for each in log.rangers))
     if truth.file is None:
         reference = choose(log, truth)

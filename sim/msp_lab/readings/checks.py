@@ -7,6 +7,7 @@ range, hardly any readings, another unit, readings that do not follow the range.
 import numpy as np
 
 from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.context_limits import check_contexts, span
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_range.recording.error import RecordingError
 
@@ -19,17 +20,6 @@ sensor. In the right unit only codes are outside, and few; any value in 0.3-0.9 
 MIN_NEAR_SHARE = 0.1
 """Refuse readings of which a smaller share is within a factor of 2 of the true range. Sensors that miss nearly
 everything still have a few hits; a wrong unit has none."""
-TEMPERATURES_C = {"air_temperature_c": (-50.0, 65.0), "target_temperature_c": (-50.0, 85.0)}
-"""Temperatures outside of these limits are taken for another unit [deg C]: air that people and sensors endure, and
-what asphalt reaches in the sun. Narrower limits would refuse hot boxes, wider ones accept deg F."""
-CONTEXT_LIMITS = {
-    "true_range_std_cm": (0.0, 1000.0, "the standard deviation of true_range_cm's error in cm, 0 or more"),
-    "humidity_pct": (0.0, 100.0, "per cent of saturation, 0 to 100"),
-    "incidence_deg": (-90.0, 90.0, "degrees between beam and normal, -90 to 90"),
-    "throttle": (0.0, 1.0, "a share, 0 to 1"),
-    "external_duty": (0.0, 1.0, "a share, 0 to 1"),
-}
-"""Smallest and largest possible value of a column, and what is expected; by definition of the column."""
 STUCK_SHARE, STUCK_CM = 0.98, 30.0
 """Refuse readings of which a larger share is one number while the true range covers more than so many centimetres: they
 do not follow it. A large share because a dead zone repeats one reading too; 30 cm are more than any beam's blindness to
@@ -51,31 +41,22 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
             "column, or name the column that it is in with --map true_range_cm=COLUMN"
         )
-    for column, (low_c, high_c) in TEMPERATURES_C.items():
-        if column in data and ((data[column] < low_c) | (data[column] > high_c)).any():
-            raise RecordingError(
-                f"{name}: found {column} of {_span(data[column][~np.isnan(data[column])])}, expected deg C from "
-                f"{low_c:g} to {high_c:g}. In deg F or K? give --map a file with its unit (unit: F or K)"
-            )
-    for column, (low, high, expected) in CONTEXT_LIMITS.items():
-        known = data[column][~np.isnan(data[column])] if column in data else np.zeros(0)
-        if known.size and (known.min() < low or known.max() > high):
-            raise RecordingError(
-                f"{name}: found {column} of {_span(known)}, expected {expected}. In another unit? "
-                f"--map {column}=COLUMN*FACTOR"
-            )
-        if known.size and column == "humidity_pct" and 0.0 < known.max() <= 1.0:
-            raise RecordingError(
-                f"{name}: found {column} of {_span(known)}, expected {expected}. A share? --map {column}=COLUMN*100"
-            )
+    check_contexts(name, data)
     answered = ~np.isnan(data["reading_cm"])
     usable = answered & ~np.isnan(data["true_range_cm"])
+    if not answered.any():
+        raise RecordingError(f"{name}: no row has a reading: reading_cm is empty in all {len(data)}")
     if usable.sum() < MIN_READINGS:
         raise RecordingError(
             f"{name}: found {int(usable.sum())} readings with a true range, expected at least {MIN_READINGS}; "
             "the report took 100 to 20000 a point"
         )
     reading_cm, true_cm = data["reading_cm"][usable], data["true_range_cm"][usable]
+    if (reading_cm == sensor.maximum_cm).all():
+        raise RecordingError(
+            f"{name}: all {reading_cm.size} readings are {sensor.maximum_cm} cm, the sensor's code of no echo: nothing "
+            "to compare. Was there a surface within its range, and is the sensor the right one?"
+        )
     outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
     echoed = reading_cm != sensor.maximum_cm
     ratios = reading_cm[echoed] / np.maximum(true_cm[echoed], 1e-9)
@@ -83,20 +64,16 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
     values, counts = np.unique(reading_cm[echoed], return_counts=True)
     if values.size and counts.max() > STUCK_SHARE * counts.sum() and np.ptp(true_cm[echoed]) > STUCK_CM:
         raise RecordingError(
-            f"{name}: nearly all readings are {values[counts.argmax()]:g} cm while the true range is {_span(true_cm)} "
+            f"{name}: nearly all readings are {values[counts.argmax()]:g} cm while the true range is {span(true_cm)} "
             "cm: they do not follow it. A sensor or a recording that is stuck?"
         )
     near = ((ratios > 0.5) & (ratios < 2.0)).mean() if echoed.any() else 1.0
     if outside.mean() > WRONG_UNIT_SHARE or near < MIN_NEAR_SHARE:
         raise RecordingError(
-            f"{name}: readings of {_span(reading_cm)} against true ranges of {_span(true_cm)} (median ratio "
+            f"{name}: readings of {span(reading_cm)} against true ranges of {span(true_cm)} (median ratio "
             f"{ratio:.3g}; the sensor reads {sensor.minimum_cm} to {sensor.maximum_cm} cm)."
             + _unit_hint(reading_cm, true_cm, ratio)
         )
-
-
-def _span(values: Column) -> str:
-    return f"{values.min():g} to {values.max():g}"
 
 
 def _unit_hint(reading_cm: Column, true_cm: Column, ratio: float) -> str:

@@ -9,7 +9,7 @@ from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
 
-STEPS_CM = (5.0, 2.54, 1.0, 0.5, 0.254, 0.2, 0.1, 0.05, 0.01)
+STEPS_CM = (10.0, 5.0, 2.54, 2.0, 1.0, 0.5, 0.254, 0.2, 0.1, 0.05, 0.01)
 """Steps that are looked for, the largest first: usual resolutions of range finders and of files. The step decides how
 much rounding is taken out of a spread; a step that is not listed counts as no rounding."""
 
@@ -41,6 +41,9 @@ ON_STEP_SHARE = 0.95
 """A file or a run comes in a step of which so many readings are multiples; a few others are means, or of another
 source. Of readings in a step half as large one in two is, by chance. Higher: one odd logger makes a file of whole
 centimetres one of millimetres, in which its values repeat for no reason; lower: steps that are none."""
+BETWEEN_STEPS = 0.2
+"""A true range is between the multiples of a step if it is off by this share of it. Smaller: the set-ups' own errors
+count; larger: few ranges are left to show a step."""
 LEAST_VALUES = 8
 """A run with fewer different readings says nothing of its step: of so many in a step half as large all are multiples
 with a probability of 0.4 %. Fewer: steps by chance; more: short runs in whole centimetres are overlooked."""
@@ -93,6 +96,21 @@ def step_with(data: MeasuredData, model: Model) -> float:
     usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
     _, run = np.unique(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]), return_inverse=True)
     return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm)
+
+
+def measured_step(data: MeasuredData, model: Model) -> float:
+    """Return the step in which a bench's readings come [cm]: that of `step_with`, or a coarser one that they show.
+
+    Where the true ranges are multiples of a coarse step, quiet readings are too, and show nothing.
+    """
+    step_cm, reading_cm, true_cm = step_with(data, model), data["reading_cm"], data["true_range_cm"]
+    usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
+    coarse_cm = step_of(reading_cm[usual], ON_STEP_SHARE)
+    if coarse_cm <= step_cm:
+        return step_cm
+    with np.errstate(invalid="ignore"):
+        between = np.abs(true_cm / coarse_cm - np.rint(true_cm / coarse_cm)) > BETWEEN_STEPS
+    return coarse_cm if np.unique(reading_cm[usual & between]).size >= LEAST_VALUES else step_cm
 
 
 def compared_step(reading_cm: _Array, run: NDArray[np.intp], model_step_cm: float) -> float:

@@ -96,14 +96,14 @@ class ThermometerFault(Section):
     """when it begins, from the start of the flight [s]"""
     to_s: NotNegative
     """when it ends [s]"""
-    by_c: float = 0.0
+    by_c: Annotated[float, Field(ge=-200, le=200)] = 0.0
     """error of the kind jump [K]"""
 
 
 class Thermometer(Section):
     """What the vehicle's thermometers read: those read from files, and those whose values the autopilot sends."""
 
-    warmer_by_c: float = 0.0
+    warmer_by_c: Annotated[float, Field(ge=-200, le=200)] = 0.0
     """constant error, as in sunshine or next to a processor [K]"""
     faults: tuple[ThermometerFault, ...] = ()
     """faults, in any order"""

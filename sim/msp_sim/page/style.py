@@ -8,6 +8,7 @@ marker. pyplot is not used: there is no global figure that could leak, and drawi
 import io
 import itertools
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -55,6 +56,9 @@ WIDTH_IN = 7.4
 """Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
 
 DPI = 150
+
+# Names of runs may have letters that the font does not have: they are drawn as boxes, which is for nobody to mend.
+warnings.filterwarnings("ignore", "Glyph .* missing from font")
 
 FORMATS = ("png", "svg", "pdf")
 """Formats of figures, as ``--format`` names them."""

@@ -23,7 +23,7 @@ class WarmLayer(Section):
     """height of its lower boundary above the origin [m]"""
     top_m: float
     """height of its upper boundary above the origin [m]"""
-    warmer_by_c: float
+    warmer_by_c: Annotated[float, Field(ge=-60, le=60)]
     """how much warmer the air in it is; negative: colder [K]"""
 
     @model_validator(mode="after")
@@ -38,8 +38,8 @@ class AirSection(Section):
 
     ground_c: Annotated[float, Field(ge=-40, le=60)] = 20.0
     """temperature at the height of the origin [deg C]"""
-    lapse_c_per_m: float = 0.0065
-    """decrease with height [K/m]; default: standard atmosphere"""
+    lapse_c_per_m: Annotated[float, Field(ge=-2, le=2)] = 0.0065
+    """decrease with height [K per metre]; default: standard atmosphere"""
     warm_layer: WarmLayer | None = None
     """a layer of warmer air; default: none"""
 

@@ -30,7 +30,7 @@ _MARKS: dict[Verdict, Kind] = {"matters": "yes", "does not matter": "no", "canno
 
 
 _CALIBRATION: dict[Form, str] = {
-    "none": "a calibration would not improve them",
+    "none": "that a calibration improves them is not shown",
     "offset and scale": "a straight line corrects them",
     "piecewise linear": "a calibration of straight pieces corrects them",
 }
@@ -112,8 +112,8 @@ def _accuracy(findings: Findings) -> Iterator[Conclusion]:
         yield Conclusion(
             "Calibration",
             sentence(calibration.reason),
-            "yes" if kept else "no",
-            "kept" if kept else "none needed",
+            "yes" if kept else "no" if calibration.held_out else "open",
+            "kept" if kept else "none shown to help" if calibration.held_out else "cannot tell",
         )
         if calibration.set_up_offset is not None:
             yield Conclusion("Between set-ups", interval(calibration.set_up_offset), "open", "measured")
