@@ -548,10 +548,16 @@ def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str],
     assert done.output.count("\n") == 1
 
 
-def test_every_file_of_no_known_kind_is_named(tmp_path: Path) -> None:
+def test_every_file_of_no_known_kind_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
     for name in ("one.png", "two.png"):
         (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n")
-    done = run("import", tmp_path / "one.png", LOGS / "px4.ulg", tmp_path / "two.png", "--out", tmp_path / "set")
+    bad = tmp_path / "one.png", tmp_path / "two.png"
+    done = run("import", bad[0], LOGS / "px4.ulg", bad[1], "--out", tmp_path / "set")
+    assert done.exit_code == 4
+    assert "2 of 3 logs could not be imported" in done.stderr
+    assert [line.count(".png: no log that is known") for line in done.stderr.splitlines()[-2:]] == [1, 1]
+    assert set(read_dataset(tmp_path / "set")["run"]) == {"px4"}
+    done = run("import", *bad, "--out", tmp_path / "other")
     assert done.exit_code == 3
     assert [line.count(".png: no log that is known") for line in done.output.splitlines()] == [1, 1]
 

@@ -244,16 +244,15 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
     Raises
     ------
     RecordingError
-        Files are of no known kind, or the dataset has a run of this name already; nothing is imported.
+        The dataset has a run of this name already; nothing is imported.
     """
-    unknown = []
+    failed: dict[Path, str] = {}
     for path in paths:
         try:
             kind_of(path)
         except RecordingError as error:
-            unknown.append(str(error))
-    if unknown:
-        raise RecordingError("\n".join(unknown))
+            failed[path] = str(error)
+    paths = [path for path in paths if path not in failed]
     names = file_names(paths)
     known = origin(common.out)
     taken = [name for name in names if name in known]
@@ -263,7 +262,6 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
         )
     logs = [NamedLog(path, run, (i, len(paths))) for i, (path, run) in enumerate(zip(paths, names, strict=True))]
     found: list[Imported] = []
-    failed: dict[Path, str] = {}
     for outcome in where.map(import_log, logs, common, what="logs"):
         if outcome.value is None:
             failed[paths[outcome.index]] = outcome.error or ""
