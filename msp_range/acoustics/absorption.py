@@ -3,13 +3,10 @@
 Frequency and air enter, decibels per metre leave. The report's eq 2 has it as alpha.
 """
 
-from typing import Any
+import math
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.acoustics.atmosphere import STANDARD_PRESSURE_PA, Atmosphere
+from msp_range.numbers import Numbers
 
 REFERENCE_K = 293.15
 """T_0 of the standard, 20 deg C [K]."""
@@ -56,34 +53,23 @@ def absorption_db_per_m(frequency_hz: float, air: Atmosphere) -> float:
     """
     if not frequency_hz > 0.0:
         raise ValueError(f"found a frequency of {frequency_hz:g} Hz, expected more than 0")
-    return float(_db_per_m(frequency_hz, air.absolute_k, air.humidity_percent, air.pressure_pa))
+    return db_per_m(frequency_hz, air.absolute_k, air.humidity_percent, air.pressure_pa)
 
 
-def absorption_of_air(
-    frequency_hz: float, temperature_c: ArrayLike, humidity_percent: ArrayLike
-) -> NDArray[np.float64]:
-    """The same for many temperatures [deg C] and humidities [%] at one atmosphere, (n,) [dB/m].
+def db_per_m(frequency_hz: float, absolute_k: Numbers, humidity_percent: Numbers, pressure_pa: float) -> Numbers:
+    """The same of numbers, or of arrays of them; all in SI but for the humidity [%], and none is checked.
 
-    What is beyond the bounds of `Atmosphere` counts as at them.
-
-    Examples
-    --------
-    >>> absorption_of_air(42_000.0, np.array([0.0, 20.0]), np.array([50.0, 50.0])).round(2).tolist()
-    [0.48, 1.39]
+    Powers stand for exponentials and roots, so that arrays can enter without numpy, which the bridge does not load.
     """
-    absolute_k = np.clip(temperature_c, -20.0, 50.0) + ZERO_CELSIUS_K
-    return np.asarray(_db_per_m(frequency_hz, absolute_k, np.clip(humidity_percent, 0.0, 100.0), STANDARD_PRESSURE_PA))
-
-
-def _db_per_m(frequency_hz: float, absolute_k: Any, humidity_percent: Any, pressure_pa: float) -> Any:
     warmth = absolute_k / REFERENCE_K
     pressure = pressure_pa / STANDARD_PRESSURE_PA
     saturation = 10.0 ** (4.6151 - 6.8346 * (TRIPLE_POINT_K / absolute_k) ** 1.261)
     vapour_percent = humidity_percent / pressure * saturation
     oxygen_hz = pressure * (24.0 + 4.04e4 * vapour_percent * (0.02 + vapour_percent) / (0.391 + vapour_percent))
-    sharing = np.exp(-4.170 * (warmth ** (-1 / 3) - 1.0))
-    nitrogen_hz = pressure / np.sqrt(warmth) * (9.0 + 280.0 * vapour_percent * sharing)
-    classical = 1.84e-11 / pressure * np.sqrt(warmth)
-    oxygen = 0.01275 * np.exp(-2239.1 / absolute_k) * oxygen_hz / (oxygen_hz**2 + frequency_hz**2)
-    nitrogen = 0.1068 * np.exp(-3352.0 / absolute_k) * nitrogen_hz / (nitrogen_hz**2 + frequency_hz**2)
-    return 8.686 * frequency_hz**2 * (classical + warmth**-2.5 * (oxygen + nitrogen))
+    sharing = math.e ** (-4.170 * (warmth ** (-1 / 3) - 1.0))
+    nitrogen_hz = pressure * warmth**-0.5 * (9.0 + 280.0 * vapour_percent * sharing)
+    classical = 1.84e-11 / pressure * warmth**0.5
+    oxygen = 0.01275 * math.e ** (-2239.1 / absolute_k) * oxygen_hz / (oxygen_hz**2 + frequency_hz**2)
+    nitrogen = 0.1068 * math.e ** (-3352.0 / absolute_k) * nitrogen_hz / (nitrogen_hz**2 + frequency_hz**2)
+    found: Numbers = 8.686 * frequency_hz**2 * (classical + warmth**-2.5 * (oxygen + nitrogen))
+    return found

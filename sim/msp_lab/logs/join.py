@@ -119,7 +119,8 @@ def _join(
             "more: the beam does not meet the ground (a crash, or the attitude was not known yet)"
         )
     if reference is not None and _is_for(log, reference, ranger):
-        answered = np.where(is_overturned, np.nan, ranger.echoes_cm)
+        answered = ranger.echoes_cm
+        answered[is_overturned] = np.nan
         alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
         lag_s = alignment.lag_s if alignment is not None and shift and alignment.has_lag else 0.0
         error = _error(log, reference, time_s, answered, alignment, rng)

@@ -127,8 +127,11 @@ class Ranger:
     @property
     def echoes_cm(self) -> Array:
         """Readings that are of something [cm]; NaN: no echo, or no answer."""
-        values = self.series.values
-        return np.where((values < self.maximum_cm) & (values != self.code_cm), values, np.nan)
+        found = self.series.values.copy()
+        # Not two arrays of conditions at once: a log may have ten million readings.
+        found[~(found < self.maximum_cm)] = np.nan
+        found[found == self.code_cm] = np.nan
+        return found
 
 
 @dataclass(frozen=True)
@@ -288,5 +291,5 @@ def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is
     kept = series(readings.source, readings.time_s, reading_cm)
     # Of readings at one time one is kept.
     is_too_near = kept.values == -np.inf
-    kept = Series(kept.source, kept.time_s, np.where(is_too_near, np.nan, kept.values))
+    kept.values[is_too_near] = np.nan
     return Ranger(name, kept, is_down, float(rounded_cm(maximum_m)), too_near=int(is_too_near.sum()))

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.acoustics.absorption import absorption_of_air
+from msp_range.acoustics.absorption import db_per_m
+from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.acoustics.atmosphere import Atmosphere
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
@@ -17,8 +18,9 @@ def _absorption_db_per_m(scene: Scene) -> Any:
     if "absorption" not in scene.kept:
         usual = Atmosphere()
         temperature_c = scene.optional("air_temperature_c", usual.temperature_c)
-        humidity_percent = scene.optional("humidity_pct", usual.humidity_percent)
-        scene.kept["absorption"] = absorption_of_air(scene.sensor.frequency_hz, temperature_c, humidity_percent)
+        absolute_k = np.clip(temperature_c, -20.0, 50.0) + ZERO_CELSIUS_K
+        humidity_percent = np.clip(scene.optional("humidity_pct", usual.humidity_percent), 0.0, 100.0)
+        scene.kept["absorption"] = db_per_m(scene.sensor.frequency_hz, absolute_k, humidity_percent, usual.pressure_pa)
     return scene.kept["absorption"]
 
 
