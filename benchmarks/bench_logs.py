@@ -30,9 +30,11 @@ import json, resource, sys
 from msp_lab.cli import app
 app(["import", sys.argv[1], "--out", sys.argv[2]], standalone_mode=False)
 used = resource.getrusage(resource.RUSAGE_SELF)
-print(json.dumps([used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3]), file=sys.stderr)
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+print(json.dumps([used.ru_utime + used.ru_stime, int(peak.split()[1]) / 1e3]), file=sys.stderr)
 """
-"""Import one log, and print the processor time [s] and the largest memory [MB] of this process."""
+"""Import one log, and print the processor time [s] and the largest memory [MB] of this process. Its ru_maxrss would
+begin with the memory of the process that started it."""
 FLIGHT_S = 30
 """Length of the flight of `tests.support.flight_logs`."""
 _FORMAT = b"\xa3\x95\x80" + bytes((0x7F, 35)) + b"PADD" + b"QQQQ".ljust(16, b"\0") + b"A,B,C,D".ljust(64, b"\0")
