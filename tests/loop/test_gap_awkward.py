@@ -46,7 +46,7 @@ def reports(findings: GapFindings, text: str) -> bool:
         (lambda c: {name: each[:0] for name, each in c.items()}, "no readings"),
         (lambda c: c | {"true_range_cm": np.full(400, np.nan)}, "no true_range_cm"),
         (lambda c: {name: each for name, each in c.items() if name != "true_range_cm"}, "true_range_cm"),
-        (lambda c: c | {"reading_cm": np.full(400, np.nan)}, "found 0 readings with a true range"),
+        (lambda c: c | {"reading_cm": np.full(400, np.nan)}, "no row has a reading: reading_cm is empty in all 400"),
         (lambda c: c | {"reading_cm": np.full(400, 100.0)}, "nearly all readings are 100 cm"),
         (lambda c: c | {"throttle": np.linspace(0.0, 100.0, 400)}, "expected a share, 0 to 1"),
         (lambda c: c | {"humidity_pct": np.linspace(0.3, 0.8, 400)}, "A share? --map humidity_pct=COLUMN*100"),

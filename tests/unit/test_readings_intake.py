@@ -199,15 +199,6 @@ def test_readings_that_are_all_no_echo_are_refused(tmp_path: Path) -> None:
         read_csv(path)
 
 
-def test_a_true_range_of_nothing_does_not_count(tmp_path: Path) -> None:
-    write_csv(
-        tmp_path / "a.csv", data(true_range_cm=lambda own: np.where(np.arange(300) < 2, -3.0, own["true_range_cm"]))
-    )
-    found = load_readings([tmp_path / "a.csv"], SENSOR)
-    assert np.isnan(found.data["true_range_cm"]).sum() == 2
-    assert any("2 of 300 true ranges are 0 cm or less and do not count" in each for each in found.messages)
-
-
 def test_a_files_step_is_found() -> None:
     rng = np.random.default_rng(1)
     millimetres = np.rint(rng.uniform(300.0, 5000.0, 500))

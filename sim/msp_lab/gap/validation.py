@@ -80,8 +80,7 @@ def gain_of_runs(sums: NDArray[Any], counts: NDArray[Any]) -> Gain:
         return Gain(0.0, 0.0, 1.0, 0, 0)
     mean = float(sums.sum() / n)
     se = float(np.sqrt(((sums - mean * counts) ** 2).sum() * runs / max(runs - 1, 1)) / n)
-    # One run alone says nothing of how far runs differ.
-    p_value = float(stdtr(max(runs - 1, 1), -mean / se)) if se > 0.0 else (0.0 if mean > 0.0 and runs > 1 else 1.0)
+    p_value = float(stdtr(max(runs - 1, 1), -mean / se)) if se > 0.0 else (0.0 if mean > 0.0 else 1.0)
     return Gain(mean, se, p_value, runs, round(n))
 
 

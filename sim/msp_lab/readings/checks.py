@@ -7,7 +7,7 @@ range, hardly any readings, another unit, readings that do not follow the range.
 import numpy as np
 
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.context_limits import check_contexts, span
+from msp_range.recording.context_limits import span
 from msp_range.recording.csv_form import Column, MeasuredData
 from msp_range.recording.error import RecordingError
 
@@ -41,7 +41,6 @@ def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None
             f"{name}: no true_range_cm, so there is nothing to compare readings with; add the reference's range as a "
             "column, or name the column that it is in with --map true_range_cm=COLUMN"
         )
-    check_contexts(name, data)
     answered = ~np.isnan(data["reading_cm"])
     usable = answered & ~np.isnan(data["true_range_cm"])
     if not answered.any():

@@ -23,6 +23,7 @@ from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.columns import BRIDGE_COLUMNS, WORD_COLUMNS
+from msp_range.recording.context_limits import check_contexts
 from msp_range.recording.csv_form import Column, MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
@@ -147,7 +148,6 @@ def load_readings(
         sources.append(source)
     of_rows, renamed = runs_of(tables, paths, run_column)
     columns = {**_joined(tables).columns, "run": np.concatenate(of_rows)}
-    messages += _without_nothing(columns)
     # Time since power-up says more than time in the run.
     asked = DERIVED.keys() - ({"time_in_run_s"} if "uptime_s" in columns else set())
     if "time_in_run_s" in columns and np.isnan(columns["time_in_run_s"]).all():
@@ -161,25 +161,13 @@ def load_readings(
     name = ", ".join(str(path) for path in paths)
     if sensors:
         columns = dict(_selected(name, MeasuredData(columns), sensors).columns)
-    check_comparable(name, _without_clock_faults(columns), sensor)
+    sound = _without_clock_faults(columns)
+    check_contexts(name, sound)
+    check_comparable(name, sound, sensor)
     _round_constants(columns)
     repeated = _add_previous(columns)
     messages += [*renamed, *repeated, *_about_others(columns), *_about_offsets(offsets_cm)]
     return LoadedReadings(MeasuredData(columns), tuple(sources), tuple(messages), tuple(sensors))
-
-
-def _without_nothing(columns: dict[str, Any]) -> list[str]:
-    """Take out true ranges of 0 or less, as of a reference that counts from another place, and say so."""
-    if "true_range_cm" not in columns:
-        return []
-    is_nothing = columns["true_range_cm"] <= 0.0
-    count, known = int(is_nothing.sum()), int(np.isfinite(columns["true_range_cm"]).sum())
-    if count in (0, known):
-        return []
-    columns["true_range_cm"] = np.where(is_nothing, math.nan, columns["true_range_cm"])
-    return [
-        f"{count} of {known} true ranges are 0 cm or less and do not count: does the reference begin at the sensor?"
-    ]
 
 
 def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedReadings:
