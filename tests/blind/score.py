@@ -70,7 +70,7 @@ class Outcome:
     found_unknown
         Called unknown, with the right channel and variable, and no wrong name with it.
     resolved_wrongly
-        Names are given, and what is hidden is among none of them. A wrong name beside the right one is `wrong`.
+        Names are given, and what is hidden is among none of them. A wrong name next to the right one is `wrong`.
     both
         Of a confounded pair: both are in one class, and the experiment that would separate them is named.
     class_sizes

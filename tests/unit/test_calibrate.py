@@ -20,11 +20,11 @@ RANGES_CM = np.arange(40.0, 301.0, 20.0)
 
 
 def test_where_the_range_changes_missed_echoes_do_not_move_the_calibration() -> None:
-    """Of each piece of 20 cm the farther half is not heard: its hits are at other ranges than its rows."""
+    """The second half of each piece of 20 cm gives no echo: its hits are at other ranges than its rows."""
     true_cm = np.linspace(60.0, 299.9, 2400)
     part = point(np.random.default_rng(4), 100, n=2400)
-    heard = true_cm % 20.0 < 10.0
-    part |= {"true_range_cm": true_cm, "reading_cm": np.where(heard, np.rint(true_cm), 765.0)}
+    has_echo = true_cm % 20.0 < 10.0
+    part |= {"true_range_cm": true_cm, "reading_cm": np.where(has_echo, np.rint(true_cm), 765.0)}
     found = calibrated(table(part))
     assert found.bias.value == pytest.approx(0.0, abs=0.1)
     assert found.form == "none"

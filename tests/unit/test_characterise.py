@@ -207,6 +207,24 @@ def test_one_range_gives_what_it_can_and_reports_what_it_cannot(tmp_path: Path) 
     # No missed echo read 255, which this sensor may still do.
     assert model.reading_model.saturated_fraction == 1e-4
     assert model.reading_model.short_rate_per_m == started.reading_model.short_rate_per_m
+    # The comment lists what was fitted, and that was not.
+    assert "sigma_cm 0." in out.read_text(encoding="utf-8")
+    assert "short_rate_per_m " not in out.read_text(encoding="utf-8")
+
+
+def test_a_step_that_the_model_cannot_have_is_a_warning(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    parts = [point(rng, z, n=60) for z in np.arange(43.0, 350.0, 11.3)]
+    coarse = {5.0: "resolution_cm: 5", 10.0: "steps of 10 cm, and this model cannot have them"}
+    for step_cm, words in coarse.items():
+        for part in parts:
+            part["reading_cm"] = step_cm * np.rint((part["true_range_cm"] + 2.0 * rng.standard_normal(60)) / step_cm)
+        data, out = tmp_path / f"{step_cm:g}.csv", tmp_path / f"{step_cm:g}.yaml"
+        write_csv(data, table(*parts))
+        result = run(data, "--out", out, "--sensor", SENSOR)
+        assert result.exit_code == 0, result.output
+        assert words in " ".join(result.output.split()) + out.read_text(encoding="utf-8")
+        assert ("cannot have" in " ".join(result.output.split())) == (step_cm == 10.0)
 
 
 def test_the_beam_of_one_sensor_is_not_put_beside_the_noise_of_another(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.findings import Findings, HeldOut
+from msp_lab.characterise.page.answers import conclusions
 from msp_lab.characterise.page.draw.errors import Errors, draw_errors
 from msp_lab.characterise.page.write import write_report
 from msp_lab.comparison.report import check_sensor
@@ -165,6 +166,16 @@ def test_pictures_are_png_of_one_width_and_not_blank(complete: Complete) -> None
         # Nothing runs over an edge: letters that are cut off leave ink in the outermost pixels.
         edge = np.concatenate([pixels[:2].ravel(), pixels[-2:].ravel(), pixels[:, :2].ravel(), pixels[:, -2:].ravel()])
         assert np.mean(edge < 128) < 0.002, f"{path.name} is cut off"
+
+
+@pytest.mark.parametrize(
+    ("tried", "verdict"), [((HeldOut("none", 0.1, None),), "none shown to help"), ((), "cannot tell")]
+)
+def test_no_calibration_is_no_proof_that_none_is_needed(tried: tuple[HeldOut, ...], verdict: str) -> None:
+    findings = found_in(measured(most=200))
+    calibration = replace(known(findings.calibration), form="none", knots=(), held_out=tried)
+    found = conclusions(replace(findings, calibration=calibration))
+    assert [each.mark for each in found if each.subject == "Calibration"] == [verdict]
 
 
 def test_the_answer_stands_first_and_then_the_verdicts(complete: Complete) -> None:

@@ -178,6 +178,15 @@ def test_sample_draws_from_the_model(tmp_path: Path) -> None:
     assert sum(reading in (765, 255) for reading in readings[500:]) >= 4
 
 
+def test_sample_refuses_contexts_in_another_unit(tmp_path: Path) -> None:
+    (tmp_path / "where.csv").write_text("true_range_cm,air_temperature_c\n300,293\n")
+    args = ["sample", str(CONFIGS / "sensors/mb1242.yaml"), "--contexts", str(tmp_path / "where.csv")]
+    result = CliRunner().invoke(sim_app, [*args, "--out", str(tmp_path / "out.csv")])
+    assert result.exit_code == 3
+    assert "found air_temperature_c of 293 to 293, expected deg C from -50 to 65" in result.output
+    assert not (tmp_path / "out.csv").exists()
+
+
 @pytest.fixture
 def sonar(monkeypatch: pytest.MonkeyPatch) -> EmulatedMB1242:
     """One emulated MB1242 at 0x70 on every bus that a command opens."""

@@ -33,6 +33,15 @@ NUMBERS: list[tuple[str, str | None, dict[str, float], Context, str, float]] = [
     ("threshold_walk", None, {"walk_cm_per_10db": 1.0}, {"incidence_deg": 18.0}, "bias", 0.88 + 0.6),
     # In air of 0 deg C it absorbs 0.5 dB/m.
     ("threshold_walk", None, {"walk_cm_per_10db": 1.0}, {"air_temperature_c": 0.0, "humidity_pct": 50.0}, "bias", 0.69),
+    # And so it does at 20 deg C with 10 % of humidity.
+    (
+        "threshold_walk",
+        None,
+        {"walk_cm_per_10db": 1.0},
+        {"air_temperature_c": 20.0, "humidity_pct": 10.0},
+        "bias",
+        0.69,
+    ),
     # Its amplitude is less by a factor of 2.754, and a linear rise takes so much longer: 1.754 / (ln(10) / 2) cm.
     ("threshold_walk", None, {"walk_cm_per_10db": 1.0, "exponent": 1.0}, {}, "bias", 1.52),
     ("spread_with_range", None, {"growth_per_m": 0.5}, {}, "spread", math.log(2.0)),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msp_lab.characterise.estimates import detectable, fit_points, holm, mean_and_spread, share, usual_spread
+from msp_lab.characterise.estimates import common_spread, detectable, fit_points, holm, mean_and_spread, share
 from tests.support.known import contains, width
 
 
@@ -45,7 +45,7 @@ def test_a_mean_between_two_steps_is_not_moved_by_strays(strays: list[float]) ->
     rng = np.random.default_rng(5)
     true_ones_cm = (54.3, 54.5, 54.7, 54.9)
     groups = [np.concatenate([np.rint(rng.normal(each, 0.19, 400)), strays]) for each in true_ones_cm]
-    usual = usual_spread(groups, 1.0)
+    usual = common_spread(groups, 1.0)
     assert usual == pytest.approx(0.19, abs=0.02)
     for true_cm, values in zip(true_ones_cm, groups, strict=True):
         found = mean_and_spread(values, step=1.0, usual_spread=usual)
@@ -62,7 +62,7 @@ def test_the_spread_of_short_set_ups_is_not_lost(n: int) -> None:
     for _ in range(trials):
         true_ones_cm = rng.uniform(50.0, 51.0, 12)
         groups = [np.rint(rng.normal(each, 0.35, n)) for each in true_ones_cm]
-        usual = usual_spread(groups, 1.0)
+        usual = common_spread(groups, 1.0)
         assert usual is not None
         spreads.append(usual)
         for true_cm, values in zip(true_ones_cm, groups, strict=True):

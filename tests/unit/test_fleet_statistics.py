@@ -38,7 +38,7 @@ BCG = np.array(
 
 
 @pytest.mark.parametrize(("vehicles", "says"), [(4, True), (5, True), (6, False), (20, False)])
-def test_a_small_fleet_says_that_it_can_hardly_tell(vehicles: int, says: bool) -> None:
+def test_a_small_fleet_reports_that_its_scatter_hides_much(vehicles: int, says: bool) -> None:
     findings = FleetFindings("", "", "", vehicles, vehicles, 12, 3600, (), 0, (), 0.05, 40, (), 1, "", "")
     assert ("even one that is far off" in sentence_of(findings)) == says
 

@@ -10,7 +10,7 @@ from msp_lab.logs.clocks import clock_difference_s
 from msp_lab.logs.log import Array, Series
 from msp_lab.logs.opening import open_log
 from msp_range.recording.error import RecordingError
-from tests.unit.test_logs_import import LOGS, imported, run
+from tests.support.log_import import LOGS, imported, run
 
 
 def flown_cm(time_s: Array) -> Array:

@@ -125,6 +125,16 @@ def test_without_a_temperature_of_a_hit_nothing_is_compensated() -> None:
     assert sort_into_points(table(part), SENSOR)[0].found.compensated_error is None
 
 
+def test_rounding_is_no_spread_where_the_range_changes() -> None:
+    rng = np.random.default_rng(7)
+    true_cm = np.linspace(60.0, 79.9, 2000)
+    part = point(rng, 70, n=2000)
+    part |= {"true_range_cm": true_cm, "reading_cm": np.rint(true_cm + 0.1 * rng.standard_normal(2000))}
+    (found,) = [each.found for each in sort_into_points(table(part), SENSOR)]
+    assert found.spread is not None
+    assert found.spread.value == pytest.approx(0.1, abs=0.05)
+
+
 def test_equal_ranges_are_equal_however_many_readings_they_have() -> None:
     rng = np.random.default_rng(7)
     first, second = sort_into_points(table(point(rng, 502.3, n=40), point(rng, 502.3, n=7, run="2")), SENSOR)

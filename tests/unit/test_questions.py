@@ -58,6 +58,13 @@ def test_set_ups_of_the_reference_have_an_error_too() -> None:
     assert np.mean(seen) < 0.08
 
 
+def test_plywood_is_what_other_woods_are_compared_with() -> None:
+    rng = np.random.default_rng(4)
+    found = asked(*(part for name in ("hardwood", "plywood") for part in bench(rng, "material", target=name)))
+    assert list(found) == ["material hardwood"]
+    assert found["material hardwood"].reference == "plywood"
+
+
 def test_an_effect_on_each_property_is_found_with_its_size() -> None:
     rng = np.random.default_rng(1)
     found = asked(

@@ -184,20 +184,20 @@ def characterise(
 def _with_step(sensor: SensorModel, loaded: LoadedReadings) -> tuple[SensorModel, list[str]]:
     """The sensor with the step in which its readings come, or a warning where the model cannot have it."""
     model = Model.of(sensor)
-    coarse_cm = measured_step(loaded.data, model)
-    for step_cm in (coarse_cm, step_with(loaded.data, model)):
-        try:
-            found = SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
-        except ValueError:
-            continue
-        break
-    if step_cm == coarse_cm:
-        return found, []
-    return found, [
-        f"the readings come in steps of {coarse_cm:g} cm, and this model cannot have them (whole centimetres, of which "
+    own_cm = measured_step(loaded.data, model)
+    try:
+        return _in_steps_of(sensor, own_cm), []
+    except ValueError:
+        step_cm = step_with(loaded.data, model)
+    return _in_steps_of(sensor, step_cm), [
+        f"the readings come in steps of {own_cm:g} cm, and this model cannot have them (whole centimetres, of which "
         f"its {sensor.minimum_cm} and {sensor.maximum_cm} cm are multiples): its mixture takes their step to be "
         f"{step_cm:g} cm, so its sigma_cm is wrong"
     ]
+
+
+def _in_steps_of(sensor: SensorModel, step_cm: float) -> SensorModel:
+    return SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
 
 
 def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> None:

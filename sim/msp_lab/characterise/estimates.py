@@ -217,7 +217,7 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm", usual_spread:
     unit
         For the estimates.
     usual_spread
-        That of other such values, from `usual_spread`: where these are all of two steps, a mean near the boundary with
+        That of other such values, from `common_spread`: where these are all of two steps, a mean near the boundary with
         a small spread is as likely as one far from it with a large spread. None: not known.
 
     Returns
@@ -247,7 +247,7 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm", usual_spread:
     return MeanAndSpread(mean, IntervalEstimate(value, low, high, unit, n))
 
 
-def usual_spread(groups: Sequence[_Array], step: float) -> float | None:
+def common_spread(groups: Sequence[_Array], step: float) -> float | None:
     """Standard deviation before rounding that groups of values about different means have in common.
 
     None where fewer than `GROUPS` of them show anything of it: values of two steps or more that scatter little.

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.characterise.estimates import MeanAndSpread, mean_and_spread, usual_spread
+from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
@@ -287,7 +287,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
         for i, member in sorted(enumerate(members), key=lambda each: first[each[0]])
     ]
     alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
-    usual_cm = usual_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
+    usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
     return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
 
 

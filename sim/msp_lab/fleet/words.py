@@ -11,7 +11,8 @@ MAX_NAMES = 8
 """Vehicles that a sentence names; the table has all."""
 ENOUGH_VEHICLES = 6
 """With fewer vehicles the spread between the others has so few degrees of freedom that 40 standard errors are no
-finding among all that is asked. Fewer: a silence that sounds like an answer."""
+finding among all that is asked. Smaller: fleets in which
+nothing can be found read as fleets in which nothing is wrong."""
 MAX_SENTENCES = 3
 """Findings in the first sentence; the list below it has all."""
 

@@ -63,8 +63,8 @@ _TOPICS = [
     "vehicle_imu_status",
 ]
 MOST_AFTER = 0.5
-"""A height is refused if more of it than this share is after the range was first fused. Higher: a reference for the
-take-off alone, of which nobody is told; lower: logs in which a landing is fused are refused as a whole."""
+"""A height is refused if more of it than this share is after the range was first fused. Higher: a reference that
+ends after the take-off; lower: logs in which only a landing is fused are refused as a whole. Chosen by judgement."""
 MOST_READ = 20
 """A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
 end. A damaged file is searched a few times over."""
@@ -74,11 +74,11 @@ _Topics = Mapping[str, Mapping[str, NDArray[Any]]]
 
 def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
     """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``topic.field``."""
-    topic = named_field.partition(".")[0]
+    topic, dot, _ = named_field.partition(".")
     try:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
-            log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if topic else [])])
+            log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if dot else [])])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (TypeError, ValueError, KeyError, IndexError, struct.error, ULogException, _ReadWithoutEnd) as error:

@@ -57,7 +57,7 @@ WIDTH_IN = 7.4
 
 DPI = 150
 
-# Names of runs may have letters that the font does not have: they are drawn as boxes, which is for nobody to mend.
+# Names of runs may have letters that the font lacks. They are drawn as boxes, and the user cannot change that.
 warnings.filterwarnings("ignore", "Glyph .* missing from font")
 
 FORMATS = ("png", "svg", "pdf")

@@ -1,0 +1,22 @@
+"""The command ``msp-lab import``, and logs to try it on."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from typer.testing import CliRunner, Result
+
+from msp_lab.cli import app
+
+LOGS = Path(__file__).parents[1] / "data" / "logs"
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def imported(*arguments: object) -> list[dict[str, Any]]:
+    done = run("import", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    found: list[dict[str, Any]] = json.loads(done.stdout)
+    return found
