@@ -200,7 +200,7 @@ def object_streams(airframe: Airframe, temperature_c: float | None = None) -> di
 def _own_stream(
     airframe: Airframe, sensor: SensorSettings, orientation: Orientation, temperature_c: float | None
 ) -> Stream:
-    minimum_cm, maximum_cm = sensor.sensor_model.minimum_cm, round(100 * maximum_m(sensor, temperature_c))
+    minimum_cm, maximum_cm = round(sensor.sensor_model.minimum_cm), round(100 * maximum_m(sensor, temperature_c))
     autopilot = airframe.link.autopilot
     return make_stream(sensor.id, orientation, minimum_cm, maximum_cm, autopilot, _stream_type([sensor]))
 
@@ -214,7 +214,7 @@ def fused_stream(airframe: Airframe, temperature_c: float | None = None) -> Stre
         airframe.send.fused.id,
         Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)),
         min(
-            sensor.sensor_model.minimum_cm + round(100 * _below_reference_m(airframe, sensor))
+            round(sensor.sensor_model.minimum_cm + 100 * _below_reference_m(airframe, sensor))
             for sensor in airframe.downward
         ),
         round(100 * fused_maximum_m(airframe, temperature_c)),

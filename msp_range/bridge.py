@@ -45,7 +45,10 @@ from msp_range.fusion.vertical import GRAVITY_M_S2
 from msp_range.geometry import dot
 from msp_range.health import (
     FUSED,
+    BridgeState,
+    BridgeVerdict,
     BusHealth,
+    Condition,
     GroundUse,
     Health,
     ObservationsBelow,
@@ -54,6 +57,7 @@ from msp_range.health import (
     Report,
     SensorWatch,
     Severity,
+    verdict_of,
 )
 from msp_range.health.finding import SensorFinding
 from msp_range.mavlink.dialect import dialect
@@ -89,6 +93,11 @@ m. Smaller changes ``max_distance`` more often, larger calls a distance that the
 ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 
 
+_SYSTEM_STATUS = {
+    BridgeState.STARTING: dialect.MAV_STATE_BOOT,
+    BridgeState.ACTIVE: dialect.MAV_STATE_ACTIVE,
+    BridgeState.CRITICAL: dialect.MAV_STATE_CRITICAL,
+}
 _GROUND_USE = {
     None: GroundUse.GROUND,
     OBJECT: GroundUse.OTHER,
@@ -208,6 +217,8 @@ class Bridge:
         When it was made [s].
     sensor_watch_off
         Why sensors are not held against their models; None: they are.
+    verdict
+        What the state is, and what is wrong.
     completed_s
         When a step last left nothing undone that was due, and every message had been handed to the link or counted as
         dropped [s]; whoever watches over the loop goes by it.
@@ -283,6 +294,7 @@ class Bridge:
         self._below = ObservationsBelow(self.notify)
         self._bus_health = BusHealth()
         self._reminder = Reminder()
+        self.verdict = BridgeVerdict(BridgeState.STARTING)
         self._next_conditions_s = clock.now()
         self.completed_s = clock.now()
 
@@ -322,6 +334,12 @@ class Bridge:
             self._check_conditions(now_s)
         self.completed_s = now_s
         return steps
+
+    def on_stuck_transfer(self) -> None:
+        """Report a transfer that does not end; called by a thread that holds `KernelBus.waiting`."""
+        now_s = self._clock.now()
+        self._bus_health.on_stuck(now_s)
+        self._check_conditions(now_s)
 
     def _on_ranging(self, ranging: Ranging) -> Step:
         """Correct, fuse, filter, send and record one reading."""
@@ -391,7 +409,8 @@ class Bridge:
             self._output.on_usable(FUSED, now_s)
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
-        self._below.update(reading.sensor, fusion.object_m(reading.sensor), fusion.is_ground_in_doubt(reading.sensor))
+        is_in_doubt = fusion.is_ground_in_doubt(reading.sensor)
+        self._below.update(reading.sensor, fusion.object_m(reading.sensor), is_in_doubt, rejected is None)
         if rejected == OUTLIER and outcome.fused is not None:
             self._schedule.again(reading.sensor)
         if rejected == OBJECT and self._below.is_object(reading.sensor):
@@ -449,34 +468,27 @@ class Bridge:
         """Update the air, the recording and the conditions of all that is not a sensor, and report what has changed."""
         # A usable message only defers the limit of silence: no check is later than one that is reached.
         self._next_conditions_s = min(now_s + CONDITIONS_INTERVAL_S, self._output.next_event_s(now_s))
-        conditions = [*self._bus_health.conditions(now_s), *self.link.conditions()]
+        conditions = [self._bus_health.condition(), *self.link.conditions()]
         if self._recorded_air is None:
             self._air = self._temperature.now(now_s)
             conditions += self._temperature.conditions(now_s)
-        findings = self.sensor_findings
-        finding = findings[-1].text if findings else None
+        finding = self.sensor_findings[-1] if self.sensor_findings else None
         conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)
         conditions.append(self._attitude.condition(now_s))
-        for condition in conditions:
-            self.health.set(*condition)
-        if self._reminder.is_due(now_s, self.link.autopilot_is_present, self.link.autopilot_clock.reboots):
-            for severity, text in self.health.faults() + self._below.texts():
-                self.link.send_text(severity, text)
-        self.link.system_status = self._system_status(now_s)
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault
             not_recording = None if fault is None else f"Range: not recording, {fault}"
-            self.health.set("recording", not_recording, "Range: recording again")
-
-    def _system_status(self, now_s: float) -> int:
-        if not self.health.complete:
-            status = dialect.MAV_STATE_BOOT
-        elif self.health.bad_sensors or self._output.silent(now_s):
-            status = dialect.MAV_STATE_CRITICAL
-        else:
-            status = dialect.MAV_STATE_ACTIVE
-        return int(status)
+            conditions.append(Condition("recording", not_recording, "Range: recording again"))
+        for condition in conditions:
+            self.health.set(condition)
+        is_there = self.link.autopilot_is_present
+        self.verdict = verdict_of(self.health.conditions, self.health.complete and is_there)
+        self.link.system_status = _SYSTEM_STATUS[self.verdict.state]
+        if self._reminder.is_due(now_s, is_there, self.link.autopilot_clock.reboots):
+            texts = [(each.severity, each.text) for each in self.verdict.findings if each.is_reported]
+            for severity, text in texts + self._below.texts():
+                self.link.send_text(severity, text)
 
     def notify(self, severity: Severity, text: str) -> None:
         """Report something to the pilot, the recording and the log."""

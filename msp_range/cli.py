@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from msp_range.moved import EXIT_COMMAND_LINE, add_moved
 from msp_range.recordings_cli import export, layout, recover, replay, tune
-from msp_range.user_errors import Commands, VersionOption
+from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
 from msp_range.yaml_file import ConfigError, writing
 
 if TYPE_CHECKING:
@@ -218,7 +217,8 @@ def status(
 ) -> None:
     """Show what a running bridge does: distances, rejected readings, faults, air, link and recording.
 
-    It reads the bridge's socket; neither the sensors nor the link notice. Exit code 1: no bridge runs.
+    It reads the bridge's socket; neither the sensors nor the link notice. Exit code: 0 the bridge is
+    active, 1 no bridge runs, 4 it starts or is critical: what is wrong comes first.
     """
     from msp_range.watch.terminal import show
 
@@ -402,7 +402,6 @@ def _address(text: str) -> int:
 
 for command in (replay, tune, recover, export, layout):
     app.command()(command)
-add_moved(app, {"collect": "msp-lab collect", "characterise": "msp-lab characterise"})
 
 
 def main() -> None:

@@ -22,7 +22,6 @@ from msp_range.geometry import Vector, angle_between, boresight
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
 from msp_range.mavlink.transport.url import parse_url
-from msp_range.reading_model.sensor_model import with_new_names
 from msp_range.sensor_on_bus import Name, SensorOnBus
 from msp_range.yaml_file import ConfigError, Section, config_path, load, load_named, read_config
 
@@ -155,6 +154,9 @@ class Send(Section):
     """the fused downward stream; default: none"""
     sensors: tuple[Name, ...] | Literal["all"] = ()
     """single sensors that have a stream of their own: a list of names, or all"""
+    standing_m: Metres | None = Field(None, gt=0)
+    """distance that the downward stream has when the vehicle stands on the ground [m]: RNGFND1_GNDCLR, EKF2_MIN_RNG;
+    measured by `msp-range commission`; default: the shortest that its sensors report"""
 
 
 class RecordingSettings(Section):
@@ -169,7 +171,7 @@ class Airframe(Section):
 
     vehicle: str = Field(min_length=1, max_length=100)
     """name of the vehicle"""
-    bus: int | str = 1
+    bus: Annotated[int, Field(ge=0)] | Annotated[str, Field(pattern="^/")] = 1
     """I2C bus number (1 is /dev/i2c-1), or the path of the device file"""
     sensors: list[SensorSettings] = Field(min_length=1, max_length=MOST_SENSORS)
     """the range finders"""
@@ -277,8 +279,8 @@ class Airframe(Section):
                     those = [name for name, orientation in streams if orientation.value == value]
                     raise ValueError(
                         f"send: the streams {', '.join(those)} all have orientation {value} "
-                        f"({Orientation(value, (0, 0, 0, 0)).name}); ArduPilot distinguishes streams by orientation "
-                        "only and would mix them into one. Send the fused stream alone, or one of them"
+                        f"({Orientation(value, (0, 0, 0, 0)).name}); ArduPilot before 4.8 would mix them into "
+                        "one, and later versions use one of them. Send the fused stream alone, or one of them"
                     )
         elif self.send.fused is None and not any(orientation.value == DOWN for _, orientation in streams):
             looks_down = [
@@ -353,8 +355,8 @@ NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
 """An airframe named in another file: a path there, the airframe after reading; or one that was read already."""
 
 
-def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
-    """Read an airframe from the texts in `Airframe.files` of a recording.
+def load_airframe_from(files: Mapping[str, str], source: Path, instead: str = "") -> Airframe:
+    """Read an airframe from the texts in `Airframe.files` of a recording; ``instead`` is what else the command takes.
 
     Raises
     ------
@@ -362,16 +364,16 @@ def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
         There is none, it names files outside its own folder, or one cannot be used.
     """
     if AIRFRAME_NAME not in files:
-        raise ConfigError(f"{source}: contains no airframe file; name one with --airframe")
+        raise ConfigError(f"{source}: contains no airframe file{instead}")
     with TemporaryDirectory() as name:
         folder = Path(name)
         for each, text in files.items():
             path = PurePath(each)
             if path.is_absolute() or ".." in path.parts:
-                raise ConfigError(f"{source}: its airframe names {each}, outside of its folder; use --airframe")
+                raise ConfigError(f"{source}: its airframe names {each}, outside of its folder{instead}")
             try:
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
-                (folder / path).write_text(with_new_names(text), encoding="utf-8")
+                (folder / path).write_text(text, encoding="utf-8")
             except (OSError, ValueError):
                 raise ConfigError(f"{source}: no file can have the name of the attached {each[:80]!r}") from None
         try:
@@ -380,7 +382,7 @@ def load_airframe_from(files: Mapping[str, str], source: Path) -> Airframe:
             raise ConfigError(str(error).replace(f"{folder}/", f"{source}: attached ")) from None
     strangers = [sensor.model for sensor in airframe.sensors if sensor.model not in files]
     if strangers:
-        raise ConfigError(f"{source}: its airframe names {strangers[0]}, which it does not contain; use --airframe")
+        raise ConfigError(f"{source}: its airframe names {strangers[0]}, which it does not contain{instead}")
     return airframe
 
 

@@ -35,7 +35,7 @@ def replay(
     if airframe_file is not None:
         airframe = load_airframe(airframe_file)
     elif recording is not None:
-        airframe = load_airframe_from(recording.files, file)
+        airframe = load_airframe_from(recording.files, file, "; name one with --airframe")
     else:
         raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
 from msp_range.config import Airframe
-from msp_range.health import Severity
+from msp_range.health import Condition, Severity
 from msp_range.log import Log
 
 
@@ -54,7 +54,8 @@ class FlownAirframe:
             return False
         armed = bridge.link.autopilot_armed
         waits = "Range: airframe reload waits for disarming" if armed else None
-        bridge.health.set("reload", waits, "Range: disarmed, reloading the airframe", Severity.INFO)
+        over = "Range: disarmed, reloading the airframe"
+        bridge.health.set(Condition("reload", waits, over, Severity.INFO, remedy="disarm"))
         if armed:
             return False
         self._requests.clear()

@@ -10,6 +10,7 @@ import gc
 import os
 import signal
 import socket
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
@@ -17,6 +18,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from msp_range.bridge import Bridge
+from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
@@ -43,9 +45,18 @@ every step of the bridge."""
 LINK_CHECK_INTERVAL_S = 1.0
 """Time between two checks of what the log says about the link [s]; a shorter one logs each change of a loose plug."""
 FEED_INTERVAL_S = 0.2
-"""Shortest time between two messages to systemd's watchdog [s]. A transfer on a locked-up bus takes 1 s in the kernel,
-and WatchdogSec in systemd/msp-range.service is 1.5 s. With more than 0.4 s such a bus would restart the bridge; less
-only keeps systemd busy."""
+"""Shortest time between two messages to systemd's watchdog [s]. WatchdogSec in systemd/msp-range.service is 1.5 s; less
+only keeps systemd busy, with more a slow computer restarts the bridge."""
+TRANSFER_CHECK_S = 0.25
+"""Time between two checks whether a transfer keeps the loop [s]. The watchdog is fed at most three of these and
+`FEED_INTERVAL_S` late; less wakes the computer more often."""
+STUCK_S = 1.25
+"""A transfer of this length is reported to the pilot before it ends [s]: kernel drivers give up after 1 s unless they
+say otherwise, and the report after that has the error. Longer leaves the pilot longer without a reason."""
+LONGEST_TRANSFER_S = 10.0
+"""A transfer keeps the watchdog fed for so long [s]: adapters on USB give up after 2 to 4 s for each of its parts, and
+a restart helps none of them. Less restarts the bridge for ever with a slower one; more leaves a driver that hangs alone
+for longer."""
 
 
 def reporter(log: Log) -> Report:
@@ -61,13 +72,40 @@ def reporter(log: Log) -> Report:
 def notify_systemd(state: str) -> None:
     """Send a state such as READY=1 to systemd; without systemd, or with its socket full or gone, nothing happens.
 
-    WATCHDOG=1 comes from the polling loop. A locked-up bus, an unplugged adapter, a full disk or a silent autopilot do
-    not stop the loop, so the watchdog is still fed: a restart would not help. Anything that stops the loop causes one.
+    WATCHDOG=1 comes from the polling loop. An unplugged adapter, a full disk or a silent autopilot do not stop the
+    loop, so the watchdog is still fed: a restart would not help. Anything else that stops the loop causes one, apart
+    from a transfer that the kernel has not given up, see `transfers_watched`.
     """
     address = os.environ.get("NOTIFY_SOCKET")
     if address:
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
             sender.sendto(state.encode(), "\0" + address[1:] if address.startswith("@") else address)
+
+
+@contextmanager
+def transfers_watched(bridge: Bridge, bus: KernelBus, clock: Clock) -> Iterator[None]:
+    """Context in which a transfer that keeps the loop is reported to the pilot, and no reason for a restart."""
+    ended = threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(TRANSFER_CHECK_S):
+            waits_s = clock.now() - bridge.completed_s
+            if waits_s > TRANSFER_CHECK_S and bus.waiting.acquire(blocking=False):
+                try:
+                    if waits_s < LONGEST_TRANSFER_S:
+                        notify_systemd("WATCHDOG=1")
+                    if waits_s > STUCK_S:
+                        bridge.on_stuck_transfer()
+                finally:
+                    bus.waiting.release()
+
+    thread = threading.Thread(target=watch, name="transfers", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 @contextmanager
@@ -148,12 +186,13 @@ def serve(
 
 
 class _LinkLog:
-    """Logs what changes at the link: the autopilot that is received, and whether the transport is connected."""
+    """Logs the bridge's state when it changes, the autopilot that is received, and whether the link is connected."""
 
     def __init__(self, bridge: Bridge, transport: Transport, log: Log) -> None:
         self._bridge, self._transport, self._log = bridge, transport, log
         self._autopilot: int | None = None
         self._state: tuple[bool, str | None] = False, None
+        self._verdict = bridge.verdict.state
 
     def update(self) -> None:
         """Log what has changed since the last call."""
@@ -161,6 +200,10 @@ class _LinkLog:
         if link.autopilot_is_present and link.autopilot_system != self._autopilot:
             self._autopilot = link.autopilot_system
             self._log.info("autopilot found", system=self._autopilot)
+        verdict = self._bridge.verdict
+        if verdict.state != self._verdict:
+            self._verdict = verdict.state
+            self._log.info(verdict.state.value, reasons=[each.text for each in verdict.findings if each.cause is None])
         state = transport.connected, transport.last_error
         if state != self._state:
             self._state = state
@@ -276,16 +319,18 @@ def _fly(
         thermometer=thermometer,
         signing=signing_of(airframe.link.signing_key, clock),
     )
-    # The first sensor measures while the packages for recording and watching are imported.
-    bridge.step()
-    recorder = flight_recorder(airframe, record, clock, on_file, on_failure)
-    if recorder is not None:
-        bridge.record_to(recorder)
-    watch = _watch(airframe, bridge, transport, recorder, socket_path, web, clock, log)
-    # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.
-    gc.freeze()
+    recorder = None
     try:
-        serve(bridge, clock, log, transport, stopped, flown, watch)
+        with transfers_watched(bridge, flown.bus, clock):
+            # The first sensor measures while the packages for recording and watching are imported.
+            bridge.step()
+            recorder = flight_recorder(airframe, record, clock, on_file, on_failure)
+            if recorder is not None:
+                bridge.record_to(recorder)
+            watch = _watch(airframe, bridge, transport, recorder, socket_path, web, clock, log)
+            # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.
+            gc.freeze()
+            serve(bridge, clock, log, transport, stopped, flown, watch)
         if not stopped and recorder is not None:
             recorder.finish()  # the next airframe must not wait for the disk
     finally:

@@ -68,7 +68,7 @@ def recorded_tracks(path: Path) -> list[Track]:
 
 
 def _flown(path: Path) -> Airframe:
-    return load_airframe_from(Recording(path).files, path)
+    return load_airframe_from(Recording(path).files, path, "; name one with --airframe")
 
 
 def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:

@@ -14,6 +14,9 @@ from msp_range import __version__
 from msp_range.errors import UserError
 from msp_range.input_file import printable
 
+EXIT_COMMAND_LINE = 2
+"""Exit code: invalid command line."""
+
 EXIT_FILE = 3
 """Exit code: a file, or something named in it, cannot be used."""
 
@@ -41,7 +44,7 @@ def report_user_errors(command: Callable[Parameters, None]) -> Callable[Paramete
             print(printable(str(error)), file=sys.stderr)
             raise typer.Exit(EXIT_FILE) from None
         except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.ENAMETOOLONG):
                 raise
             print(f"{error.filename or 'the disk'}: {error.strerror}", file=sys.stderr)
             raise typer.Exit(EXIT_FILE) from None

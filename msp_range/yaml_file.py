@@ -5,6 +5,7 @@ contain the file, the path inside it, what was found, what was expected and, for
 """
 
 import difflib
+import os
 import types
 import typing
 from collections.abc import Callable, Iterator, Sequence
@@ -162,15 +163,31 @@ def check(source: Path | str, section: type[SectionT], content: Any, context: di
         raise ConfigError(
             f"{source}: found {_show(content)}, expected a mapping with the keys {_join(section.model_fields)}"
         )
+    lines = [
+        f"{source}: {place_of(path)}: found a truth value (true, yes, on, or their opposites); expected a number"
+        for path in _truths(content, [section])
+    ]
     try:
-        return section.model_validate(content, context=context)
+        found = section.model_validate(content, context=context)
     except ArithmeticError:
         raise ConfigError(f"{source}: found a number in quotes that is too large to calculate with") from None
     except ValidationError as error:
         _refuse_other_kind(source, section, content)
-        lines = list(_explain(source, section, error))
+        lines += _explain(source, section, error)
+    if lines:
         more = [f"{source}: and {len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
-        raise ConfigError("\n".join([*map(_short, lines[:MOST_LINES]), *more])) from None
+        raise ConfigError("\n".join([*map(_short, lines[:MOST_LINES]), *more]))
+    return found
+
+
+def _truths(content: Any, choices: list[Any], path: tuple[int | str, ...] = ()) -> Iterator[tuple[int | str, ...]]:
+    """Places of truth values where a number is expected, which pydantic takes for 1 and 0."""
+    if isinstance(content, bool) and bool not in choices and (int in choices or float in choices):
+        yield path
+    parts = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for part, value in parts:
+        inner = [member for choice in choices for each in _inside(choice, part) for member in _members(each)]
+        yield from _truths(value, inner, (*path, part))
 
 
 def _refuse_other_kind(source: Path | str, section: type[Section], content: dict[Any, Any]) -> None:
@@ -210,7 +227,7 @@ def config_path(name: Path | str, kind: str, folder: Path = Path()) -> Path:
     """
     path = folder / name
     word = str(name)
-    if "/" in word or "." in word or path.exists():
+    if "/" in word or "." in word or os.path.exists(path):  # unlike Path's, False for a name that is too long
         return path
     known = {each.stem: each for each in (SHIPPED / kind).glob("*.yaml")}
     if word not in known:
@@ -269,7 +286,7 @@ def _explain(path: Path | str, section: type[Section], error: ValidationError) -
         cause = problem.get("ctx", {}).get("error")
         if isinstance(cause, ConfigError):
             # The error is in another file, which this one names here.
-            places.setdefault(str(cause), []).append(_place(spot.path))
+            places.setdefault(str(cause), []).append(place_of(spot.path))
         else:
             around = _locate(section, problem["loc"][:-1]).choices
             found, expected = _describe(spot, around, problem)
@@ -281,7 +298,7 @@ def _explain(path: Path | str, section: type[Section], error: ValidationError) -
 
 
 def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
-    place = _place(spot.path)
+    place = place_of(spot.path)
     discriminator = problem.get("ctx", {}).get("discriminator")
     if discriminator is not None:
         place += f".{discriminator.strip(_QUOTE)}"
@@ -399,7 +416,14 @@ def _near(word: Any, known: list[str]) -> str:
     return f" Did you mean {near[0]!r}?" if near else ""
 
 
-def _place(path: Sequence[int | str]) -> str:
+def place_of(path: Sequence[int | str]) -> str:
+    """A place in a file for a person.
+
+    Examples
+    --------
+    >>> place_of(("sensors", 0, "position_m", 1))
+    'sensors[0].position_m[1]'
+    """
     text = ""
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}"

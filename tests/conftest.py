@@ -11,19 +11,25 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadScopeScheduling
 
 # Before numpy is imported. There are more processes of tests than processors, and matrices are small: more threads only
 # wait for each other, in 15 % more processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Without a limit of time for an example: on a busy computer any of them may take long. Fixtures may be one for all.
+UNCHECKED = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+settings.register_profile("busy computer", deadline=None, suppress_health_check=UNCHECKED)
+settings.load_profile("busy computer")
+
 WALL_CLOCK = re.compile(
     r"\btime\.(monotonic|perf_counter|sleep|time)\(|^(import|from) socket\b"
-    r"|\bkernel_bus\b|\brunning_service\b|\bLinkEnd\b|\breal_time\b",
+    r"|\bkernel_bus\b|\brunning_service\b|\bLinkEnd\b|\breal_time\b|\btests\.support\.waiting\b",
     re.M,
 )
-"""A module of tests in which this is found depends on the wall clock: it reads it, or talks to another program. Such a
-test has a module of its own, apart from those that compute."""
+"""A module of tests in which this is found depends on the wall clock: it reads it, waits, or talks to another program.
+Such a test has a module of its own, apart from those that compute."""
 ALONE = ("tests/docs/", "tests/real/")
 """Folders of tests of which each is long and stands alone. Documents in real time only wait for what they start."""
 

@@ -11,6 +11,7 @@ smbus2 and fcntl exist on Linux only, so they are imported where the bus is used
 
 import errno
 import os
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -74,12 +75,20 @@ class KernelBus:
     bus
         Bus number, or the path of the device file. It is opened at the first transfer, so that a missing bus is a
         temporary fault and does not end the program.
+
+    Attributes
+    ----------
+    waiting : Lock
+        Free only while the program's thread waits for a transfer. Another thread that gets it may do what that thread
+        could do, which cannot go on before it is released.
     """
 
     def __init__(self, bus: int | str) -> None:
         self._bus = bus
         self._smbus: SMBus | None = None
         self._was_open = False
+        self.waiting = threading.Lock()
+        self.waiting.acquire()
         self._prepared: dict[tuple[int, bytes | int], _Prepared] = {}
 
     @property
@@ -98,10 +107,13 @@ class KernelBus:
     def _transfer(self, verb: str, address: int, content: bytes | int) -> Any:
         """Send the bytes, or read so many; returns the message."""
         message, send = self._prepared.get((address, content)) or self._prepare(verb, address, content)
+        self.waiting.release()
         try:
             send()
         except OSError as error:
             raise BusError(error.errno or errno.EIO, verb, address) from None
+        finally:
+            self.waiting.acquire()
         return message
 
     def _prepare(self, verb: str, address: int, content: bytes | int) -> "_Prepared":

@@ -16,7 +16,7 @@ from msp_range.commission.steps import addresses, bench, flight, lift, parameter
 from msp_range.config import load_airframe
 from msp_range.doctor.command import WIDTH, lines_of
 from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError, writing
+from msp_range.yaml_file import ConfigError, place_of, writing
 
 STEPS: dict[str, Callable[[Session], StepOutcome]] = {
     "wires": wires.run,
@@ -54,6 +54,7 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
     session.measured.update({name: each["measured"] for name, each in state.steps.items()})
     report: dict[str, Any] = {}
     due = [step] if step is not None else [name for name in STEPS if not state.has_passed(name, airframe)]
+    name = due[0] if due else None
 
     def show(lines: Sequence[str]) -> None:
         if not as_json:
@@ -61,25 +62,26 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
             out.flush()
 
     show(_overview(state, session, due))
-    for name in due:
+    while name is not None:
         show(["", f"--- {name} ({list(STEPS).index(name) + 1} of {len(STEPS)}) ---"])
-        outcome = STEPS[name](session)
+        outcome = STEPS[name](session).keep_founded(session.airframe())
         show([line for finding in outcome.findings for line in lines_of(finding)])
         changes, outcome = _correct(session, outcome, show)
-        passed = outcome.passed
         report[name] = {
-            "passed": passed,
+            "passed": outcome.passed,
             "findings": [asdict(each) for each in outcome.findings],
             "changes": changes,
             "proposals_left": [each.text for each in outcome.proposals],
             "measured": outcome.measured,
         }
         session.measured[name] = outcome.measured
-        if not passed:
+        if not outcome.passed:
             show(["", f"{name}: not passed. The same command goes on here; --step {name} repeats it"])
             break
         state.save(name, session.airframe(), outcome.measured, session.clock)
         show([f"{name}: passed"])
+        # The next one due by the file as it is now: a change may concern an earlier step, too.
+        name = state.next_step(session.airframe()) if step is None else None
     left = state.next_step(session.airframe())
     if left is None:
         show(["", "all steps passed"])
@@ -116,7 +118,7 @@ def _correct(
     changes = [{"text": each.text, "backup": str(backup)} for each in agreed]
     if outcome.again is None:
         return changes, outcome
-    verified = outcome.again(changed)
+    verified = outcome.again(changed).keep_founded(changed)
     show(["with the changed file:"])
     show([line for finding in verified.findings for line in lines_of(finding)])
     for each in verified.proposals:
@@ -136,7 +138,7 @@ def _make(path: Path, text: str) -> None:
 def _asked(session: Session, proposal: Proposal) -> str:
     lines = _wrapped("change   ", proposal.text)
     for each in proposal.edits:
-        lines += _wrapped("         ", f"{edit.place(each.path)}: {edit.as_yaml(each.value)}")
+        lines += _wrapped("         ", f"{place_of(each.path)}: {edit.as_yaml(each.value)}")
     return "\n".join(lines)
 
 

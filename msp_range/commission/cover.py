@@ -6,6 +6,7 @@ Samples before and while one sensor is covered enter, the name under which the c
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_range.commission.samples import Samples, SensorReadings
 
@@ -39,8 +40,11 @@ def near_share(readings: SensorReadings) -> float:
     """Share of the answers that say that something is right in front of the sensor; 0 where there are none."""
     if not readings.status:
         return 0.0
-    near = np.array([each == "at_minimum" for each in readings.status]) | (readings.range_m < NEAR_M)
-    return float(near.mean())
+    return float(_within(readings, NEAR_M).mean())
+
+
+def _within(readings: SensorReadings, distance_m: float) -> NDArray[np.bool_]:
+    return np.array([each == "at_minimum" for each in readings.status]) | (readings.range_m < distance_m)
 
 
 def blocked(free: Samples) -> list[str]:
@@ -48,8 +52,7 @@ def blocked(free: Samples) -> list[str]:
     names = []
     for name, readings in free.readings.items():
         answers = np.array([each in ("ok", "at_minimum", "no_echo", "suspect") for each in readings.status])
-        close = np.array([each == "at_minimum" for each in readings.status]) | (readings.range_m < FREE_M)
-        if not answers.any() or close[answers].mean() > FREE_SHARE:
+        if not answers.any() or _within(readings, FREE_M)[answers].mean() > FREE_SHARE:
             names.append(name)
     return names
 

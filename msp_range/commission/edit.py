@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError, read_config
+from msp_range.yaml_file import ConfigError, place_of, read_config
 from msp_range.yaml_loader import load_yaml
 
 Key = str | int
@@ -45,7 +45,7 @@ def edited(text: str, edits: Sequence[Edit]) -> str:
         text = _replaced(text, edit)
         wanted = _with(wanted, *edit)
     if load_yaml(text) != wanted:
-        places = "; ".join(f"{place(edit.path)}: {as_yaml(edit.value)}" for edit in edits)
+        places = "; ".join(f"{place_of(edit.path)}: {as_yaml(edit.value)}" for edit in edits)
         raise ConfigError(f"this file has to be changed by hand, as parts of it are used in several places: {places}")
     return text
 
@@ -81,18 +81,6 @@ def save(path: Path, text: str) -> Path:
 def change(path: Path, edits: Sequence[Edit]) -> Path:
     """Change values in a file; return the backup's name. Raises ConfigError as `edited` and `save`."""
     return save(path, edited(read_config(path), edits))
-
-
-def place(path: Sequence[Key]) -> str:
-    """A path for a person.
-
-    Examples
-    --------
-    >>> place(("sensors", 0, "position_m", 1))
-    'sensors[0].position_m[1]'
-    """
-    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)
-    return text.removeprefix(".")
 
 
 def _free_name(path: Path) -> Path:
@@ -142,13 +130,13 @@ def _child(node: yaml.Node, key: Key, edit: Edit) -> yaml.Node:
                 return of_key
         if key == edit.path[-1]:
             raise KeyError(key)
-    raise ConfigError(f"{place(edit.path)}: not found in the file as it is written; change it by hand")
+    raise ConfigError(f"{place_of(edit.path)}: not found in the file as it is written; change it by hand")
 
 
 def _inserted(text: str, mapping: yaml.Node, key: str, edit: Edit) -> str:
     """The text with a key added to a mapping, after its last value."""
     if not isinstance(mapping, yaml.MappingNode) or not mapping.value:
-        raise ConfigError(f"{place(edit.path)}: not found in the file as it is written; change it by hand")
+        raise ConfigError(f"{place_of(edit.path)}: not found in the file as it is written; change it by hand")
     name, value = mapping.value[-1]
     end: int = value.end_mark.index
     if mapping.flow_style:

@@ -13,6 +13,8 @@ from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.commission.samples import Record
 from msp_range.config import Airframe
+from msp_range.doctor.autopilot import Tap, silence
+from msp_range.doctor.computer import Computer
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport
 from msp_range.watch.client import LONGEST_PACKET, packets
@@ -51,6 +53,15 @@ class HeartbeatLost(ConfigError):
 class Live(Protocol):
     """A vehicle whose sensors are being polled."""
 
+    def begin(self, airframe: Airframe) -> None:
+        """Check that it is this vehicle, and that it can be seen whether it is armed.
+
+        Raises
+        ------
+        ConfigError
+            It is not so.
+        """
+
     def record(self, duration_s: float) -> list[Record]:
         """Everything that is received in the next seconds.
 
@@ -59,9 +70,6 @@ class Live(Protocol):
         Armed, HeartbeatLost
             The vehicle is armed, or nobody knows.
         """
-
-    def close(self) -> None:
-        """Leave bus and link."""
 
 
 class _Kept:
@@ -85,11 +93,14 @@ class OwnBridge:
     Parameters
     ----------
     airframe, bus, clock, transport
-        As `msp_range.bridge.Bridge` has them. Both bus and transport are closed by `close`.
+        As `msp_range.bridge.Bridge` has them.
+    computer
+        Where it is looked for who else has the link.
     """
 
-    def __init__(self, airframe: Airframe, bus: Bus, clock: Clock, transport: Transport) -> None:
-        self._bus, self._clock, self._transport = bus, clock, transport
+    def __init__(self, airframe: Airframe, bus: Bus, clock: Clock, transport: Transport, computer: Computer) -> None:
+        self._clock, self._computer = clock, computer
+        self._transport = transport = Tap(transport)
         self._kept = _Kept()
         self._bridge = Bridge(
             airframe,
@@ -102,12 +113,14 @@ class OwnBridge:
             signing=signing_of(airframe.link.signing_key, clock),
         )
 
-    def connect(self) -> bool:
-        """Wait for the autopilot's heartbeat; whether it came."""
+    def begin(self, airframe: Airframe) -> None:
+        """Wait for the autopilot's heartbeat; raises ConfigError with the reason why none comes."""
         end_s = self._clock.now() + CONNECT_S
-        while not self._bridge.link.autopilot_is_present and self._clock.now() < end_s:
+        while not self._bridge.link.autopilot_is_present:
+            if self._clock.now() >= end_s:
+                found = silence(airframe, self._computer, self._transport, self._clock)
+                raise ConfigError(f"{airframe.link.url}: no autopilot is received: {found.text} -> {found.remedy}")
             self._bridge.step()
-        return self._bridge.link.autopilot_is_present
 
     def record(self, duration_s: float) -> list[Record]:
         """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
@@ -120,11 +133,6 @@ class OwnBridge:
             if not self._bridge.link.autopilot_is_present:
                 raise HeartbeatLost
         return list(self._kept.records)
-
-    def close(self) -> None:
-        """Leave bus and link."""
-        self._transport.close()
-        self._bus.close()
 
     def _on_message(self, now_s: float, message: Any) -> None:
         shown = autopilot_message(message)
@@ -147,8 +155,8 @@ class RunningBridge:
         self._packets = packets(connection)
         self._now = now
 
-    def check_flies(self, airframe: Airframe) -> None:
-        """Check that its sensors are those of an airframe, before anything is recorded.
+    def begin(self, airframe: Airframe) -> None:
+        """Check that its sensors are those of an airframe.
 
         Raises
         ------
@@ -188,7 +196,3 @@ class RunningBridge:
             while self._connection.recv(LONGEST_PACKET):
                 pass
         self._connection.settimeout(SILENT_S)
-
-    def close(self) -> None:
-        """Leave the socket."""
-        self._connection.close()

@@ -6,7 +6,6 @@ the echoes do: over many tilts they outline a cone around it. The half angle its
 too.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -136,18 +135,3 @@ def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from
         angle,
         float(has_echo.mean()),
     )
-
-
-def axes_of(
-    samples: Samples,
-    places: Places,
-    positions: Mapping[str, Array],
-    from_file: Mapping[str, Array],
-    beams: Mapping[str, Beam],
-) -> dict[str, Axis]:
-    """`axis_of` for each sensor, by name."""
-    return {
-        name: axis_of(samples, name, places, positions[name], from_file[name], beams[name])
-        for name in positions
-        if name in samples.readings
-    }

@@ -76,7 +76,7 @@ class Places:
         Height of the reference point over the floor at some times: rows of (time [s], height [m]).
     """
 
-    position_m: Mapping[str, tuple[Measured, Measured, Measured]]
+    position_m: Mapping[str, tuple[Measured, ...]]
     elsewhere: tuple[str, ...]
     lag: Measured
     std_m: Mapping[str, Measured]
@@ -265,14 +265,7 @@ def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> 
     stds = {
         name: _scatter(fit.residual_m[rows.sensor == i], len(rows.knots) / sensors) for i, name in enumerate(rows.names)
     }
-    found = {
-        name: (
-            Measured(float(places_m[i, 0]), float(half[i, 0])),
-            Measured(float(places_m[i, 1]), float(half[i, 1])),
-            Measured(float(places_m[i, 2]), float(half[i, 2])),
-        )
-        for i, name in enumerate(rows.names)
-    }
+    found = {name: tuple(map(Measured, places_m[i].tolist(), half[i].tolist())) for i, name in enumerate(rows.names)}
     return Places(found, tuple(elsewhere), lag, stds, np.stack([rows.knots, height], axis=1))
 
 

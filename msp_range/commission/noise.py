@@ -13,7 +13,6 @@ from msp_range.commission.edit import Edit, edited
 from msp_range.commission.motion import Measured
 from msp_range.commission.outcome import Proposal, StepOutcome, shown
 from msp_range.config import Airframe
-from msp_range.doctor.finding import right, wrong
 from msp_range.yaml_file import ConfigError
 
 NOISIER_M = 0.005
@@ -49,9 +48,9 @@ def compare_noise(airframe: Airframe, measured: Mapping[str, Measured], when: st
             and measured[sensor.name].differs_from(usual_m, NOISIER_M)
         ]
         for sensor in faulty:
-            text = f"{sensor.name} scatters by {_cm(measured[sensor.name])} {when}, others of its kind by less"
+            text = f"it scatters by {_cm(measured[sensor.name])} {when}, others of its kind by less"
             remedy = "check its supply (100 ohm and 100 uF at the sensor), its wires, and what it looks at"
-            outcome.findings.append(wrong("noise", text, remedy))
+            outcome.wrong(f"noise of {sensor.name}", text, remedy)
         others = [measured[sensor.name] for sensor in sensors if sensor not in faulty]
         mean = Measured(
             math.sqrt(sum(each.value**2 for each in others) / len(others)),
@@ -61,7 +60,7 @@ def compare_noise(airframe: Airframe, measured: Mapping[str, Measured], when: st
         if mean.value > sigma_m and mean.differs_from(sigma_m, NOISIER_M):
             _propose(airframe, model, round(100 * mean.value, 1), text, outcome)
         else:
-            outcome.findings.append(right("noise", text))
+            outcome.right("noise", text)
 
 
 def _cm(measured: Measured) -> str:
@@ -73,7 +72,7 @@ def _propose(airframe: Airframe, model: str, sigma_cm: float, text: str, outcome
     try:
         content = edited(airframe.files[model], [Edit(SIGMA, sigma_cm)])
     except ConfigError as error:
-        outcome.findings.append(wrong("noise", text, f"change sigma_cm in {model}: {error}"))
+        outcome.wrong("noise", text, f"change sigma_cm in {model}: {error}")
         return
     edits = tuple(
         Edit(("sensors", i, "model"), name) for i, sensor in enumerate(airframe.sensors) if sensor.model == model

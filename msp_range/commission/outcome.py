@@ -7,7 +7,7 @@ from typing import Any
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured
 from msp_range.config import Airframe
-from msp_range.doctor.finding import Finding, Verdict
+from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,42 @@ class StepOutcome:
     complete: bool = True
     again: "Callable[[Airframe], StepOutcome] | None" = None
 
+    def right(self, step: str, text: str) -> None:
+        """Add that all is as it should be."""
+        self.findings.append(right(step, text))
+
+    def wrong(self, step: str, text: str, remedy: str) -> None:
+        """Add that something has to be changed."""
+        self.findings.append(wrong(step, text, remedy))
+
+    def unknown(self, step: str, text: str, remedy: str | None = None) -> None:
+        """Add that it is not known whether something has to be changed."""
+        self.findings.append(unknown(step, text, remedy))
+
     @property
     def passed(self) -> bool:
         """Whether all was measured, nothing is wrong, nothing is to be changed, and something is right."""
         verdicts = [each.verdict for each in self.findings]
         return self.complete and not self.proposals and Verdict.WRONG not in verdicts and Verdict.RIGHT in verdicts
+
+    def keep_founded(self, airframe: Airframe) -> "StepOutcome":
+        """Drop and count the proposals that come from something wrong; returns itself.
+
+        A wrong finding concerns the sensor whose name ends its step, or else everything that was measured.
+        """
+        named = [each.step for each in self.findings if each.verdict is Verdict.WRONG]
+        names = [sensor.name for sensor in airframe.sensors]
+        about = {next((i for i, name in enumerate(names) if step.endswith(f" {name}")), None) for step in named}
+        founded = [
+            each
+            for each in self.proposals
+            if None not in about and about.isdisjoint(edit.path[1] for edit in each.edits if edit.path[0] == "sensors")
+        ]
+        if len(founded) < len(self.proposals):
+            text = f"{len(self.proposals) - len(founded)} not proposed, as they come from what is wrong"
+            self.unknown("changes", f"{text}: {', '.join(named)}", "put that right first, then again")
+        self.proposals = founded
+        return self
 
 
 def shown(measured: Measured, unit: str = "m", digits: int = 2) -> str:

@@ -61,10 +61,6 @@ class SensorReadings:
         """True where the sensor measured a distance: an echo beyond its minimum. Shape (n,)."""
         return np.array([each == "ok" for each in self.status], dtype=bool)
 
-    def share_of(self, status: str) -> float:
-        """Share of the answers with this status; 0 where there are none."""
-        return self.status.count(status) / len(self.status) if self.status else 0.0
-
 
 @dataclass(frozen=True)
 class Samples:

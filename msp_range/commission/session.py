@@ -1,7 +1,7 @@
 """What the steps work on: the airframe file, this computer's bus and link, and the person."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -64,26 +64,20 @@ class Session:
         """
         airframe = self.airframe()
         bus = self.make_bus(airframe.bus)
-        try:
-            bus.claim()
-        except BusInUse as error:
-            connection = connect(sockets())
-            if connection is None:
-                raise ConfigError(f"{error}: sudo systemctl stop msp-range, then again") from None
-            running = RunningBridge(connection, self.clock.now)
-            running.check_flies(airframe)
-            live: Live = running
-        else:
-            own = OwnBridge(airframe, bus, self.clock, self.make_transport(airframe.link.url, self.clock))
-            if not own.connect():
-                own.close()
-                raise ConfigError(
-                    f"{airframe.link.url}: no autopilot is received, so nobody knows whether the vehicle is armed "
-                    "and how it is tilted; 'msp-range doctor' looks for the reason"
-                )
-            live = own
-        try:
+        with ExitStack() as stack:
+            try:
+                bus.claim()
+            except BusInUse as error:
+                connection = connect(sockets())
+                if connection is None:
+                    raise ConfigError(f"{error}: sudo systemctl stop msp-range, then again") from None
+                stack.enter_context(connection)
+                live: Live = RunningBridge(connection, self.clock.now)
+            else:
+                stack.callback(bus.close)
+                transport = self.make_transport(airframe.link.url, self.clock)
+                stack.callback(transport.close)
+                live = OwnBridge(airframe, bus, self.clock, transport, self.computer)
+            live.begin(airframe)
             live.record(1.0)
             yield live
-        finally:
-            live.close()

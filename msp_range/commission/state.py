@@ -39,7 +39,10 @@ VERIFIED: dict[str, Callable[[Airframe], Any]] = {
         airframe.link.model_dump(),
         [[each.name, each.value] for each in settings(airframe, Firmware(airframe.link.autopilot), 2)],
     ],
-    "lift": lambda airframe: _sensors(airframe, "name", "address", "model", "position_m", "rotation_deg"),
+    "lift": lambda airframe: [
+        *_sensors(airframe, "name", "address", "model", "position_m", "rotation_deg"),
+        *([airframe.send.standing_m] if airframe.send.standing_m else []),
+    ],
     "hover": lambda airframe: airframe.model_dump(mode="json"),
     "review": lambda airframe: airframe.model_dump(mode="json"),
 }

@@ -8,17 +8,19 @@ from collections.abc import Iterator, Mapping
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, MAVLINK_FIELDS, MavlinkSource
+from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.doctor.port import check_holders
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
-from msp_range.mavlink.signing import is_signed, signing_of
+from msp_range.mavlink.signing import PX4_SIGNS_NOT, is_signed, signing_of
 from msp_range.mavlink.transport import Transport, Wrapped, open_transport
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, parse_url
-from msp_range.params.client import ParameterClient, same
+from msp_range.params.client import ParameterClient
 from msp_range.params.commands import described, differences
-from msp_range.params.settings import Firmware, downward_stream, settings
+from msp_range.params.settings import ADDRESS, Firmware, downward_stream, settings
 from msp_range.yaml_file import ConfigError
 
 CONNECT_S = 6.0
@@ -69,6 +71,7 @@ class Tap(Wrapped):
 
 def check_autopilot(
     airframe: Airframe,
+    computer: Computer,
     transport: Transport,
     clock: Clock,
     ranges_m: Mapping[str, float],
@@ -93,7 +96,7 @@ def check_autopilot(
         return
     client = ParameterClient(tap, clock, airframe.link.system_id, wanted, signing)
     if not client.connect(CONNECT_S):
-        yield _silence(airframe, tap, clock)
+        yield silence(airframe, computer, tap, clock)
         return
     # Others that send on the link, and the messages asked for, need a moment.
     client.wait(lambda: False, 1.5)
@@ -118,16 +121,21 @@ def check_autopilot(
         yield _latency(client, latency_s)
 
 
-def _silence(airframe: Airframe, tap: Tap, clock: Clock) -> Finding:
+def silence(airframe: Airframe, computer: Computer, tap: Tap, clock: Clock) -> Finding:
+    """Why no heartbeat of the autopilot came, and what to do."""
     step = "heartbeat"
-    url = parse_url(tap.description)
     autopilot = "SERIALn_PROTOCOL 2" if airframe.link.autopilot == "ardupilot" else "MAV_n_CONFIG and MAV_n_MODE 2"
+    in_use = None if tap.received_bytes else check_holders(computer, parse_url(tap.description))
+    if in_use is not None:
+        return in_use
     if tap.last_error and not tap.connected:
-        return wrong(step, f"the link cannot be opened: {tap.last_error}", "check link.url, and what else uses it")
+        remedy = "check link.url, and what else uses it: sudo systemctl stop msp-range if the service runs"
+        return wrong(step, f"the link cannot be opened: {tap.last_error}", remedy)
     autopilots = {frame.system for frame in tap.frames if frame.is_autopilot_heartbeat}
     if autopilots and airframe.link.signing_key is not None:
         text = f"system {sorted(autopilots)} is received, and not signed with the key {airframe.link.signing_key}"
-        return wrong(step, text, "msp-range sign AIRFRAME.yaml gives the autopilot the key")
+        remedy = "msp-range sign AIRFRAME.yaml gives the autopilot the key"
+        return wrong(step, text, PX4_SIGNS_NOT if airframe.link.autopilot == "px4" else remedy)
     if autopilots:
         text = f"link.system_id is {airframe.link.system_id}, and the autopilot received is {sorted(autopilots)}"
         return wrong(step, text, "correct link.system_id, or leave it out")
@@ -136,6 +144,7 @@ def _silence(airframe: Airframe, tap: Tap, clock: Clock) -> Finding:
         listed = ", ".join(f"{system}/{component}" for system, component in senders)
         remedy = "connect the bridge to a port of the autopilot, or let the router pass its messages on"
         return wrong(step, f"MAVLink comes from {listed} only, which is no autopilot", remedy)
+    url = parse_url(tap.description)
     if tap.received_bytes:
         rate = f", not {url.baud} baud" if isinstance(url, SerialUrl) else ""
         remedy = f"set the same baud rate on both sides, and {autopilot} on the autopilot's port"
@@ -238,7 +247,8 @@ def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:
 
 def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
     step = "parameters"
-    needed = [each for each in settings(airframe, firmware, 2) if not each.name.startswith(PORT_NAMES)]
+    without = (*PORT_NAMES, ADDRESS) if firmware.any_id else PORT_NAMES
+    needed = [each for each in settings(airframe, firmware, 2) if not each.name.startswith(without)]
     others = differences(client, needed)
     if others:
         listed = "; ".join(described(each) for each in others)
@@ -292,7 +302,7 @@ def _latency(client: ParameterClient, latency_s: float) -> Finding:
     if client.autopilot != "px4":
         return right(step, f"{total_ms:.0f} ms: {parts}")
     delay_ms = client.read("EKF2_RNG_DELAY")
-    if delay_ms is not None and not same(delay_ms, total_ms) and abs(delay_ms - total_ms) > DELAY_MS:
+    if delay_ms is not None and abs(delay_ms - total_ms) > DELAY_MS:
         return wrong(
             step, f"{total_ms:.0f} ms ({parts}), and EKF2_RNG_DELAY is {delay_ms:g}", f"set it to {total_ms:.0f}"
         )

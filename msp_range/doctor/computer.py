@@ -14,6 +14,7 @@ from pathlib import Path
 
 from msp_range.clock import SystemClock
 from msp_range.doctor.finding import Finding, right, wrong
+from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl
 
 SERVICE_USER = "msp-range"
 """The user of the service, made by install.sh."""
@@ -127,12 +128,12 @@ class Computer:
         lines = (self.text(self.boot_config) or "").splitlines()
         return any(re.match(pattern, line.split("#")[0].strip()) for line in lines)
 
-    def holders(self, path: str) -> Iterator[tuple[int, str]]:
-        """Processes that have a file open: number and command.
+    def holders(self, url: TransportUrl) -> Iterator[tuple[int, str]]:
+        """Other processes that have a link's port or connection: number and command.
 
-        What the process of another user has open is not to be seen; then those whose command names the file.
+        What the process of another user has open is not to be seen; then those whose command names a serial port.
         """
-        target = self.target(path)
+        targets = {self.target(url.path)} if isinstance(url, SerialUrl) else set(self._sockets(url))
         for folder in self.root.glob("proc/[0-9]*"):
             command = (self.text(f"/proc/{folder.name}/cmdline") or "").replace("\0", " ")
             if int(folder.name) == os.getpid():
@@ -141,8 +142,17 @@ class Computer:
                 opened = [_target_of(link) for link in folder.joinpath("fd").iterdir()]
             except OSError:
                 opened = _DEVICE.findall(command)
-            if any(self.target(each) == target for each in opened):
+            if any(self.target(each) in targets for each in opened):
                 yield int(folder.name), command or "?"
+
+    def _sockets(self, url: NetworkUrl) -> Iterator[str]:
+        """Sockets at this computer's port of a link, or connected to another one's, as the kernel names them."""
+        protocol, column = url.kind[:3], 1 if url.kind.endswith("in") else 2
+        for name in (protocol, f"{protocol}6"):
+            for line in (self.text(f"/proc/net/{name}") or "").splitlines()[1:]:
+                fields = line.split()
+                if int(fields[column].split(":")[1], 16) == url.port:
+                    yield f"socket:[{fields[9]}]"
 
     def may_write(self, path: str) -> bool:
         """Whether the user may read and write a file, by its mode."""

@@ -1,5 +1,6 @@
 """The order of the steps, from the bus to the autopilot; what an earlier step makes impossible is left out."""
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def examine(
         airframe = load_airframe(path)
     except ConfigError as error:
         remedy = f"correct it; msp-range check {path} shows the rest"
-        if not path.exists():
+        if not os.path.exists(path):
             remedy = "name your airframe file: msp-range doctor AIRFRAME.yaml; install.sh makes that of the service"
         yield wrong("airframe file", str(error), remedy)
         return
@@ -57,7 +58,7 @@ def examine(
     looked, in_use = NOTHING, False
     bus_is_right = True
     stretches = any(sensor.driver.stretches_clock for sensor in airframe.sensors)
-    for finding in check_interface(computer, airframe.bus, stretches):
+    for finding in check_interface(computer, str(KernelBus(airframe.bus).path), stretches):
         yield finding
         bus_is_right = bus_is_right and (finding.verdict is not Verdict.WRONG or finding.step == "I2C clock")
     if bus_is_right:
@@ -98,6 +99,6 @@ def _link(
                 return
     transport = make_transport(airframe.link.url, clock)
     try:
-        yield from check_autopilot(airframe, transport, clock, looked.ranges_m, looked.latency_s)
+        yield from check_autopilot(airframe, computer, transport, clock, looked.ranges_m, looked.latency_s)
     finally:
         transport.close()

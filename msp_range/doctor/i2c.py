@@ -15,12 +15,7 @@ DEFAULT_HZ = 100_000
 _ON = r"(dtparam=.*\bi2c(_arm)?=on|dtoverlay=i2c-gpio)"
 
 
-def path_of(bus: int | str) -> str:
-    """The bus's device file."""
-    return f"/dev/i2c-{bus}" if isinstance(bus, int) else bus
-
-
-def check_interface(computer: Computer, bus: int | str, stretches_clock: bool) -> Iterator[Finding]:
+def check_interface(computer: Computer, path: str, stretches_clock: bool) -> Iterator[Finding]:
     """The steps before the first transfer; the first one that is wrong ends them.
 
     Parameters
@@ -28,14 +23,14 @@ def check_interface(computer: Computer, bus: int | str, stretches_clock: bool) -
     stretches_clock
         Whether a sensor holds the clock low while it is not ready.
     """
-    found = _device_file(computer, path_of(bus))
+    found = _device_file(computer, path)
     yield found
     if found.verdict is not Verdict.RIGHT:
         return
-    allowed = computer.permission("I2C permission", path_of(bus), "i2c")
+    allowed = computer.permission("I2C permission", path, "i2c")
     yield allowed
     if allowed.verdict is Verdict.RIGHT and stretches_clock:
-        yield _clock(computer, path_of(bus).removeprefix("/dev/"))
+        yield _clock(computer, path.removeprefix("/dev/"))
 
 
 def _device_file(computer: Computer, path: str) -> Finding:

@@ -6,24 +6,25 @@ from collections.abc import Iterator
 from msp_range.doctor.computer import SERVICE_USER, Computer
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 from msp_range.mavlink.transport.serial import UARTS
-from msp_range.mavlink.transport.url import SerialUrl
+from msp_range.mavlink.transport.url import SerialUrl, TransportUrl
 
 PORTS = ("/dev/serial/by-id/*", "/dev/ttyACM*", "/dev/ttyUSB*", "/dev/ttyAMA*", "/dev/ttyTHS*")
 """Where an autopilot may be: by USB, at a Raspberry Pi's pins, at a Jetson's. ttyS names are there without a port."""
+LOGIN = "raspi-config: Interface Options, Serial Port, no login shell, then restart the computer"
 _CONSOLE = re.compile(r"console=(tty[A-Z]+\d+|serial\d)")
 
 
 def check_port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
     """The steps before the port is opened; the first one that is not right ends them."""
     for step in (_there, _allowed, _free):
-        finding = step(computer, url.path)
+        finding = step(computer, url)
         yield finding
         if finding.verdict is not Verdict.RIGHT:
             return
 
 
-def _there(computer: Computer, path: str) -> Finding:
-    step = "serial port"
+def _there(computer: Computer, url: SerialUrl) -> Finding:
+    step, path = "serial port", url.path
     target = computer.target(path)
     if computer.exists(target):
         pins, other = computer.target("/dev/serial0"), computer.target("/dev/serial1")
@@ -46,25 +47,35 @@ def _there(computer: Computer, path: str) -> Finding:
     return wrong(step, f"there is no {path}{there}", remedy)
 
 
-def _allowed(computer: Computer, path: str) -> Finding:
-    return computer.permission("serial permission", computer.target(path), "dialout")
+def _allowed(computer: Computer, url: SerialUrl) -> Finding:
+    return computer.permission("serial permission", computer.target(url.path), "dialout")
 
 
-def _free(computer: Computer, path: str) -> Finding:
-    step = "serial port in use"
+def _free(computer: Computer, url: SerialUrl) -> Finding:
+    step, path = "serial port in use", url.path
     target = computer.target(path)
-    login = "raspi-config: Interface Options, Serial Port, no login shell, then restart the computer"
     for name in _CONSOLE.findall(computer.text("/proc/cmdline") or ""):
         if computer.target(f"/dev/{name}") == target:
-            return wrong(step, f"the kernel's console is on {path}: it writes there, and a login reads", login)
-    for process, command in computer.holders(path):
+            return wrong(step, f"the kernel's console is on {path}: it writes there, and a login reads", LOGIN)
+    return check_holders(computer, url) or right(step, f"no console and no other program on {path}")
+
+
+def check_holders(computer: Computer, url: TransportUrl) -> Finding | None:
+    """Who else has the port, or a connection to one of this number; None: nobody is seen.
+
+    A serial port serves one program at a time, and so do many servers: a second one connects, and receives nothing.
+    """
+    step, place = (
+        ("serial port in use", url.path) if isinstance(url, SerialUrl) else ("link in use", f"port {url.port}")
+    )
+    for process, command in computer.holders(url):
         who = f"process {process} ({command.strip()})"
         if "getty" in command:
-            return wrong(step, f"a login shell has {path} open: {who}", login)
-        if SERVICE_USER in command:
-            return unknown(step, f"the bridge runs and has {path}: {who}", "sudo systemctl stop msp-range, then again")
-        remedy = "stop it"
+            return wrong(step, f"a login shell has {place} open: {who}", LOGIN)
+        if f"{SERVICE_USER} run" in command:
+            return unknown(step, f"the bridge runs and has {place}: {who}", "sudo systemctl stop msp-range, then again")
+        remedy = "end it, then again"
         if "ModemManager" in command:
             remedy = "sudo systemctl disable --now ModemManager, or the udev rule of install.sh"
-        return wrong(step, f"another program uses {path}: {who}", remedy)
-    return right(step, f"no console and no other program on {path}")
+        return wrong(step, f"another program uses {place}: {who}", remedy)
+    return None

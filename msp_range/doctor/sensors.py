@@ -184,16 +184,17 @@ def _start(sensor: PolledSensor, clock: Clock) -> float | None:
 def _answer(sensor: PolledSensor, clock: Clock, pinged_s: float | None) -> TimedPing:
     if pinged_s is None:
         return TimedPing(None, 0.0, 0.0)
-    timing = sensor.timing
-    clock.sleep_until(pinged_s + timing.first_answer_s)
+    # After the write: on a busy computer the ranging has begun late.
+    end_s = clock.now() + sensor.timing.deadline_s
+    clock.sleep_until(pinged_s + sensor.timing.first_answer_s)
     while True:
         now_s = clock.now()
         try:
             decoded = sensor.device.answer()
         except BusError:
-            if now_s >= pinged_s + timing.deadline_s:
+            if now_s >= end_s:
                 return TimedPing(None, now_s - pinged_s, 0.0)
-            clock.sleep_until(min(now_s + POLL_INTERVAL_S, pinged_s + timing.deadline_s))
+            clock.sleep_until(now_s + POLL_INTERVAL_S)
             continue
         answered_s = clock.now() - pinged_s
         decoded = decoded.arrived_after(answered_s)

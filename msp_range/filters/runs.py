@@ -92,7 +92,9 @@ class RangeLikelihood:
     bias_m2: float
 
     @classmethod
-    def of(cls, model: MixtureParameters, minimum_cm: int, maximum_cm: int, resolution_cm: float) -> "RangeLikelihood":
+    def of(
+        cls, model: MixtureParameters, minimum_cm: float, maximum_cm: float, resolution_cm: float
+    ) -> "RangeLikelihood":
         """Make it from a sensor model file's section ``reading_model``."""
         weights = model.weights
         with_range = weights.hit + weights.short + weights.random

@@ -15,7 +15,7 @@ from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import Attitude
 from msp_range.fusion.garbled import GarbledAnswers
 from msp_range.fusion.ground_filter import Ground, GroundFilter
-from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
+from msp_range.fusion.mounting import LEVEL, DownwardSensor, View, spans_plane
 from msp_range.fusion.objects import Below
 from msp_range.fusion.outcome import GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.start import Candidate, Found, Start
@@ -66,6 +66,7 @@ class _Sensor:
         self.below = Below()
         self.stuck = StuckWatch()
         self.is_ground_in_doubt = False
+        self.foot_m = (0.0, 0.0)
 
 
 class Fusion:
@@ -115,7 +116,7 @@ class Fusion:
         self._garbled = GarbledAnswers()
         self._steps_m = 0.0
         self._rough_m2 = 0.0
-        self._shared_m2 = 0.0
+        self._shared_m2 = self._nearest = 0.0
         self._fit = 1.0
         self._tilted = False
         self.level_height_m: float | None = None
@@ -236,7 +237,7 @@ class Fusion:
         off_m = self._garbled.innovation_m(self._time_s, answers_m, view.expected_m, known_m2 + variance_m2)
         if off_m is None:
             return False
-        known.update(view, off_m, variance_m2 + garbled.STD_M**2, OTHER_PER_M)
+        known.update(view, off_m, variance_m2 + garbled.STD_M**2, OTHER_PER_M, False)
         self._known_s = self._time_s
         return True
 
@@ -282,6 +283,7 @@ class Fusion:
             newest.variance_m2,
             newest.height_m - earlier.height_m,
             newest.time_s - earlier.time_s,
+            (-view.by_north / view.by_height, -view.by_east / view.by_height),
             self._motion.rate(self._time_s),
         )
         self._steps_m = newest.height_m - climbed_m
@@ -321,7 +323,9 @@ class Fusion:
             self._on_ground(sensor, view)
             return None
         variance_m2 = _variance_m2(reading) + self._rough_m2
-        square = known.update(view, innovation_m, variance_m2, other_per_m) if fits else None
+        sensor.foot_m = sensor.mounted.foot_m(range_m)
+        learns = fits and self._shows_slope(sensor)
+        square = known.update(view, innovation_m, variance_m2, other_per_m, learns) if fits else None
         if square is not None:
             self._scatter(square, variance_m2)
             self._on_ground(sensor, view)
@@ -352,6 +356,14 @@ class Fusion:
         newest = [sight.newest(since_s) for sight in self._sights if not sight.repeated]
         return sum([seen is not None and seen.is_ground for seen in newest]) >= 2
 
+    def _shows_slope(self, newest: _Sensor) -> bool:
+        """Whether this sensor and the others that see the ground now span a plane."""
+        since_s = self._time_s - self._windows.fresh_s
+        sees = [(sensor, sensor.sight.newest(since_s)) for sensor in self._sensors.values()]
+        return spans_plane(
+            [each.foot_m for each, seen in sees if each is newest or (seen is not None and seen.is_ground)]
+        )
+
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""
         change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
@@ -364,6 +376,7 @@ class Fusion:
         self._support.on_ground(self._time_s)
         self._known_s = self._time_s
         self._shared_m2 = view.shared_variance_m2
+        self._nearest = view.nearest
 
     def _on_off(
         self, known: GroundFilter, sensor: _Sensor, reading: Reading, off_m: float, view: View, rotation: Matrix
@@ -400,7 +413,11 @@ class Fusion:
         along = max(down + known.rise_north * north + known.rise_east * east, 0.1)
         range_m = known.height_m / along
         slopes = -range_m / along
-        variance_m2 = known.variance(1 / along, slopes * north, slopes * east)
+        # Readings to the nearest point give h / |G|, so that the height follows the slope that is estimated.
+        bends = self._nearest * range_m / (1 + known.rise_north**2 + known.rise_east**2)
+        variance_m2 = known.variance(
+            1 / along, slopes * north + bends * known.rise_north, slopes * east + bends * known.rise_east
+        )
         if self._fit > FIT_TOLERATED:
             variance_m2 *= self._fit
         return Fused(

@@ -4,11 +4,11 @@ Height h [m] moves with its rate w [m/s], and w by white acceleration. Three suc
 quiet vehicle, one in cruise and one that manoeuvres; they are mixed by how well each predicts the readings
 (interacting multiple models: Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
 
-The ground's rise per metre north and east, g, is common to the three. What a reading shows of it is the difference of
-its lever (how far from the reference point the sensor looks) from the mean lever of the last readings; where that mean
-is, the height is known, and how the slope carries on from there is not learnt from it. So the two are independent, and
-what no sensor sees stays uncertain: one sensor at a corner knows the height there and not below the vehicle's middle.
-Plain floats: for so few that is quicker than arrays.
+The ground's rise per metre north and east, g, is common to the three. Where the sensors that see the ground do not span
+a plane, g is a consider state (Schmidt, Advances in Control Systems 3, 1966): its uncertainty counts in every gain and
+variance, with its covariance to height and rate, but no reading changes it. Otherwise a vehicle that sways while it
+climbs would learn a slope from its own motion. So what no sensor sees stays uncertain: one sensor at a corner knows the
+height there and not below the vehicle's middle. Plain floats: for so few that is quicker than arrays.
 """
 
 import math
@@ -36,8 +36,6 @@ SLOPE_STD = 0.10
 """Standard deviation of the ground's rise a metre: 6 deg."""
 SLOPE_LASTS_S = 30.0
 """Time constant with which the slope falls back to level where no reading holds it [s]."""
-LEVER_SHARE = 0.2
-"""Share of the newest reading's lever in the mean lever: a round of four sensors."""
 QUIET_M_S2, QUIET_STD_M_S2 = 0.6, 0.3
 """A calm vehicle has no measured acceleration much beyond the first, by a normal distribution of the second [m/s^2]:
 twice an accelerometer's noise, and once. Smaller leaves the calm filter for vibration, larger lets it lag behind a
@@ -48,8 +46,8 @@ LEAST_WEIGHT = 1e-4
 """No way to move is ever ruled out further than this."""
 SQRT_TWO_PI = math.sqrt(2 * math.pi)
 
-_Motion = tuple[float, float, float, float, float]
-"""Means and covariance of one filter: h, w, hh, hw, ww."""
+_Motion = tuple[float, float, float, float, float, float, float, float, float]
+"""Means of one filter, their covariance, and that with the slope: h, w, hh, hw, ww, hn, he, wn, we."""
 
 
 class Ground(NamedTuple):
@@ -78,9 +76,11 @@ class GroundFilter:
     Parameters
     ----------
     height_m, variance_m2
-        Height at the beginning [m], and the variance of its error [m^2].
+        Height by the first reading, over level ground [m], and the variance of its error [m^2].
     higher_m, elapsed_s
         How much higher that is than another reading [m], how long ago [s].
+    lever_m
+        How far north and east of the reference point that reading is of the ground [m].
     climb
         How fast the vehicle climbs, where that is known better than from two readings.
 
@@ -91,24 +91,38 @@ class GroundFilter:
     """
 
     def __init__(
-        self, height_m: float, variance_m2: float, higher_m: float, elapsed_s: float, climb: Rate | None = None
+        self,
+        height_m: float,
+        variance_m2: float,
+        higher_m: float,
+        elapsed_s: float,
+        lever_m: tuple[float, float] = (0.0, 0.0),
+        climb: Rate | None = None,
     ) -> None:
         apart_s = max(elapsed_s, SHORTEST_BASE_S)
         # Of two places on a slope, perhaps, and each with its noise.
         climb_variance = (2 * variance_m2 + START_SLOPE_M * START_SLOPE_M) / (apart_s * apart_s)
-        start: _Motion = (height_m, higher_m / apart_s, variance_m2, variance_m2 / apart_s, climb_variance)
+        climb_m_s, covariance = higher_m / apart_s, variance_m2 / apart_s
         if climb is not None and climb.variance < climb_variance:
-            start = (height_m, climb.m_s, variance_m2, 0.0, climb.variance)
+            climb_m_s, climb_variance, covariance = climb.m_s, climb.variance, 0.0
+        # h = H + lever . g, H what was read.
+        slope_m2 = SLOPE_STD * SLOPE_STD
+        north, east = lever_m
+        hh = variance_m2 + (north * north + east * east) * slope_m2
+        start: _Motion = (
+            height_m, climb_m_s, hh, covariance, climb_variance, north * slope_m2, east * slope_m2, 0.0, 0.0
+        )  # fmt: skip
         self._filters: tuple[_Motion, ...] = (start, start, start)
         self._weights: tuple[float, ...] = START_WEIGHTS
         self.height_m, self.climb_m_s = start[:2]
-        self._mean_lever: tuple[float, float] | None = None
-        self.level()
+        self.rise_north = self.rise_east = 0.0
+        self._slope = (slope_m2, 0.0, slope_m2)
 
     def level(self) -> None:
         """Forget the slope, as where its frame has changed."""
         self.rise_north = self.rise_east = 0.0
         self._slope = (SLOPE_STD * SLOPE_STD, 0.0, SLOPE_STD * SLOPE_STD)
+        self._filters = tuple([(*motion[:5], 0.0, 0.0, 0.0, 0.0) for motion in self._filters])
 
     def predict(self, t: float, up_m_s2: float | None = None) -> None:
         """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way.
@@ -132,14 +146,14 @@ class GroundFilter:
         of_wild += spurs - eases
         # A calm vehicle's filter takes hardly anything of the next one; that one takes from both sides.
         woken = _mixed(moving, calm, wakes / (of_moving - eases))
+        stays = max(1 - t / SLOPE_LASTS_S, 0.0)
         self._filters = (
-            _moved(calm, moving, calms / of_calm, t, CALM_M2_S3, 0.0),
-            _moved(woken, wild, eases / of_moving, t, MOVING_M2_S3, up_m_s2),
-            _moved(wild, moving, spurs / of_wild, t, manoeuvre_m2_s3, up_m_s2),
+            _moved(_mixed(calm, moving, calms / of_calm), t, CALM_M2_S3, 0.0, stays),
+            _moved(_mixed(woken, wild, eases / of_moving), t, MOVING_M2_S3, up_m_s2, stays),
+            _moved(_mixed(wild, moving, spurs / of_wild), t, manoeuvre_m2_s3, up_m_s2, stays),
         )
         self._weights = (of_calm, of_moving, of_wild)
         self._combine()
-        stays = max(1 - t / SLOPE_LASTS_S, 0.0)
         square = stays * stays
         comes = (1 - square) * SLOPE_STD * SLOPE_STD
         nn, ne, ee = self._slope
@@ -147,8 +161,14 @@ class GroundFilter:
         self.rise_north *= stays
         self.rise_east *= stays
 
-    def update(self, view: View, innovation_m: float, variance_m2: float, other_per_m: float) -> float | None:
+    def update(
+        self, view: View, innovation_m: float, variance_m2: float, other_per_m: float, learns_slope: bool = True
+    ) -> float | None:
         """Take a reading that is ``innovation_m`` longer than expected, where it is of the ground.
+
+        With H = (a, 0, b, c) the derivatives of the reading and x = (h, w, g), each filter's gain of h and w is
+        K = P H^T / S, S = H P H^T + R. That of g is the same, of the mixture's means, or 0 where g is only considered;
+        the covariance of h and w with g falls by K H P in both cases.
 
         Parameters
         ----------
@@ -156,6 +176,8 @@ class GroundFilter:
             What is expected, how much longer the reading is [m], and the variance of its error [m^2].
         other_per_m
             Probability density of readings that are not of the ground [1/m].
+        learns_slope
+            Whether the sensors that see the ground span a plane.
 
         Returns
         -------
@@ -163,85 +185,72 @@ class GroundFilter:
             The innovation squared over its variance; None where the reading is more likely of something else, and
             nothing has changed.
         """
-        _, a, by_north, by_east, _ = view
-        lever_north, lever_east = by_north / a, by_east / a
-        mean_north, mean_east = self._mean_lever or (lever_north, lever_east)
-        b, c = a * (lever_north - mean_north), a * (lever_east - mean_east)
+        a, b, c = view[1:4]
         nn, ne, ee = self._slope
-        x_north, x_east = b * nn + c * ne, b * ne + c * ee
-        noise_m2 = variance_m2 + b * x_north + c * x_east
-        innovations, likelihoods, total, normalised, total_m2 = [], [], 0.0, 0.0, 0.0
+        updated: list[_Motion] = []
+        likelihoods = []
+        normalised = total_m2 = slope_n = slope_e = 0.0
         expected_m = innovation_m + a * self.height_m
-        for weight, (h, _, hh, _, _) in zip(self._weights, self._filters, strict=True):
+        for weight, (h, w, hh, hw, ww, hn, he, wn, we) in zip(self._weights, self._filters, strict=True):
+            ph, pw = a * hh + b * hn + c * he, a * hw + b * wn + c * we
+            pn, pe = a * hn + b * nn + c * ne, a * he + b * ne + c * ee
             # The reading was foretold for the mixture; each filter's own mean is a little off from that.
-            own_m, own_m2 = expected_m - a * h, a * a * hh + noise_m2
-            innovations.append((own_m, own_m2))
+            own_m, own_m2 = expected_m - a * h, a * ph + b * pn + c * pe + variance_m2
+            k, j = ph / own_m2, pw / own_m2
+            h, w, hh, hw, ww = h + k * own_m, w + j * own_m, hh - k * ph, hw - k * pw, ww - j * pw
+            updated.append((h, w, hh, hw, ww, hn - k * pn, he - k * pe, wn - j * pn, we - j * pe))
             square = own_m * own_m / own_m2
-            likelihood = weight * math.exp(-0.5 * square) / math.sqrt(own_m2)
-            likelihoods.append(likelihood)
-            total += likelihood
+            likelihoods.append(weight * math.exp(-0.5 * square) / math.sqrt(own_m2))
             normalised += weight * square
             total_m2 += weight * own_m2
+            slope_n += weight * pn
+            slope_e += weight * pe
+        total = sum(likelihoods)
         if total < other_per_m * SQRT_TWO_PI:
             return None
         least = LEAST_WEIGHT * total
         self._weights = tuple([each / total if each > least else LEAST_WEIGHT for each in likelihoods])
-        k_north, k_east = x_north / total_m2, x_east / total_m2
-        to_north, to_east = k_north * innovation_m, k_east * innovation_m
-        self.rise_north += to_north
-        self.rise_east += to_east
-        self._slope = (nn - k_north * x_north, ne - k_north * x_east, ee - k_east * x_east)
-        # The height where the mean lever is stays, whatever the slope.
-        lower_m = mean_north * to_north + mean_east * to_east
-        filters = []
-        for (h, w, hh, hw, ww), (own_m, own_m2) in zip(self._filters, innovations, strict=True):
-            k0, k1 = a * hh / own_m2, a * hw / own_m2
-            still = 1 - a * k0
-            filters.append((h - lower_m + k0 * own_m, w + k1 * own_m, still * hh, still * hw, ww - a * k1 * hw))
-        self._filters = tuple(filters)
-        self._mean_lever = (
-            mean_north + LEVER_SHARE * (lever_north - mean_north),
-            mean_east + LEVER_SHARE * (lever_east - mean_east),
-        )
+        self._filters = tuple(updated)
+        if learns_slope:
+            k_north, k_east = slope_n / total_m2, slope_e / total_m2
+            self.rise_north += k_north * innovation_m
+            self.rise_east += k_east * innovation_m
+            self._slope = (nn - k_north * slope_n, ne - k_north * slope_e, ee - k_east * slope_e)
         self._combine()
         return normalised
 
     def shift(self, by_m: float, variance_m2: float, climb_variance: float) -> None:
         """The ground is ``by_m`` lower than thought, as beyond a step; the vehicle's motion stays."""
         self._filters = tuple(
-            [(h + by_m, w, hh + variance_m2, hw, ww + climb_variance) for h, w, hh, hw, ww in self._filters]
+            [
+                (h + by_m, w, hh + variance_m2, hw, ww + climb_variance, hn, he, wn, we)
+                for h, w, hh, hw, ww, hn, he, wn, we in self._filters
+            ]
         )
         self._combine()
 
     def ground(self) -> Ground:
-        """The mixture's mean and covariance: h = H - m . g, H the height where the mean lever m is, apart from g."""
-        hh = hw = ww = 0.0
-        for weight, (h, w, own_hh, own_hw, own_ww) in zip(self._weights, self._filters, strict=True):
+        """The mixture's mean and covariance."""
+        hh, hw, ww, hn, he, wn, we = [
+            sum([weight * each for weight, each in zip(self._weights, column, strict=True)])
+            for column in list(zip(*self._filters, strict=True))[2:]
+        ]
+        for weight, (h, w, *_) in zip(self._weights, self._filters, strict=True):
             off_m, off_m_s = h - self.height_m, w - self.climb_m_s
-            hh += weight * (own_hh + off_m * off_m)
-            hw += weight * (own_hw + off_m * off_m_s)
-            ww += weight * (own_ww + off_m_s * off_m_s)
-        north, east = self._mean_lever or (0.0, 0.0)
+            hh += weight * off_m * off_m
+            hw += weight * off_m * off_m_s
+            ww += weight * off_m_s * off_m_s
         nn, ne, ee = self._slope
-        hn, he = -(north * nn + east * ne), -(north * ne + east * ee)
-        covariance = (
-            (hh - north * hn - east * he, hw, hn, he),
-            (hw, ww, 0.0, 0.0),
-            (hn, 0.0, nn, ne),
-            (he, 0.0, ne, ee),
-        )
+        covariance = ((hh, hw, hn, he), (hw, ww, wn, we), (hn, wn, nn, ne), (he, we, ne, ee))
         return Ground(self.height_m, self.climb_m_s, self.rise_north, self.rise_east, covariance)
 
     def variance(self, by_height: float, by_north: float, by_east: float) -> float:
         """Variance of the error of a linear combination of height and slope."""
-        height_m, total = self.height_m, 0.0
-        for weight, motion in zip(self._weights, self._filters, strict=True):
-            off_m = motion[0] - height_m
-            total += weight * (motion[2] + off_m * off_m)
-        mean_north, mean_east = self._mean_lever or (0.0, 0.0)
-        b, c = by_north - by_height * mean_north, by_east - by_height * mean_east
-        nn, ne, ee = self._slope
-        return by_height * by_height * total + b * (b * nn + 2 * c * ne) + c * c * ee
+        row = (by_height, 0.0, by_north, by_east)
+        covariance = self.ground().covariance
+        return sum(
+            [a * b * each for a, line in zip(row, covariance, strict=True) for b, each in zip(row, line, strict=True)]
+        )
 
     def _combine(self) -> None:
         a, b, c = self._weights
@@ -259,9 +268,11 @@ def _without_calm(up_m_s2: float, of_calm: float, of_moving: float, of_wild: flo
 
 
 def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
-    """Mean and covariance of a mixture of which ``share`` is the other's."""
-    h, w, hh, hw, ww = own
-    h2, w2, hh2, hw2, ww2 = other
+    """Mean and covariance of a mixture of which ``share`` is the other's; of a very small share nothing."""
+    if share <= LEAST_SHARE:
+        return own
+    h, w, hh, hw, ww, hn, he, wn, we = own
+    h2, w2, hh2, hw2, ww2, hn2, he2, wn2, we2 = other
     dh, dw, rest = h2 - h, w2 - w, 1 - share
     return (
         h + share * dh,
@@ -269,24 +280,29 @@ def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:
         hh + share * (hh2 - hh + rest * dh * dh),
         hw + share * (hw2 - hw + rest * dh * dw),
         ww + share * (ww2 - ww + rest * dw * dw),
+        hn + share * (hn2 - hn),
+        he + share * (he2 - he),
+        wn + share * (wn2 - wn),
+        we + share * (we2 - we),
     )
 
 
-def _moved(own: _Motion, other: _Motion, share: float, t: float, density: float, up_m_s2: float) -> _Motion:
-    """Mixed, then x' = F x + (t^2/2, t) a, P' = F P F^T + Q; a the measured acceleration.
+def _moved(own: _Motion, t: float, density: float, up_m_s2: float, stays: float) -> _Motion:
+    """x' = F x + (t^2/2, t) a, P' = F P F^T + Q; a the measured acceleration, the slope falls to ``stays`` of itself.
 
     Q is that of white acceleration of density q: [[t^3/3, t^2/2], [t^2/2, t]] q.
     """
-    h, w, hh, hw, ww = own
-    if share > LEAST_SHARE:
-        h2, w2, hh2, hw2, ww2 = other
-        dh, dw, rest = h2 - h, w2 - w, 1 - share
-        h += share * dh
-        w += share * dw
-        hh += share * (hh2 - hh + rest * dh * dh)
-        hw += share * (hw2 - hw + rest * dh * dw)
-        ww += share * (ww2 - ww + rest * dw * dw)
+    h, w, hh, hw, ww, hn, he, wn, we = own
     noise = density * t
     change_m_s = up_m_s2 * t
-    h, w = h + (w + 0.5 * change_m_s) * t, w + change_m_s
-    return h, w, hh + t * (2 * hw + t * (ww + noise / 3)), hw + t * (ww + noise / 2), ww + noise
+    return (
+        h + (w + 0.5 * change_m_s) * t,
+        w + change_m_s,
+        hh + t * (2 * hw + t * (ww + noise / 3)),
+        hw + t * (ww + noise / 2),
+        ww + noise,
+        (hn + t * wn) * stays,
+        (he + t * we) * stays,
+        wn * stays,
+        we * stays,
+    )

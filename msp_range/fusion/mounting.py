@@ -10,7 +10,7 @@ sensor at q that looks along the unit vector b, both in the level frame, over gr
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -23,6 +23,11 @@ _SHARE_SLANT = {"slant": 1.0, "nearest": 0.0, "unknown": 0.5}
 STEEPEST = 0.2
 """A beam this flat to the ground meets it nowhere near: cosine of the angle to the ground's normal at least."""
 
+NARROWEST_M = 0.1
+"""Root of the summed squared distances from the best line through them that sensors must have to show a slope [m]: a
+difference of a centimetre between two sensors is then no more slope than ground usually has. Smaller learns slope from
+how the vehicle sways, larger learns none below a small vehicle."""
+
 
 class View(NamedTuple):
     """What a sensor should read, and what changes that.
@@ -32,10 +37,12 @@ class View(NamedTuple):
     expected_m
         Range over this ground [m].
     by_height, by_north, by_east
-        Its derivatives: by the height [m/m] and by the two rises [m].
+        Its derivatives: by the height [m/m], and over level ground by the two rises [m].
     shared_variance_m2
         Of the height, where it is not known which of the two it reads: ((slant - nearest) / 2)^2, else 0 [m^2]. It
         is the same error in every reading and does not average out.
+    nearest
+        Share of the range to the nearest point in it: 0, 0.5 or 1.
     """
 
     expected_m: float
@@ -43,6 +50,7 @@ class View(NamedTuple):
     by_north: float
     by_east: float
     shared_variance_m2: float
+    nearest: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +91,32 @@ class DownwardSensor:
         divisor = slant * axis + nearest * normal
         range_m = over_m / divisor
         apart_m = range_m * (normal - axis) / 2 if slant == 0.5 else 0.0
+        # Derivatives by the rises are those over level ground: at the estimate a filter would learn slope from itself.
+        level = slant * (dx * bx + dy * by + dz * bz) + nearest
+        beam_m = slant * (height_m - (dx * px + dy * py + dz * pz)) / level
         return View(
             range_m,
             1.0 / divisor,
-            -(q_north + range_m * (slant * b_north + nearest * rise_north / normal)) / divisor,
-            -(q_east + range_m * (slant * b_east + nearest * rise_east / normal)) / divisor,
+            -(q_north + beam_m * b_north) / level,
+            -(q_east + beam_m * b_east) / level,
             apart_m * apart_m,
+            nearest,
         )
+
+    def foot_m(self, range_m: float) -> tuple[float, float]:
+        """Where it reads ``range_m`` of the ground: forward and right of the reference point, body axes [m]."""
+        along_m = _SHARE_SLANT[self.oblique] * range_m
+        return self.position_m[0] + along_m * self.boresight[0], self.position_m[1] + along_m * self.boresight[1]
+
+
+def spans_plane(feet_m: Sequence[tuple[float, float]]) -> bool:
+    """Whether places on the ground lie so far from any one line through them that their heights show a slope."""
+    if len(feet_m) < 3:
+        return False
+    middle_x, middle_y = (sum(column) / len(feet_m) for column in zip(*feet_m, strict=True))
+    xx = yy = xy = 0.0
+    for x, y in feet_m:
+        x, y = x - middle_x, y - middle_y
+        xx, yy, xy = xx + x * x, yy + y * y, xy + x * y
+    # The smaller eigenvalue of [[xx, xy], [xy, yy]] is the sum of squared distances from the best line.
+    return xx + yy - math.hypot(xx - yy, 2 * xy) > 2 * NARROWEST_M * NARROWEST_M

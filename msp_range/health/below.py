@@ -13,14 +13,14 @@ class Observation(NamedTuple):
     sensor
         Its name.
     kind
-        An object, a hole, the ground again, or 'doubt': as well a hole below this sensor as a bus that loses a byte of
-        the others' answers.
+        An object, a hole, the ground again, 'unseen': what was there, and then no ground either, or 'doubt': as well a
+        hole below this sensor as a bus that loses a byte of the others' answers.
     height_m
         Over the ground, negative in a hole [m].
     """
 
     sensor: str
-    kind: Literal["object", "hole", "ground", "doubt"]
+    kind: Literal["object", "hole", "ground", "unseen", "doubt"]
     height_m: float
 
     @property
@@ -32,6 +32,8 @@ class Observation(NamedTuple):
             return f"Range {self.sensor}: hole below, {-self.height_m:.1f} m deep"
         if self.kind == "doubt":
             return f"Range {self.sensor} {-self.height_m:.1f} m longer: garbled?"
+        if self.kind == "unseen":
+            return f"Range {self.sensor}: {'object' if self.height_m > 0 else 'hole'} not seen now"
         return f"Range {self.sensor}: ground below"
 
 
@@ -48,16 +50,19 @@ class ObservationsBelow:
         self._report = report
         self._of: dict[str, Observation] = {}
 
-    def update(self, sensor: str, object_m: float | None, is_ground_in_doubt: bool = False) -> None:
+    def update(
+        self, sensor: str, object_m: float | None, is_ground_in_doubt: bool = False, sees_ground: bool = False
+    ) -> None:
         """Report a change: ``object_m`` is the height of what is not ground [m]; None: the ground, or nothing.
 
         Where the ground is in doubt, a sensor that sees farther than the others may be the only one that is right.
+        ``sees_ground``: whether its reading is of the ground.
         """
         if (object_m is None) == (sensor not in self._of):
             return
         if object_m is None:
-            del self._of[sensor]
-            self._report(Severity.INFO, Observation(sensor, "ground", 0.0).text)
+            before = self._of.pop(sensor)
+            self._report(Severity.INFO, before._replace(kind="ground" if sees_ground else "unseen").text)
         else:
             hole: Literal["hole", "doubt"] = "doubt" if is_ground_in_doubt else "hole"
             self._of[sensor] = Observation(sensor, "object" if object_m > 0 else hole, object_m)

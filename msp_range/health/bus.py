@@ -10,17 +10,31 @@ WORKS_AGAIN_S = 2.0
 once; longer reports later that it is back."""
 _NOT_OPENED = {errno.ENOENT: "no I2C bus: enable I2C", errno.EACCES: "no permission for the I2C bus"}
 
+_REMEDY = "check the adapter's plug, the wires of data and clock and the sensors' power; msp-range doctor says more"
+
 
 class BusHealth:
     """The bus that all sensors are on."""
 
     def __init__(self) -> None:
         self._text = ""
-        self._fault_s = float("-inf")
+        self._fault_s, self._last_s = float("-inf"), 0.0
+
+    def on_stuck(self, now_s: float) -> None:
+        """Record that a transfer does not end: every device waits for it, whatever it ends with."""
+        if self._works:
+            self._text = "Range: I2C bus locked up, transfer does not end"
+        self._fault_s = self._last_s = now_s
+
+    @property
+    def _works(self) -> bool:
+        # Not by the time that has passed: one transfer may take longer than that.
+        return self._last_s - self._fault_s > WORKS_AGAIN_S
 
     def on_ranging(self, now_s: float, ranging: Ranging) -> None:
         """Check a ranging for a fault that is the bus's and not its sensor's."""
         error = ranging.error
+        self._last_s = now_s
         if error is not None and error.bus_at_fault:
             self._fault_s = now_s
             what = "I2C bus locked up, reopening" if error.locked_up else "I2C bus gone, reopening"
@@ -28,7 +42,7 @@ class BusHealth:
                 what = _NOT_OPENED.get(error.errno or 0, "I2C bus cannot be opened")
             self._text = f"Range: {what} (errno {error.errno})"
 
-    def conditions(self, now_s: float) -> list[Condition]:
+    def condition(self) -> Condition:
         """As it is now."""
-        works = now_s - self._fault_s > WORKS_AGAIN_S
-        return [Condition("bus", None if works else self._text, "Range: I2C bus works again", Severity.ERROR)]
+        text, over = None if self._works else self._text, "Range: I2C bus works again"
+        return Condition("bus", text, over, Severity.ERROR, remedy=_REMEDY)

@@ -12,6 +12,8 @@ from typing import NamedTuple
 from msp_range.reading import Status
 from msp_range.sensors.polling import Ranging
 
+EXPLAINED = "docs/flying.md explains the texts"
+
 READINGS_TO_CHANGE = 3
 """Readings in a row that make a sensor bad, or good again."""
 READINGS_JUDGED = 10
@@ -31,33 +33,53 @@ class Severity(IntEnum):
 Report = Callable[[Severity, str], None]
 
 _WORDS = {
-    Status.NO_ANSWER: "no answer",
-    Status.CLOCK_FAULT: "I2C clock fault, use 50 kHz",
-    Status.IMPOSSIBLE: "impossible answers",
-    Status.PART_INFO: "answers without ranging",
-    Status.STUCK: "stuck at one value",
-    Status.GARBLED: "garbled answers, check the bus",
+    Status.NO_ANSWER: ("no answer", "check its power, its wires and its address"),
+    Status.CLOCK_FAULT: ("I2C clock fault, use 50 kHz", "msp-range doctor says how the bus's clock is set"),
+    Status.IMPOSSIBLE: ("impossible answers", "check that it is of the model in the airframe file, and its supply"),
+    Status.PART_INFO: ("answers without ranging", "switch its power off and on"),
+    Status.STUCK: ("stuck at one value", "switch its power off and on"),
+    Status.GARBLED: ("garbled answers, check the bus", "check the bus's wires, pull-ups and clock"),
 }
 
 
 class Condition(NamedTuple):
-    """What `Health.set` needs: a condition's key, what is wrong or None, what to report at its end, how bad it is, and
-    whether a text that changes is reported again."""
+    """Something that is wrong while it lasts.
+
+    Attributes
+    ----------
+    key
+        Which condition it is.
+    text
+        What is wrong, for the pilot; None: nothing.
+    over
+        What to report at its end.
+    severity
+        How bad it is.
+    renews
+        Whether another text while it lasts is reported too.
+    remedy
+        What to do about it.
+    is_reported
+        Whether the pilot is to read it; else it only counts for the verdict.
+    """
 
     key: str
     text: str | None
     over: str
     severity: Severity = Severity.WARNING
     renews: bool = False
+    remedy: str = EXPLAINED
+    is_reported: bool = True
 
 
 class _SensorHealth:
     def __init__(self) -> None:
         self.fault: str | None = None
+        self.remedy = ""
         self.known = False
         self.streak = 0
         self.streak_bad = False
-        self.last_fault = ""
+        self.last_fault = ("", "")
         self.recent: deque[bool] = deque(maxlen=READINGS_JUDGED)
         self.to_be_good = READINGS_TO_CHANGE
 
@@ -76,7 +98,7 @@ class Health:
     def __init__(self, sensors: Iterable[str], report: Report) -> None:
         self._sensors = {name: _SensorHealth() for name in sensors}
         self._report = report
-        self._conditions: dict[str, tuple[Severity, str]] = {}
+        self._conditions: dict[str, Condition] = {}
 
     @property
     def bad_sensors(self) -> list[str]:
@@ -107,15 +129,14 @@ class Health:
         sensor.streak_bad = bad
         sensor.recent.append(bad)
         if bad:
-            sensor.last_fault = _WORDS[reading.status]
-            if ranging.error is not None:
-                sensor.last_fault += f" (errno {ranging.error.errno})"
+            words, remedy = _WORDS[reading.status]
+            sensor.last_fault = words if ranging.error is None else f"{words} (errno {ranging.error.errno})", remedy
         in_a_row = sensor.streak >= READINGS_TO_CHANGE
         if not in_a_row and len(sensor.recent) < READINGS_JUDGED:
             return
         often = len(sensor.recent) == READINGS_JUDGED and 2 * sum(sensor.recent) >= READINGS_JUDGED
         if sensor.fault is None and (often or (bad and in_a_row)):
-            sensor.fault = sensor.last_fault
+            sensor.fault, sensor.remedy = sensor.last_fault
             self._report(Severity.ERROR, f"Range {reading.sensor}: {sensor.fault}")
         elif not bad and sensor.fault is not None and sensor.streak >= sensor.to_be_good:
             sensor.fault = None
@@ -129,35 +150,26 @@ class Health:
             if self.complete and not self.bad_sensors:
                 self._report(Severity.INFO, f"Range: all {len(self._sensors)} sensors good")
 
-    def set(
-        self, condition: str, text: str | None, over: str, severity: Severity = Severity.WARNING, renews: bool = False
-    ) -> None:
-        """Note a condition that is not a sensor's: ``text`` while it lasts, None when it is over.
+    def set(self, condition: Condition) -> None:
+        """Note a condition that is not a sensor's, as it is now."""
+        known = self._conditions.get(condition.key)
+        if condition.text is None:
+            if known is not None:
+                del self._conditions[condition.key]
+                if known.is_reported:
+                    self._report(Severity.INFO, condition.over)
+            return
+        was_reported = known is not None and known.is_reported
+        if known is None or not was_reported or (condition.renews and known.text != condition.text):
+            self._conditions[condition.key] = condition
+            if condition.is_reported:
+                self._report(condition.severity, condition.text)
 
-        Parameters
-        ----------
-        condition
-            Its key.
-        text
-            What is wrong, or None.
-        over
-            What to say when it is over.
-        severity
-            How bad it is.
-        renews
-            Whether another text while it lasts is reported too.
-        """
-        known = self._conditions.get(condition)
-        if text is not None and (known is None or (renews and known[1] != text)):
-            self._conditions[condition] = (severity, text)
-            self._report(severity, text)
-        elif text is None and self._conditions.pop(condition, None) is not None:
-            self._report(Severity.INFO, over)
-
-    def faults(self) -> list[tuple[Severity, str]]:
-        """What is wrong now, for an autopilot that has just come."""
+    @property
+    def conditions(self) -> list[Condition]:
+        """All that is wrong now, of sensors first."""
         sensors = [
-            (Severity.ERROR, f"Range {name}: {sensor.fault}")
+            Condition(f"sensor {name}", f"Range {name}: {sensor.fault}", "", Severity.ERROR, remedy=sensor.remedy)
             for name, sensor in self._sensors.items()
             if sensor.fault is not None
         ]

@@ -23,7 +23,7 @@ class SensorFinding(NamedTuple):
     Examples
     --------
     >>> SensorFinding("front_left", "short", 5.2).text
-    'Range front_left: 5x expected short readings'
+    'Range front_left: often too short, check sensor'
     """
 
     sensor: str
@@ -33,13 +33,24 @@ class SensorFinding(NamedTuple):
     @property
     def text(self) -> str:
         """For the pilot, in at most 50 characters."""
-        times, shift_cm = f"{min(self.size, MOST_TIMES):.0f}x", 100.0 * self.size
-        full, brief = {
-            "short": (f"{times} expected short readings", f"{times} short"),
-            "missed": (f"{times} expected missed echoes", f"{times} missed"),
-            "wider": (f"{min(self.size, MOST_TIMES):.1f}x expected scatter", f"{times} wide"),
-            "shifted": (f"{abs(shift_cm):.0f} cm too {'long' if shift_cm > 0.0 else 'short'}", f"{shift_cm:+.0f} cm"),
-            "repeats": ("repeats old readings", "repeats"),
+        full, brief, _ = self._words
+        texts = [f"Range {self.sensor}: {each}" for each in (f"{full}, check sensor", full, brief)]
+        return next((text for text in texts if len(text) <= LONGEST_TEXT), texts[-1])
+
+    @property
+    def remedy(self) -> str:
+        """By how much, and what to do."""
+        return f"{self._words[2]}: clean it, check its mount and wires, and look for what is in its beam"
+
+    @property
+    def _words(self) -> tuple[str, str, str]:
+        """What it does, the same in ten characters, and by how much."""
+        shift_cm, times = 100.0 * self.size, min(self.size, MOST_TIMES)
+        cm = f"{abs(shift_cm):.0f} cm too {'long' if shift_cm > 0.0 else 'short'}"
+        return {
+            "short": ("often too short", "too short", f"too short {times:.0f} times as often as its model says"),
+            "missed": ("often no echo", "no echoes", f"no echo {times:.0f} times as often as its model says"),
+            "wider": ("unsteady readings", "unsteady", f"scatters {times:.1f} times as much as its model says"),
+            "shifted": (cm, f"{shift_cm:+.0f} cm", f"{cm} by the other sensors"),
+            "repeats": ("repeats readings", "repeats", "the same answer although the height has changed"),
         }[self.kind]
-        text = f"Range {self.sensor}: {full}"
-        return text if len(text) <= LONGEST_TEXT else f"Range {self.sensor}: {brief}"

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Collection, Iterable
 
 from msp_range.health.conditions import Condition, Severity
+from msp_range.health.finding import SensorFinding
 
 FUSED = "the fused stream"
 """Its name here, which no sensor can have."""
@@ -20,6 +21,7 @@ one sensor of two, or two of four, are faulty and the others still agree."""
 NOISY_FIT = 4.0
 """Mean square of the normalised innovations from which the readings are noisy: twice the deviation that their model
 states. The variance that is sent grows with it already; this is where the pilot should know."""
+_SILENT = "if nothing else here is the reason, the sensors get no echo, or do not agree on the ground"
 LASTS_S, OVER_S = 1.0, 3.0
 """A condition is reported when it has lasted so long, and over when it has been gone so long [s]: a step of the ground
 takes less than the first, and one that flickers is reported once."""
@@ -83,7 +85,9 @@ class OutputWatch:
         # Compare sums, not differences: at exactly the limit a stream is silent, whatever was rounded.
         return [name for name, usable_s in self._usable_s.items() if now_s >= usable_s + self._silence_s]
 
-    def conditions(self, now_s: float, failing: Collection[str], finding: str | None = None) -> list[Condition]:
+    def conditions(
+        self, now_s: float, failing: Collection[str], finding: SensorFinding | None = None
+    ) -> list[Condition]:
         """As they are now.
 
         Parameters
@@ -93,20 +97,22 @@ class OutputWatch:
         failing
             Sensors whose own faults are reported, and not their silence.
         finding
-            What `msp_range.health.sensor_watch` found of a sensor, the second source of 'noisy'.
+            What was found of a sensor last, the second source of 'noisy'.
         """
         silent = self.silent(now_s)
         found = []
         for name in self._usable_s:
-            text = None
-            if name in silent and name not in failing:
-                text = "Range: no distance to the ground" if name == FUSED else f"Range {name}: no distance"
-            over = "Range: distance is back" if name == FUSED else f"Range {name}: distance is back"
-            found.append(Condition(f"silent {name}", text, over, Severity.ERROR))
+            text, over = f"Range {name}: no distance", f"Range {name}: distance is back"
+            if name == FUSED:
+                text, over = "Range: no distance to the ground", "Range: distance is back"
+            now = text if name in silent else None
+            key, is_reported = f"silence {name}", name not in failing
+            found.append(Condition(key, now, over, Severity.ERROR, remedy=_SILENT, is_reported=is_reported))
         rejected = len(self._used) - sum(self._used)
         disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
-        text = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
-        found.append(Condition("disagree", text, "Range: readings agree"))
-        text = "Range: readings are noisy" if self._noisy.update(self._fit > NOISY_FIT, now_s) else None
-        found.append(Condition("noisy", finding or text, "Range: readings are steady", renews=True))
+        now = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
+        found.append(Condition("disagree", now, "Range: readings agree"))
+        now = "Range: readings are noisy" if self._noisy.update(self._fit > NOISY_FIT, now_s) else None
+        noisy = Condition("noisy", now, "Range: readings are steady", renews=True)
+        found.append(noisy if finding is None else noisy._replace(text=finding.text, remedy=finding.remedy))
         return found

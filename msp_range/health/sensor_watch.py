@@ -1,7 +1,7 @@
 """Each downward sensor in flight against its own reading model: which one has begun to read otherwise?
 
-Every reading enters with the height that it alone gives; findings leave, such as 'front_left: 5x expected short
-readings'. A reading is compared, a turn later, with the height by the other sensors (`msp_range.health.neighbours`):
+Every reading enters with the height that it alone gives; findings leave, such as 'front_left: often too
+short'. A reading is compared, a turn later, with the height by the other sensors (`msp_range.health.neighbours`):
 
     x = (h - h_others - b) / sqrt(sigma^2 + var(h_others)),   e = (x - phi x_before) / sqrt(1 - phi^2)
 
@@ -99,32 +99,6 @@ MOST_NEIGHBOURS = 3
 
 class _Sensor:
     """One sensor: what its model says, and what was seen of it."""
-
-    __slots__ = (
-        "expected",
-        "faces_level",
-        "findings",
-        "has_pending",
-        "height_m",
-        "index",
-        "missed",
-        "name",
-        "offset_m",
-        "others",
-        "raw",
-        "readings",
-        "repeats",
-        "rough_m2",
-        "scale",
-        "seen_m",
-        "shifted",
-        "short",
-        "short_probability",
-        "time_s",
-        "wider",
-        "x",
-        "x_s",
-    )
 
     def __init__(self, index: int, name: str, expected: Expected, readings: float) -> None:
         self.index, self.name, self.expected = index, name, expected

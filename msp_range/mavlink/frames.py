@@ -63,13 +63,18 @@ class Frame(NamedTuple):
         autopilot_at = _HEADER_BYTES[self.data[0]] + 5
         return self.data[1] > 5 and self.data[autopilot_at] != dialect.MAV_AUTOPILOT_INVALID
 
+    @property
+    def payload(self) -> bytes:
+        """The fields as they are on the wire."""
+        start = _HEADER_BYTES[self.data[0]]
+        return self.data[start : start + self.data[1]]
+
     def decode(self) -> Any:
         """Decode the message; pymavlink's decoder would verify the checksum again, which takes three times as long."""
         kind, in_order = _layout(self.message_id)
-        start = _HEADER_BYTES[self.data[0]]
         wire = kind.unpacker
         # MAVLink 2 leaves out zeros at the end, and a later version of a message may be longer.
-        values = wire.unpack(self.data[start : start + self.data[1]].ljust(wire.size, b"\0")[: wire.size])
+        values = wire.unpack(self.payload.ljust(wire.size, b"\0")[: wire.size])
         message = kind(*in_order(values))
         header = message.get_header()
         header.srcSystem, header.srcComponent = self.system, self.component
@@ -128,9 +133,8 @@ def _frame(kind: Any, values: Sequence[Any], system: int, component: int, sequen
 
 def checked_again(frame: bytes) -> bytes:
     """A MAVLink 2 frame without signature, with the checksum of what it holds now."""
-    message = dialect.mavlink_map[int.from_bytes(frame[7:10], "little")]
-    checksum: int = dialect.x25crc(frame[1:-_CHECKSUM_BYTES] + bytes((message.crc_extra,))).crc
-    return frame[:-_CHECKSUM_BYTES] + checksum.to_bytes(2, "little")
+    kind = dialect.mavlink_map[int.from_bytes(frame[7:10], "little")]
+    return frame[:-_CHECKSUM_BYTES] + _checksum(frame[1:-_CHECKSUM_BYTES], kind).to_bytes(2, "little")
 
 
 @cache

@@ -11,7 +11,7 @@ from typing import Any
 
 from msp_range import __version__
 from msp_range.clock import Clock
-from msp_range.health import Condition
+from msp_range.health import Condition, Severity
 from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFORMATION_BASIC
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.dialect import dialect
@@ -50,6 +50,8 @@ HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
 """Time without a heartbeat after which the autopilot counts as lost [s]."""
 STATUS_TEXT_LENGTH = 50
+TIMESYNC_BYTES = 16
+"""Length of TIMESYNC without the target, which newer versions of it have at the end."""
 
 _COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
 
@@ -72,7 +74,8 @@ class Link:
     autopilot
         Expected type of the autopilot; None: any.
     system_id
-        The autopilot's system id; None: that of the first autopilot that is received.
+        The autopilot's system id; None: that of the first autopilot that is received. Another one is used only while
+        the first is silent.
     signing
         Signs what is sent, and decides what may be received; None: nothing is signed.
     """
@@ -94,7 +97,7 @@ class Link:
         self._report_message = on_message
         self.wanted = WantedMessages(wanted or {})
         self._participants = Participants(autopilot)
-        self._pinned_system = system_id
+        self._pinned_system = self._first_system = system_id
         self._signing = signing
         self._frames = FrameReader()
         self._from_autopilot: deque[tuple[float, Frame]] = deque()
@@ -172,8 +175,16 @@ class Link:
             self.next_event_s = min(quiet_until_s, now_s + QUIET_INTERVAL_S, self._next_heartbeat_s)
 
     def conditions(self) -> list[Condition]:
-        """Unwanted participants on the link, for `msp_range.health.Health.set`."""
-        found = self._participants.conditions(self._clock.now())
+        """No autopilot, and unwanted participants on the link, for `msp_range.health.Health.set`."""
+        now_s, transport = self._clock.now(), self.transport
+        found = self._participants.conditions(now_s)
+        missing = None
+        if now_s - max(self._heartbeat_s, self._start_s) >= AUTOPILOT_LOST_S:
+            missing = "Range: no autopilot, nobody gets the distances"
+        state = "no heartbeat comes in" if transport.connected else transport.last_error or "nobody has connected"
+        remedy = f"{transport.description}: {state}; check wires, port, baud rate and the autopilot's settings of it"
+        # Nobody would get a text: it is for those who look.
+        found.append(Condition("autopilot", missing, "", Severity.ERROR, remedy=remedy, is_reported=False))
         if self._signing is not None:
             text = None if self._signing.fault is None else "Range: signing time is not kept, check the disk"
             found.append(Condition("signing time", text, "Range: signing time is kept again"))
@@ -191,7 +202,8 @@ class Link:
     def _ask(self, now_s: float) -> None:
         """Send due requests to the autopilot: for its time, and for a message that arrives too slowly."""
         if now_s >= self.autopilot_clock.next_request_s:
-            self.send(dialect.MAVLink_timesync_message(0, self.autopilot_clock.request(now_s)))
+            target = self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
+            self.send(_timesync(0, self.autopilot_clock.request(now_s), target))
         request = self.wanted.request(now_s)
         if request is not None:
             self.send(
@@ -259,24 +271,26 @@ class Link:
         elif frame.message_id in _COMMANDS:
             self._take_command(now_s, source, message)
         if source == (self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1):
-            self._take_autopilots(now_s, source, message)
+            self._participants.on_message(now_s, frame.system, message)
+            is_ours = frame.message_id != dialect.MAVLINK_MSG_ID_TIMESYNC or self._is_for(*timesync_target(frame))
+            self._take_autopilots(now_s, source, message, is_ours)
 
-    def _take_autopilots(self, now_s: float, source: tuple[int, int], message: Any) -> None:
+    def _take_autopilots(self, now_s: float, source: tuple[int, int], message: Any, is_ours: bool) -> None:
         kind = message.get_type()
         if kind == "PING" and message.target_system == 0 and message.target_component == 0:
             if self._autopilot_answers.take(now_s):
                 self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
         elif kind == "TIMESYNC" and message.tc1 == 0:
-            if self._autopilot_answers.take(now_s):
-                self.send(dialect.MAVLink_timesync_message(round(now_s * 1e9), message.ts1))
-        elif kind == "TIMESYNC":
+            if is_ours and self._autopilot_answers.take(now_s):
+                self.send(_timesync(round(now_s * 1e9), message.ts1, source))
+        elif kind == "TIMESYNC" and is_ours:
             self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
         elif kind == "SYSTEM_TIME":
             self.autopilot_clock.on_system_time(now_s, message.time_boot_ms)
         elif (
             kind == "COMMAND_ACK"
             and message.command == dialect.MAV_CMD_SET_MESSAGE_INTERVAL
-            and self._is_addressed(message)
+            and self._is_for(message.target_system, message.target_component)
         ):
             self.wanted.on_answer(now_s, message.result)
         self.wanted.on_message(now_s, message.get_msgId())  # not message.id, which some messages have as a field
@@ -284,27 +298,31 @@ class Link:
             self._report_message(now_s, message)
 
     def _take_heartbeat(self, now_s: float, system: int, message: Any) -> None:
-        """Keep the first autopilot, or the one stated in the file; another one is used only when the first is lost."""
+        """Use the autopilot stated in the file, or the first one, and another one only while the first is lost."""
         is_present = self.autopilot_is_present
-        own_system = self._pinned_system
-        if own_system is None:
-            own_system = self.autopilot_system if is_present and self.autopilot_system is not None else system
-        if system != own_system:
-            self._participants.on_other_autopilot(now_s, system, own_system, is_present)
-            return
+        self._first_system = self._first_system or system
+        if system != self._first_system:
+            if self._pinned_system is not None or (is_present and system != self.autopilot_system):
+                self._participants.on_other_autopilot(now_s, system, self._system, is_present)
+                return
+            self._participants.on_stand_in(now_s, system, self._first_system)
         if system != self.autopilot_system:
             self.autopilot_system = system
             self._system = system
             self.autopilot_clock = AutopilotClock(self._start_s)
+            self._participants.on_change()
+            is_present = False
         if not is_present:
             self.wanted.ask_anew(now_s)
+        if now_s - self._heartbeat_s > 2.0 * HEARTBEAT_INTERVAL_S:
+            self.autopilot_clock.ask_soon()
         self._heartbeat_s = now_s
         self.autopilot_armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self._participants.on_autopilot(now_s, message.autopilot)
 
     def _take_command(self, now_s: float, source: tuple[int, int], command: Any) -> None:
         """Acknowledge every command to this component, and commands to all components if it supports them."""
-        if not self._is_addressed(command):
+        if not self._is_for(command.target_system, command.target_component):
             return
         answer = None
         if command.command == dialect.MAV_CMD_REQUEST_MESSAGE:
@@ -318,10 +336,9 @@ class Link:
         if answer is not None:
             self.send(answer)
 
-    def _is_addressed(self, message: Any) -> bool:
-        """Whether a message with a target is for this component, or for all."""
-        to_system = message.target_system in (0, self._system)
-        return bool(to_system and message.target_component in (0, self._component))
+    def _is_for(self, system: int, component: int) -> bool:
+        """Whether a target is this component, or all."""
+        return system in (0, self._system) and component in (0, self._component)
 
     def _requested(self, message_id: float) -> Any | None:
         if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
@@ -330,6 +347,18 @@ class Link:
             time_boot_ms = self.autopilot_clock.time_boot_ms(self._clock.now())
             return ComponentInformationBasic(time_boot_ms, "msp-range", "range finder bridge", __version__)
         return None
+
+
+def timesync_target(frame: Frame) -> tuple[int, int]:
+    """System and component that a TIMESYNC is for, 0 for all; older senders and dialects do not have these fields."""
+    fields = frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")
+    return fields[0], fields[1]
+
+
+def _timesync(tc1: int, ts1: int, target: tuple[int | None, int]) -> Any:
+    """TIMESYNC, with its target where the dialect has those fields."""
+    kind = dialect.MAVLink_timesync_message
+    return kind(tc1, ts1, *target) if "target_system" in kind.fieldnames else kind(tc1, ts1)
 
 
 def _newest(waiting: deque[tuple[float, Frame]], count: int) -> deque[tuple[float, Frame]]:

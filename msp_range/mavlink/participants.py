@@ -1,28 +1,30 @@
-"""Unwanted participants on the link: a second autopilot, one of another type, a program with the bridge's ids, a key
-that only one side has.
+"""Unwanted participants on the link: a second autopilot, one of another type, one with the same ids, a program with the
+bridge's ids, a key that only one side has.
 
 Each is a condition with a text of at most 50 characters for the pilot. It ends when nothing of it has been received for
 `HOLD_S`, so that one that comes and goes is reported once.
 """
 
+from typing import Any
+
 from msp_range.health import Condition
+from msp_range.mavlink.contradictions import Contradictions
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 
 HOLD_S = 10.0
 """Time after which a condition ends [s]: ten heartbeats. Shorter reports an intermittent one repeatedly, longer reports
 its end late."""
-OWN_IDS_APART_S = 0.5
-OWN_IDS_SEEN = 3
-"""Another program uses the bridge's ids if its frames were seen this many times, at least this long apart [s]; every
-component sends a heartbeat once a second. With fewer, own frames from before a restart that a router still held would
-count."""
+APART_S = 0.5
+REPEATED = 3
+"""Ids are used twice if that was seen this many times, at least this long apart [s]; every component sends a heartbeat
+once a second. With fewer, own frames from before a restart that a router still held would count, and one reboot."""
 
-_TYPES: dict[Autopilot, int] = {
-    "ardupilot": dialect.MAV_AUTOPILOT_ARDUPILOTMEGA,
-    "px4": dialect.MAV_AUTOPILOT_PX4,
+AUTOPILOTS: dict[int, Autopilot] = {
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+    dialect.MAV_AUTOPILOT_PX4: "px4",
 }
-_NAMES = {number: name for name, number in _TYPES.items()}
+"""The autopilots that can be stated in an airframe file, by MAV_AUTOPILOT."""
 
 
 class _Sighting:
@@ -33,10 +35,20 @@ class _Sighting:
         self._over = over
         self._text = ""
         self._last_s = float("-inf")
+        self._seen_s: list[float] = []
 
     def seen(self, now_s: float, text: str) -> None:
         self._last_s = now_s
         self._text = text
+
+    def suspected(self, now_s: float, text: str) -> None:
+        """Count what only means something if it is seen repeatedly."""
+        seen = [time_s for time_s in self._seen_s if now_s - time_s < HOLD_S]
+        if not seen or now_s - seen[-1] >= APART_S:
+            seen.append(now_s)
+        self._seen_s = seen[-REPEATED:]
+        if len(seen) >= REPEATED:
+            self.seen(now_s, text)
 
     def condition(self, now_s: float) -> Condition:
         lasts = now_s - self._last_s < HOLD_S
@@ -57,13 +69,15 @@ class Participants:
         self._other = _Sighting("other autopilot", "Range: the other autopilot is gone")
         self._wrong_type = _Sighting("autopilot type", f"Range: the autopilot is {expected} now")
         self._own_ids = _Sighting("own ids", "Range: no other program uses this bridge's id now")
-        self._own_ids_seen: list[float] = []
+        self._same_ids = _Sighting("autopilot's ids", "Range: one autopilot sends with its ids now")
+        self._stand_in = _Sighting("autopilot lost", "Range: the first autopilot is back")
+        self._contradictions = Contradictions()
         self._signing = _Sighting("signing", "Range: the autopilot's signature is right now")
 
     def on_autopilot(self, now_s: float, autopilot_type: int) -> None:
         """Check a heartbeat of the bridge's own autopilot (MAV_AUTOPILOT)."""
-        if self._expected is not None and autopilot_type != _TYPES[self._expected]:
-            found = _NAMES.get(autopilot_type, f"type {autopilot_type}")
+        found = AUTOPILOTS.get(autopilot_type, f"type {autopilot_type}")
+        if self._expected not in (None, found):
             self._wrong_type.seen(now_s, f"Range: autopilot is {found}, file says {self._expected}")
 
     def on_other_autopilot(self, now_s: float, system: int, own_system: int, own_received: bool) -> None:
@@ -75,12 +89,20 @@ class Participants:
 
     def on_own_ids(self, now_s: float, system: int, component: int) -> None:
         """Record a frame with the bridge's ids that it did not send."""
-        seen = [time_s for time_s in self._own_ids_seen if now_s - time_s < HOLD_S]
-        if not seen or now_s - seen[-1] >= OWN_IDS_APART_S:
-            seen.append(now_s)
-        self._own_ids_seen = seen[-OWN_IDS_SEEN:]
-        if len(seen) >= OWN_IDS_SEEN:
-            self._own_ids.seen(now_s, f"Range: another program sends as {system}/{component}")
+        self._own_ids.suspected(now_s, f"Range: another program sends as {system}/{component}")
+
+    def on_message(self, now_s: float, system: int, message: Any) -> None:
+        """Check a message of the bridge's own autopilot against those before it."""
+        if self._contradictions.update(message):
+            self._same_ids.suspected(now_s, f"Range: two autopilots send as system {system}")
+
+    def on_stand_in(self, now_s: float, system: int, first: int) -> None:
+        """Record that another autopilot is used, because the first one is not received."""
+        self._stand_in.seen(now_s, f"Range: autopilot {first} is silent, using {system}")
+
+    def on_change(self) -> None:
+        """Forget the messages of an autopilot that is not used any more."""
+        self._contradictions = Contradictions()
 
     def on_unsigned(self, now_s: float) -> None:
         """Record an autopilot's heartbeat without the right signature, where there is a key."""
@@ -92,4 +114,5 @@ class Participants:
 
     def conditions(self, now_s: float) -> list[Condition]:
         """All conditions, for `msp_range.health.Health.set`."""
-        return [each.condition(now_s) for each in (self._other, self._wrong_type, self._own_ids, self._signing)]
+        sightings = self._other, self._wrong_type, self._own_ids, self._same_ids, self._stand_in, self._signing
+        return [each.condition(now_s) for each in sightings]

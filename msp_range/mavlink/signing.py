@@ -14,12 +14,15 @@ from contextlib import suppress
 from pathlib import Path
 
 from msp_range.clock import Clock
+from msp_range.input_file import making, read_text
 from msp_range.mavlink.frames import Frame, checked_again
 from msp_range.state_folder import state_folder
 from msp_range.yaml_file import ConfigError
 
 TIME_NAME = "signing-time"
 KEY_BYTES = 32
+MOST_FILE_BYTES = 1_000_000
+"""A file of a key or a time that is larger is refused unread: both take less than a hundred bytes."""
 SIGNATURE_BYTES = 13
 """Link id, 6 bytes of timestamp, 6 bytes of signature."""
 SIGNED = 0x01
@@ -28,6 +31,12 @@ LINK_ID = 0
 EPOCH_S = 1_420_070_400.0
 """2015-01-01 UTC, where timestamps begin [s since 1970]."""
 UNITS_PER_S = 100_000
+LATEST = 2**47
+"""Timestamps from here on, which are of August 2059 and later, are not followed, whether they are received, kept in the
+file or this computer's date: whoever follows one near the end of the six bytes has none left for the next frame. Half
+of the range remains for them; a smaller limit would end signing sooner."""
+PX4_SIGNS_NOT = "PX4 1.17 has no MAVLink signing: take link.signing_key out of the airframe file"
+"""What to do where PX4 does not sign: in its 1.17 no key can help."""
 NEW_STREAM_UNITS = 60 * UNITS_PER_S
 """A sender that was not received before may be this far behind: one minute, as the standard says."""
 RESERVED_UNITS, RENEWED_UNITS = 60 * UNITS_PER_S, 30 * UNITS_PER_S
@@ -80,7 +89,7 @@ class Signing:
     def timestamp(self) -> int:
         """A timestamp for the next frame: greater than all before, here and in earlier runs."""
         by_clock = int((self._clock.utc() - EPOCH_S) * UNITS_PER_S)
-        self._last = max(self._last + 1, by_clock)
+        self._last = max(self._last + 1, _possible(by_clock))
         if self._last > self._reserved - RENEWED_UNITS:
             self._reserved = self._last + RESERVED_UNITS
             threading.Thread(target=self._keep_reserved, name="signing", daemon=True).start()
@@ -100,7 +109,7 @@ class Signing:
         stream = (data[-SIGNATURE_BYTES], frame.system, frame.component)
         timestamp = int.from_bytes(data[-12:-6], "little")
         before = self._streams.get(stream, self._last - NEW_STREAM_UNITS)
-        if timestamp <= before:
+        if not before < timestamp < LATEST:
             return False
         self._streams[stream] = timestamp
         self._last = max(self._last, timestamp)
@@ -119,6 +128,11 @@ class Signing:
             self.fault = None
 
 
+def _possible(timestamp: int) -> int:
+    """A timestamp; 0 instead of one that no clock shows."""
+    return timestamp if 0 <= timestamp < LATEST else 0
+
+
 def is_signed(frame: Frame) -> bool:
     """Whether a frame has a signature, of whatever key."""
     return frame.data[0] == 0xFD and bool(frame.data[2] & SIGNED)
@@ -130,12 +144,12 @@ def read_key(path: Path) -> bytes:
     Raises
     ------
     ConfigError
-        It is not there, others may read it, or it holds something else.
+        It is not there or no regular file, others may read it, or it holds something else.
     """
     try:
+        text = read_text(path, MOST_FILE_BYTES)
         mode = path.stat().st_mode & 0o777
-        text = path.read_text(encoding="ascii").strip()
-        key = bytes.fromhex(text)
+        key = bytes.fromhex(text.strip())
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; 'msp-range sign' makes the key") from None
     except ValueError:
@@ -160,18 +174,16 @@ def signing_of(key_file: str | None, clock: Clock, accepts_unsigned: bool = Fals
     key = read_key(Path(key_file))
     time_file = state_folder() / TIME_NAME
     kept = 0
-    # Without the time it signs by the clock, which is right where the clock is.
+    # Without the time, or with a damaged one, it signs by the clock, which is right where the clock is.
     with suppress(OSError, ValueError):
-        kept = int(time_file.read_text(encoding="ascii"))
+        kept = _possible(int(read_text(time_file, MOST_FILE_BYTES)))
 
     def keep(timestamp: int) -> None:
         time_file.parent.mkdir(parents=True, exist_ok=True)
-        new = time_file.with_name(time_file.name + ".new")
-        with new.open("w", encoding="ascii") as file:
+        with making(time_file, replacing=True) as new, new.open("w", encoding="ascii") as file:
             file.write(str(timestamp))
             file.flush()
             os.fsync(file.fileno())
-        new.replace(time_file)
 
     return Signing(key, clock, kept, keep, accepts_unsigned)
 

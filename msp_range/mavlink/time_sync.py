@@ -3,6 +3,9 @@
 TIMESYNC gives the offset with an error of at most half the round trip; of the exchanges of the last seconds the one
 with the shortest round trip is used. If the autopilot does not answer, SYSTEM_TIME gives it, late by the link's delay:
 of the last seconds the message with the smallest delay is used.
+
+An exchange that the known offset does not fit shows that the clock has stepped: all before it is forgotten. Any message
+whose time does not fit only has the autopilot asked at once, since it may be late or somebody else's.
 """
 
 from collections import deque
@@ -20,11 +23,12 @@ messages to choose from on a link with a varying delay."""
 REQUEST_INTERVAL_S = 1.0
 FIRST_REQUESTS_INTERVAL_S = 0.1
 FIRST_REQUESTS = 5
-REBOOT_BACKWARDS_S = 5.0
-"""An autopilot whose clock is behind by this much has rebooted [s].
-
-It has to exceed the time for which SYSTEM_TIME may be unread: on a locked-up bus every transfer blocks the loop for a
-second."""
+STEP_S = 0.1
+"""A clock has stepped if an exchange puts it this far outside of what the known offset allows [s]. Clocks drift 15 ms
+in 30 s at 500 ppm, which is no step; with more, time stamps after a quick reboot stay wrong by as much for 10 s."""
+BACKWARDS_S = 0.5
+"""Times that go back by more than this from a message to the next have another clock [s]; the ways of two radios may
+differ by less. Smaller takes messages in the wrong order for a reboot, larger misses one soon after the boot."""
 ANSWERED_S = 2.0
 """Time since the last answer to TIMESYNC during which only TIMESYNC shows a reboot [s]; SYSTEM_TIME may come from
 others too. Longer detects a reboot later if TIMESYNC is not answered after it."""
@@ -61,8 +65,9 @@ class AutopilotClock:
         self._system_times: deque[_Sample] = deque(maxlen=SYSTEM_TIMES_KEPT)
         self._outstanding: deque[int] = deque(maxlen=EXCHANGES_KEPT)
         self._offset_s: float | None = None
+        self._newest_s: float | None = None
         self._requests = 0
-        self.next_request_s = start_s
+        self._requested_s = self.next_request_s = start_s
         self.reboots = 0
 
     @property
@@ -88,12 +93,19 @@ class AutopilotClock:
         """
         if self._offset_s is None:
             return received_s
-        age_s = _shortest(received_s + self._offset_s - time_boot_ms * 1e-3)
+        age_s = shortest(received_s + self._offset_s - time_boot_ms * 1e-3)
+        if not -STEP_S < age_s <= LATEST_ARRIVAL_S:
+            self.ask_soon()
         return received_s - age_s if 0.0 <= age_s <= LATEST_ARRIVAL_S else received_s
+
+    def ask_soon(self) -> None:
+        """Have the time requested at once, but not more often than at first: the autopilot may have rebooted."""
+        self.next_request_s = min(self.next_request_s, self._requested_s + FIRST_REQUESTS_INTERVAL_S)
 
     def request(self, now_s: float) -> int:
         """``ts1`` of a TIMESYNC request sent now [ns]; also schedules the next one."""
         self._requests += 1
+        self._requested_s = now_s
         first = self._requests <= FIRST_REQUESTS
         self.next_request_s = now_s + (FIRST_REQUESTS_INTERVAL_S if first else REQUEST_INTERVAL_S)
         sent_ns = round(now_s * 1e9)
@@ -107,20 +119,30 @@ class AutopilotClock:
         self._outstanding.remove(ts1_ns)
         sent_s = ts1_ns * 1e-9
         sample = _Sample(now_s, now_s - sent_s, tc1_ns * 1e-9 - (sent_s + now_s) / 2)
-        self._check_reboot(sample)
+        if self._offset_s is not None:
+            error_s = (sample.error_s + (self.round_trip_s or 0.0)) / 2
+            if abs(sample.offset_s - self._offset_s) > error_s + STEP_S:
+                # It has booted if it began to count since it was last received. A slow simulator's clock only lags.
+                booted_s = sample.error_s / 2 - sample.offset_s
+                last = self._exchanges[-1] if self._exchanges else sample
+                self._forget(booted_s > last.received_s - last.error_s)
+        self._newest_s = tc1_ns * 1e-9
         self._exchanges.append(sample)
         self._update(now_s)
 
     def on_system_time(self, now_s: float, time_boot_ms: int) -> None:
         """Update with SYSTEM_TIME: it shows a reboot, and gives the offset while TIMESYNC is not answered."""
-        offset_s = time_boot_ms * 1e-3 - now_s
+        self.time_of(time_boot_ms, now_s)
+        time_s = time_boot_ms * 1e-3
+        if not self._exchanges or now_s - self._exchanges[-1].received_s > ANSWERED_S:
+            if self._newest_s is not None and shortest(time_s - self._newest_s) < -BACKWARDS_S:
+                self._forget(True)
+            self._newest_s = time_s
+        offset_s = time_s - now_s
         if self._offset_s is not None:
             # It may have wrapped around to 0, unlike TIMESYNC with 64 bits.
-            offset_s = self._offset_s + _shortest(offset_s - self._offset_s)
-        sample = _Sample(now_s, 0.0, offset_s)
-        if not self._exchanges or now_s - self._exchanges[-1].received_s > ANSWERED_S:
-            self._check_reboot(sample)
-        self._system_times.append(sample)
+            offset_s = self._offset_s + shortest(offset_s - self._offset_s)
+        self._system_times.append(_Sample(now_s, 0.0, offset_s))
         self._update(now_s)
 
     def _update(self, now_s: float) -> None:
@@ -132,17 +154,17 @@ class AutopilotClock:
         if system_times:
             self._offset_s = max(system_times)
 
-    def _check_reboot(self, sample: _Sample) -> None:
-        if self._offset_s is not None and sample.offset_s < self._offset_s - REBOOT_BACKWARDS_S - sample.error_s:
-            self.reboots += 1
-            self._exchanges.clear()
-            self._system_times.clear()
-            self._outstanding.clear()
-            self._offset_s = None
-            self._requests = 0
+    def _forget(self, rebooted: bool) -> None:
+        """Forget what the clock showed before it stepped."""
+        self.reboots += rebooted
+        self._exchanges.clear()
+        self._system_times.clear()
+        self._outstanding.clear()
+        self._offset_s = None
+        self._requests = 0
 
 
-def _shortest(difference_s: float) -> float:
+def shortest(difference_s: float) -> float:
     """Difference of two times that may have wrapped around after 49.7 days [s]."""
     wrap_s = _WRAP_MS / 1e3
     return (difference_s + wrap_s / 2) % wrap_s - wrap_s / 2

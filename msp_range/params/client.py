@@ -1,17 +1,18 @@
 """An autopilot on a link, asked for its parameters and given new ones, by MAVLink's parameter protocol.
 
-ArduPilot sends every value as a float; PX4 sends integers as four bytes in the place of the float
+ArduPilot sends every value as a float; PX4 sends its integers (INT32) as four bytes in the place of the float
 (https://mavlink.io/en/services/parameter.html). Nothing is set while the vehicle is armed, or while nobody knows.
 """
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from msp_range.clock import Clock
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.link import Link
+from msp_range.mavlink.participants import AUTOPILOTS
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.transport import Transport
 from msp_range.params.settings import Firmware, Vehicle
@@ -23,6 +24,8 @@ ANSWER_S = 1.0
 TRIES = 3
 HEARTBEAT_OLD_S = 3.0
 """A heartbeat that is older does not show that the vehicle is disarmed now [s]: it comes once a second."""
+ADDRESS_IS_ID = 4 << 24 | 8 << 16
+"""AUTOPILOT_VERSION's number of ArduPilot 4.8.0: major, minor, patch, kind of release (pull request 33982)."""
 
 _VEHICLES: dict[int, Vehicle] = {
     dialect.MAV_TYPE_FIXED_WING: "plane",
@@ -32,18 +35,6 @@ _VEHICLES: dict[int, Vehicle] = {
     dialect.MAV_TYPE_SURFACE_BOAT: "rover",
 }
 """Kinds of vehicles by the heartbeat's type; all others are copters."""
-_AUTOPILOTS: dict[int, Autopilot] = {
-    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
-    dialect.MAV_AUTOPILOT_PX4: "px4",
-}
-_INTEGERS = {
-    dialect.MAV_PARAM_TYPE_UINT8: "<B",
-    dialect.MAV_PARAM_TYPE_INT8: "<b",
-    dialect.MAV_PARAM_TYPE_UINT16: "<H",
-    dialect.MAV_PARAM_TYPE_INT16: "<h",
-    dialect.MAV_PARAM_TYPE_UINT32: "<I",
-    dialect.MAV_PARAM_TYPE_INT32: "<i",
-}
 
 
 class NotSet(Exception):
@@ -128,7 +119,7 @@ class ParameterClient:
     @property
     def autopilot(self) -> Autopilot | None:
         """What kind of autopilot it is; None where it is another one, or none was received."""
-        return None if self._heartbeat is None else _AUTOPILOTS.get(self._heartbeat.autopilot)
+        return None if self._heartbeat is None else AUTOPILOTS.get(self._heartbeat.autopilot)
 
     @property
     def armed(self) -> bool | None:
@@ -140,14 +131,29 @@ class ParameterClient:
     def firmware(self) -> Firmware | None:
         """What decides names and units of parameters; None where the autopilot is neither ArduPilot nor PX4.
 
-        ArduPilot's generation follows from the names that it knows, which development versions changed before their
-        number did.
+        ArduPilot's names before 4.7 follow from those that it knows, which development versions changed before their
+        number did; what changed with 4.8 follows from the number, and counts where there is none.
         """
-        if self.autopilot is None:
-            return None
+        if self.autopilot != "ardupilot":
+            return None if self.autopilot is None else Firmware(self.autopilot)
         vehicle = _VEHICLES.get(self._heartbeat.type, "copter")
-        centimetres = self.autopilot == "ardupilot" and "RNGFND1_MAX_CM" in self._read("RNGFND1_MAX", "RNGFND1_MAX_CM")
-        return Firmware(self.autopilot, vehicle, centimetres)
+        centimetres = "RNGFND1_MAX_CM" in self._read("RNGFND1_MAX", "RNGFND1_MAX_CM")
+        self._ask(
+            [
+                dialect.MAVLink_command_long_message(
+                    *self._target,
+                    dialect.MAV_CMD_REQUEST_MESSAGE,
+                    0,
+                    dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION,
+                    *[0] * 6,
+                )
+            ],
+            lambda: "AUTOPILOT_VERSION" in self.messages,
+        )
+        version = self.messages.get("AUTOPILOT_VERSION")
+        return Firmware(
+            "ardupilot", vehicle, centimetres, version is not None and version.flight_sw_version < ADDRESS_IS_ID
+        )
 
     def read(self, name: str) -> float | None:
         """A parameter's value; None where the autopilot does not know it, or does not answer."""
@@ -157,12 +163,19 @@ class ParameterClient:
         """What is known as soon as one of several names was answered."""
         for name in names:
             self._values.pop(name, None)
-        for _ in range(TRIES):
-            for name in names:
-                self.link.send(dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1))
-            if self.wait(lambda: any(name in self._values for name in names), ANSWER_S):
-                break
+        self._ask(
+            [dialect.MAVLink_param_request_read_message(*self._target, name.encode(), -1) for name in names],
+            lambda: any(name in self._values for name in names),
+        )
         return {name: self._values[name][0] for name in names if name in self._values}
+
+    def _ask(self, messages: Sequence[Any], is_answered: Callable[[], bool]) -> None:
+        """Send messages until they are answered, at most a few times."""
+        for _ in range(TRIES):
+            for message in messages:
+                self.link.send(message)
+            if self.wait(is_answered, ANSWER_S):
+                return
 
     def write(self, name: str, value: float) -> float:
         """Set a parameter and read it back; returns what the autopilot has now.
@@ -193,23 +206,14 @@ class ParameterClient:
     def _target(self) -> tuple[int, int]:
         return self.link.autopilot_system or 1, dialect.MAV_COMP_ID_AUTOPILOT1
 
-    @property
-    def _bytewise(self) -> bool:
-        return self.autopilot == "px4"
+    def _is_whole(self, kind: int) -> bool:
+        return self.autopilot == "px4" and kind == dialect.MAV_PARAM_TYPE_INT32
 
     def _decoded(self, value: float, kind: int) -> float:
-        if not self._bytewise or kind not in _INTEGERS:
-            return value
-        whole: int
-        (whole,) = struct.unpack_from(_INTEGERS[kind], struct.pack("<f", value))
-        return float(whole)
+        return float(struct.unpack("<i", struct.pack("<f", value))[0]) if self._is_whole(kind) else value
 
     def _encoded(self, value: float, kind: int) -> float:
-        if not self._bytewise or kind not in _INTEGERS:
-            return value
-        coded: float
-        (coded,) = struct.unpack("<f", struct.pack(_INTEGERS[kind], round(value)).ljust(4, b"\0"))
-        return coded
+        return float(struct.unpack("<f", struct.pack("<i", round(value)))[0]) if self._is_whole(kind) else value
 
 
 def same(found: float, wanted: float) -> bool:

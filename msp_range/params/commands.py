@@ -38,11 +38,12 @@ def connect(airframe: Airframe, clock: Clock, signing: Signing | None = None) ->
     ConfigError
         None is received there.
     """
-    transport = open_transport(airframe.link.url, clock)
     signing = signing or signing_of(airframe.link.signing_key, clock)
+    transport = open_transport(airframe.link.url, clock)
     client = ParameterClient(transport, clock, airframe.link.system_id, signing=signing)
     if not client.connect(CONNECT_S):
         why = f" ({transport.last_error})" if transport.last_error else ""
+        transport.close()
         raise ConfigError(
             f"{airframe.link.url}: no autopilot received for {CONNECT_S:.0f} s{why}; does msp-range run use the link? "
             "'msp-range doctor' looks for the reason"
@@ -70,8 +71,12 @@ def wanted(airframe: Airframe, client: ParameterClient, port: int) -> tuple[Firm
 
 def differences(client: ParameterClient, some: Sequence[Setting]) -> list[Difference]:
     """The settings that the autopilot has otherwise."""
-    found = [Difference(setting, client.read(setting.name)) for setting in some]
-    return [each for each in found if each.found is None or not same(each.found, each.setting.value)]
+    read = [Difference(setting, client.read(setting.name)) for setting in some]
+    return [
+        Difference(setting, found)
+        for setting, found in read
+        if found is None or not (same(found, setting.value) or found == setting.as_good)
+    ]
 
 
 def heading(airframe: Airframe, firmware: Firmware) -> list[str]:

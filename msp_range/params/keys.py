@@ -11,7 +11,7 @@ from pathlib import Path
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.signing import KEY_BYTES, Signing, make_key, signing_of
+from msp_range.mavlink.signing import KEY_BYTES, PX4_SIGNS_NOT, Signing, make_key, read_key, signing_of
 from msp_range.params.client import ParameterClient
 from msp_range.params.commands import connect
 from msp_range.yaml_file import ConfigError
@@ -60,7 +60,7 @@ def give(airframe: Airframe, clock: Clock, removes: bool = False) -> None:
     client = connect(airframe, clock, signing)
     if client.armed is not False:
         raise ConfigError("the vehicle is armed: keys are set only while it is disarmed")
-    key = bytes(KEY_BYTES) if removes else bytes.fromhex(key_file(airframe).read_text(encoding="ascii").strip())
+    key = bytes(KEY_BYTES) if removes else read_key(key_file(airframe))
     timestamp = 0 if removes else signing.timestamp()
     target = (client.link.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1)
     # No answer is defined for this message; the autopilot's own signature is the answer.
@@ -69,6 +69,8 @@ def give(airframe: Airframe, clock: Clock, removes: bool = False) -> None:
     if not _follows(client, signing, removes):
         found = "still signs" if removes else "does not sign with this key"
         remedy = "if it has another key, clear that in the ground station, over USB"
+        if client.autopilot == "px4":
+            remedy = PX4_SIGNS_NOT
         raise ConfigError(f"{airframe.link.url}: the autopilot {found}; {remedy}")
 
 

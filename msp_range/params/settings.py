@@ -16,6 +16,9 @@ from msp_range.mavlink.transport.url import SerialUrl, parse_url
 
 Vehicle = Literal["copter", "plane", "sub", "rover"]
 
+ADDRESS = "RNGFND1_ADDR"
+"""The address of a sensor on the autopilot's own I2C or CAN; with `DISTANCE_SENSOR_BY_MAVLINK` nothing before ArduPilot
+4.8, the only id that is taken from then on (AP_RangeFinder_MAVLink.cpp)."""
 PROXIMITY_ORIENTATIONS = frozenset({*range(8), 24})
 """Orientations that ArduPilot's proximity takes: eight around the vehicle, and up (AP_Proximity_MAV.cpp)."""
 DISTANCE_SENSOR_BY_MAVLINK = 10
@@ -26,6 +29,27 @@ PX4_TELEM_BASE = 100
 """PX4's number of the port TELEM n is this plus n (Tools/serial/generate_config.py)."""
 USB_PATHS = ("/dev/ttyACM", "/dev/autopilot")
 """Serial ports that are an autopilot's own USB: it speaks MAVLink there without being set up."""
+
+NO_COVARIANCE = "No autopilot reads the covariance that the messages have: its estimator assumes"
+ARDUPILOT_USE = (
+    f"{NO_COVARIANCE} EK3_RNG_M_NSE (0.5 m). It counts where the range is a source of the height (EK3_SRC1_POSZ 2, "
+    "EK3_RNG_USE_HGT) and for the terrain with optical flow; less follows the stream more closely.",
+)
+COPTER_USE = (
+    "SURFTRAK_MODE 1 (default): Loiter, AltHold and PosHold keep the height above the ground by the stream; 0: they "
+    "do not use it.",
+    "WP_RFND_USE 1 (default): targets above the terrain, and a take-off in GUIDED below RNGFND1_MAX, rely on the "
+    "stream alone; 0: on the terrain database, and on the height above home.",
+)
+PX4_USE = (
+    f"{NO_COVARIANCE} EKF2_RNG_NOISE (0.1 m) and EKF2_RNG_SFE (0.05 of the distance); less follows the stream more "
+    "closely, and less than it scatters rejects good distances.",
+    "MPC_ALT_MODE 2 (default): Altitude and Position keep the height above the ground by the stream while the vehicle "
+    "stands still; 1: also while it moves; 0: they do not use it.",
+    "EKF2_RNG_DELAY is to be the latency that you measure [ms]: msp-range doctor prints it.",
+)
+"""Parameters that decide what becomes of the stream, with their defaults (AP_NavEKF3.cpp, ArduCopter/Parameters.cpp,
+AC_WPNav.cpp, mode_guided.cpp; PX4's params_range_finder.yaml, multicopter_altitude_mode_params.c)."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +64,14 @@ class Firmware:
         ArduPilot's kind of vehicle; without meaning for PX4.
     centimetres
         ArduPilot before 4.7: limits of range finders have other names and are in centimetres.
+    any_id
+        ArduPilot before 4.8: `ADDRESS` does nothing to distances by MAVLink.
     """
 
     autopilot: Autopilot
     vehicle: Vehicle = "copter"
     centimetres: bool = False
+    any_id: bool = False
 
     def __str__(self) -> str:
         if self.autopilot == "px4":
@@ -64,15 +91,15 @@ class Setting:
         Why this value, in one sentence.
     source
         Where the value comes from: a key of the airframe file, a document.
-    whole
-        PX4 keeps it as an integer.
+    as_good
+        Another value that does the same.
     """
 
     name: str
     value: float
     reason: str
     source: str
-    whole: bool = False
+    as_good: float | None = None
 
 
 def settings(airframe: Airframe, firmware: Firmware, port: int) -> list[Setting]:
@@ -105,8 +132,11 @@ def settings(airframe: Airframe, firmware: Firmware, port: int) -> list[Setting]
 def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
     """What is to be known besides the values."""
     lines = ["Restart the autopilot after setting them: some count only from then on."]
-    if firmware.autopilot == "px4" and downward_stream(airframe) is not None:
-        lines.append("EKF2_RNG_DELAY is to be the latency that you measure [ms]: msp-range doctor prints it.")
+    if downward_stream(airframe) is not None:
+        lines.append("For you to choose, as no value of them follows from the airframe:")
+        lines += PX4_USE if firmware.autopilot == "px4" else ARDUPILOT_USE
+        if firmware.autopilot == "ardupilot" and firmware.vehicle == "copter":
+            lines += [line.replace("WP_", "WPNAV_") if firmware.centimetres else line for line in COPTER_USE]
     outward = [each for each in single_streams(airframe).values() if each.orientation.value not in (DOWN, PITCH_90)]
     if firmware.autopilot == "px4" and outward:
         lines.append("CP_DIST switches collision prevention on: it is the distance to keep [m], for you to choose.")
@@ -136,20 +166,19 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
     if stream is not None:
         yield Setting("RNGFND1_TYPE", DISTANCE_SENSOR_BY_MAVLINK, "distances come as MAVLink messages", document)
         yield Setting("RNGFND1_ORIENT", DOWN, "down: the orientation selects the stream", document)
+        reason = (
+            "every id is taken; from 4.8 on another value takes only that id, so that one left over from a sensor on "
+            "the autopilot's own I2C or CAN (112: an MB1242) rejects all distances without a word"
+        )
+        yield Setting(ADDRESS, 0, reason, document, as_good=stream.id)
         nearest_cm, farthest_cm = stream.min_distance_cm, 10 * math.ceil(stream.max_distance_cm / 10 - 1)
-        landed_cm = nearest_cm + 1
         nearest = "below the shortest report, which is out of range otherwise: that is the reading on the ground"
         farthest = "below the longest report, which stands for 'no echo'"
-        landed = "what it reads when the vehicle stands on the ground"
         model = "the sensor model's limits"
-        if firmware.centimetres:
-            yield Setting("RNGFND1_MIN_CM", nearest_cm, nearest, model)
-            yield Setting("RNGFND1_MAX_CM", farthest_cm, farthest, model)
-            yield Setting("RNGFND1_GNDCLEAR", landed_cm, landed, model)
-        else:
-            yield Setting("RNGFND1_MIN", nearest_cm / 100, nearest, model)
-            yield Setting("RNGFND1_MAX", farthest_cm / 100, farthest, model)
-            yield Setting("RNGFND1_GNDCLR", landed_cm / 100, landed, model)
+        per_m, unit, clearance = (100, "_CM", "GNDCLEAR") if firmware.centimetres else (1, "", "GNDCLR")
+        yield Setting(f"RNGFND1_MIN{unit}", nearest_cm * per_m / 100, nearest, model)
+        yield Setting(f"RNGFND1_MAX{unit}", farthest_cm * per_m / 100, farthest, model)
+        yield _standing(f"RNGFND1_{clearance}", airframe, stream, per_m)
         yield _position("RNGFND1_POS_Z", airframe)
         if firmware.vehicle == "plane":
             yield Setting("RNGFND_LANDING", 1, "the plane uses the range finder to land", "ArduPlane/Parameters.cpp")
@@ -167,18 +196,32 @@ def _px4(airframe: Airframe, _: Firmware, port: int) -> Iterator[Setting]:
     if baud is not None:
         instance = port - 1
         what = "MAVLink on the port that the bridge is wired to"
-        yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", document, whole=True)
-        yield Setting(f"MAV_{instance}_MODE", ONBOARD, "onboard mode: for a companion computer", document, whole=True)
-        yield Setting(f"SER_TEL{port}_BAUD", baud, f"{baud} baud, as this file says", "link.url", whole=True)
+        yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", document)
+        yield Setting(f"MAV_{instance}_MODE", ONBOARD, "onboard mode: for a companion computer", document)
+        yield Setting(f"SER_TEL{port}_BAUD", baud, f"{baud} baud, as this file says", "link.url")
     stream = downward_stream(airframe)
     if stream is not None:
-        yield Setting(
-            "EKF2_RNG_CTRL", 2, "the range is used always; with 1 only when slow and low", document, whole=True
-        )
-        yield Setting("EKF2_HGT_REF", 1, "with 2 the vehicle cannot be armed from PX4 1.17 on", document, whole=True)
-        landed_m = (stream.min_distance_cm + 1) / 100
-        yield Setting("EKF2_MIN_RNG", landed_m, "what it reads when the vehicle stands on the ground", document)
+        yield Setting("EKF2_RNG_CTRL", 2, "the range is used always; with 1 only when slow and low", document)
+        yield Setting("EKF2_HGT_REF", 1, "with 2 the vehicle cannot be armed from PX4 1.17 on", document)
+        yield _standing("EKF2_MIN_RNG", airframe, stream)
         yield _position("EKF2_RNG_POS_Z", airframe)
+
+
+def standing_m(airframe: Airframe, stream: Stream) -> float:
+    """What the downward stream reads when the vehicle stands on the ground, as far as the airframe file shows [m]."""
+    return airframe.send.standing_m or (stream.min_distance_cm + 1) / 100
+
+
+def _standing(name: str, airframe: Airframe, stream: Stream, per_m: int = 1) -> Setting:
+    source = "send.standing_m"
+    if airframe.send.standing_m is None:
+        source = "the shortest report; send.standing_m is not given, msp-range commission measures it"
+    return Setting(
+        name,
+        round(per_m * standing_m(airframe, stream), 2),
+        "what it reads when the vehicle stands on the ground; shorter readings are taken for this one",
+        source,
+    )
 
 
 def _position(name: str, airframe: Airframe) -> Setting:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from msp_range.reading_model.sensor_model import (
     WEIGHTS_RANGE_CM,
     MixtureParameters,
     SensorModel,
+    load_sensor_model,
 )
 
 TRUE_RANGE = "true_range_cm"
@@ -83,14 +85,16 @@ class ReadingModel:
     """
 
     parameters: MixtureParameters
-    minimum_cm: int
-    maximum_cm: int
+    minimum_cm: float
+    maximum_cm: float
     calibration: Calibration = IDENTITY
     resolution_cm: float = 1.0
 
     @classmethod
-    def of(cls, sensor: SensorModel) -> "ReadingModel":
-        """The base model of a sensor model file."""
+    def of(cls, sensor: SensorModel | Path | str) -> "ReadingModel":
+        """The base model of a sensor model file, or of its path, or of the name of one that comes with the package."""
+        if not isinstance(sensor, SensorModel):
+            sensor = load_sensor_model(sensor)
         limits = sensor.minimum_cm, sensor.maximum_cm
         return cls(sensor.reading_model, *limits, sensor.calibration_curve, sensor.resolution_cm)
 

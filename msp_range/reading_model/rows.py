@@ -58,8 +58,8 @@ class MixtureRows:
     log_weights: tuple[Any, Any, Any, Any]
     rate_per_m: float
     saturated_fraction: float
-    minimum_cm: int
-    maximum_cm: int
+    minimum_cm: float
+    maximum_cm: float
     step_cm: float
 
     def __len__(self) -> int:

@@ -10,29 +10,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
-import yaml
 from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
 from pydantic_core import CoreSchema
 
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.correction.calibration import Calibration, curve_through
-from msp_range.sensors.table import driver_names, find_driver
+from msp_range.sensors.table import NONE, driver_names, find_driver
 from msp_range.yaml_file import Section, config_path, load
-from msp_range.yaml_loader import load_yaml
 
 SATURATED_CM = 255
 """What a no-echo code reads where its two bytes are OR-ed (0x02 | 0xFD for 765) or it saturates to eight bits [cm]."""
 
 WEIGHTS_RANGE_CM = 300.0
 """Range at which the share of missed echoes is the one in `weights`, where it changes with range [cm]."""
-
-_NEW_NAMES = {
-    "unexpected": "short",
-    "max": "missed",
-    "unexpected_rate_per_m": "short_rate_per_m",
-    "max_growth_per_m": "missed_growth_per_m",
-}
-"""Keys of ``reading_model`` and its weights that had another name in version 0.1; recordings made with it hold them."""
 
 Medium: TypeAlias = Literal["sound", "light", "radio"]
 """What a sensor ranges with."""
@@ -144,14 +134,6 @@ class MixtureParameters(Section):
     correlation_spacing_s: float = Field(0.1, gt=0.0, le=1000.0)
     """The time to which `correlation` refers [s]."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_old_keys(cls, content: Any) -> Any:
-        renamed = [f"{key} is called {_NEW_NAMES[key]} now" for _, key in _old_keys(content)]
-        if renamed:
-            raise ValueError(f"found keys of an earlier version: {', '.join(renamed)}")
-        return content
-
 
 WIDEST_IN_FLIGHT_CM = 100.0
 """Hits of a flight scatter by so much at most [cm]: no sensor that scatters by a metre is worth watching. Larger: the
@@ -187,11 +169,11 @@ class SensorModel(Section):
     """What it ranges with. Light and radio do not change with the air: no correction for temperature, a ray instead of
     a beam that detects a surface from the side, and `breakaway` is half the beam's divergence."""
 
-    minimum_cm: int = Field(ge=0)
-    """Shortest reading; a nearer surface reads this too [cm]."""
+    minimum_cm: float = Field(ge=0.0)
+    """Shortest reading; a nearer surface reads this too [cm]. Whole centimetres, where a driver answers."""
 
-    maximum_cm: int = Field(le=32767)
-    """Longest reading; it is also the code for 'no echo' [cm]."""
+    maximum_cm: float = Field(le=32767.0)
+    """Longest reading; it is also the code for 'no echo' [cm]. Whole centimetres, where a driver answers."""
 
     resolution_cm: float = Field(ge=0.01, le=100.0)
     """Step of the readings [cm], which are whole multiples of it: whole centimetres, or a whole number of steps in one.
@@ -245,6 +227,11 @@ class SensorModel(Section):
             return {"calibration_temperature_c": UNUSED_TEMPERATURE_C} | content
         return content
 
+    @field_validator("minimum_cm", "maximum_cm")
+    @classmethod
+    def _is_shown_whole(cls, limit_cm: float) -> float:
+        return int(limit_cm) if limit_cm.is_integer() else limit_cm
+
     @field_validator("driver")
     @classmethod
     def _is_known(cls, driver: str) -> str:
@@ -274,9 +261,12 @@ class SensorModel(Section):
         step = self.resolution_cm
         if (step if step >= 1.0 else round(1.0 / step, 9)) % 1.0:
             raise ValueError(f"expected resolution_cm a whole number, or a whole number of them in 1, found {step:g}")
-        if step > 1.0 and (self.minimum_cm % step or self.maximum_cm % step):
+        what = "resolution_cm"
+        if self.driver != NONE and step < 1.0:
+            step, what = 1.0, "a centimetre, as drivers answer"
+        if any(round(limit_cm / step, 6) % 1.0 for limit_cm in (self.minimum_cm, self.maximum_cm)):
             raise ValueError(
-                f"expected minimum_cm and maximum_cm whole multiples of resolution_cm ({step:g}), "
+                f"expected minimum_cm and maximum_cm whole multiples of {what} ({step:g}), "
                 f"found {self.minimum_cm} and {self.maximum_cm}"
             )
         saturates = self.reading_model.saturated_fraction > 0.0
@@ -316,25 +306,6 @@ class SensorModel(Section):
 
         on_axis_m = None if self.heard_on_axis_cm is None else self.heard_on_axis_cm / 100.0
         return extended_beam(_beam(self.breakaway), self.maximum_cm / 100.0, self.frequency_hz, on_axis_m)
-
-
-def _old_keys(reading_model: Any) -> list[tuple[dict[str, Any], str]]:
-    """Old keys in a file's section ``reading_model`` and in its weights, each with the mapping that holds it."""
-    weights = reading_model.get("weights") if isinstance(reading_model, dict) else None
-    sections = [each for each in (weights, reading_model) if isinstance(each, dict)]
-    return [(section, key) for section in sections for key in _NEW_NAMES if key in section]
-
-
-def with_new_names(text: str) -> str:
-    """The text of a recorded sensor model file with new names for its old keys; any other text as it is."""
-    try:
-        content = load_yaml(text)
-    except yaml.YAMLError:
-        return text
-    old = _old_keys(content.get("reading_model")) if isinstance(content, dict) else []
-    for section, key in old:
-        section[_NEW_NAMES[key]] = section.pop(key)
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True) if old else text
 
 
 def load_sensor_model(path: Path | str) -> SensorModel:

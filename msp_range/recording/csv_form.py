@@ -17,6 +17,7 @@ import os
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -298,24 +299,65 @@ def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
         raise _cell_error(path, name, first + cells.index(""), "nothing", expected)
     if name not in WORD_COLUMNS:
         try:
-            numbers = np.array([float(cell) if cell else math.nan for cell in cells], dtype=float)
+            parse = to_time_s if name == "time_s" else to_number
+            numbers = np.array([parse(cell) if cell else math.nan for cell in cells], dtype=float)
             if not (np.abs(numbers) > LARGEST_NUMBER).any() and not (name == "time_s" and np.isnan(numbers).any()):
                 return numbers
         except ValueError:
             pass
         if is_known:
             is_time = name == "time_s"
-            bad = (not is_number(cell) or (is_time and math.isnan(float(cell))) for cell in cells)
-            row = next(row for row, is_bad in enumerate(bad) if is_bad)
-            expected = "a number" if is_time else "a number, or nothing where it is unknown"
+            row = next(row for row, cell in enumerate(cells) if not (is_time_s if is_time else is_number)(cell))
+            expected = "a number, or a time of ISO 8601" if is_time else "a number, or nothing where it is unknown"
             raise _cell_error(path, name, first + row, repr(cells[row][:LONGEST_CELL]), expected)
     return word_column(str(path), name, cells)
+
+
+def to_number(cell: str) -> float:
+    """A number as tables have it; what only Python takes for one (``1_0``, digits of other scripts) is none.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if "_" in cell or not cell.isascii():
+        raise ValueError(f"could not convert string to float: {cell!r}")
+    return float(cell)
+
+
+def to_time_s(cell: str) -> float:
+    """A time [s]: a number, or a time of ISO 8601 as seconds since 1970; without a zone it is UTC.
+
+    Raises
+    ------
+    ValueError
+        It is neither.
+
+    Examples
+    --------
+    >>> to_time_s("12.5"), to_time_s("2026-05-01T12:00:00.25Z"), to_time_s("2026-05-01 14:00:00.25+02:00")
+    (12.5, 1777636800.25, 1777636800.25)
+    """
+    try:
+        return to_number(cell)
+    except ValueError:
+        found = datetime.fromisoformat(cell.strip())
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
 
 
 def is_number(cell: str) -> bool:
     """Whether a cell of a column of numbers can be one: a number, or nothing."""
     try:
-        return not cell or not abs(float(cell)) > LARGEST_NUMBER
+        return not cell or not abs(to_number(cell)) > LARGEST_NUMBER
+    except ValueError:
+        return False
+
+
+def is_time_s(cell: str) -> bool:
+    """Whether a cell of a column of times can be one."""
+    try:
+        return abs(to_time_s(cell)) <= LARGEST_NUMBER
     except ValueError:
         return False
 

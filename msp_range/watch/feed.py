@@ -8,6 +8,8 @@ packets, never the bridge time. A watcher may send ``{"mark": "text"}``, which g
 import os
 import select
 import socket
+import struct
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,11 +21,14 @@ from msp_range.bridge import Records
 from msp_range.input_file import printable
 
 MOST_WATCHERS = 8
-"""More are refused: a page's process and some terminals. Each costs the bridge a system call a packet."""
+"""Places: a page's process and some terminals. Each costs the bridge a system call a packet. Where all are taken, the
+user with most of them loses one to a user with fewer."""
 LONGEST_MARK = 100
 """Characters of a mark; longer ones are cut."""
 MARKS_PER_S = 2.0
 """Marks are refused above this rate, so that nobody fills the recording with them [1/s]."""
+_CREDENTIALS = struct.Struct("iII")
+"""Process, user and group, struct ucred of unix(7)."""
 
 
 class FeedError(Exception):
@@ -83,7 +88,8 @@ class Feed:
 
     def service(self, now_s: float) -> None:
         """Greet who has come, and take marks: one system call where there is nothing to do."""
-        readable, _, _ = select.select([self._server, *self._watchers], (), (), 0.0)
+        # The server comes last: a watcher that loses its place to a new one has been read by then.
+        readable, _, _ = select.select([*self._watchers, self._server], (), (), 0.0)
         for each in readable:
             if each is self._server:
                 with suppress(OSError):  # It has gone already, or there are too many open files.
@@ -103,12 +109,20 @@ class Feed:
         watcher.setblocking(False)
         try:
             if len(self._watchers) == MOST_WATCHERS:
-                raise ConnectionRefusedError
+                self._make_room(_user_of(watcher))
             watcher.send(_packet("/airframe", now_s, self._greeting()))
         except OSError:  # too many, or it has gone already
             watcher.close()
         else:
             self._watchers.append(watcher)
+
+    def _make_room(self, user: int) -> None:
+        """Take a place from the user with most of them; raises ConnectionRefusedError if ``user`` has as many."""
+        places = Counter(map(_user_of, self._watchers))
+        most, count = places.most_common(1)[0]
+        if places[user] + 1 >= count:
+            raise ConnectionRefusedError
+        self._forget(next(each for each in self._watchers if _user_of(each) == most))
 
     def _receive(self, watcher: socket.socket, now_s: float) -> None:
         try:
@@ -161,6 +175,13 @@ class Watched:
         """The recorder's."""
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
+
+
+def _user_of(watcher: socket.socket) -> int:
+    """The user whose program connected."""
+    credentials = watcher.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    user: int = _CREDENTIALS.unpack(credentials)[1]
+    return user
 
 
 def _packet(topic: str, time_s: float, message: dict[str, Any]) -> bytes:

@@ -7,6 +7,8 @@ from typing import Any
 from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX
 from msp_range.watch.client import Packet
 
+GONE = "/gone"
+"""Topic of the packet that a server makes where the bridge has ended."""
 TEXTS_KEPT = 50
 """Reports to the pilot that are remembered."""
 
@@ -39,6 +41,11 @@ class Newest:
     texts: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TEXTS_KEPT))
     time_s: float = 0.0
 
+    @property
+    def state(self) -> str:
+        """The bridge's, by its own verdict; 'unknown' where there is no status of a bridge that runs."""
+        return str(self.status.get("state", "unknown"))
+
     def update(self, packet: Packet) -> None:
         """Take one packet."""
         topic, self.time_s, message = packet
@@ -54,3 +61,5 @@ class Newest:
             self.received[message["kind"]] = message
         elif topic == HEALTH_TOPIC:
             self.texts.append((self.time_s, message))
+        elif topic == GONE:
+            self.status = {}

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from msp_range.clock import SystemClock
+from msp_range.health import BridgeState
 from msp_range.terminal import PlainConsole
 from msp_range.watch.client import connect, packets, read_once
 from msp_range.watch.newest import Newest
@@ -25,7 +27,7 @@ REFRESH_S = 0.2
 """Time between two updates of the display [s]."""
 SHOWN_CLIMB_M_S = 0.1
 """A slower climb is not shown [m/s]: noise reaches 0.05."""
-EXIT_NOT_RUNNING = 1
+EXIT_NOT_RUNNING, EXIT_NOT_ACTIVE = 1, 4
 
 
 def show(socket: Path | None, once: bool, as_json: bool) -> int:
@@ -46,7 +48,10 @@ def show(socket: Path | None, once: bool, as_json: bool) -> int:
                 print(json.dumps(as_object(newest)))
             else:
                 out.print(shown(newest))
-            return 0
+            if newest.status:
+                return 0 if newest.state == BridgeState.ACTIVE else EXIT_NOT_ACTIVE
+            print("the bridge ended while it was asked", file=sys.stderr)
+            return EXIT_NOT_RUNNING
         clock = SystemClock()
         next_s = clock.now()
         with Live(console=out, auto_refresh=False) as live:
@@ -56,7 +61,7 @@ def show(socket: Path | None, once: bool, as_json: bool) -> int:
                     next_s = clock.now() + REFRESH_S
                     live.update(shown(newest), refresh=True)
     print("the bridge has ended")
-    return 0
+    return EXIT_NOT_RUNNING
 
 
 def as_object(newest: Newest) -> dict[str, Any]:
@@ -72,13 +77,26 @@ def as_object(newest: Newest) -> dict[str, Any]:
 
 
 def shown(newest: Newest) -> Group:
-    """All of it, for a reader."""
-    return Group(_sensors(newest), *(Text(line, style) for line, style in _lines(newest)))
+    """All of it, for a reader: what is wrong comes first, where a short window still shows it."""
+    title = f"{newest.airframe.get('vehicle', '?')}: {newest.state}", "bold"
+    above, below = ([Text(*each) for each in lines] for lines in ([title, *_wrong(newest)], _lines(newest)))
+    return Group(*above, _sensors(newest), *below)
+
+
+def _wrong(newest: Newest) -> Iterator[tuple[str, str]]:
+    """What is wrong, each cause with its remedy and what follows from it; each line with its style."""
+    for fault in newest.status.get("faults", []):
+        style = "red" if fault["severity"] == "error" else "yellow"
+        if fault["cause"] is not None:
+            yield f"   so {fault['text']}", style
+        else:
+            yield f"{fault['severity']}: {fault['text']}", f"bold {style}"
+            yield textwrap.fill(fault["remedy"], WIDTH, initial_indent="   -> ", subsequent_indent=6 * " "), ""
 
 
 def _sensors(newest: Newest) -> Table:
     status = newest.status
-    table = Table(title=f"{newest.airframe.get('vehicle', '?')}: {status.get('state', '?')}", width=WIDTH)
+    table = Table(width=WIDTH)
     table.add_column("sensor", no_wrap=True)
     for heading in ("raw m", "corrected m"):
         table.add_column(heading, justify="right")
@@ -123,18 +141,18 @@ def _lines(newest: Newest) -> Iterator[tuple[str, str]]:
         return
     air, link = status["air"], status["link"]
     yield f"air {air['temperature_c']:.1f} C, deviation {air['std_c']:.1f} C, from {air['source']}", ""
-    there = f"system {link['autopilot']}" if link["autopilot"] is not None else "none received"
+    is_there = link["autopilot"] is not None
+    there = f"system {link['autopilot']}" if is_there else "none received"
     armed = {True: ", armed", False: ", disarmed", None: ""}[link["armed"]]
     down = "" if link["connected"] else f", not connected: {link['error'] or 'waiting'}"
     yield f"link {link['url']}{down}; autopilot: {there}{armed}", ""
-    yield f"sent {link['sent'].get('DISTANCE_SENSOR', 0)} distances, {link['dropped']} frames dropped", ""
+    nobody = "" if is_there else ", nobody gets them"
+    yield f"sent {link['sent'].get('DISTANCE_SENSOR', 0)} distances{nobody}, {link['dropped']} frames dropped", ""
     for each in newest.received.values():
         if each["kind"] == "DISTANCE_SENSOR":
             yield f"the autopilot has {each['distance_m']:.2f} m (orientation {each['orientation']})", ""
     yield f"recording: {status['recording'] or 'none'}", ""
     yield f"running for {status['uptime_s']:.0f} s", ""
-    for fault in status["faults"]:
-        yield f"{fault['severity']}: {fault['text']}", "red" if fault["severity"] == "error" else "yellow"
 
 
 def _fused(newest: Newest) -> dict[str, Any] | None:

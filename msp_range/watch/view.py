@@ -16,11 +16,6 @@ BEAM_RANGES_M = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0)
 """Ranges at which the width of a beam is given; between them it is drawn linearly [m]."""
 FROM_AUTOPILOT = {"DISTANCE_SENSOR": 2.0, "SYS_STATUS": 1.0}
 """Messages that are asked for while a page is served, to show what the autopilot received, and their rates [Hz]."""
-_STATES = {
-    dialect.MAV_STATE_BOOT: "starting",
-    dialect.MAV_STATE_ACTIVE: "active",
-    dialect.MAV_STATE_CRITICAL: "critical",
-}
 
 
 def airframe_message(airframe: Airframe) -> dict[str, Any]:
@@ -64,10 +59,10 @@ def status_message(bridge: Bridge, transport: Transport, recording: str | None, 
     now_s
         Now on the bridge's clock [s].
     """
-    health, link, air = bridge.health, bridge.link, bridge.air
-    faults = health.sensor_faults
+    verdict, link, air = bridge.verdict, bridge.link, bridge.air
+    faults = bridge.health.sensor_faults
     return {
-        "state": _STATES[link.system_status],
+        "state": verdict.state,
         "uptime_s": round(now_s - bridge.started_s, 1),
         "sensors": {
             name: {
@@ -79,7 +74,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: str | None, 
             for name, each in bridge.counts().items()
         },
         "sensor_watch_off": bridge.sensor_watch_off,
-        "faults": [{"severity": severity.name.lower(), "text": text} for severity, text in health.faults()],
+        "faults": [each._asdict() | {"severity": each.severity.name.lower()} for each in verdict.findings],
         "air": {"temperature_c": air.temperature_c, "std_c": air.std_c, "source": air.source},
         "link": {
             "url": transport.description,

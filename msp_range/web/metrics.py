@@ -5,11 +5,12 @@ from collections.abc import Iterator
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from msp_range.health import BridgeState
 from msp_range.watch.newest import Newest
 
 
 class BridgeMetrics(Collector):
-    """Metrics of a bridge's newest state; none before its first status.
+    """Metrics of a bridge's newest state; the state alone where no bridge runs.
 
     Parameters
     ----------
@@ -23,6 +24,10 @@ class BridgeMetrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """All metrics."""
         newest, status = self._newest, self._newest.status
+        is_good = newest.state in (BridgeState.STARTING, BridgeState.ACTIVE)
+        yield _gauge(
+            "msp_range_critical", "1 if a distance is missing, nobody gets it, or no bridge runs.", not is_good
+        )
         if not status:
             return
         readings = CounterMetricFamily("msp_range_readings", "Readings of each sensor.", labels=["sensor"])
@@ -39,22 +44,22 @@ class BridgeMetrics(Collector):
             corrected_m = newest.readings.get(name, {}).get("corrected_m")
             if corrected_m is not None:
                 distance.add_metric([name], corrected_m)
-        yield from (readings, rejected, good, distance)
+        labels = ["what", "severity", "cause"]
+        wrong = GaugeMetricFamily("msp_range_fault", "1 for each fault; a cause has no cause.", labels=labels)
+        for fault in status["faults"]:
+            wrong.add_metric([fault[label] or "" for label in labels], 1)
+        sent = CounterMetricFamily("msp_range_messages_sent", "MAVLink messages sent.", labels=["message"])
+        air, link = status["air"], status["link"]
+        for name, count in link["sent"].items():
+            sent.add_metric([name], count)
+        yield from (readings, rejected, good, distance, wrong, sent)
         if newest.fused is not None:
             fused = newest.fused[1]
             yield _gauge("msp_range_distance_m", "Fused distance along the down axis.", fused["range_m"])
             yield _gauge("msp_range_distance_variance_m2", "Variance of its error.", fused["variance_m2"])
-        air, link = status["air"], status["link"]
         yield _gauge("msp_range_air_temperature_c", "Air temperature of the correction.", air["temperature_c"])
         yield _gauge("msp_range_autopilot_present", "1 if heartbeats arrive.", link["autopilot"] is not None)
-        yield _gauge(
-            "msp_range_critical", "1 if a sensor is bad or no distance goes out.", status["state"] == "critical"
-        )
         yield _gauge("msp_range_faults", "Faults at present.", len(status["faults"]))
-        sent = CounterMetricFamily("msp_range_messages_sent", "MAVLink messages sent.", labels=["message"])
-        for name, count in link["sent"].items():
-            sent.add_metric([name], count)
-        yield sent
         yield CounterMetricFamily("msp_range_frames_dropped", "Frames that the link did not take.", link["dropped"])
         yield _gauge("msp_range_uptime_seconds", "Time since the bridge was started.", status["uptime_s"])
 

@@ -25,7 +25,7 @@ from websockets.http11 import Request, Response
 from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, Packet
 from msp_range.watch.feed import LONGEST_MARK
-from msp_range.watch.newest import Newest
+from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
 from msp_range.web.access import Access
 from msp_range.web.metrics import BridgeMetrics
@@ -115,13 +115,17 @@ class Page:
 
     def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer what is not the live connection."""
-        path = urlsplit(request.path).path
-        name = "page.html" if path == "/" else path.removeprefix("/")
-        # Style and scripts say nothing of the vehicle, and the page loads them without the token.
-        target = None if name.endswith((".css", ".js")) else request.path
-        refusal = self._access.refusal(target, request.headers.get("Host"), request.headers.get("Origin"))
+        try:
+            path = urlsplit(request.path).path
+            host, origin = (request.headers.get(name) for name in ("Host", "Origin"))
+            # Style and scripts say nothing of the vehicle, and the page loads them without the token.
+            target = None if path.endswith((".css", ".js")) else request.path
+            refusal = self._access.refusal(target, host, origin)
+        except (ValueError, LookupError):  # no address, or several of them
+            refusal = HTTPStatus.BAD_REQUEST, "expected one address each in path, Host and Origin\n"
         if refusal is not None:
             return connection.respond(*refusal)
+        name = "page.html" if path == "/" else path.removeprefix("/")
         if path == "/live":
             return None
         if path == "/metrics":
@@ -161,7 +165,7 @@ class Page:
                     self._update(packet)
             if self._bridge is not None:
                 self._bridge = None
-                self._update(b'{"topic":"/gone","time_s":0,"message":{}}')
+                self._update(b'{"topic":"%b","time_s":0,"message":{}}' % GONE.encode())
             await asyncio.sleep(RETRY_S)
 
     def _update(self, packet: bytes) -> None:
@@ -169,7 +173,7 @@ class Page:
             return
         parsed = Packet.parsed(packet)
         self._newest.update(parsed)
-        if parsed.topic in ("/airframe", "/status", "/gone"):
+        if parsed.topic in ("/airframe", "/status", GONE):
             self._kept[parsed.topic] = packet
             if parsed.topic == "/airframe":
                 self._kept = {parsed.topic: packet}

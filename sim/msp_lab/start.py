@@ -1,11 +1,6 @@
 """Where the command begins; see `msp_range.start`."""
 
-import os
-import signal
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-signal.signal(signal.SIGINT, signal.SIG_DFL)
-signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+import msp_range.start  # noqa: F401
 
 
 def main() -> None:

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from msp_range.extras import DRAWING, require
-from msp_range.moved import EXIT_COMMAND_LINE, add_moved
-from msp_range.user_errors import Commands, VersionOption
+from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
 from msp_range.watch.place import parse_listen
 from msp_range.yaml_file import ConfigError
 
@@ -278,9 +277,6 @@ def show(
 
         draw(flight, out, recording.name)
         print(f"picture: {out}")
-
-
-add_moved(app, {name: f"msp-lab {name}" for name in ("collect", "gap", "compare", "name", "add", "effects", "filters")})
 
 
 def main() -> None:

@@ -316,6 +316,13 @@ def _connected(address: str) -> Iterator[Any]:
                     f"--scheduler {address}: the worker {name} computes {worker['nthreads']} items at a time in one "
                     f"process; expected one: start it with --nthreads 1 --nworkers {worker['nthreads']}"
                 )
+        # By built-in words, which a worker knows without the program. Dask would fail to read each task, and try again.
+        for name, why in client.run(exec, f"import {__name__}", {}, on_error="return").items():
+            if why is not None:
+                raise ConfigError(
+                    f"--scheduler {address}: the worker {name} cannot import the program ({why}); expected "
+                    f"msp-range {__version__} with the extra fleet in the Python that the worker runs in"
+                )
         yield client
 
 

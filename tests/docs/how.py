@@ -82,7 +82,7 @@ AROUND = {
     "msp-range params my_airframe.yaml --write": YES,
     "msp-range run my_airframe.yaml ...": CTRL_C,
     "msp-range run configs/loopback.yaml --no-record": "timeout --preserve-status -s INT 9 {} & sleep 4",
-    "msp-range status": CTRL_C + " || test $? = 130",
+    "msp-range status": "{} || test $? = 4",
     "msp-sim fly configs/scenarios/hover.yaml --realtime --link udpout:127.0.0.1:14550": CTRL_C + " || test $? = 130",
     "msp-sim sitl ...": CTRL_C,
     ".venv/bin/msp-lab compare ../shared/data/enmt482/training1.csv --map reading_cm=sonar2 ...": "{} || test $? = 3",

@@ -1,15 +1,20 @@
 """Commands of the documents exist with all their options, and each is run: here, or by the test that is named."""
 
+import ast
 import re
 import shlex
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 import typer
 
 from msp_lab.cli import app as msp_lab
+from msp_lab.readings.vehicle import mounting_of
 from msp_range.cli import app as msp_range
+from msp_range.recording.reader import Recording
+from msp_range.yaml_file import ConfigError
 from msp_sim.cli import app as msp_sim
 from tests.docs import how
 from tests.docs.shown import DOCUMENTS, ROOT, blocks, commands, in_sentences, unseen
@@ -64,3 +69,53 @@ def test_make_has_every_target_that_is_shown() -> None:
     targets = [command.split()[1] for command in SHOWN if command.startswith("make ") and "px4_sitl" not in command]
     assert len(targets) > 5
     assert [each for each in targets if not re.search(rf"^{each}:", makefile, re.M)] == []
+
+
+OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
+
+
+def options_in_texts(path: Path) -> set[str]:
+    """Options that a module's texts name; its docstrings are for programmers."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docs = {ast.get_docstring(node, clean=False) for node in ast.walk(tree) if isinstance(node, DOCUMENTED)}
+    texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    return {found for text in texts if text not in docs for found in OPTION.findall(text)}
+
+
+def options_of(*commands: Any) -> list[set[str]]:
+    return [
+        {option for each in command.params for option in (*each.opts, *each.secondary_opts)} for command in commands
+    ]
+
+
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+NO_OPTIONS = {"--help", "--before-", "--end-with-stdin", "--nthreads", "--nworkers", "--start", "--end", "--now"}
+"""Options of every command, of programs of others (Dask, mcap, systemctl), and what only looks like one."""
+INTAKE = ("import", "gap", "compare")
+"""Commands that read measurements: a hint of what they share has to hold in each of them."""
+
+
+def test_options_that_hints_name_exist() -> None:
+    commands = [each for program in PROGRAMS.values() for each in (program, *program.commands.values())]
+    known = set.union(*options_of(*commands)) | NO_OPTIONS
+    unknown = {
+        str(path.relative_to(ROOT)): found
+        for folder in ("msp_range", "sim")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if (found := options_in_texts(path) - known)
+    }
+    assert unknown == {}
+
+
+def test_options_that_hints_of_the_intake_name_exist_in_each_command_that_reads_measurements() -> None:
+    """Of `--run-column` it is said by those only that have it."""
+    shared = set.union(*(options_in_texts(path) for path in (ROOT / "sim/msp_lab/readings").glob("*.py")))
+    for options in options_of(*(PROGRAMS["msp-lab"].commands[name] for name in INTAKE)):
+        assert shared - {"--run-column"} <= options
+
+
+def test_a_command_without_an_airframe_does_not_advise_to_name_one(tmp_path: Path) -> None:
+    recording = SimpleNamespace(files={"other.yaml": ""}, path=tmp_path / "flight.mcap")
+    with pytest.raises(ConfigError) as refused:
+        mounting_of(cast(Recording, recording))
+    assert str(refused.value) == f"{tmp_path}/flight.mcap: contains no airframe file"

@@ -17,6 +17,7 @@ FOUR = [Sonar(0x70 + number, [120, 121]) for number in range(4)]
 FRESH = {
     "RNGFND1_TYPE": 0.0,
     "RNGFND1_ORIENT": 25.0,
+    "RNGFND1_ADDR": 0.0,
     "RNGFND1_MIN": 0.2,
     "RNGFND1_MAX": 7.0,
     "RNGFND1_GNDCLR": 0.1,

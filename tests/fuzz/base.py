@@ -31,7 +31,7 @@ FOLDER = Path("build/fuzz")
 SLOW_S = 2.0
 """Longest time that one input may take [s of processor time, so that a busy machine is no finding]: what a
 person waits before he takes a program for dead."""
-STUCK_S = 20.0
+STUCK_S = 60.0
 """A child that has not answered for so long [s] waits for something and is ended."""
 MEMORY_MB = 200.0
 """Memory that reading one input may take beyond what the program has after its start: a small computer

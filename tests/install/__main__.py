@@ -78,7 +78,7 @@ class Receiver:
     def await_distance(self) -> float:
         """Wait for a new distance; returns how long it took [s]."""
         self.distances()
-        return Machine.until("a distance", lambda: bool(self.distances()), 30.0)
+        return Machine.until("distance", lambda: bool(self.distances()))
 
     def await_text(self, pattern: str) -> None:
         """Wait for a text to the pilot, and forget those up to it."""
@@ -87,7 +87,7 @@ class Receiver:
             self.distances()
             return any(re.search(pattern, text) for text in self.texts)
 
-        Machine.until(f"the text {pattern!r}; received: {self.texts}", is_there, 30.0)
+        Machine.until(f"text {pattern!r}", is_there)
         say(f"    ok: the pilot reads {next(text for text in self.texts if re.search(pattern, text))!r}")
         self.texts.clear()
 
@@ -142,7 +142,7 @@ def install(machine: Machine, receiver: Receiver) -> None:
     expect(nice == "-10", f"nice {nice}")
     expect(bool(recordings(machine)), "it records")
     expect("msp-range " in machine.run("msp-range --version").stdout, "the command msp-range is there")
-    shown = machine.run("runuser -u nobody -- msp-range status").stdout
+    shown = machine.run("runuser -u nobody -- msp-range status || test $? = 4").stdout
     expect("distance down" in shown, "msp-range status shows it to any user")
     page = machine.run(
         f"{OPT_PYTHON} -c 'import urllib.request as u; print(u.urlopen(\"{PAGE}\").read().decode())'"
@@ -260,7 +260,7 @@ def hangs(machine: Machine, receiver: Receiver) -> None:
     """A bus whose driver does not return."""
     before = restarts(machine)
     machine.run("systemctl kill --signal=STOP emulated-i2c")
-    took_s = Machine.until("the watchdog", lambda: restarts(machine) > before, 20.0)
+    took_s = Machine.until("watchdog", lambda: restarts(machine) > before)
     machine.run("systemctl kill --signal=CONT emulated-i2c")
     receiver.await_distance()
     journal = machine.run("journalctl -u msp-range -o cat --no-pager").stdout
@@ -294,7 +294,7 @@ def has_an_invalid_file(machine: Machine, receiver: Receiver) -> None:
     good = airframe.read_text()
     airframe.write_text(good + "colour: red\n")
     machine.run("systemctl restart msp-range", check=False)
-    Machine.until("failed", lambda: machine.show("ActiveState") == "failed", 20.0)
+    Machine.until("failure", lambda: machine.show("ActiveState") == "failed")
     expect(machine.show("ExecMainStatus") == "3", "an invalid airframe file: exit code 3, not started again")
     journal = machine.run("journalctl -u msp-range -o cat --no-pager -n 8").stdout
     expect("colour" in journal, "and the journal names the place")
@@ -340,7 +340,7 @@ def boots_again(machine: Machine, receiver: Receiver) -> None:
     """The computer is switched off and on."""
     machine.power_off()
     machine.boot()
-    Machine.until("started at boot", lambda: int(machine.show("NRestarts")) > 0 or is_active(machine), 30.0)
+    Machine.until("start at boot", lambda: int(machine.show("NRestarts")) > 0 or is_active(machine))
     machine.emulate_sensors(READINGS_CM)
     machine.run("systemctl restart msp-range")
     receiver.await_distance()
@@ -404,7 +404,7 @@ def main() -> int:
             step(machine, receiver)
         say(f"is removed: {is_removed.__doc__}")
         is_removed(machine)
-    except (RuntimeError, subprocess.TimeoutExpired) as error:
+    except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
         say(f"FAILED: {error}")
         if machine.leader:
             say(machine.run("journalctl -u msp-range -o cat --no-pager -n 40", check=False).stdout)

@@ -15,6 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from msp_sim.device.mb1242 import TIMING
+from tests.support.waiting import LIMIT_S, until
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = (
@@ -22,7 +23,6 @@ PACKAGES = (
     "umockdev,python3-gi,gir1.2-umockdev-1.0"
 )
 """What the container has: all that the documents ask for, and umockdev for the sensors."""
-START_S = 60.0
 DEVICE_POLICY = ("--capability=CAP_BPF", "--system-call-filter=bpf")
 """Without these, and a unified hierarchy of control groups, the container's systemd allows a service all devices."""
 HOST_TRUST = (Path("/etc/ssl/certs"), Path("/etc/pip.conf"))
@@ -71,7 +71,7 @@ class Machine:
             stderr=self._log,
         )
         self.leader = 0
-        self.until("systemd has started", self._is_up, START_S)
+        self.until("end of the start of systemd", self._is_up)
 
     def _is_up(self) -> bool:
         assert self._process is not None
@@ -86,7 +86,7 @@ class Machine:
         """Shut it down."""
         assert self._process is not None
         self.run("systemctl poweroff", check=False)
-        self._process.wait(30.0)
+        self._process.wait(LIMIT_S)
 
     def run(self, command: str, check: bool = True, timeout_s: float = 900.0) -> "subprocess.CompletedProcess[str]":
         """Run a shell command in it; raises RuntimeError with what it printed where it fails and ``check``."""
@@ -111,13 +111,10 @@ class Machine:
         return self.run(f"systemctl show --value -p {name} {unit}").stdout.strip()
 
     @staticmethod
-    def until(what: str, is_so: Callable[[], bool], limit_s: float) -> float:
-        """Wait until something is so; returns how long it took [s], raises RuntimeError after ``limit_s``."""
+    def until(what: str, is_so: Callable[[], bool]) -> float:
+        """Wait until something is so; returns how long it took [s]."""
         start_s = time.monotonic()
-        while not is_so():
-            if time.monotonic() - start_s > limit_s:
-                raise RuntimeError(f"waited {limit_s:.0f} s: {what}")
-            time.sleep(0.05)
+        until(is_so, work=lambda: time.sleep(0.05), seen=lambda: f"no {what}")
         return time.monotonic() - start_s
 
     def emulate_sensors(self, readings_cm: Sequence[int]) -> None:
@@ -145,7 +142,7 @@ class Machine:
         self.run("rm -rf /srv/i2c")
         self.run("systemd-run --unit=emulated-i2c --quiet sh /root/sensors.sh")
         answer = self.root / "srv/i2c/answer"
-        self.until("the emulated bus", lambda: answer.exists() and answer.read_text().endswith("\n"), 20.0)
+        self.until("the emulated bus", lambda: answer.exists() and answer.read_text().endswith("\n"))
         testbed = json.loads(answer.read_text())["root"]
         self.run(f"chmod -R a+rwX {testbed} $(readlink -f {testbed}/dev/i2c-1)")
         drop_in = self.root / "etc/systemd/system/msp-range.service.d/emulated-i2c.conf"
@@ -162,7 +159,7 @@ class Machine:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
             try:
-                self._process.wait(15.0)
+                self._process.wait(LIMIT_S)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()

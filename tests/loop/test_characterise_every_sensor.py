@@ -41,7 +41,7 @@ def table(
     for name, other_cm in (
         ("missed", np.full(n, highest)),
         ("short", np.rint(rng.uniform(lowest, true_cm))),
-        ("random", rng.integers(lowest, highest, n)),
+        ("random", rng.integers(round(lowest), round(highest), n)),
     ):
         reading_cm = np.where((kind >= limit) & (kind < limit + share[name]), other_cm, reading_cm)
         limit += share[name]

@@ -7,11 +7,14 @@ and measures. What is mounted is true; the file has the mistake.
 import io
 import json
 import re
+import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from msp_range.clock import VirtualClock
+from msp_range.clock import Clock, VirtualClock
 from msp_range.commission.command import commission
 from msp_range.commission.samples import Record, samples_of
 from msp_range.commission.session import Session
@@ -19,12 +22,14 @@ from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps.flight import compare as compare_flight
 from msp_range.commission.steps.flight import hovering
 from msp_range.config import Airframe, load_airframe
-from msp_range.doctor.computer import Computer, User
+from msp_range.doctor.computer import Computer, User, this_computer
+from msp_range.mavlink.transport import Wrapped, open_transport
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import ConfigError
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
+from tests.support import hand_held
 from tests.support.fake_computer import FakeComputer
 from tests.support.hand_held import EmulatedBus, HandHeld, Person
 from tests.support.parameter_autopilot import RANGE_FINDER
@@ -207,6 +212,35 @@ def test_an_autopilot_that_is_mounted_backwards_is_not_the_file_s_fault(
     assert vehicle.person.asked == []
 
 
+@pytest.mark.parametrize("in_file", [GOOD, WRONG_SIGN])
+def test_nothing_is_proposed_from_an_attitude_that_is_late(tmp_path: Path, in_file: str) -> None:
+    """A wrong place in the file stays too: the same command finds it as soon as the attitude is right."""
+    vehicle = Vehicle(tmp_path, GOOD, in_file, seed=4)
+    vehicle.held.attitude_late_s = 0.35
+    shown = vehicle.printed("lift")
+    assert "wrong delay of the attitude" in shown
+    assert vehicle.person.asked == []
+    assert ("not proposed, as they come from what is wrong: delay of the attitude" in shown) is (in_file == WRONG_SIGN)
+    assert vehicle.path.read_text() == in_file
+    vehicle.held.attitude_late_s = 0.0
+    assert vehicle.do("lift")["lift"]["passed"]
+    assert ["wrong sign" in each for each in vehicle.person.asked] == [True] * (in_file == WRONG_SIGN)
+
+
+def test_a_vehicle_on_high_legs_gets_its_standing_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its parameters, which have passed before, are due again."""
+    monkeypatch.setattr(hand_held, "RESTS_M", 0.41)
+    vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=4)
+    vehicle.computer()
+    vehicle.held.parameters = dict(COPTER)
+    assert vehicle.commission() == 1
+    (asked,) = [each for each in vehicle.person.asked if "RNGFND1" not in each and "link.system_id" not in each]
+    assert "standing on the floor" in asked
+    assert vehicle.airframe.send.standing_m == pytest.approx(0.36, abs=0.015)
+    assert vehicle.held.parameters["RNGFND1_GNDCLR"] == pytest.approx(vehicle.airframe.send.standing_m)
+    assert vehicle.shown.index("lift: passed") < vehicle.shown.rindex("--- parameters") < vehicle.shown.index("hover:")
+
+
 def test_a_thermometer_that_is_too_warm_gets_its_bias(tmp_path: Path) -> None:
     source = re.search(r"    - \{source: file.*\}", GOOD)
     assert source is not None
@@ -241,6 +275,56 @@ def test_nothing_goes_on_while_the_vehicle_is_armed(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="disarm"):
             vehicle.do(step)
     assert vehicle.path.read_text() == SWAPPED
+
+
+@pytest.mark.parametrize("step", ["bench", "parameters"])
+def test_who_has_the_only_connection_of_the_autopilot_is_named(tmp_path: Path, step: str) -> None:
+    """Its server takes one client at a time, as a serial port of ArduPilot's simulator does: others receive nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        code = f"import socket; s = socket.create_connection(('127.0.0.1', {port})); print(flush=True); input()"
+        command = [sys.executable, "-c", code, "msp-range", "commission"]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+            assert holder.stdout is not None
+            holder.stdout.readline()
+            link = f"tcp:127.0.0.1:{port}"
+            vehicle = Vehicle(tmp_path, GOOD, GOOD.replace("serial:/dev/serial0:921600", link), seed=1)
+            vehicle.session.make_transport = open_transport
+            vehicle.session.computer = this_computer()
+            try:
+                shown = vehicle.printed(step)
+            except ConfigError as error:
+                shown = str(error)
+            holder.communicate(b"\n")
+    assert f"another program uses port {port}: process {holder.pid} (" in shown
+    assert "end it, then again" in shown
+
+
+def test_nothing_is_left_open_by_a_step_that_fails(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=1)
+    vehicle.held.is_silent = True
+    links = []
+
+    def make(url: str, clock: Clock) -> Wrapped:
+        links.append(Link(vehicle.held.transport()))
+        links[-1].description = url
+        return links[-1]
+
+    class Link(Wrapped):
+        closed = False
+
+        def close(self) -> None:
+            self.closed = True
+
+    vehicle.session.make_transport = make
+    with pytest.raises(ConfigError, match="no autopilot is received: nothing arrives at /dev/serial0"):
+        vehicle.do("bench")
+    assert "nothing arrives at /dev/serial0" in vehicle.printed("parameters")
+    vehicle.path.write_text(GOOD.replace("  autopilot: ardupilot", "  autopilot: ardupilot\n  signing_key: nowhere"))
+    for step in ("bench", "parameters"):
+        with pytest.raises(ConfigError, match="nowhere"):
+            vehicle.do(step)
+    assert [link.closed for link in links] == [True] * len(links)
 
 
 def test_a_heartbeat_that_is_lost_ends_the_lift(tmp_path: Path) -> None:
@@ -283,8 +367,26 @@ def flown(folder: Path, vehicle: Vehicle) -> Path:
     return path
 
 
+def pinned(text: str, system: int) -> str:
+    """A file that names its autopilot's system."""
+    return replaced(text, ("\nlink:\n", f"\nlink:\n  system_id: {system}\n"))
+
+
+@pytest.mark.parametrize("in_file", [GOOD, pinned(GOOD, 3)])
+def test_the_system_id_of_the_autopilot_that_is_received_is_written(tmp_path: Path, in_file: str) -> None:
+    """A file from another vehicle silenced this one, and one without any joined the neighbour's."""
+    vehicle = Vehicle(tmp_path, GOOD, in_file, seed=9)
+    vehicle.computer()
+    vehicle.held.parameters = COPTER
+    report = vehicle.do("wires")["wires"]
+    assert report["passed"], report
+    assert vehicle.airframe.link.system_id == 1
+    assert load_airframe(tmp_path / "mounted.yaml").sensors == vehicle.airframe.sensors
+
+
 def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    vehicle = Vehicle(tmp_path, GOOD, SWAPPED, seed=9)
+    in_file = pinned(SWAPPED, 1)
+    vehicle = Vehicle(tmp_path, GOOD, in_file, seed=9)
     vehicle.computer()
     vehicle.held.parameters = COPTER | {"RNGFND1_TYPE": 0.0}
     assert vehicle.commission() == 1
@@ -297,7 +399,7 @@ def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
     # The addresses are changed by hand: what was seen of them no longer counts, what was seen of the wires does.
     corrected = vehicle.path.read_text()
-    vehicle.path.write_text(SWAPPED)
+    vehicle.path.write_text(in_file)
     assert PassedSteps.of(vehicle.path).next_step(vehicle.airframe) == "addresses"
     vehicle.path.write_text(corrected + "\n# a comment\n")
     assert PassedSteps.of(vehicle.path).next_step(vehicle.airframe) == "hover"

@@ -1,7 +1,6 @@
 """`msp-range doctor --bench` on this computer: the figures are there and of a sensible size."""
 
 import re
-import time
 from pathlib import Path
 
 import pytest
@@ -13,12 +12,11 @@ from tests.support.slow import slow
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("airframe", ["quad_pallet", *slow("lidar_down", "proximity")])
 def test_the_figures(airframe: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "BENCH_S", 1.5)
-    began_s = time.monotonic()
     findings = {each.step: each for each in bench.measure(CONFIGS / f"{airframe}.yaml")}
-    assert time.monotonic() - began_s < 60.0
     assert findings.keys() == {"start", "processor", "delay", "schedule", "memory"}
     figures = {step: float(match[0]) for step, each in findings.items() if (match := re.search(r"[\d.]+", each.text))}
     assert 0.05 < figures["start"] < 20.0

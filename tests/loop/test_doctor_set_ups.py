@@ -19,7 +19,7 @@ from tests.support.doctor_set_ups import BROKEN, GOOD, SetUp
 from tests.support.fake_computer import FakeComputer
 from tests.support.kernel_bus import kernel_bus
 from tests.support.service import running_service
-from tests.support.transports import until
+from tests.support.waiting import until
 
 pytestmark = pytest.mark.slow
 
@@ -35,7 +35,7 @@ def examine(set_up: SetUp, folder: Path) -> list[Found]:
         testbed = stack.enter_context(kernel_bus(set_up.devices))
         if set_up.service:
             service = stack.enter_context(running_service(testbed, link, folder, airframe=airframe))
-            until(lambda: own_socket().exists() and any("autopilot" in str(line) for line in service.log()), 20.0)
+            until(lambda: own_socket().exists() and any("autopilot" in str(line) for line in service.log()))
         return examined(testbed, computer, airframe, link)
 
 

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +17,7 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import load_model
 from tests.fleet.generator import fleet
 from tests.fleet.score import run
+from tests.support.waiting import LIMIT_S, until
 
 MODEL = "configs/sensors/mb1242.yaml"
 STARTED_S = 2
@@ -113,7 +113,9 @@ def test_two_processes_of_which_one_is_killed_find_the_same_to_the_last_digit(tm
 
 def killed_worker(program: "subprocess.Popen[str]") -> bool:
     """Kill a worker of a program as soon as it computes; False if the program ended before."""
-    while program.poll() is None:
+    killed: list[int] = []
+
+    def is_over() -> bool:
         listed = subprocess.run(
             ["ps", "-ww", "-eo", "pid=,ppid=,times=,args="], capture_output=True, text=True, check=True
         )
@@ -121,6 +123,9 @@ def killed_worker(program: "subprocess.Popen[str]") -> bool:
             pid, parent, seconds, command = line.split(maxsplit=3)
             if int(parent) == program.pid and "spawn_main" in command and int(seconds) >= STARTED_S:
                 os.kill(int(pid), signal.SIGKILL)
-                return True
-        time.sleep(0.1)
-    return False
+                killed.append(int(pid))
+                break
+        return bool(killed) or program.poll() is not None
+
+    until(is_over, 5 * LIMIT_S)
+    return bool(killed)

@@ -22,14 +22,15 @@ COMMAND = Path(sys.executable).with_name("msp-range")
 FRESH = {
     "RNGFND1_TYPE": 0.0,
     "RNGFND1_ORIENT": 25.0,
+    "RNGFND1_ADDR": 112.0,
     "RNGFND1_MIN": 0.2,
     "RNGFND1_MAX": 7.0,
     "RNGFND1_GNDCLR": 0.1,
     "RNGFND1_POS_Z": 0.0,
 }
-"""ArduCopter 4.7 as it comes."""
+"""ArduCopter 4.7 as it comes, but for the address of an MB1242 on its own I2C."""
 FRESH_BEFORE = {"RNGFND1_MIN_CM": 20.0, "RNGFND1_MAX_CM": 700.0, "RNGFND1_GNDCLEAR": 10.0} | {
-    name: FRESH[name] for name in ("RNGFND1_TYPE", "RNGFND1_ORIENT", "RNGFND1_POS_Z")
+    name: FRESH[name] for name in ("RNGFND1_TYPE", "RNGFND1_ORIENT", "RNGFND1_ADDR", "RNGFND1_POS_Z")
 }
 FRESH_PX4 = {"EKF2_RNG_CTRL": 1.0, "EKF2_HGT_REF": 1.0, "EKF2_MIN_RNG": 0.1, "EKF2_RNG_POS_Z": 0.0}
 
@@ -84,6 +85,42 @@ def test_what_the_pilot_has_to_choose_is_named(name: str, is_named: bool) -> Non
     airframe = load_airframe(CONFIGS / f"{name}.yaml")
     assert ("CP_DIST" in "".join(remarks(airframe, Firmware("px4")))) is is_named
     assert "CP_DIST" not in "".join(remarks(airframe, Firmware("ardupilot")))
+
+
+@pytest.mark.parametrize(
+    ("firmware", "names"),
+    [
+        (Firmware("ardupilot"), ["EK3_RNG_M_NSE", " WP_RFND_USE", "SURFTRAK_MODE"]),
+        (Firmware("ardupilot", centimetres=True), ["EK3_RNG_M_NSE", "WPNAV_RFND_USE", "SURFTRAK_MODE"]),
+        (Firmware("ardupilot", "rover"), ["EK3_RNG_M_NSE"]),
+        (Firmware("px4"), ["EKF2_RNG_NOISE", "MPC_ALT_MODE"]),
+    ],
+)
+def test_what_becomes_of_the_stream_is_named(firmware: Firmware, names: list[str]) -> None:
+    text = " ".join(remarks(load_airframe(CONFIGS / "quad_pallet.yaml"), firmware))
+    assert "No autopilot reads the covariance" in text
+    every = ["EK3_RNG_M_NSE", " WP_RFND_USE", "WPNAV_RFND_USE", "SURFTRAK_MODE", "EKF2_RNG_NOISE", "MPC_ALT_MODE"]
+    assert [name for name in every if name in text] == names
+    outward = remarks(load_airframe(CONFIGS / "proximity.yaml"), firmware)
+    assert not any(name in " ".join(outward) for name in every)
+
+
+def test_the_distance_on_the_ground_is_that_of_the_airframe_file(tmp_path: Path) -> None:
+    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
+    path = tmp_path / "airframe.yaml"
+    path.write_text(text.replace("send:\n", "send:\n  standing_m: 0.34\n"))
+    for firmware, name, value in (
+        (Firmware("ardupilot"), "RNGFND1_GNDCLR", 0.34),
+        (Firmware("ardupilot", centimetres=True), "RNGFND1_GNDCLEAR", 34),
+        (Firmware("px4"), "EKF2_MIN_RNG", 0.34),
+    ):
+        (found,) = [each for each in settings(load_airframe(path), firmware, 2) if each.name == name]
+        assert (found.value, found.source) == (value, "send.standing_m")
+        (default,) = [
+            each for each in settings(load_airframe(CONFIGS / "loopback.yaml"), firmware, 2) if each.name == name
+        ]
+        assert default.value in (0.2, 20)
+        assert "commission measures it" in default.source
 
 
 @pytest.mark.parametrize("vehicle", get_args(Vehicle))
@@ -169,7 +206,7 @@ def test_a_value_that_does_not_stay(tmp_path: Path) -> None:
     assert done.returncode == 3
     assert "RNGFND1_MIN was set to 0.19, and reads back as 0.2" in done.stderr
     assert "Set so far: RNGFND1_TYPE" in done.stderr
-    assert autopilot.set_names == ["RNGFND1_TYPE"]
+    assert autopilot.set_names == ["RNGFND1_TYPE", "RNGFND1_ADDR"]
 
 
 @pytest.mark.slow

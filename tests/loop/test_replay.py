@@ -52,24 +52,6 @@ def ranges(path: Path) -> list[tuple[str, list[Any]]]:
     ]
 
 
-def test_a_recording_whose_model_has_the_old_keys_is_the_flight_again(tmp_path: Path) -> None:
-    """Made before short and missed readings had these names; its filter takes all of the reading model."""
-    before = Path(__file__).parent / "recordings" / "old_keys.mcap"
-    assert "unexpected_rate_per_m" in Recording(before).files["sensors/mb1242.yaml"]
-    again = tmp_path / "again.mcap"
-    result = run("replay", before, "--record", again)
-    assert result.exit_code == 0, result.output
-    for (topic, found), (topic_before, recorded) in zip(ranges(again), ranges(before), strict=True):
-        assert topic == topic_before
-        # Not to the last digit: that is the processor's and numpy's.
-        for each, value in zip(found, recorded, strict=True):
-            assert each == (pytest.approx(value, rel=1e-9) if isinstance(value, float) else value)
-    assert {rejected for _, (*_, rejected) in ranges(before)} >= {None, "unexpected", "unconfirmed", "no_echo"}
-    replayed = Recording(again).files["sensors/mb1242.yaml"]
-    assert "short_rate_per_m: 0.5" in replayed
-    assert "missed_growth_per_m: 0.1" in replayed
-
-
 def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     """Every stage of every reading, faults and all, down to the last digit, from the recording alone."""
     again = tmp_path / "again.mcap"

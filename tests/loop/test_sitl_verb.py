@@ -32,6 +32,7 @@ from msp_sim.flight.flight_log import SensorTrack
 from msp_sim.sitl.flying import fly_sitl
 from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle, status_line
 from tests.support.known import known
+from tests.support.waiting import LIMIT_S, until
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SYSTEM = 7
@@ -259,15 +260,16 @@ def flights(out: Path) -> dict[str, Flown]:
                 stderr=subprocess.STDOUT,
                 text=True,
             )
-        deadline_s = time.monotonic() + 40.0
-        while min(autopilot.flight_s() for autopilot in autopilots.values()) < LANDED_S:
+
+        def have_landed() -> bool:
             for program in programs.values():
                 assert program.poll() is None, program.communicate()
-            assert time.monotonic() < deadline_s
-            time.sleep(0.05)
+            return all(autopilot.flight_s() >= LANDED_S for autopilot in autopilots.values())
+
+        until(have_landed, 2 * LIMIT_S, seen=lambda: [autopilot.flight_s() for autopilot in autopilots.values()])
         for name, program in programs.items():
             program.send_signal(ends[name])
-        printed = {name: program.communicate(timeout=20.0)[0] for name, program in programs.items()}
+        printed = {name: program.communicate(timeout=LIMIT_S)[0] for name, program in programs.items()}
         return {name: Flown(autopilots[name], programs[name].returncode, printed[name]) for name in autopilots}
     finally:
         for autopilot in autopilots.values():

@@ -1,7 +1,6 @@
 """A thermometer that takes long for a value, next to the polling in real time."""
 
-import time
-from collections.abc import Callable
+import threading
 
 from msp_range.bridge import Bridge
 from msp_range.clock import SystemClock
@@ -11,29 +10,38 @@ from msp_range.mavlink.transport import Nowhere
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.bench import airframe
+from tests.support.waiting import LIMIT_S, until
 
-DS18B20_S = 0.75
-
-
-def readings_a_second(thermometer: Callable[[FileSource], float]) -> float:
-    """Of four sensors in real time, with a file that is read like this."""
-    clock = SystemClock()
-    reader = ThreadReader(clock, thermometer)
-    devices = [EmulatedMB1242(address, clock.now, lambda ping_s: 300) for address in range(0x70, 0x74)]
-    vehicle = airframe(temperature={"sources": [{"source": "file", "path": "temp1_input"}]})
-    bridge = Bridge(vehicle, EmulatedBus(devices, clock.now), clock, Nowhere(), thermometer=reader)
-    start_s, readings = clock.now(), 0
-    while clock.now() < start_s + 3.0:
-        readings += len(bridge.step())
-    reader.close()
-    return readings / 3.0
+READINGS = 7
+"""While one value is read: a DS18B20 takes 0.75 s for it, and four sensors are read 9.1 times a second."""
 
 
 def test_a_slow_thermometer_does_not_slow_the_polling() -> None:
-    """A DS18B20 takes 0.75 s for a value: 2.4 readings a second instead of 9.1."""
+    """Each read ends when so many readings have come since it began: with a polling that waited for it, none would."""
+    clock, readings, reads = SystemClock(), 0, 0
+    go_on = threading.Semaphore(0)
 
     def slow(source: FileSource) -> float:
-        time.sleep(DS18B20_S)
+        nonlocal reads
+        reads += 1
+        assert go_on.acquire(timeout=LIMIT_S), "the polling waits for the thermometer"
         return 21000.0
 
-    assert readings_a_second(slow) > 8.0
+    reader = ThreadReader(clock, slow)
+    devices = [EmulatedMB1242(address, clock.now, lambda ping_s: 300) for address in range(0x70, 0x74)]
+    vehicle = airframe(temperature={"sources": [{"source": "file", "path": "temp1_input"}]})
+    bridge = Bridge(vehicle, EmulatedBus(devices, clock.now), clock, Nowhere(), thermometer=reader)
+
+    def work() -> None:
+        nonlocal readings
+        readings += len(bridge.step())
+
+    def poll_while_it_is_read(count: int) -> None:
+        until(lambda: reads == count, work=work)
+        wanted = readings + READINGS
+        until(lambda: readings >= wanted, work=work)
+        go_on.release()
+
+    poll_while_it_is_read(1)
+    poll_while_it_is_read(2)
+    reader.close()

@@ -20,8 +20,8 @@ from tests.support.transports import (
     numbered_frame,
     opened,
     received_by,
-    until,
 )
+from tests.support.waiting import until
 
 TIOCGEXCL = 0x80045440  # Linux, asm-generic/ioctls.h; not in Python's termios
 

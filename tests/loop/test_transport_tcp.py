@@ -21,13 +21,13 @@ from tests.support.transports import (
     opened,
     read_exactly,
     received_by,
-    until,
 )
+from tests.support.waiting import LIMIT_S, until
 
 
 def serve(port: int = 0) -> socket.socket:
     server = socket.create_server(("127.0.0.1", port))
-    server.settimeout(5.0)
+    server.settimeout(LIMIT_S)
     server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # so that one that does not read is soon full
     return server
 
@@ -316,7 +316,7 @@ class Clients:
 
 
 def _gets_a_frame(client: socket.socket) -> bool:
-    client.settimeout(5.0)
+    client.settimeout(LIMIT_S)
     try:
         return bool(client.recv(FRAME_BYTES))
     except ConnectionError:
@@ -369,6 +369,30 @@ def test_tcpin_never_gives_up_the_autopilot_for_a_newcomer(tcpin: tuple[StepCloc
     clients.connect(2 * MOST_CLIENTS)
     clients._link.receive()
     assert clients.answered([autopilot, silent[-1]]) == [True, False]
+
+
+def test_false_autopilots_that_came_first_do_not_keep_the_real_one_out(tcpin: tuple[StepClock, Clients]) -> None:
+    """Eight connections with an autopilot's heartbeat were all that there are, for ever."""
+    clock, clients = tcpin
+    false = clients.connect(MOST_CLIENTS)
+    for each in false:
+        clients.send(each, Component(9).heartbeat())
+    clock.now_s += 1.0
+    (real,) = clients.connect()
+    beat = Component(7).heartbeat()
+    real.sendall(beat)
+    assert received_by(clients._link, len(beat)) == beat
+    for _ in range(20):
+        for each in false:
+            with contextlib.suppress(OSError):
+                clients.send(each, Component(9).heartbeat())
+        clock.now_s += 0.5
+        clients.send(real, beat)
+    assert clients.answered([real, false[0]]) == [True, True]
+    clock.now_s += 0.1
+    clients.send(real, beat)
+    clients.connect(3)
+    assert clients.answered([real, false[0]]) == [True, True], "the first and the one that sends most recently stay"
 
 
 def test_tcpin_waits_for_a_port_that_another_program_has() -> None:

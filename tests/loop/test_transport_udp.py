@@ -2,7 +2,6 @@
 
 import socket
 import threading
-import time
 from collections.abc import Iterator
 
 import pytest
@@ -22,8 +21,8 @@ from tests.support.transports import (
     numbered_frame,
     opened,
     received_by,
-    until,
 )
+from tests.support.waiting import LIMIT_S, until
 
 SOCKET_KIND = {"udpin": socket.SOCK_DGRAM, "udpout": socket.SOCK_DGRAM, "tcpin": socket.SOCK_STREAM}
 
@@ -31,7 +30,7 @@ SOCKET_KIND = {"udpin": socket.SOCK_DGRAM, "udpout": socket.SOCK_DGRAM, "tcpin":
 def bound(port: int = 0) -> socket.socket:
     peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     peer.bind(("127.0.0.1", port))
-    peer.settimeout(5.0)
+    peer.settimeout(LIMIT_S)
     return peer
 
 
@@ -295,17 +294,15 @@ def test_a_name_that_takes_long_to_look_up_stops_nothing(kind: str, monkeypatch:
     answer = threading.Event()
 
     def slow(*_: object) -> list[tuple[object, ...]]:
-        answer.wait(10.0)
+        assert answer.wait(LIMIT_S), "the link waits for the name"
         return [(socket.AF_INET, socket.SOCK_DGRAM, 0, "", ("127.0.0.1", 0))]
 
     monkeypatch.setattr(socket, "getaddrinfo", slow)
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1] if kind == "tcp" else free_port(SOCKET_KIND[kind])
-        start_s = time.perf_counter()
         with opened(f"{kind}:autopilot.local:{port}", StepClock()) as link:
             assert not link.send(numbered_frame(0))
             assert link.receive() == b""
-            assert time.perf_counter() - start_s < 0.5
             assert link.last_error is None
             answer.set()
             if kind == "udpin":

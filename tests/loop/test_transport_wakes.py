@@ -10,7 +10,8 @@ import pytest
 
 from msp_range.clock import SystemClock
 from msp_range.mavlink.transport import Transport
-from tests.support.transports import free_port, numbered_frame, opened, until
+from tests.support.transports import free_port, numbered_frame, opened
+from tests.support.waiting import LIMIT_S, until
 
 CLOCK = SystemClock()
 HOST = "127.0.0.1"
@@ -70,7 +71,7 @@ def test_a_frame_wakes_who_sleeps(kind: Callable[[], AbstractContextManager[End]
         assert link.receive() == b""
         assert not CLOCK.sleep_until(CLOCK.now() + 0.002, link.files)
         write(numbered_frame(7))
-        assert CLOCK.sleep_until(CLOCK.now() + 5.0, link.files)
+        assert CLOCK.sleep_until(CLOCK.now() + LIMIT_S, link.files)
         assert link.receive() == numbered_frame(7)
         assert not CLOCK.sleep_until(CLOCK.now() + 0.002, link.files)
         link.close()
@@ -80,7 +81,7 @@ def test_a_frame_wakes_who_sleeps(kind: Callable[[], AbstractContextManager[End]
 def test_a_client_that_comes_wakes_a_server() -> None:
     port = free_port(socket.SOCK_STREAM)
     with opened(f"tcpin:{HOST}:{port}", CLOCK) as link, socket.create_connection((HOST, port)):
-        assert CLOCK.sleep_until(CLOCK.now() + 5.0, link.files)
+        assert CLOCK.sleep_until(CLOCK.now() + LIMIT_S, link.files)
 
 
 def test_while_frames_wait_for_a_peer_it_is_asked_again_and_again() -> None:

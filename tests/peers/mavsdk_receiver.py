@@ -30,9 +30,9 @@ def main(port: str) -> None:
 
     with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
         mavsdk.add_any_connection(f"udpin://127.0.0.1:{port}")
-        system = mavsdk.first_autopilot(20.0)
+        system = mavsdk.first_autopilot(60.0)
         if system is None:
-            sys.exit("no autopilot within 20 s")
+            sys.exit("no autopilot within 60 s")
         direct = MavlinkDirect(system)
         direct.subscribe_message("", lambda message, _: show(taken(message)))
         show({"autopilot": system.get_system_id()})

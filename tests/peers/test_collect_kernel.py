@@ -12,6 +12,7 @@ from msp_range.recording.csv_form import read_csv
 from msp_sim.device.device import Fault
 from tests.support.campaigns import condition, written
 from tests.support.kernel_bus import Sonar, kernel_bus
+from tests.support.waiting import LIMIT_S
 
 EXTRAS = ("filterpy", "jinja2", "matplotlib", "scipy")
 PROGRAM = f"import sys; sys.modules.update(dict.fromkeys({EXTRAS})); from msp_lab.cli import main; main()"
@@ -24,13 +25,13 @@ def test_a_campaign_on_a_kernel_bus(tmp_path: Path) -> None:
     path = written(tmp_path, condition(ranges_cm=[120], readings=5), both)
     command = [sys.executable, "-c", PROGRAM, "collect", str(path), "--out", str(tmp_path / "out"), "--bus", "1"]
     sonars = [
-        Sonar(0x70, [121], faults=[Fault("clock_fault", 0.0, 0.35)]),
+        Sonar(0x70, [121], faults=[Fault("clock_fault", 0.0, 1e9, probability=0.5)]),
         Sonar(0x71, [119]),
     ]
     typed = "21.5\nrange=120.5\n\n" + "\n" * 20
     with kernel_bus(sonars) as testbed:
         program = testbed.popen(command, stdin=-1, stdout=-1, stderr=-1, text=True)
-        output, errors = program.communicate(typed, timeout=60)
+        output, errors = program.communicate(typed, timeout=LIMIT_S)
     assert program.returncode == 0, errors
     assert "0 of 2 points are left" in output
     data = read_csv(tmp_path / "out/readings.csv")

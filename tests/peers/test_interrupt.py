@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.service import AIRFRAME, COMMAND, LIMIT_S
+from tests.support.service import AIRFRAME, COMMAND
 from tests.support.slow import slow
+from tests.support.waiting import LIMIT_S
 
 
 @pytest.mark.parametrize("every", [5, *slow(1)])

@@ -14,8 +14,9 @@ import pytest
 from tests.peers import mavproxy_env
 from tests.support.kernel_bus import kernel_bus
 from tests.support.mavlink_ends import read_distance_sensor
-from tests.support.service import LIMIT_S, VARIED, Autopilot, LinkEnd, missing, running_service
+from tests.support.service import VARIED, Autopilot, LinkEnd, missing, running_service
 from tests.support.transports import free_port
+from tests.support.waiting import LIMIT_S
 
 
 @pytest.fixture(autouse=True)
@@ -52,14 +53,16 @@ def test_mavproxy_logs_and_shows_every_field(tmp_path: Path) -> None:
             with running_service(testbed, end.url, tmp_path) as service:
                 end.run_until(lambda: len(end.distances) >= 16)
                 assert service.stop() == 0
-            end.run_for(0.1)
+            end.run_until(lambda: len(end.arrived) >= service.log()[-1]["frames"]["sent"])
 
-            for _ in range(50):
+            def has_shown_all() -> bool:
+                assert mavproxy.stdin is not None
                 mavproxy.stdin.write("status DISTANCE_SENSOR\n")
                 mavproxy.stdin.flush()
                 end.run_for(0.1)
-                if shown(screen_file) and int(shown(screen_file)[-1][0]) >= len(end.distances):
-                    break
+                return bool(shown(screen_file)) and int(shown(screen_file)[-1][0]) >= len(end.distances)
+
+            end.run_until(has_shown_all)
             end.run_until(lambda: len(logged(log_file)) >= len(end.distances))
             mavproxy.terminate()
             mavproxy.stdin.close()

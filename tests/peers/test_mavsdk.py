@@ -11,6 +11,7 @@ from msp_range import __version__
 from tests.support.kernel_bus import kernel_bus
 from tests.support.service import PEERS, VARIED, Autopilot, LinkEnd, running_service
 from tests.support.transports import free_port
+from tests.support.waiting import LIMIT_S
 
 
 def test_mavsdk_shows_every_field(tmp_path: Path) -> None:
@@ -41,10 +42,10 @@ def test_mavsdk_shows_every_field(tmp_path: Path) -> None:
                 mavsdk.stdin.flush()
                 end.run_until(lambda: len([each for each in shown() if "acknowledgement" in each]) == 2)
                 assert service.stop() == 0
-            end.run_for(0.05)
+            end.run_until(lambda: len(end.arrived) >= service.log()[-1]["frames"]["sent"])
             end.run_until(lambda: len(of("DISTANCE_SENSOR")) >= len(end.distances))
             mavsdk.stdin.close()
-            assert mavsdk.wait(10.0) == 0
+            assert mavsdk.wait(LIMIT_S) == 0
         finally:
             mavsdk.kill()
 

@@ -8,8 +8,9 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
@@ -17,18 +18,21 @@ from urllib.request import Request, urlopen
 
 import pytest
 from mcap.reader import make_reader
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, expect, sync_playwright
 from prometheus_client.parser import text_string_to_metric_families
 
-from msp_sim.device.device import Fault
-from tests.support.kernel_bus import KernelTestbed, Sonar, Transfer, kernel_bus
+from msp_range.recording.reader import Recording
+from tests.support.kernel_bus import KernelTestbed, kernel_bus
 from tests.support.service import COMMAND, Autopilot, LinkEnd, Service, missing, running_service, sonars
 from tests.support.slow import slow
-from tests.support.transports import free_port, until
+from tests.support.transports import free_port
+from tests.support.waiting import LIMIT_S, until
 
 STEADY = sonars(forward_cm=[120], slanted_cm=[765], down_cm=[300])
-DEAD_WITHIN_S = 2.0
-"""A sensor that dies is seen dead so soon [s]; the bridge itself needs three turns of 0.4 s to decide."""
+BROWSER_STARTS_S = 120.0
+"""At most, and loads a page [s]: it takes 2 s on an idle computer, and many times that with nothing in its caches."""
+DEAD_AFTER = 3
+"""Failed turns of a sensor, of 0.4 s each, after which the bridge calls it dead."""
 
 
 class Watched:
@@ -37,15 +41,27 @@ class Watched:
     def __init__(self, service: Service, end: LinkEnd, url: str, feed: Path) -> None:
         self.service, self.end, self.url, self.feed = service, end, url, feed
 
-    def until(self, done: Callable[[], bool], limit_s: float = 20.0) -> None:
+    def until(self, holds: Callable[[], bool]) -> None:
         """Let the link work until something is so."""
-        self.end.run_until(done, limit_s)
+        self.end.run_until(holds)
+
+    def until_passes(self, check: Callable[[], object]) -> None:
+        """Let the link work until all that a function asserts holds."""
+        self.end.run_until_passes(check)
 
     def get(self, path: str, **headers: str) -> str:
         """The answer of the page's server."""
-        with urlopen(Request(self.url + path, headers=headers), timeout=5.0) as answer:
+        with urlopen(Request(self.url + path, headers=headers), timeout=LIMIT_S) as answer:
             text: str = answer.read().decode()
         return text
+
+    def status(self, *options: str) -> "subprocess.CompletedProcess[str]":
+        """What `msp-range status` prints, while the link works on."""
+        with ThreadPoolExecutor(1) as pool:
+            run = partial(subprocess.run, capture_output=True, text=True, timeout=LIMIT_S)
+            done = pool.submit(run, status_command(self.feed, *options))
+            self.until(done.done)
+            return done.result()
 
     def is_served(self) -> bool:
         try:
@@ -81,8 +97,12 @@ def browser(url: str, **options: Any) -> Iterator[tuple[Page, list[str]]]:
         missing("Chromium is not installed: apt install chromium")
     errors: list[str] = []
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        chromium = playwright.chromium.launch(
+            executable_path=program, args=["--no-sandbox"], timeout=1e3 * BROWSER_STARTS_S
+        )
         page = chromium.new_context(**options).new_page()
+        page.set_default_timeout(1e3 * BROWSER_STARTS_S)
+        expect.set_options(timeout=1e3 * LIMIT_S)
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.goto(url)
         yield page, errors
@@ -97,40 +117,44 @@ def page_command(listen: str, feed: Path) -> list[str]:
 def refusal(url: str, **headers: str) -> int:
     """The HTTP status with which a request is refused."""
     with pytest.raises(HTTPError) as refused:
-        urlopen(Request(url, headers=headers), timeout=5.0)
+        urlopen(Request(url, headers=headers), timeout=LIMIT_S)
     with refused.value:
         return refused.value.code
 
 
 def text(page: Page, selector: str) -> str:
-    return page.inner_text(selector)
+    """The text of an element; nothing where it is not there yet."""
+    return " ".join(page.locator(selector).all_inner_texts())
 
 
 def test_the_page_shows_what_changes(tmp_path: Path) -> None:
     recordings = tmp_path / "recordings"
     with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path, "--record", str(recordings)) as bridge:
         with browser(bridge.url) as (page, errors):
-            bridge.until(lambda: text(page, "#distance").startswith("2.9"))  # 3 m in air of 20 C
-            assert text(page, "#state") == "active"
-            assert "system 1, disarmed" in text(page, "#facts")
-            assert ".mcap" in text(page, "#facts")
-            strips = page.locator(".strip")
-            assert [strips.nth(i).get_attribute("data-strip") for i in range(strips.count())] == [
-                "distance down",
-                "forward",
-                "slanted",
-                "down_left",
-                "down_right",
-            ]
-            assert "no echo" in text(page, "[data-strip=slanted]")
-            before = page.locator("#side [data-sensor=down_left]").get_attribute("points")
-            canvas = "document.querySelector('[data-strip=down_left] canvas').toDataURL()"
-            picture = page.evaluate(canvas)
+            names = "[...document.querySelectorAll('.strip')].map(each => each.dataset.strip)"
+            points = "document.querySelector('#side [data-sensor=down_left]')?.getAttribute('points')"
+            canvas = "document.querySelector('[data-strip=down_left] canvas')?.toDataURL()"
 
+            def shows_the_start() -> None:
+                assert text(page, "#distance").startswith("2.9")  # 3 m in air of 20 C
+                assert text(page, "#state") == "active"
+                assert "system 1, disarmed" in text(page, "#facts")
+                assert ".mcap" in text(page, "#facts")
+                assert page.evaluate(names) == ["distance down", "forward", "slanted", "down_left", "down_right"]
+                assert "no echo" in text(page, "[data-strip=slanted]")
+                assert page.evaluate(points)
+                assert page.evaluate(canvas)
+
+            bridge.until_passes(shows_the_start)
+            before, picture = page.evaluate(points), page.evaluate(canvas)
             testbed.set_readings([120, 765, 150, 150])
-            bridge.until(lambda: text(page, "#distance").startswith("1.4"))
-            assert page.locator("#side [data-sensor=down_left]").get_attribute("points") != before
-            assert page.evaluate(canvas) != picture
+
+            def shows_the_change() -> None:
+                assert text(page, "#distance").startswith("1.4")
+                assert page.evaluate(points) != before
+                assert page.evaluate(canvas) != picture
+
+            bridge.until_passes(shows_the_change)
 
             page.fill("#mark", "over the box")
             page.keyboard.press("Enter")
@@ -143,20 +167,49 @@ def test_the_page_shows_what_changes(tmp_path: Path) -> None:
     assert marks == [{"text": "over the box"}]
 
 
+def test_distances_that_nobody_gets_are_not_shown_as_good(tmp_path: Path) -> None:
+    """The reason is on a phone's first screen, at the top of the terminal, in its exit code and in the metrics."""
+    reason, waits_ms = "Range: no autopilot, nobody gets the distances", 1e3 * LIMIT_S
+    with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path) as bridge:
+        bridge.end.autopilot = None
+        with browser(bridge.url, viewport={"width": 390, "height": 844}) as (page, errors):
+            expect(page.locator("#distance")).to_have_text("2.99 m", timeout=waits_ms)
+            expect(page.locator("#state")).to_have_attribute("data-state", "critical", timeout=waits_ms)
+            expect(page.locator("#faults li").first).to_contain_text(reason)
+            place = page.locator("#faults li").first.bounding_box()
+            assert place is not None
+            assert place["y"] + place["height"] < 844
+            expect(page.locator("#facts")).to_contain_text("nobody gets them")
+            shown = bridge.status("--once")
+            assert shown.returncode == 4
+            assert [line.strip() for line in shown.stdout.splitlines()[:2]] == ["peers: critical", f"error: {reason}"]
+            assert "msp_range_critical 1.0" in bridge.get("metrics")
+            bridge.end.autopilot = Autopilot()
+            bridge.until(lambda: page.locator("#state").get_attribute("data-state") == "active")
+            bridge.until(lambda: not page.is_visible("#wrong") or reason not in text(page, "#faults"))
+            assert errors == []
+
+
 @pytest.mark.slow
 def test_a_dead_sensor_is_seen_dead(tmp_path: Path) -> None:
-    dies_s = 4.0
-    dying = [*STEADY[:3], Sonar(0x73, [300], [Fault("silent", dies_s, 1000.0)])]
-    with kernel_bus(dying) as testbed, watched(testbed, tmp_path) as bridge, browser(bridge.url) as (page, errors):
-        strip = "[data-strip=down_right]"
-        bridge.until(lambda: page.locator(strip).count() == 1)
-        assert "no answer" not in text(page, strip)
-        bridge.until(lambda: bool(failed_pings(testbed, 0x73)))
-        bridge.until(lambda: "no answer" in text(page, strip))
-        first_s = time.monotonic()
-        failed_s = failed_pings(testbed, 0x73)[0].time_s
-        assert errors == []
-    assert first_s - failed_s < DEAD_WITHIN_S
+    recordings = tmp_path / "recordings"
+    with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path, "--record", str(recordings)) as bridge:
+        with browser(bridge.url) as (page, errors):
+            strip = "[data-strip=down_right]"
+            bridge.until(lambda: "m" in text(page, strip))
+            assert "no answer" not in text(page, strip)
+            testbed.silence(0x73)
+            bridge.until(lambda: "no answer" in text(page, strip))
+            bridge.until(lambda: any("down_right: no answer" in each.text for each in bridge.end.of("STATUSTEXT")))
+            assert errors == []
+        assert bridge.service.stop() == 0
+    (file,) = recordings.iterdir()
+    # In the bridge's own turns, which a busy computer draws out.
+    topics = [each for each in Recording(file) if each.topic in ("/range/down_right", "/health")]
+    (reported,) = [i for i, each in enumerate(topics) if "down_right: no answer" in each.message.get("text", "")]
+    statuses = [each.message["status"] for each in topics[:reported] if each.topic == "/range/down_right"]
+    assert statuses[-DEAD_AFTER - 1] == "ok"
+    assert "ok" not in statuses[-DEAD_AFTER:]
 
 
 @pytest.mark.slow
@@ -175,7 +228,7 @@ def test_the_page_finds_the_bridge_again(tmp_path: Path) -> None:
                     bridge.until(lambda: text(page, "#state") == "active")
                 assert errors == []
             server.send_signal(signal.SIGTERM)
-            assert server.wait(10.0) == 0
+            assert server.wait(LIMIT_S) == 0
 
 
 @pytest.mark.slow
@@ -183,14 +236,19 @@ def test_a_browser_that_stalls_delays_no_reading(tmp_path: Path) -> None:
     """A stopped page's process stands for anything that does not read any more."""
     with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path) as bridge:
         (page,) = children(bridge.service.process.pid)
+
+        def fifty_take_s() -> float:
+            begun_s, before = time.monotonic(), len(bridge.end.distances)
+            bridge.until(lambda: len(bridge.end.distances) >= before + 50)
+            return time.monotonic() - begun_s
+
+        idle_s = fifty_take_s()
         os.kill(page, signal.SIGSTOP)
-        before = len(bridge.end.distances)
-        bridge.end.run_for(5.0)
-        arrived = [each.time_s for each in bridge.end.arrived if each.distance is not None][before:]
+        stalled_s = fifty_take_s()
         os.kill(page, signal.SIGCONT)
         bridge.until(bridge.is_served)
-        assert len(arrived) > 5.0 * 10.0 * 0.7  # all of them on an idle computer
-        assert max(late - early for early, late in pairwise(arrived)) < 1.0
+    # A bridge that waited for it would send none of them; the computer may be busier than just before.
+    assert stalled_s < 2.0 * idle_s
 
 
 @pytest.mark.slow
@@ -230,56 +288,57 @@ def test_a_page_for_other_computers_needs_the_token(tmp_path: Path, monkeypatch:
             until(lambda: page.is_enabled("#add-mark"))  # it is connected
             assert errors == []
         server.send_signal(signal.SIGTERM)
-        assert server.wait(10.0) == 0
+        assert server.wait(LIMIT_S) == 0
 
 
 def test_metrics_are_read_by_prometheus_own_parser(steady: Watched) -> None:
-    steady.until(lambda: "msp_range_distance_m " in steady.get("metrics"))
-    families = {each.name: each for each in text_string_to_metric_families(steady.get("metrics"))}
-    readings = {each.labels["sensor"]: each.value for each in families["msp_range_readings"].samples}
-    assert set(readings) == {"forward", "slanted", "down_left", "down_right"}
-    assert all(readings.values())
-    assert families["msp_range_distance_m"].samples[0].value == pytest.approx(2.99, abs=0.05)
-    assert families["msp_range_autopilot_present"].samples[0].value == 1.0
+    def shows_all() -> None:
+        families = {each.name: each for each in text_string_to_metric_families(steady.get("metrics"))}
+        readings = {each.labels["sensor"]: each.value for each in families["msp_range_readings"].samples}
+        assert set(readings) == {"forward", "slanted", "down_left", "down_right"}
+        assert all(readings.values())
+        assert [each.value for each in families["msp_range_distance_m"].samples] == pytest.approx([2.99], abs=0.05)
+        assert families["msp_range_autopilot_present"].samples[0].value == 1.0
+
+    steady.until_passes(shows_all)
 
 
 def test_a_terminal_shows_the_same(steady: Watched) -> None:
-    steady.until(lambda: len(steady.end.distances) > 8)
-    shown = status(steady.feed)
-    assert shown.returncode == 0
-    assert max(map(len, shown.stdout.splitlines())) <= 80
-    assert "distance down 2.9" in shown.stdout
-    assert "autopilot: " in shown.stdout
-    assert all(name in shown.stdout for name in ("forward", "slanted", "down_left", "down_right"))
-    found = json.loads(status(steady.feed, "--json").stdout)
-    assert found["readings"]["down_left"]["raw"] == 300
-    assert found["status"]["link"]["sent"]["DISTANCE_SENSOR"] > 0
+    def shows_all() -> None:
+        shown = steady.status()
+        assert shown.returncode == 0
+        assert max(map(len, shown.stdout.splitlines())) <= 80
+        assert "distance down 2.9" in shown.stdout
+        assert "autopilot: " in shown.stdout
+        assert all(name in shown.stdout for name in ("forward", "slanted", "down_left", "down_right"))
+
+    def has_all() -> None:
+        found = json.loads(steady.status("--json").stdout)
+        assert found["readings"]["down_left"]["raw"] == 300
+        assert found["status"]["link"]["sent"]["DISTANCE_SENSOR"] > 0
+
+    steady.until_passes(shows_all)
+    steady.until_passes(has_all)
 
 
 def test_where_no_bridge_runs_a_terminal_says_so(tmp_path: Path) -> None:
-    gone = status(tmp_path / "status.sock")
+    gone = subprocess.run(status_command(tmp_path / "status.sock"), capture_output=True, text=True, timeout=LIMIT_S)
     assert gone.returncode == 1
     assert gone.stderr.startswith("no bridge runs: nobody listens at ")
 
 
-def status(feed: Path, *options: str) -> "subprocess.CompletedProcess[str]":
-    """What `msp-range status` prints."""
-    command = [str(COMMAND), "status", "--socket", str(feed), *options]
-    return subprocess.run(command, capture_output=True, text=True, timeout=20.0)
+def status_command(feed: Path, *options: str) -> list[str]:
+    """What shows a bridge in a terminal."""
+    return [str(COMMAND), "status", "--socket", str(feed), *options]
 
 
 @pytest.mark.parametrize("wrong", ["host", *slow("0", "80808", "1.2.3.4:", "::1:http")])
 def test_a_wrong_address_is_refused_before_the_flight(wrong: str, tmp_path: Path) -> None:
     done = subprocess.run(
-        [COMMAND, "run", tmp_path / "none.yaml", "--web", wrong], capture_output=True, text=True, timeout=20.0
+        [COMMAND, "run", tmp_path / "none.yaml", "--web", wrong], capture_output=True, text=True, timeout=LIMIT_S
     )
     assert done.returncode == 3
     assert done.stderr.startswith(f"--web {wrong}: expected [HOST:]PORT")
-
-
-def failed_pings(testbed: KernelTestbed, address: int) -> list[Transfer]:
-    """Pings that a sensor did not acknowledge."""
-    return [each for each in testbed.journal() if (each.address, each.verb) == (address, "write") and each.errno]
 
 
 def children(pid: int) -> list[int]:

@@ -11,6 +11,8 @@ import termios
 import time
 import tty
 from contextlib import suppress
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -26,20 +28,18 @@ from tests.support.service import (
     COMMAND,
     FORWARD_ID,
     FUSED_ID,
-    LIMIT_S,
     SLANTED_ID,
     Autopilot,
     LinkEnd,
     running_service,
     sonars,
 )
-from tests.support.transports import free_port, until
+from tests.support.transports import free_port
+from tests.support.waiting import LIMIT_S, until
 
 STEADY = sonars(forward_cm=[120], slanted_cm=[765], down_cm=[300])
 COLDER = math.sqrt((20.0 + 273.15) / (22.5 + 273.15))
 """The airframe's air is 20 C, the sensor's 22.5 C: what its readings are multiplied with."""
-ROUND_S = 0.4
-"""Four sensors, 100 ms apart."""
 
 
 def of_stream(end: LinkEnd, stream_id: int) -> list[dict[str, Any]]:
@@ -54,16 +54,14 @@ def pings(testbed: KernelTestbed) -> int:
 def test_what_an_autopilot_receives(tmp_path: Path) -> None:
     recordings = tmp_path / "recordings"
     with kernel_bus(STEADY) as testbed, LinkEnd() as end:
-        start_s = time.monotonic()
         with running_service(testbed, end.url, tmp_path, "--record", str(recordings)) as service:
-            end.run_until(lambda: len(of_stream(end, FORWARD_ID)) >= 4)
-            stopped_s = time.monotonic()
+            end.run_until(lambda: all(len(of_stream(end, each)) >= 4 for each in (FORWARD_ID, SLANTED_ID, FUSED_ID)))
+            end.run_until(lambda: len(end.of("STATUSTEXT")) >= 2)
             code = service.stop()
-            end_s = time.monotonic()
-            end.run_for(0.05)
             log = service.log()
+        end.run_until(lambda: len(end.arrived) >= log[-1]["frames"]["sent"])
+        down_s = [each.time_s for each in testbed.journal() if each.verb == "write" and each.address in (0x72, 0x73)]
 
-    assert end.arrived[0].time_s - start_s < 10.0  # benchmarks/bench_start.py has the goal on an idle computer
     assert {(each.get_srcSystem(), each.get_srcComponent()) for each in end.of(*KINDS)} == {(1, 191)}
     assert {each.message.get_type() for each in end.arrived} <= set(KINDS)
     numbers = [each.message.get_seq() for each in end.arrived]
@@ -109,16 +107,20 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
         assert each["orientation"] == 100
         assert each["quaternion"] == pytest.approx(mounting, abs=1e-6)
 
-    # Two of four slots are a downward sensor's, and the echo's time rises by exactly that.
-    times_ms = [each["time_boot_ms"] for each in fused]
-    assert median(b - a for a, b in zip(times_ms, times_ms[2:], strict=False)) == pytest.approx(1e3 * ROUND_S, abs=20)
+    # The echo's time rises as the downward sensors' pings do: two of four slots of 100 ms on an idle computer.
+    times_s = [each["time_boot_ms"] / 1e3 for each in fused]
+    assert min(off_s(times_s, [each - first_s for each in down_s]) for first_s in down_s) < 0.02
 
     assert code == 0
-    assert end_s - stopped_s < 2.0
     assert [log[0]["event"], log[-1]["event"]] == ["started", "stopped by signal"]
     assert log[-1]["frames"] == {"sent": len(end.arrived), "dropped": 0, "reconnects": 0}
     (recording,) = recordings.glob("*.mcap")
     assert sent_frames(recording) == [each.frame for each in end.arrived if each.distance is not None]
+
+
+def off_s(times_s: list[float], pings_s: list[float]) -> float:
+    """How far the times since the first are from the next ping: the median, as a busy computer notes some late [s]."""
+    return median(min(abs(time_s - times_s[0] - ping_s) for ping_s in pings_s) for time_s in times_s)
 
 
 KINDS = ("HEARTBEAT", "STATUSTEXT", "DISTANCE_SENSOR")
@@ -144,20 +146,20 @@ def test_a_late_autopilot_and_its_reboot(tmp_path: Path) -> None:
         kernel_bus(STEADY[:3]) as testbed,
         running_service(testbed, f"udpout:127.0.0.1:{port}", tmp_path) as service,
     ):
-        until(lambda: pings(testbed) >= 9, LIMIT_S)
+        until(lambda: pings(testbed) >= 9)
 
         with LinkEnd(port, Autopilot(system=7, up_s=5000.0)) as end:
             end.run_until(lambda: len([each for each in end.arrived if each.message.get_srcSystem() == 7]) >= 12)
             end.run_until(lambda: missing in [each.text for each in end.of("STATUSTEXT")])
-            check_times(end, testbed)
+            end.run_until_passes(partial(check_times, end, testbed))
 
         before = pings(testbed)
-        until(lambda: pings(testbed) >= before + 3, LIMIT_S)
+        until(lambda: pings(testbed) >= before + 3)
         with LinkEnd(port, Autopilot(system=7, up_s=1.0)) as end:
             end.run_until(lambda: missing in [each.text for each in end.of("STATUSTEXT")])
             count = len(end.arrived)
             end.run_until(lambda: len(end.arrived) >= count + 12)
-            check_times(end, testbed)
+            end.run_until_passes(partial(check_times, end, testbed))
             assert {each.message.get_srcSystem() for each in end.arrived} == {7}
             assert end.of("HEARTBEAT")[-1].system_status == ardupilotmega.MAV_STATE_CRITICAL
         assert service.stop(signal.SIGINT) == 0
@@ -188,12 +190,12 @@ def test_a_serial_port_that_nobody_drains(tmp_path: Path) -> None:
             by_id.symlink_to(os.ttyname(port))
             os.close(port)
             with running_service(testbed, f"serial:{by_id}:115200", tmp_path) as service:
-                until(lambda: pings(testbed) >= 1, LIMIT_S)
+                until(lambda: pings(testbed) >= 1)
                 first = pings(testbed)
-                start_s = time.monotonic()
                 until(lambda: pings(testbed) >= first + 15)
-                # 15 slots of 100 ms, and none lost to the link.
-                assert time.monotonic() - start_s < 3.0
+                # Most of 15 slots of 100 ms, however busy the computer is, and none lost to the link.
+                pings_s = [each.time_s for each in testbed.journal() if each.verb == "write" and each.errno == 0]
+                assert median(after_s - before_s for before_s, after_s in pairwise(pings_s)) < 0.2
 
                 os.set_blocking(drain, False)
                 parser = ardupilotmega.MAVLink(None)
@@ -212,9 +214,7 @@ def test_a_serial_port_that_nobody_drains(tmp_path: Path) -> None:
                 # Frames that waited longer than their deadline are not sent: nothing is a second old, but for one frame
                 # that may have found the last room in the terminal.
                 assert late_ms[1] > 1e3 * 1.0
-                stopped_s = time.monotonic()
                 assert service.stop() == 0
-                assert time.monotonic() - stopped_s < 2.0
                 assert [each["connected"] for each in service.log() if each["event"] == "link"] == [True]
         finally:
             os.close(drain)

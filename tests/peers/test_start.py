@@ -1,5 +1,6 @@
 """What the commands import: each package is a part of a second of outage on a small computer."""
 
+import os
 import re
 import subprocess
 import sys
@@ -84,3 +85,27 @@ def test_each_command_has_one_thread_of_blas_before_numpy_is_imported(monkeypatc
         program = f"import os, sys, {package}.start; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
         assert done.stdout == "1 False\n"
+
+
+def test_the_functions_for_programs_compute_with_one_thread_of_blas(tmp_path: Path) -> None:
+    """Also where numpy is imported before: a notebook's first line."""
+    (tmp_path / "a.csv").touch()
+    for module, name, inside in (
+        ("msp_lab.gap.from_files", "find_gap(folder / 'a.csv')", "Steps.all"),
+        ("msp_lab.characterise.from_files", "characterise(folder / 'a.csv')", "analyse"),
+        ("msp_sim.flight.simulate", "simulate_flight('flat')", "Simulation.fly"),
+    ):
+        program = f"""
+import numpy, pathlib, threadpoolctl, {module} as module
+def threads(*args, **kwargs):
+    print({{each["num_threads"] for each in threadpoolctl.threadpool_info()}})
+    raise SystemExit
+folder = pathlib.Path({str(tmp_path)!r})
+module.load_readings = module.without_impossible = lambda *args: None
+module.{inside} = threads
+module.{name}
+"""
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
+        assert done.stdout == "{1}\n", module

@@ -45,8 +45,6 @@ def run(filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_c
 
 
 @pytest.mark.parametrize("filters", CHAINS, ids=lambda filters: "+".join(each["filter"] for each in filters) or "none")
-# Without a deadline: the first Kalman filter imports filterpy.
-@settings(deadline=None)
 @given(flight=flights, offset_cm=st.integers(-15, 60))
 def test_a_shifted_scene_gives_a_shifted_estimate(
     filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_cm: int
@@ -59,8 +57,6 @@ def test_a_shifted_scene_gives_a_shifted_estimate(
 
 
 @pytest.mark.parametrize("filters", CHAINS[:4], ids=lambda filters: "+".join(each["filter"] for each in filters) or "-")
-# Without a deadline: the first Kalman filter imports filterpy.
-@settings(deadline=None)
 @given(flight=flights)
 def test_an_estimate_lies_among_the_readings(filters: list[dict[str, Any]], flight: list[tuple[float, int]]) -> None:
     lowest_m, highest_m = (pick(range_cm for _, range_cm in flight) / 100 for pick in (min, max))
@@ -107,7 +103,7 @@ walks = st.lists(st.tuples(st.sampled_from((0.1, 0.2, 0.4)), st.integers(-8, 8))
 )
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(flight=walks, offset_cm=st.integers(-60, 60))
 def test_a_shifted_scene_gives_a_shifted_changepoint_estimate(flight: list[tuple[float, int]], offset_cm: int) -> None:
     """Up to what the sensor's limits make of it: 'unlocated' is uniform between them."""
@@ -116,7 +112,7 @@ def test_a_shifted_scene_gives_a_shifted_changepoint_estimate(flight: list[tuple
 
 
 @pytest.mark.parametrize("filters", [*CHAINS, *ALONE], ids=lambda filters: "+".join(f["filter"] for f in filters))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(flight=walks, start_s=st.sampled_from((1.0, 1024.0, 65536.0)))
 def test_shifted_time_stamps_change_nothing(
     filters: list[dict[str, Any]], flight: list[tuple[float, int]], start_s: float
@@ -125,7 +121,7 @@ def test_shifted_time_stamps_change_nothing(
 
 
 @pytest.mark.parametrize("parameters", [*(chain[0] for chain in (*CHAINS[1:3], *ALONE))], ids=str)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(flight=flights)
 def test_a_chain_of_one_is_that_one(parameters: dict[str, Any], flight: list[tuple[float, int]]) -> None:
     """But for what the chain is there for: after a long gap it starts anew, once two readings agree."""
@@ -151,7 +147,7 @@ answers = st.lists(
 
 
 @pytest.mark.parametrize("filters", [*CHAINS, *ALONE], ids=lambda filters: "+".join(f["filter"] for f in filters))
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(answers=answers)
 def test_whatever_a_sensor_answers_what_comes_out_is_a_distance_or_a_reason(
     filters: list[dict[str, Any]], answers: list[tuple[float, Status | int, bool]]

@@ -14,6 +14,7 @@ from msp_sim.device.device import Fault
 from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, TIMING
 from tests.support.kernel_bus import HWMON_FILE, IIO_FILE, KernelTestbed, Other, Sonar, kernel_bus
 from tests.support.known import known
+from tests.support.waiting import LIMIT_S
 
 FRONT, REAR = 0x70, 0x71
 LONG = replace(TIMING, ready_s=60.0)
@@ -34,7 +35,7 @@ def attempt(transfer, *arguments):
 
 def read_when_ready(address):
     "What the sensor reports at the end of its ranging."
-    for _ in range(5000):
+    while True:
         try:
             return bus.read(address, 2).hex()
         except BusError:
@@ -117,7 +118,7 @@ def test_absent_device_and_absent_bus(nack_errno: int) -> None:
 
 
 def test_address_change() -> None:
-    with kernel_bus([Sonar(FRONT, timing=replace(TIMING, address_change_s=0.4))]) as testbed:
+    with kernel_bus([Sonar(FRONT, timing=replace(TIMING, address_change_s=2.0))]) as testbed:
         shown = program(
             testbed,
             """
@@ -171,13 +172,13 @@ def test_smbus_transfers_that_need_no_register() -> None:
 
 
 def test_lock_up_until_reopened() -> None:
-    lock_up = Fault("locked_up", 0.0, 0.2)
+    lock_up = Fault("locked_up", 0.0, 2.0)
     with kernel_bus([Sonar(FRONT), Other(0x40, faults=[lock_up])]) as testbed:
         shown = program(
             testbed,
             """
             show(attempt(bus.read, 0x70, 2))
-            time.sleep(0.25)
+            time.sleep(2.0)
             show(attempt(bus.read, 0x70, 2), attempt(bus.write, 0x72, b""))
             bus.reopen()
             show(attempt(bus.read, 0x70, 2))
@@ -193,7 +194,7 @@ def test_a_program_that_polls_ends_on_sigterm() -> None:
         with polling:
             known(polling.stdout).readline()
             polling.terminate()
-            assert polling.wait(10.0) == -signal.SIGTERM
+            assert polling.wait(LIMIT_S) == -signal.SIGTERM
 
 
 def test_temperature_files() -> None:

@@ -79,16 +79,15 @@ class ArduCopter(Autopilot):
             lambda: [
                 each for _, each in self.station.all("EKF_STATUS_REPORT") if each.flags & mavlink.EKF_POS_HORIZ_ABS
             ],
-            120.0,
         )
         custom = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        self.station.command_until_accepted("GUIDED", 10.0, mavlink.MAV_CMD_DO_SET_MODE, custom, self.GUIDED)
+        self.station.command_until_accepted("GUIDED", mavlink.MAV_CMD_DO_SET_MODE, custom, self.GUIDED)
 
     def take_off(self) -> None:
         self.get_ready()
-        self.station.command_until_accepted("arming", 60.0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+        self.station.command_until_accepted("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
         takeoff = (0, 0, 0, 0, 0, 0, TOP_M)
-        self.station.command_until_accepted("take-off", 5.0, mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)
+        self.station.command_until_accepted("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)
         self.wait_for_hover(TOP_M)
 
     def go_to(self, height_m: float, frame: int = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT) -> None:
@@ -102,8 +101,8 @@ class ArduCopter(Autopilot):
 
     def land(self) -> None:
         custom = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        self.station.command_until_accepted("LAND", 5.0, mavlink.MAV_CMD_DO_SET_MODE, custom, self.LAND)
-        self.station.wait("disarmed after landing", lambda: not self.station.is_armed(), 60.0)
+        self.station.command_until_accepted("LAND", mavlink.MAV_CMD_DO_SET_MODE, custom, self.LAND)
+        self.station.wait("disarmed after landing", lambda: not self.station.is_armed())
 
     def height_m(self) -> float:
         states = self.station.all("SIM_STATE")

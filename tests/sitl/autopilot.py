@@ -14,6 +14,7 @@ from typing import ClassVar
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.sitl.ground_station import GroundStation
+from tests.support.waiting import LIMIT_S
 
 TOP_M = 6.0
 STANDING_RANGE_M = 0.20
@@ -71,7 +72,7 @@ class Autopilot(ABC):
         if self._station is not None:
             self._station.close()
         self._station = GroundStation(self._socket())
-        self.station.wait("a heartbeat of the autopilot", lambda: self.station.all("HEARTBEAT"), 30.0)
+        self.station.wait("a heartbeat of the autopilot", lambda: self.station.all("HEARTBEAT"))
         self.name = self._name()
         for message, rate_hz in self.wanted.items():
             self.station.ask(message, rate_hz)
@@ -82,7 +83,7 @@ class Autopilot(ABC):
             self._station.close()
         self._process.send_signal(signum)
         try:
-            self._process.wait(20.0)
+            self._process.wait(LIMIT_S)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -93,20 +94,23 @@ class Autopilot(ABC):
         assert self._station is not None
         return self._station
 
-    def wait_for_hover(self, height_m: float, limit_s: float = 40.0) -> None:
+    def wait_for_hover(self, height_m: float) -> None:
         """Wait until the vehicle has stayed near a height for three seconds."""
+        from_s = time.monotonic()
 
-        def is_there() -> bool:
-            return abs(self.height_m() - height_m) < self.tolerance_m
+        def has_stayed() -> bool:
+            since_s = time.monotonic() - 3.0
+            heights = [each for time_s, each in self.heights() if time_s >= since_s]
+            return (
+                bool(heights) and from_s < since_s and all(abs(each - height_m) < self.tolerance_m for each in heights)
+            )
 
-        self.station.wait(f"{height_m} m", is_there, limit_s)
-        self.wait(3.0)
-        assert is_there(), f"{self.height_m():.2f} m after {height_m} m"
+        self.station.wait(f"hover at {height_m} m", has_stayed)
 
     def wait(self, duration_s: float) -> None:
         """Let time pass."""
         end_s = time.monotonic() + duration_s
-        self.station.wait("time", lambda: time.monotonic() > end_s, duration_s + 5.0)
+        self.station.wait("time", lambda: time.monotonic() > end_s)
 
     def texts(self, from_s: float = -math.inf) -> list[str]:
         """STATUSTEXT of the autopilot and of the bridge since a time."""
@@ -183,7 +187,7 @@ def running(autopilot: Autopilot) -> Iterator[Autopilot]:
 def version(station: GroundStation) -> str:
     """Version and the first digits of the commit, from AUTOPILOT_VERSION."""
     station.command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-    _, version = station.wait("AUTOPILOT_VERSION", lambda: station.all("AUTOPILOT_VERSION"), 10.0)[0]
+    _, version = station.wait("AUTOPILOT_VERSION", lambda: station.all("AUTOPILOT_VERSION"))[0]
     number = version.flight_sw_version
     kind = {0: "dev", 64: "alpha", 128: "beta", 192: "rc", 255: ""}.get(number & 0xFF, "")
     # ArduPilot sends the digits as text, PX4 the bytes with the first one last.

@@ -11,29 +11,37 @@ from typing import Any, TypeVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from tests.support.waiting import until
+
 CONFIGS = Path(__file__).parents[2] / "configs"
 AUTOPILOT, BRIDGE = 1, 191
 """Component ids."""
 
+SITL_LIMIT_S = 180.0
+"""How long a flight waits for what must come [s]. An estimator that settles or a landing take 45 s on an idle computer;
+less fails flights on a busy one, more only delays the message of a flight that fails."""
+
 Found = TypeVar("Found")
 
 
-def connected_tcp(port: int, timeout_s: float = 20.0) -> socket.socket:
+def connected_tcp(port: int) -> socket.socket:
     """A connection to a program that may still be starting."""
-    deadline_s = time.monotonic() + timeout_s
-    while True:
-        try:
-            return socket.create_connection(("127.0.0.1", port))
-        except ConnectionRefusedError:
-            assert time.monotonic() < deadline_s, f"nobody listens at TCP port {port}"
-            time.sleep(0.1)
+    made: list[socket.socket] = []
+
+    def is_connected() -> bool:
+        with contextlib.suppress(ConnectionRefusedError):
+            made.append(socket.create_connection(("127.0.0.1", port)))
+        return bool(made)
+
+    until(is_connected, SITL_LIMIT_S, seen=lambda: f"nobody listens at TCP port {port}")
+    return made[0]
 
 
-def connected_udp(port: int, timeout_s: float = 20.0) -> socket.socket:
+def connected_udp(port: int) -> socket.socket:
     """A socket at ``port`` that answers the first who sends to it."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.bind(("127.0.0.1", port))
-    udp.settimeout(timeout_s)
+    udp.settimeout(SITL_LIMIT_S)
     _, peer = udp.recvfrom(2048)
     udp.connect(peer)
     return udp
@@ -69,15 +77,20 @@ class GroundStation:
         """Messages of one kind from one component, with their times."""
         return self._sorted[kind, component]
 
-    def wait(self, what: str, find: Callable[[], Found | None], timeout_s: float) -> Found:
+    def wait(self, what: str, find: Callable[[], Found | None]) -> Found:
         """What ``find`` returns once it is true; AssertionError with the autopilot's last words after a while."""
-        deadline_s = time.monotonic() + timeout_s
-        while not (found := find()):
-            if time.monotonic() > deadline_s:
-                texts = [message.text for _, message in self.all("STATUSTEXT")[-10:]]
-                raise AssertionError(f"not within {timeout_s:.0f} s: {what}; the last texts of the autopilot: {texts}")
-            time.sleep(0.05)
-        return found
+        found: list[Found] = []
+
+        def is_found() -> bool:
+            found[:] = filter(None, [find()])
+            return bool(found)
+
+        def seen() -> str:
+            texts = [message.text for _, message in self.all("STATUSTEXT")[-10:]]
+            return f"no {what}; the last texts of the autopilot: {texts}"
+
+        until(is_found, SITL_LIMIT_S, lambda: time.sleep(0.05), seen)
+        return found[0]
 
     def ask(self, name: str, rate_hz: float) -> None:
         """Ask the autopilot for a message."""
@@ -89,7 +102,7 @@ class GroundStation:
         seven = [*parameters, *[0.0] * (7 - len(parameters))]
         self.send(mavlink.MAVLink_command_long_message(1, AUTOPILOT, command, 0, *seven))
 
-    def command_until_accepted(self, what: str, timeout_s: float, command: int, *parameters: float) -> None:
+    def command_until_accepted(self, what: str, command: int, *parameters: float) -> None:
         """Send a command each second until the autopilot accepts it: it may still be starting."""
         sent_s = float("-inf")
         first_s = time.monotonic()
@@ -105,7 +118,7 @@ class GroundStation:
                 if time_s > first_s
             )
 
-        self.wait(what, accepted, timeout_s)
+        self.wait(what, accepted)
 
     def is_armed(self) -> bool:
         heartbeats = self.all("HEARTBEAT")

@@ -11,6 +11,9 @@ from pathlib import Path
 
 from tests.sitl import documented
 from tests.sitl.autopilot import Autopilot
+from tests.sitl.ground_station import SITL_LIMIT_S
+from tests.support.known import known
+from tests.support.waiting import LIMIT_S, until
 
 
 class MspSim:
@@ -34,12 +37,13 @@ class MspSim:
 
     def wait_for(self, pattern: str) -> "re.Match[str]":
         """Wait until it prints something."""
-        deadline_s = time.monotonic() + 30.0
-        while not (found := re.search(pattern, self.printed(), re.M)):
+
+        def is_printed() -> bool:
             assert self._process.poll() is None, self.printed()
-            assert time.monotonic() < deadline_s, self.printed()
-            time.sleep(0.02)
-        return found
+            return re.search(pattern, self.printed(), re.M) is not None
+
+        until(is_printed, SITL_LIMIT_S, seen=self.printed)
+        return known(re.search(pattern, self.printed(), re.M))
 
 
 @contextlib.contextmanager
@@ -63,7 +67,7 @@ def msp_sim(autopilot: Autopilot, *options: str) -> Iterator[MspSim]:
         finally:
             process.send_signal(signal.SIGTERM)
             try:
-                process.wait(20.0)
+                process.wait(LIMIT_S)
             finally:
                 process.kill()
     assert process.returncode == 0, simulation.printed()

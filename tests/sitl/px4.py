@@ -46,18 +46,18 @@ class Px4(Autopilot):
         return [str(build / "bin" / "px4"), "-d", str(build / "etc"), "-w", str(self.folder)], environment
 
     def _socket(self) -> socket.socket:
-        return connected_udp(14550, 30.0)
+        return connected_udp(14550)
 
     def _name(self) -> str:
         return f"PX4 {version(self.station)}"
 
     def get_ready(self) -> None:
-        self.station.wait("HIL_STATE_QUATERNION", self.heights, 10.0)
+        self.station.wait("HIL_STATE_QUATERNION", self.heights)
 
     def take_off(self) -> None:
         for _ in range(STARTS):
             self.get_ready()
-            self.station.command_until_accepted("arming", 90.0, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+            self.station.command_until_accepted("arming", mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)
             self.wait(SENSORS_STOP_S)
             if not any("No valid data from Baro" in text for text in self.texts()):
                 break
@@ -65,7 +65,7 @@ class Px4(Autopilot):
             self.start()
         nan = math.nan
         takeoff = (nan, 0, 0, nan, nan, nan, nan)
-        self.station.command_until_accepted("take-off", 5.0, mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)
+        self.station.command_until_accepted("take-off", mavlink.MAV_CMD_NAV_TAKEOFF, *takeoff)
         self.wait_for_hover(TOP_M)
 
     def go_to(self, height_m: float) -> None:
@@ -75,8 +75,8 @@ class Px4(Autopilot):
 
     def land(self) -> None:
         nan = math.nan
-        self.station.command_until_accepted("landing", 5.0, mavlink.MAV_CMD_NAV_LAND, 0, 0, 0, nan, nan, nan, nan)
-        self.station.wait("disarmed after landing", lambda: not self.station.is_armed(), 60.0)
+        self.station.command_until_accepted("landing", mavlink.MAV_CMD_NAV_LAND, 0, 0, 0, nan, nan, nan, nan)
+        self.station.wait("disarmed after landing", lambda: not self.station.is_armed())
 
     def height_m(self) -> float:
         states = self._states()

@@ -19,6 +19,7 @@ from tests.sitl.arducopter import ARDUCOPTER, ArduCopter
 from tests.sitl.autopilot import TOP_M, Autopilot
 from tests.sitl.ground_station import connected_udp
 from tests.sitl.px4 import SENSORS_STOP_S, STARTS, Px4, build_folder
+from tests.support.waiting import LIMIT_S
 
 SIM_VEHICLE = "sim_vehicle.py -N -v ArduCopter --add-param-file=range.parm"
 SIM_VEHICLE_AT = (
@@ -61,11 +62,11 @@ class Typed(Autopilot):
 
     def wait_until_printed(self, text: str) -> None:
         """Wait until it has printed a text."""
-        self.station.wait(f"printed: {text}", lambda: text in self._log.read_text(errors="replace"), 120.0)
+        self.station.wait(f"printed: {text}", lambda: text in self._log.read_text(errors="replace"))
 
     def land(self) -> None:
         self.type(documented.typed(self.section)[-1])
-        self.station.wait("disarmed after landing", lambda: not self.station.is_armed(), 60.0)
+        self.station.wait("disarmed after landing", lambda: not self.station.is_armed())
 
     def end(self, signum: signal.Signals = signal.SIGINT) -> None:
         """Press Ctrl-C, and end what is left of what the terminal has started."""
@@ -74,7 +75,7 @@ class Typed(Autopilot):
         with self._process:
             with suppress(ProcessLookupError, subprocess.TimeoutExpired):
                 os.killpg(self._process.pid, signum)
-                self._process.wait(20.0)
+                self._process.wait(LIMIT_S)
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
 
@@ -87,7 +88,7 @@ class Typed(Autopilot):
         """The folder in which the person gives the command."""
 
     def _socket(self) -> socket.socket:
-        return connected_udp(GROUND_STATION_PORT, 60.0)
+        return connected_udp(GROUND_STATION_PORT)
 
 
 class SimVehicle(Typed, ArduCopter):
@@ -130,7 +131,7 @@ class MadePx4(Typed, Px4):
         for _ in range(STARTS):
             self.wait_until_printed("Ready for takeoff!")
             self.type(takeoff)
-            self.station.wait("armed", self.station.is_armed, 10.0)
+            self.station.wait("armed", self.station.is_armed)
             self.wait(SENSORS_STOP_S)
             if not any("No valid data from Baro" in text for text in self.texts()):
                 break

@@ -23,9 +23,9 @@ def test_takeoff_to_6_m_and_landing(tmp_path: Path) -> None:
         copter.get_ready()
         with msp_sim(copter):
             # ArduPilot passes the bridge's messages on to other links (MAVLink_routing.cpp).
-            first = copter.station.wait("DISTANCE_SENSOR", lambda: copter.station.all("DISTANCE_SENSOR", BRIDGE), 30.0)
+            first = copter.station.wait("DISTANCE_SENSOR", lambda: copter.station.all("DISTANCE_SENSOR", BRIDGE))
             healthy_s = copter.station.wait(
-                "a healthy range finder", lambda: [time_s for time_s, good in copter.healthy() if good], 10.0
+                "a healthy range finder", lambda: [time_s for time_s, good in copter.healthy() if good]
             )
             assert healthy_s[0] - first[0][0] < 2.0
             left_s = time.monotonic()
@@ -67,9 +67,9 @@ def wait_for_walls(copter: ArduCopter) -> None:
         health = copter.sensor_health(mavlink.MAV_SYS_STATUS_SENSOR_PROXIMITY)
         return any(good for _, good in health)
 
-    copter.station.wait("a healthy proximity sensor", is_healthy, 30.0)
+    copter.station.wait("a healthy proximity sensor", is_healthy)
     # The library smooths with 0.25 Hz, and an outlier takes that long to be forgotten.
-    copter.station.wait(f"walls at {walls_m}, seen at {seen_m}", sees_walls, 30.0)
+    copter.station.wait(f"walls at {walls_m}, seen at {seen_m}", sees_walls)
 
 
 def test_proximity_sees_the_walls(tmp_path: Path) -> None:

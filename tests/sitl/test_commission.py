@@ -111,9 +111,7 @@ def test_a_hover_by_the_autopilot_is_reviewed(tmp_path: Path) -> None:
     with running(copter):
         copter.get_ready()
         with msp_sim(copter, "--record", str(tmp_path / "flights")):
-            copter.station.wait(
-                "a healthy range finder", lambda: [time_s for time_s, good in copter.healthy() if good], 30.0
-            )
+            copter.station.wait("a healthy range finder", lambda: [time_s for time_s, good in copter.healthy() if good])
             copter.take_off()
             copter.wait(25.0)
             copter.land()

@@ -90,11 +90,17 @@ def test_arducopter(tmp_path: Path) -> None:
         assert before["distances"][0] == "wrong"
         set_compare_undo(copter, airframe)
         assert doctor(airframe)["distances"] == ("right", "1.00 m was sent, and the autopilot has 1.00 m")
-        copter.station.command_until_accepted("arming", 60.0, 400, 1, 21196)
+        # The address of a sensor on its own I2C: nothing before 4.8, from then on it rejects all distances.
+        (tmp_path / "left.parm").write_text("RNGFND1_ADDR,112\n")
+        assert params(airframe, "--restore", "left.parm", answers="y\n").returncode == 0
+        found = doctor(airframe)
+        assert found["parameters"][0] == found["distances"][0], found
+        assert params(airframe, "--write", answers="y\n").returncode == 0
+        copter.station.command_until_accepted("arming", 400, 1, 21196)
         refused = params(airframe, "--restore", next(tmp_path.glob("undo-*")).name, answers="y\n" * 20)
         assert refused.returncode == 3
         assert "the vehicle is armed" in refused.stderr
-        copter.station.command_until_accepted("disarming", 10.0, 400, 0, 21196)
+        copter.station.command_until_accepted("disarming", 400, 0, 21196)
         undo(airframe)
 
 

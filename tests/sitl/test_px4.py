@@ -39,7 +39,7 @@ def test_started_in_flight_msp_sim_sends_nothing_before_the_landing(tmp_path: Pa
             px4.wait(5.0)
             assert not px4.station.all("DISTANCE_SENSOR", BRIDGE)
             px4.land()
-            px4.station.wait("distances", lambda: px4.station.all("DISTANCE_SENSOR", BRIDGE), 5.0)
+            px4.station.wait("distances", lambda: px4.station.all("DISTANCE_SENSOR", BRIDGE))
             px4.wait(2.0)
             landed_cm = [message.current_distance for _, message in px4.station.all("DISTANCE_SENSOR", BRIDGE)]
         note(px4, "msp-sim sitl started in hover", "receives nothing until it has landed")

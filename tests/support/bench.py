@@ -156,9 +156,13 @@ class Bench:
         self.pings.append((ping_s, name, reading_cm))
         return reading_cm
 
-    def fly(self, until_s: float) -> "Bench":
-        """Step the bridge until this time since the start [s]."""
+    def fly(self, until_s: float, with_autopilot: bool = False) -> "Bench":
+        """Step the bridge until this time since the start [s]; with an autopilot's heartbeat each second."""
+        next_s = self.now()
         while self.now() < until_s:
+            if with_autopilot and self.now() >= next_s:
+                next_s += 1.0
+                self.receive(common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3))
             self.steps += self.bridge.step()
         return self
 

@@ -77,6 +77,8 @@ class HandHeld:
         self.seed = seed
         self.attitude_sign = (1.0, 1.0)
         """By which the autopilot's roll and pitch are multiplied: -1 for one that is mounted backwards."""
+        self.attitude_late_s = 0.0
+        """Age of the attitude that the autopilot sends as the present one [s]."""
         self._course: Course = lambda time_s: Held()
         self._since_s = self.clock.now()
         self._start_s = self.clock.now()
@@ -131,7 +133,7 @@ class HandHeld:
                 kind(
                     sensor.address,
                     now,
-                    self._under_a_hand(sensor.name, emulated.echo, model.minimum_cm),
+                    self._under_a_hand(sensor.name, emulated.echo, round(model.minimum_cm)),
                     ranging_timing(kind, model),
                     (),
                     random.Random(self.seed),
@@ -151,7 +153,7 @@ class HandHeld:
         return Autopilot(
             self,
             self.clock,
-            lambda time_s: self.pose(time_s + made_s),
+            lambda time_s: self.pose(max(time_s + made_s - self.attitude_late_s, 0.0)),
             lambda pose: self.world.air_temperature_c(1.0),
             sent_pose=sent,
             draw=random.Random(self.seed),

@@ -21,6 +21,7 @@ import pytest
 
 from msp_sim.device.device import DeviceTiming, Fault
 from msp_sim.device.mb1242 import DEFAULT_ADDRESS, TIMING
+from tests.support.waiting import LIMIT_S
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 WRAPPER = "umockdev-wrapper"
@@ -29,7 +30,6 @@ HWMON_FILE = Path("/sys/class/hwmon/hwmon0/temp1_input")
 IIO_FILE = Path("/sys/bus/iio/devices/iio:device0/in_temp_input")
 
 _REPOSITORY = Path(__file__).parents[2]
-_END_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class Sonar:
     """A range finder on /dev/i2c-1 that reports ``readings_cm`` one after the other, and then again.
 
     The times of its faults count from the moment when a program first opens the bus. ``kind`` is its driver's name.
+    Where another one was pinged just before it, it reports ``disturbed_cm`` if that is given.
     """
 
     address: int = DEFAULT_ADDRESS
@@ -44,6 +45,7 @@ class Sonar:
     faults: Sequence[Fault] = ()
     timing: DeviceTiming = TIMING
     kind: str = "mb1242"
+    disturbed_cm: int | None = None
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ class KernelTestbed:
         self._programs.append(program)
         return program
 
-    def run(self, arguments: Sequence[str | Path], timeout_s: float = 30.0) -> "subprocess.CompletedProcess[str]":
+    def run(self, arguments: Sequence[str | Path], timeout_s: float = LIMIT_S) -> "subprocess.CompletedProcess[str]":
         """Run a program to its end and return its code, output and errors."""
         program = self.popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         output, errors = program.communicate(timeout=timeout_s)
@@ -99,8 +101,19 @@ class KernelTestbed:
 
     def set_readings(self, readings_cm: Sequence[int]) -> None:
         """Change what the sonars report, one reading for each of them."""
+        self._tell(json.dumps(list(readings_cm)))
+
+    def silence(self, address: int) -> None:
+        """From now on a device acknowledges nothing."""
+        self._tell(f"silence {address}")
+
+    def time_out(self) -> None:
+        """The next transfer takes the time-out of `kernel_bus`, and fails."""
+        self._tell("time out")
+
+    def _tell(self, line: str) -> None:
         assert self._server.stdin is not None
-        self._server.stdin.write(json.dumps(list(readings_cm)) + "\n")
+        self._server.stdin.write(line + "\n")
         self._server.stdin.flush()
 
     def end_programs(self) -> None:
@@ -168,7 +181,7 @@ def kernel_bus(
             assert server.stdin is not None
             server.stdin.close()
             try:
-                server.wait(_END_S)
+                server.wait(LIMIT_S)
             finally:
                 server.kill()
 
@@ -180,7 +193,7 @@ def _ask(server: "subprocess.Popen[str]", line: str) -> Any:
     server.stdin.flush()
     answer = server.stdout.readline()
     if not answer:
-        raise RuntimeError(f"the kernel bus server ended with code {server.wait(_END_S)}: its errors are above")
+        raise RuntimeError(f"the kernel bus server ended with code {server.wait(LIMIT_S)}: its errors are above")
     return json.loads(answer)
 
 

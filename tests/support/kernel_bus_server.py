@@ -72,6 +72,8 @@ class KernelInterface:
         self.timeout_s = timeout_s
         self.journal: deque[tuple[float, str, int, str, int | None]] = deque(maxlen=200_000)
         self.addresses: dict[int, int] = {}
+        self.silent: set[int] = set()
+        self.times_out = False
 
     def handle(self, _device: object, client: IoctlClient) -> bool:
         """Answer one ioctl. Nothing may be raised from here: the client would wait for ever."""
@@ -158,6 +160,11 @@ class KernelInterface:
         """Carry out one message and record it in the journal."""
         time_s = time.monotonic()
         try:
+            if self.times_out:
+                self.times_out = False
+                raise OSError(errno.ETIMEDOUT, "the bus was locked up")
+            if address in self.silent:
+                raise OSError(errno.EREMOTEIO, f"0x{address:02x} was silenced")
             data = carry_out()
         except OSError as failure:
             self.journal.append((time_s, verb, address, "", failure.errno))
@@ -179,13 +186,20 @@ def _piece(of: IoctlData, offset: int, length: int) -> IoctlData:
 class Echo:
     """What a sonar's pings report: readings one after the other, and then again."""
 
-    def __init__(self, readings_cm: Sequence[int]) -> None:
+    last: "Echo | None" = None
+    """Whose ping was the last on the bus."""
+
+    def __init__(self, readings_cm: Sequence[int], disturbed_cm: int | None) -> None:
         self.set(readings_cm)
+        self.disturbed_cm = disturbed_cm
 
     def set(self, readings_cm: Sequence[int]) -> None:
         self.readings_cm = itertools.cycle(readings_cm)
 
     def __call__(self, _ping_time_s: float) -> int:
+        before, Echo.last = Echo.last, self
+        if self.disturbed_cm is not None and before not in (None, self):
+            return self.disturbed_cm
         return next(self.readings_cm)
 
 
@@ -194,7 +208,7 @@ def make_device(spec: dict[str, Any], now: Callable[[], float], chance: random.R
     faults = [Fault(**fault) for fault in spec["faults"]]
     if "readings_cm" not in spec:
         return PlainDevice(spec["address"], bytes.fromhex(spec["answer"]), faults)
-    echoes.append(Echo(spec["readings_cm"]))
+    echoes.append(Echo(spec["readings_cm"], spec.get("disturbed_cm")))
     kind = emulated_kind(spec["kind"])
     return kind(spec["address"], now, echoes[-1], DeviceTiming(**spec["timing"]), faults, chance)
 
@@ -239,6 +253,10 @@ def main() -> None:
             return False
         if line == "journal\n":
             print(json.dumps(list(interface.journal)), flush=True)
+        elif line == "time out\n":
+            interface.times_out = True
+        elif line.startswith("silence "):
+            interface.silent.add(int(line.split()[1]))
         else:
             for echo, reading_cm in zip(echoes, json.loads(line), strict=True):
                 echo.set([reading_cm])

@@ -22,6 +22,7 @@ INTEGER_NAMES = ("MAV_", "SER_", "EKF2_RNG_CTRL", "EKF2_HGT_REF")
 RANGE_FINDER = {
     "RNGFND1_TYPE": 10.0,
     "RNGFND1_ORIENT": 25.0,
+    "RNGFND1_ADDR": 0.0,
     "RNGFND1_MIN": 0.19,
     "RNGFND1_MAX": 7.6,
     "RNGFND1_GNDCLR": 0.2,
@@ -49,6 +50,8 @@ class ParameterAutopilot:
         Whether it sends the distances that come back, as its own DISTANCE_SENSOR and in SYS_STATUS.
     system
         Its system id.
+    version
+        What AUTOPILOT_VERSION says; None: it is not answered.
     """
 
     def __init__(
@@ -62,9 +65,11 @@ class ParameterAutopilot:
         uses_range_finder: bool = True,
         system: int = 1,
         baud: int = 57600,
+        version: tuple[int, int] | None = (4, 7),
     ) -> None:
         self.values = dict(values or {})
         self.px4 = px4
+        self.version = version
         self.armed = armed
         self.set_names: list[str] = []
         self.received: list[Any] = []
@@ -116,16 +121,24 @@ class ParameterAutopilot:
                 self.set_names.append(message.param_id)
                 self.values[message.param_id] = self._decoded(message.param_value, message.param_type)
                 self._send_value(message.param_id)
-        elif kind == "SETUP_SIGNING":
+        elif kind == "COMMAND_LONG" and message.param1 == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION and self.version:
+            number = self.version[0] << 24 | self.version[1] << 16
+            self._connection.mav.autopilot_version_send(0, number, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+        elif kind == "SETUP_SIGNING" and not self.px4:  # PX4 1.17 has no signing
             self._connection.setup_signing(bytes(message.secret_key), sign_outgoing=True)
         elif kind == "TIMESYNC" and message.tc1 == 0:
             self._connection.mav.timesync_send(time.monotonic_ns(), message.ts1)
-        elif kind == "DISTANCE_SENSOR" and self._uses_range_finder:
+        elif kind == "DISTANCE_SENSOR" and self._uses_range_finder and self._takes(message.id):
             self._connection.mav.distance_sensor_send(
                 message.time_boot_ms, 20, 760, message.current_distance, 1, 0, message.orientation, 0
             )
             bit = mavlink.MAV_SYS_STATUS_SENSOR_LASER_POSITION
             self._connection.mav.sys_status_send(bit, bit, bit, 0, 12000, 0, 90, 0, 0, 0, 0, 0, 0)
+
+    def _takes(self, sensor_id: int) -> bool:
+        """Whether it takes distances with this id, as ArduPilot from 4.8 on decides by the address."""
+        takes_one = not self.px4 and self.version is not None and self.version >= (4, 8)
+        return not takes_one or self.values.get("RNGFND1_ADDR", 0.0) in (0.0, sensor_id)
 
     def _type_of(self, name: str) -> int:
         whole = self.px4 and name.startswith(INTEGER_NAMES)

@@ -19,13 +19,12 @@ import pytest
 
 from tests.support.kernel_bus import KernelTestbed, Sonar
 from tests.support.mavlink_ends import Component, read_distance_sensor
+from tests.support.waiting import LIMIT_S, until, until_passes
 
 COMMAND = Path(sys.executable).with_name("msp-range")
 PEERS = Path(__file__).parents[1] / "peers"
 AIRFRAME = PEERS / "airframe.yaml"
 FORWARD_ID, SLANTED_ID, FUSED_ID = 1, 2, 10
-LIMIT_S = 20.0
-"""Nothing here takes a tenth of it on an idle computer."""
 HEARTBEAT_INTERVAL_S = 0.25
 """Of the autopilots below: four times as often as real ones, so that nobody waits for it."""
 
@@ -57,7 +56,7 @@ class Service:
         """What it has logged so far."""
         return [json.loads(line) for line in self._log_file.read_text().splitlines()]
 
-    def stop(self, signum: signal.Signals = signal.SIGTERM, limit_s: float = 10.0) -> int:
+    def stop(self, signum: signal.Signals = signal.SIGTERM, limit_s: float = LIMIT_S) -> int:
         """Send a signal and return the exit code."""
         self.process.send_signal(signum)
         return self.process.wait(limit_s)
@@ -169,22 +168,23 @@ class LinkEnd:
         """All DISTANCE_SENSOR that have come, oldest first."""
         return [each.distance for each in self.arrived if each.distance is not None]
 
-    def run_until(self, done: Callable[[], bool], limit_s: float = LIMIT_S) -> None:
-        """Work until ``done()``, which is asked after every datagram; an AssertionError where it takes too long."""
-        give_up_s = time.monotonic() + limit_s
-        while not done():
-            assert time.monotonic() < give_up_s, f"not so within {limit_s:.0f} s; came: {self._summary()}"
-            self._work()
+    def run_until(self, holds: Callable[[], bool], limit_s: float = LIMIT_S) -> None:
+        """Work until something holds, which is asked after every datagram."""
+        until(holds, limit_s, self._work, self._summary)
+
+    def run_until_passes(self, check: Callable[[], object]) -> None:
+        """Work until all that a function asserts holds."""
+        until_passes(check, work=self._work)
 
     def run_for(self, duration_s: float) -> None:
-        """Work for a while."""
+        """Work for a while, and take what has come by then."""
         end_s = time.monotonic() + duration_s
-        self.run_until(lambda: time.monotonic() >= end_s)
+        self.run_until(lambda: time.monotonic() >= end_s and not self._ready(0.0))
 
     def _work(self) -> None:
         if self.autopilot is not None:
             self._say(self.autopilot.due(time.monotonic()))
-        readable, _, _ = select.select([self._bridge, self._other], [], [], 0.02)
+        readable = self._ready(0.02)
         if self._bridge in readable:
             frame, self._bridge_address = self._bridge.recvfrom(2048)
             (message,) = self._parser.parse_buffer(frame)
@@ -195,6 +195,9 @@ class LinkEnd:
                 self._say(self.autopilot.answers(now_s, message))
         if self._other in readable:
             self._to_bridge(self._other.recv(2048))
+
+    def _ready(self, limit_s: float) -> list[socket.socket]:
+        return select.select([self._bridge, self._other], [], [], limit_s)[0]
 
     def _say(self, frames: list[bytes]) -> None:
         for frame in frames:
@@ -209,9 +212,10 @@ class LinkEnd:
         if self._other_port is not None:
             self._other.sendto(frame, ("127.0.0.1", self._other_port))
 
-    def _summary(self) -> dict[str, int]:
+    def _summary(self) -> str:
         kinds = [each.message.get_type() for each in self.arrived]
-        return {kind: kinds.count(kind) for kind in sorted(set(kinds))}
+        counts = {kind: kinds.count(kind) for kind in sorted(set(kinds))}
+        return f"{counts}; texts {[each.text for each in self.of('STATUSTEXT')]}; last distance {self.distances[-1:]}"
 
 
 def _loopback_socket(port: int) -> socket.socket:

@@ -370,10 +370,10 @@ def statuses(bench: Bench, from_s: float) -> list[int]:
 
 
 def test_the_heartbeat_carries_the_state_of_the_sensors() -> None:
-    good = Bench(airframe(), 300).fly(5.0)
+    good = Bench(airframe(), 300).fly(5.0, with_autopilot=True)
     assert statuses(good, 0.0)[:2] == [common.MAV_STATE_BOOT] * 2
     assert set(statuses(good, 2.0)) == {common.MAV_STATE_ACTIVE}
-    bad = Bench(airframe(), 300, absent="c").fly(5.0)
+    bad = Bench(airframe(), 300, absent="c").fly(5.0, with_autopilot=True)
     assert set(statuses(bad, 2.0)) == {common.MAV_STATE_CRITICAL}
 
 
@@ -604,6 +604,17 @@ def test_an_object_below_one_sensor_is_sent_with_its_distance_and_leaves_the_gro
     # Two messages are never closer than PX4 can take them.
     times_s = [time_s for time_s, _ in bench.sent()]
     assert min(late - early for early, late in pairwise(times_s)) > 0.019
+
+
+def test_ground_is_below_only_where_the_sensor_sees_ground() -> None:
+    """What went away from an object, and then had no echo, has not seen any ground."""
+    names = {5.0: 245, 9.0: 220, 9.4: 765, 20.0: 300}
+
+    def world(name: str, time_s: float) -> int:
+        return 300 if name != "b" or time_s < 5.0 else [cm for from_s, cm in names.items() if time_s >= from_s][-1]
+
+    bench = Bench(airframe(PALLET, sensor_watch=False), world).fly(25.0)
+    assert bench.reported(1.2) == ["Range b: object below, 0.5 m high", "Range b: object not seen now"]
 
 
 def test_a_hole_is_reported_in_a_text_and_has_no_stream() -> None:

@@ -17,6 +17,7 @@ from msp_lab.characterise.page.mixture import densities
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.sensors import Characterisation, characterised
 from msp_lab.cli import app
+from msp_lab.gap.from_files import find_gap
 from msp_range.config import load_airframe
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
@@ -319,3 +320,35 @@ def test_mixture_of_real_beams_whose_hits_are_flattered(tmp_path: Path) -> None:
     assert weights.short == pytest.approx(0.127, abs=0.02)
     assert weights.missed == pytest.approx(0.00087, abs=0.0001)
     assert "hits look better than they are" in output
+
+
+LASER = CONFIGS / "sensors" / "lidar_lite_v3.yaml"
+
+
+def test_light_is_not_corrected_for_the_speed_of_sound(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    ranges = range(100, 401, 60)
+    light: dict[str, Any] = {"sigma_cm": 0.8, "air_temperature_c": 35.0}
+    plain = [point(rng, z, n=100, run=name, **light) for name in "abcdef" for z in ranges]
+    write_csv(tmp_path / "plain.csv", table(*plain))
+    others = [point(rng, z, **light, condition="temperature_compensation") for z in ranges]
+    hot: dict[str, Any] = light | {"condition": "temperature", "air_temperature_c": 60.0, "target_temperature_c": 35.0}
+    write_csv(tmp_path / "laser.csv", table(*plain, *others, *(point(rng, z, **hot) for z in ranges)))
+    out, page = tmp_path / "model.yaml", tmp_path / "page"
+    result = run(tmp_path / "laser.csv", "--sensor", LASER, "--out", out, "--report", page)
+    assert result.exit_code == 0, result.output
+    numbers = json.loads((page / "findings.json").read_text(encoding="utf-8"))
+    assert numbers["calibration"]["scale"]["value"] == pytest.approx(1.0, abs=0.0005)
+    assert {each["compensated_error"] for each in numbers["points"]} == {None}
+    assert load_sensor_model(out).calibration_curve.inverse(360.0) == pytest.approx(360.0, abs=0.2)
+    text = re.sub(r"<[^>]*>", " ", (page / "report.html").read_text(encoding="utf-8").split("<body", 1)[1])
+    for words in (
+        "speed of sound",
+        "ith compensation",
+        "absolute temperature",
+        "calibration temperature",
+        "all the way",
+    ):
+        assert words not in text + result.output
+    assert "ranges with light" in result.output
+    assert find_gap(tmp_path / "plain.csv", out, until="name")["effects"] == []

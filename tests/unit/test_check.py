@@ -117,7 +117,7 @@ def bus_text(error: BusError) -> str:
     """What the pilot reads of a bus's fault."""
     health = BusHealth()
     health.on_ranging(1.0, Ranging(Reading(1.0, "down", Status.NO_ANSWER), 1.0, 1.0, error))
-    (condition,) = health.conditions(1.0)
+    condition = health.condition()
     assert condition.text is not None
     assert len(condition.text) <= 50
     return condition.text

@@ -71,25 +71,6 @@ def test_every_command_of_the_laboratory_explains_itself(command: str) -> None:
     assert CliRunner().invoke(lab_app, [command, "--help"]).exit_code == 0
 
 
-@pytest.mark.parametrize(
-    ("old", "args", "now"),
-    [
-        (app, ["collect", "campaign.yaml", "--out", "x"], "msp-lab collect"),
-        (app, ["characterise", "--help"], "msp-lab characterise"),
-        (sim_app, ["collect", "campaign.yaml", "--out", "x"], "msp-lab collect"),
-        (sim_app, ["effects", "--json"], "msp-lab effects"),
-        (sim_app, ["gap", "readings.csv", "--model", "m.yaml"], "msp-lab gap"),
-        (sim_app, ["show", ".", "--out", "x.png"], "msp-lab show"),
-    ],
-)
-def test_a_command_that_has_moved_names_the_new_one(old: typer.Typer, args: list[str], now: str) -> None:
-    result = CliRunner().invoke(old, args)
-    assert result.exit_code == 2
-    assert now in result.stderr
-    assert len(result.output.strip().splitlines()) == 1
-    assert args[0] == "show" or args[0] not in CliRunner().invoke(old, ["--help"]).output
-
-
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_check_shows_what_would_fly(path: Path) -> None:
     result = CliRunner().invoke(app, ["check", str(path)])
@@ -353,11 +334,12 @@ def test_the_extras_are_those_of_the_packaging() -> None:
         assert named - {"msp_range"} == set(packages), extra
 
 
-def test_a_full_disk_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.ENAMETOOLONG])
+def test_a_full_disk_and_a_name_that_is_too_long_are_a_line(number: int, capsys: pytest.CaptureFixture[str]) -> None:
     def write() -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "out/link.tlog")
+        raise OSError(number, os.strerror(number), "out/link.tlog")
 
     with pytest.raises(typer.Exit) as ended:
         report_user_errors(write)()
     assert ended.value.exit_code == 3
-    assert capsys.readouterr().err == "out/link.tlog: No space left on device\n"
+    assert capsys.readouterr().err == f"out/link.tlog: {os.strerror(number)}\n"

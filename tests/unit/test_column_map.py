@@ -1,7 +1,6 @@
 """Other people's names and units, and what is reported where a map does not fit."""
 
 import gzip
-import time
 from pathlib import Path
 
 import numpy as np
@@ -135,11 +134,10 @@ def test_user_errors_in_a_map_file(tmp_path: Path, column_map: str, message: str
 
 def test_a_packed_bomb_is_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "bomb.csv.gz"
-    path.write_bytes(gzip.compress(b"dist\n" + b"1\n" * 2_000_000))
-    started_s = time.process_time()
+    # What comes after 2 MB is no text: nothing is reported of it, so it is not read.
+    path.write_bytes(gzip.compress(b"dist\n" + b"1\n" * 1_000_000 + b"\xff" * 2_000_000))
     with pytest.raises(RecordingError, match=r"bomb\.csv\.gz: found more than 1 MB of unpacked text, expected less"):
         read_mapped(path, load_map(["reading_cm=dist"]), 765.0)
-    assert time.process_time() - started_s < 2.0
 
 
 def test_more_rows_than_are_held_at_a_time(tmp_path: Path) -> None:

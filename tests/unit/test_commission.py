@@ -17,11 +17,12 @@ from msp_range.acoustics.air import FIXED
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.commission.cover import blocked, covered
+from msp_range.commission.edit import Edit
 from msp_range.commission.look import Beam, axis_of
 from msp_range.commission.motion import Measured, NotMeasured, Places, common_shift, places
 from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
-from msp_range.commission.outcome import StepOutcome
+from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Record, Samples, samples_of
 from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps import bench, lift
@@ -29,10 +30,10 @@ from msp_range.commission.steps.addresses import compare as compare_addresses
 from msp_range.commission.steps.directions import compare_directions
 from msp_range.commission.steps.flight import compare as compare_flight
 from msp_range.commission.steps.flight import gaps, hovering
-from msp_range.commission.steps.places import compare_places
+from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.commission.still import Stand, levels, noise_m
 from msp_range.config import load_airframe
-from msp_range.doctor.finding import Verdict
+from msp_range.doctor.finding import Verdict, right, wrong
 from msp_range.yaml_file import ConfigError
 
 AIRFRAME = load_airframe("configs/quad_pallet.yaml")
@@ -282,7 +283,7 @@ def test_one_noisy_sensor_is_a_fault_of_its_own_and_all_of_them_are_the_model_s(
     one, all_of_them = StepOutcome(), StepOutcome()
     compare_noise(AIRFRAME, {name: loud if name == NAMES[2] else quiet for name in NAMES}, "in flight", one)
     compare_noise(AIRFRAME, dict.fromkeys(NAMES, loud), "in flight", all_of_them)
-    assert ["rear_left" in each.text for each in one.findings if each.verdict is Verdict.WRONG] == [True]
+    assert [each.step for each in one.findings if each.verdict is Verdict.WRONG] == ["noise of rear_left"]
     assert one.proposals == []
     # A little louder is no fault, and a bench that is quieter than the model no reason to change it.
     usual = StepOutcome()
@@ -293,6 +294,30 @@ def test_one_noisy_sensor_is_a_fault_of_its_own_and_all_of_them_are_the_model_s(
     (proposal,) = all_of_them.proposals
     assert "sigma_cm: 5" in proposal.files[0][1]
     assert len(proposal.edits) == 4
+
+
+@pytest.mark.parametrize(
+    ("step", "kept"),
+    [
+        ("noise of rear_left", ["front_left", "air"]),
+        ("cover front_left", ["rear_left", "air"]),
+        ("delay of the attitude", []),
+        (None, ["front_left", "rear_left", "air"]),
+    ],
+)
+def test_nothing_is_proposed_from_what_is_called_wrong(step: str | None, kept: list[str]) -> None:
+    outcome = StepOutcome([right("noise", "as usual")])
+    for i, name in enumerate(NAMES):
+        if name in ("front_left", "rear_left"):
+            outcome.proposals.append(Proposal(name, (Edit(("sensors", i, "position_m", 2), 0.1),)))
+    outcome.proposals.append(Proposal("air", (Edit(("temperature", "fixed_c"), 10),)))
+    if step is not None:
+        outcome.findings.append(wrong(step, "it is wrong", "repair it"))
+    outcome.keep_founded(AIRFRAME)
+    assert [each.text for each in outcome.proposals] == kept
+    said = [each.text for each in outcome.findings if each.step == "changes"]
+    assert said == ([f"{3 - len(kept)} not proposed, as they come from what is wrong: {step}"] if step else [])
+    assert not outcome.passed
 
 
 def test_the_hover_of_a_flight_is_its_longest_level_part() -> None:
@@ -328,7 +353,7 @@ def test_a_flight_with_silence_or_missed_echoes_is_not_right() -> None:
 def test_what_a_lift_shows_of_the_autopilot() -> None:
     for late_s, expected in ((0.05, Verdict.RIGHT), (0.2, Verdict.WRONG)):
         outcome = StepOutcome()
-        lift._lag(Places({}, (), Measured(late_s, 0.03), {}, np.zeros((0, 2))), outcome)
+        compare_lag(Places({}, (), Measured(late_s, 0.03), {}, np.zeros((0, 2))), outcome)
         assert [each.verdict for each in outcome.findings] == [expected]
     time_s = np.arange(0.0, 10.0, 0.1)
     nothing = samples_of([])

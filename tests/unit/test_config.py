@@ -120,6 +120,12 @@ def test_what_is_left_out() -> None:
         (lambda c: c.update(vehicle=7), "vehicle: found 7; expected a valid string"),
         (lambda c: c.update(bus=1.5), "bus: found 1.5; expected a valid integer, got a number with a fractional part"),
         (lambda c: c.update(bus=None), "bus: found nothing; expected a valid integer or a valid string"),
+        (lambda c: c.update(bus=-1), "bus: found -1; expected greater than or equal to 0"),
+        (lambda c: c.update(bus="190:20:30"), "bus: found '190:20:30'; expected a valid integer"),
+        (lambda c: c.update(bus=True), "bus: found a truth value (true, yes, on, or their opposites); expected a numb"),
+        (lambda c: c["sensors"][1].update(position_m=[0, False, 0]), "sensors[1].position_m[1]: found a truth value"),
+        (lambda c: c["filters"][0].update(acceleration_std_m_s2=True), "filters[0].acceleration_std_m_s2: found a tru"),
+        (lambda c: c["link"].update(system_id=True), "link.system_id: found a truth value"),
         (lambda c: c.update(sensors="four"), "sensors: found 'four'; expected a list"),
         (lambda c: c.update(polling=[]), "polling: found []; expected a mapping with the keys adaptive, groups, near"),
         (lambda c: c.update(filters=["kalman"]), "filters[0]: found 'kalman'; expected a mapping with the keys"),
@@ -456,6 +462,14 @@ def test_a_file_that_comes_with_the_package_is_found_by_its_name(
     (tmp_path / "mb1242").write_text((CONFIGS / "sensors" / "hcsr04.yaml").read_text())
     with pytest.raises(ConfigError, match=r"address|driver|sensor"):
         load_airframe("own.yaml")
+
+
+@pytest.mark.parametrize("name", ["m" * 300, f"{'m' * 300}.yaml", f"{'m' * 300}/mb1242.yaml"])
+def test_a_name_that_is_too_long_for_a_file_is_a_user_error(tmp_path: Path, name: str) -> None:
+    path = write(tmp_path, lambda c: c["sensors"][0].update(model=name))
+    with pytest.raises(ConfigError, match=r"no such file|cannot be read: File name too long") as error:
+        load_airframe(path)
+    assert str(error.value).endswith("airframe.yaml: sensors[0])")
 
 
 def test_a_name_that_nobody_knows_has_a_hint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from msp_lab.logs.elsewhere import _column
+from msp_lab.logs.truth import Truth
+from msp_lab.readings.column_map import load_map, read_mapped
 from msp_range.input_file import CONTROL
 from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
 from msp_range.recording.csv_form import MeasuredData, read_csv, short_list, write_csv
@@ -112,7 +115,7 @@ def measured(draw: st.DrawFn) -> MeasuredData:
     return MeasuredData(columns)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=100)
 @given(data=measured())
 def test_what_was_written_is_read(tmp_path: Path, data: MeasuredData) -> None:
     (tmp_path / "a.csv").unlink(missing_ok=True)
@@ -257,3 +260,20 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="different lengths"):
         write_csv(tmp_path / "c.csv", {"time_s": np.array([1.0]), "reading_cm": np.array([1.0, 2.0])})
     assert not (tmp_path / "c.csv").exists()
+
+
+@pytest.mark.parametrize("cell", ["1_0", "١٢", "１２"])
+def test_what_only_python_takes_for_a_number_is_none(tmp_path: Path, cell: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"time_s,sensor,reading_cm,true_range_cm\n1,a,{cell},2\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"a\.csv:2: column 'reading_cm': found .*, expected a number"):
+        read_csv(path)
+    path.write_text(f"dist\n{cell}\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"a\.csv:2: column 'dist': found .*, expected a number"):
+        read_mapped(path, load_map(["reading_cm=dist"]), 765.0)
+    path.write_text(f"t,z\n{cell},1\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"a\.csv:2: expected numbers in the columns"):
+        _column(path, Truth("column", "z"))
+    # In a column of one's own it is a word.
+    path.write_text(f"time_s,sensor,reading_cm,own\n1,a,3,{cell}\n", encoding="utf-8")
+    assert read_csv(path)["own"].tolist() == [cell]

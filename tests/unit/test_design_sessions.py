@@ -247,7 +247,7 @@ def test_where_offsets_show_alternatives_are_compared_by_the_scatter_of_runs() -
     # Neighbours whose errors have a correlation of a half count as a third; of many readings alternatives get some.
     assert replace(alone, correlation=0.5).nats(900, 6) == pytest.approx(30.0)
     rows = int(2.5 * rules.READINGS)
-    assert replace(by_run, offsets=0.0).nats(rows, 24) == pytest.approx(0.1 * (rows // 3))
+    assert replace(by_run, offsets=0.0).nats(rows, 24) == pytest.approx(0.1 * rules.READINGS)
     assert replace(alone, offsets=0.0).nats(rows, 24) == pytest.approx(0.1 * rows)
 
 

@@ -8,10 +8,13 @@ import pytest
 
 from msp_lab.gap.intake import Readings, read_readings
 from msp_lab.readings.column_map import load_map
+from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import write_csv
 from msp_range.recording.error import RecordingError
+from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
+from tests.support import log_import
 from tests.support.measured import MODEL, readings
 
 MODEL_GIVEN = load_model(MODEL)
@@ -231,3 +234,13 @@ def _written(folder: Path, columns: dict[str, Any]) -> Path:
     path = folder / "more.csv"
     write_csv(path, columns)
     return path
+
+
+@pytest.mark.parametrize(("command", "truth"), [("gap", "recorded"), ("gap", "others"), ("compare", "recorded")])
+def test_a_recording_without_a_reading_is_a_line(tmp_path: Path, command: str, truth: str) -> None:
+    Recorder(tmp_path / "flight.mcap", VirtualClock()).close()
+    done = log_import.run(
+        command, tmp_path / "flight.mcap", "--model", MODEL, "--truth", truth, "--out", tmp_path / "out"
+    )
+    assert done.exit_code == 3
+    assert done.stderr.splitlines()[-1] == f"{tmp_path}/flight.mcap: no readings, only a header"

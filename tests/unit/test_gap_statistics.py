@@ -58,7 +58,9 @@ def read(
     short = SENSOR.minimum_cm - np.log(1.0 - rng.random(n) * (1.0 - np.exp(-rate * length))) / rate
     reading_cm = np.where(kind == 1, np.round(short), reading_cm)
     reading_cm = np.where(kind == 2, SENSOR.maximum_cm, reading_cm)
-    reading_cm = np.where(kind == 3, rng.integers(SENSOR.minimum_cm, SENSOR.maximum_cm + 1, n), reading_cm)
+    reading_cm = np.where(
+        kind == 3, rng.integers(round(SENSOR.minimum_cm), round(SENSOR.maximum_cm) + 1, n), reading_cm
+    )
     saturated = (reading_cm == SENSOR.maximum_cm) & (rng.random(n) < mixture.saturated_fraction)
     return np.clip(np.where(saturated, 255.0, reading_cm), SENSOR.minimum_cm, SENSOR.maximum_cm)
 

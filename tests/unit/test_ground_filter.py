@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from msp_range.fusion import ground_filter
-from msp_range.fusion.ground_filter import SLOPE_STD, START_SLOPE_M, GroundFilter
+from msp_range.fusion.ground_filter import SLOPE_LASTS_S, SLOPE_STD, START_SLOPE_M, GroundFilter
 from msp_range.fusion.mounting import View
 
 R_M2 = 0.02**2
@@ -46,6 +46,47 @@ def test_with_one_way_to_move_it_is_a_kalman_filter(monkeypatch: pytest.MonkeyPa
     # One place gives no information on the slope.
     assert ground[2:4] == (0.0, 0.0)
     np.testing.assert_allclose(np.array(ground.covariance)[2:, 2:], SLOPE_STD**2 * np.eye(2))
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_with_one_way_to_move_the_slope_is_that_of_a_dense_filter(
+    monkeypatch: pytest.MonkeyPatch, learns: bool
+) -> None:
+    """A Kalman filter of four states, or one with the gain of the slope set to zero (Schmidt), in Joseph's form."""
+    density = 0.02
+    for name in ("CALM_M2_S3", "MOVING_M2_S3", "MANOEUVRE_M2_S3"):
+        monkeypatch.setattr(ground_filter, name, density)
+    draw = np.random.default_rng(4)
+    lever = (0.25, -0.2)
+    known = GroundFilter(2.0, R_M2, 0.0, 0.1, lever)
+    mean, covariance = np.array([2.0, 0.0, 0.0, 0.0]), np.array(known.ground().covariance)
+    at_lever = np.array([1.0, 0.0, -lever[0], -lever[1]])
+    assert at_lever @ covariance @ at_lever == pytest.approx(R_M2), "there the height has been read"
+    for _ in range(300):
+        t = draw.uniform(0.02, 0.2)
+        stays = 1 - t / SLOPE_LASTS_S
+        transition = np.diag([1.0, 1.0, stays, stays])
+        transition[0, 1] = t
+        noise = np.diag([0.0, 0.0, 1.0, 1.0]) * SLOPE_STD**2 * (1 - stays**2)
+        noise[:2, :2] = density * np.array([[t**3 / 3, t**2 / 2], [t**2 / 2, t]])
+        mean, covariance = transition @ mean, transition @ covariance @ transition.T + noise
+        known.predict(t)
+        row = np.array([1.02, 0.0, *draw.normal(scale=0.3, size=2)])
+        innovation_m = draw.normal(scale=0.03)
+        gain = covariance @ row / (row @ covariance @ row + R_M2)
+        if not learns:
+            gain[2:] = 0.0
+        keeps = np.eye(4) - np.outer(gain, row)
+        mean = mean + gain * innovation_m
+        covariance = keeps @ covariance @ keeps.T + R_M2 * np.outer(gain, gain)
+        known.update(View(2.0, row[0], row[2], row[3], 0.0), innovation_m, R_M2, NO_OTHER, learns)
+        ground = known.ground()
+        np.testing.assert_allclose(ground[:4], mean, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(np.array(ground.covariance), covariance, rtol=1e-6, atol=1e-10)
+    assert known.variance(0.9, 0.2, -0.1) == pytest.approx(
+        np.array([0.9, 0, 0.2, -0.1]) @ covariance @ [0.9, 0, 0.2, -0.1]
+    )
+    assert (known.rise_north != 0.0) == learns
 
 
 def test_four_corners_give_the_slope_and_their_variance_its_accuracy() -> None:

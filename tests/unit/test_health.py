@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from msp_range.bus import BusError
-from msp_range.health import Health, Severity
+from msp_range.health import Condition, Health, Severity
 from msp_range.reading import Reading, Status
 from msp_range.sensors.polling import Ranging
 
@@ -89,10 +89,9 @@ def test_a_sensor_that_never_worked_is_reported_and_all_good_is_not() -> None:
 
 def test_a_condition_is_reported_when_it_comes_and_when_it_goes() -> None:
     pilot = Pilot("a")
-    for _ in range(3):
-        pilot.health.set("temperature", "no temperature", "temperature is back")
-    for _ in range(3):
-        pilot.health.set("temperature", None, "temperature is back")
+    for text in ("no temperature", None):
+        for _ in range(3):
+            pilot.health.set(Condition("temperature", text, "temperature is back"))
     assert pilot.reported == [(Severity.WARNING, "no temperature"), (Severity.INFO, "temperature is back")]
 
 
@@ -105,10 +104,10 @@ def test_what_is_wrong_now_can_be_asked_for() -> None:
     pilot = Pilot("a", "b", "c")
     pilot.take(SILENT, SILENT, SILENT)
     pilot.take(SILENT, SILENT, SILENT, OK, OK, OK, sensor="b")
-    pilot.health.set("bus", "bus is locked up", "", Severity.ERROR)
-    pilot.health.set("temperature", "gone", "back")
-    pilot.health.set("temperature", None, "back")
-    assert pilot.health.faults() == [(Severity.ERROR, "Range a: no answer"), (Severity.ERROR, "bus is locked up")]
+    pilot.health.set(Condition("bus", "bus is locked up", "", Severity.ERROR))
+    pilot.health.set(Condition("temperature", "gone", "back"))
+    pilot.health.set(Condition("temperature", None, "back"))
+    assert [each.text for each in pilot.health.conditions] == ["Range a: no answer", "bus is locked up"]
 
 
 @pytest.mark.parametrize("pattern", [(OK, SILENT), (SILENT, SILENT, OK), (SILENT, OK, OK, SILENT)])

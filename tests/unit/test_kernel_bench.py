@@ -1,10 +1,10 @@
 """The thermometer of a bench with real sensors."""
 
-import time
 from pathlib import Path
 
 from msp_lab.campaigns.bench import KernelBench
 from msp_range.correction.temperature import FileSource
+from tests.support.waiting import until
 
 
 def test_a_bench_reads_its_thermometer_in_a_thread_and_refuses_no_jump(tmp_path: Path) -> None:
@@ -17,10 +17,7 @@ def test_a_bench_reads_its_thermometer_in_a_thread_and_refuses_no_jump(tmp_path:
     bench = KernelBench(str(tmp_path / "i2c-1"), source)
 
     def read_until(expected_c: float | None) -> None:
-        end_s = time.monotonic() + 5.0
-        while bench.air_c(bench.clock.now()) != expected_c:
-            assert time.monotonic() < end_s
-            time.sleep(0.005)
+        until(lambda: bench.air_c(bench.clock.now()) == expected_c, seen=lambda: bench.air_c(bench.clock.now()))
 
     read_until(20.0)
     file.write_text("48000")

@@ -1,6 +1,8 @@
 """The bridge's protocol behaviour as a MAVLink component, in virtual time, against other components in memory."""
 
+import math
 import random
+import struct
 import tracemalloc
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from msp_range import __version__
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.frames import Frame
+from msp_range.mavlink.frames import Frame, pack
 from msp_range.mavlink.link import (
     ANSWERS_PER_S,
     DECODED_FROM_AUTOPILOT,
@@ -92,6 +94,25 @@ def source(message: Any) -> tuple[int, int]:
 
 def command(number: int, param1: float, target: tuple[int, int]) -> Any:
     return dialect.MAVLink_command_long_message(*target, number, 0, param1, 0, 0, 0, 0, 0, 0)
+
+
+class NewerTimesync(dialect.MAVLink_timesync_message):  # type: ignore[misc]
+    """TIMESYNC as common.xml has it since 2025, made by hand as mavgen makes it."""
+
+    fieldnames = ("tc1", "ts1", "target_system", "target_component")
+    ordered_fieldnames = fieldnames
+    fieldtypes = ("int64_t", "int64_t", "uint8_t", "uint8_t")
+    orders, lengths, array_lengths = (0, 1, 2, 3), (1,) * 4, (0,) * 4
+    unpacker = struct.Struct("<qqBB")
+
+    def __init__(self, tc1: int, ts1: int, target_system: int = 0, target_component: int = 0) -> None:
+        super().__init__(tc1, ts1)
+        self.target_system, self.target_component = target_system, target_component
+
+
+def newer_timesync(tc1: int, ts1: int, target: tuple[int, int]) -> bytes:
+    """One of the autopilot of system 7."""
+    return pack(NewerTimesync(tc1, ts1, *target), 7, 1, 0)
 
 
 @pytest.fixture
@@ -396,6 +417,26 @@ class TestTime:
             bench.arrive(*(autopilot.frame(dialect.MAVLink_timesync_message(10**12, each.ts1)) for each in requests))
         assert bench.knows_the_time
 
+    @pytest.mark.parametrize(("target", "is_answered"), [((7, 191), True), ((0, 0), True), ((7, 192), False)])
+    def test_newer_timesync_is_answered_only_where_it_is_for_the_bridge(
+        self, met: Bench, target: tuple[int, int], is_answered: bool
+    ) -> None:
+        met.arrive(newer_timesync(0, 5, target))
+        assert [each.ts1 for each in met.sent("TIMESYNC") if each.tc1 != 0] == [5] * is_answered
+        met.run(0.2)
+        request = [each for each in met.sent("TIMESYNC") if each.tc1 == 0][-1]
+        met.arrive(newer_timesync(50 * 10**9, request.ts1, target))
+        assert met.knows_the_time is is_answered
+
+    def test_timesync_has_a_target_where_the_dialect_has_one(self, met: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(dialect, "MAVLink_timesync_message", NewerTimesync)
+        met.arrive(Component(7).heartbeat(), newer_timesync(0, 5, (0, 0)))
+        met.run(1.1)
+        frames = [frame for frame in met.transport.frames if frame[7] == dialect.MAVLINK_MSG_ID_TIMESYNC]
+        new = [tuple(frame[10 : 10 + frame[1]][16:]) for frame in frames if frame[1] > 16]
+        assert len(new) >= 2
+        assert set(new) == {(7, 1)}
+
     def test_another_companion_computers_answer_is_not_the_autopilots(self, bench: Bench) -> None:
         """mavros answers TIMESYNC too, from the same system."""
         bench.arrive(Component(7).heartbeat())
@@ -579,6 +620,58 @@ class TestSomebodyElse:
         assert self.texts(bench) != []
         bench.run(3.0, first.heartbeat)
         assert self.texts(bench) == []
+
+    def test_the_first_autopilot_wins_again_when_it_is_back(self) -> None:
+        """After nine seconds of silence the bridge joined the neighbour's vehicle, and stayed there."""
+        bench = Bench()
+        first, second = Component(3), Component(254)
+        bench.run(5.0, lambda: first.heartbeat() + second.heartbeat())
+        bench.run(9.0, second.heartbeat)
+        assert bench.link.autopilot_system == 254
+        assert "Range: autopilot 3 is silent, using 254" in self.texts(bench)
+        bench.arrive(second.heartbeat(), first.heartbeat())
+        assert bench.link.autopilot_system == 3
+        bench.run(1.0, lambda: first.heartbeat() + second.heartbeat())
+        assert source(bench.sent()[-1]) == (3, 191)
+        bench.run(12.0, lambda: first.heartbeat() + second.heartbeat())
+        assert self.texts(bench) == ["Range: second autopilot, system 254 (using 3)"]
+
+    def attitude(self, time_s: float, roll: float, rate: float = 0.0) -> Any:
+        return dialect.MAVLink_attitude_message(round(time_s * 1e3), roll, 0.0, 0.0, rate, 0.0, 0.0)
+
+    @pytest.mark.parametrize(("behind_s", "roll"), [(5.0, 0.0), (0.0, 0.5), (300.0, 0.5)])
+    def test_two_vehicles_with_the_same_ids_are_reported(self, behind_s: float, roll: float) -> None:
+        bench = Bench()
+        autopilot = Component(7)
+
+        def both() -> bytes:
+            now_s = bench.clock.now()
+            others = self.attitude(now_s - behind_s, roll)
+            own = [autopilot.frame(self.attitude(now_s - 0.1, 0.01)), autopilot.frame(self.attitude(now_s, 0.0))]
+            return autopilot.heartbeat() + b"".join([*own, autopilot.frame(others)])
+
+        bench.run_each(0.2, 5.0, both)
+        assert self.texts(bench) == ["Range: two autopilots send as system 7"]
+        bench.run(12.0, autopilot.heartbeat)
+        assert self.texts(bench) == []
+
+    @pytest.mark.parametrize("hz", [4.0, 10.0])
+    def test_one_vehicle_that_rocks_reboots_and_is_read_late_is_one(self, hz: float) -> None:
+        bench = Bench()
+        autopilot = Component(7)
+        chance = random.Random(1)
+        booted_s = START_S - 100.0
+        for turn in range(600):
+            if turn == 300:
+                booted_s = bench.clock.now()
+            time_s = bench.clock.now() - booted_s
+            roll, rate = 0.6 * math.sin(6.0 * time_s), 3.6 * math.cos(6.0 * time_s)
+            odd = float("inf") if turn % 50 == 0 else roll
+            bench.transport.arrived += autopilot.heartbeat() + autopilot.frame(self.attitude(time_s, odd, rate))
+            bench.clock.sleep_until(bench.clock.now() + 1.0 / hz)
+            if chance.random() < 0.7:  # else several lie unread, as while a transfer on the bus keeps the loop
+                bench.link.service()
+            assert self.texts(bench) == []
 
     def test_a_pinned_autopilot_is_the_only_one(self) -> None:
         bench = Bench(system_id=7)

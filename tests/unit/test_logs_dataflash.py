@@ -49,6 +49,18 @@ def test_pieces_give_what_the_whole_file_gives(monkeypatch: pytest.MonkeyPatch) 
             np.testing.assert_array_equal(values, pieces[name][field])
 
 
+def test_two_rows_of_one_range_finder_and_time_both_stay(tmp_path: Path) -> None:
+    with contextlib.closing(DFReader_binary(str(LOG))) as peer:
+        form = peer.formats[peer.name_to_id["RFND"]]
+        at = peer.offsets[peer.name_to_id["RFND"]][500]
+    content = LOG.read_bytes()
+    row = bytearray(content[at : at + form.len])
+    (tmp_path / "a.bin").write_bytes(content[:at] + row + content[at:])
+    (whole,), (twice,) = (read_ardupilot(path, nothing).rangers for path in (LOG, tmp_path / "a.bin"))
+    expected = np.insert(whole.series.values, 500, whole.series.values[500])
+    np.testing.assert_array_equal(twice.series.values, expected)
+
+
 def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
     content = bytearray(LOG.read_bytes())
     content[150_000:150_600] = bytes(600)

@@ -159,16 +159,18 @@ def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
         assert sorted(kept[name].tolist()) == sorted(given[name].tolist())
 
 
-def test_readings_at_one_time_count_once(tmp_path: Path) -> None:
+def test_readings_at_one_time_all_stay_in_their_order() -> None:
     near = make_ranger(
-        "a", Series("a", np.array([1.0, 1.0, 2.0]), np.array([5.0, 5.0, 50.0])), True, 7.0, np.array([1, 1, 0]) > 0
+        "a", Series("a", np.array([2.0, 1.0, 1.0]), np.array([50.0, 5.0, 60.0])), True, 7.0, np.array([0, 1, 0]) > 0
     )
-    assert (near.too_near, len(near.series), np.isnan(near.series.values).sum()) == (1, 2, 1)
+    np.testing.assert_array_equal(near.series.values, [np.nan, 60.0, 50.0])
+    assert near.series.time_s.tolist() == [1.0, 1.0, 2.0]
+    assert near.too_near == 1
 
 
 def test_rows_of_a_table_are_put_in_the_order_of_their_times(tmp_path: Path) -> None:
     table = {"time_s": np.array([2.0, 1.0]), "sensor": np.array(["a", "a"]), "reading_cm": np.array([20.0, 10.0])}
-    (ranger,) = rangers_of(tmp_path, MeasuredData(table), 765.0)
+    (ranger,), _ = rangers_of(tmp_path, MeasuredData(table), 765.0)
     assert ranger.series.values.tolist() == [10.0, 20.0]
 
 

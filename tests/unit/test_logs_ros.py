@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rosbags.rosbag2 import CompressionMode
 
 from msp_lab.logs import ros
 from msp_lab.logs.log import VehicleLog
@@ -91,14 +92,42 @@ def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
     assert np.isfinite(rtk.series.values).tolist() == [True, False, False, False]
 
 
-@pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.95])
-def test_a_cut_bag_is_a_line_or_what_is_whole(tmp_path: Path, form: str, share: float) -> None:
-    path = write_bag(tmp_path, form)
+def cut(folder: Path, form: str, share: float) -> Path:
+    """A bag that ends early, as its computer lost power: without an index, and without what else is at its end."""
+    path = write_bag(folder, form)
     (file,) = [each for each in (path.iterdir() if path.is_dir() else [path]) if each.suffix != ".yaml"]
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
-    try:
-        lines = [each.name for each in open_log(path, nothing).rangers]
-    except RecordingError as error:
-        lines = str(error).splitlines()
-    assert len(lines) == 1
+    return path
+
+
+@pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
+@pytest.mark.parametrize(("share", "least"), [(0.3, 150), (0.5, 280), (0.8, 470), (0.95, 560), (0.999, 599)])
+def test_a_cut_bag_gives_what_is_whole(tmp_path: Path, form: str, share: float, least: int) -> None:
+    log = open_log(cut(tmp_path, form, share), nothing)
+    (ranger,) = log.rangers
+    assert least <= len(ranger.series) <= 600
+    heights_m = [height_m(each + 0.02 - 0.1) for each in ranger.series.time_s]
+    echoed = ranger.series.values < 765.0
+    np.testing.assert_allclose(ranger.series.values[echoed] / 100.0, np.array(heights_m)[echoed], atol=1e-3)
+    (note,) = log.notes[1:]
+    assert "is cut or damaged after" in note
+    assert note.endswith("those before are here.")
+
+
+@pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
+def test_a_bag_without_a_whole_message_is_a_line(tmp_path: Path, form: str) -> None:
+    with pytest.raises(RecordingError) as failed:
+        open_log(cut(tmp_path, form, 0.0), nothing)
+    assert len(str(failed.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("form", ["sqlite3", "mcap"])
+def test_a_folder_whose_metadata_are_damaged_is_read_by_its_files(tmp_path: Path, form: str) -> None:
+    path = write_bag(tmp_path, form)
+    (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9, relative_")
+    check(open_log(path, nothing))
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_a_packed_bag_is_unpacked(tmp_path: Path, mode: CompressionMode) -> None:
+    check(open_log(write_bag(tmp_path, "sqlite3", packed=mode), nothing))

@@ -166,7 +166,7 @@ def test_a_code_of_no_echo_is_no_distance_where_the_log_states_no_maximum(tmp_pa
         "sensor": np.full(4, "a"),
         "reading_cm": np.array([100.0, 765.0, 900.0, np.nan]),
     }
-    rangers = tuple(rangers_of(tmp_path, MeasuredData(columns), 765.0))
+    rangers, _ = rangers_of(tmp_path, MeasuredData(columns), 765.0)
     found = truth.choose(VehicleLog(tmp_path, "CSV table", rangers, {}, ()), truth.parse_truth("sensor:a"))
     assert found is not None
     assert found.series.values.tolist() == pytest.approx([1.0, np.nan, 9.0, np.nan], nan_ok=True)

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common
 from msp_range.assembly import windows_of
 from msp_range.bridge import LINK_WAITS_S
 from msp_range.health import Health, OutputWatch, Severity
+from msp_range.health.finding import SensorFinding
 from msp_range.health.output import FUSED
 from msp_sim.device.device import Fault
 from tests.support.bench import FUSED_ID, Bench, airframe, sensor
@@ -35,7 +36,7 @@ class Watched:
             if usable:
                 self.watch.on_usable(FUSED, self.now_s)
             for condition in self.watch.conditions(self.now_s, self.health.failing_sensors):
-                self.health.set(*condition)
+                self.health.set(condition)
         return self
 
     @property
@@ -95,7 +96,7 @@ def states(bench: Bench, from_s: float, to_s: float) -> set[int]:
 def test_all_sensors_at_255_is_silence_that_is_reported() -> None:
     """Each of them is in order by itself: an echo, and a legal range."""
     faults = {name: [Fault("saturated", 5.0, 20.0)] for name in NAMES}
-    bench = Bench(airframe(), 500, faults=faults).fly(25.0)
+    bench = Bench(airframe(), 500, faults=faults).fly(25.0, with_autopilot=True)
     assert bench.distances_cm(from_s=6.0, to_s=20.0) == []
     (silent_s,) = [time_s for time_s, text in bench.reports if text == "Range: no distance to the ground"]
     assert 5.9 < silent_s < 6.9
@@ -235,18 +236,19 @@ def test_a_finding_about_one_sensor_is_the_second_source_of_noisy_readings() -> 
     health = Health((), lambda _, text: texts.append(text))
     watch = OutputWatch([FUSED], 1.0, 0.0)
 
-    def look(now_s: float, fit: float, finding: str | None) -> None:
+    def look(now_s: float, fit: float, finding: SensorFinding | None) -> None:
         watch.on_range(True, fit)
         for condition in watch.conditions(now_s, [FUSED], finding):
             if condition.key == "noisy":
-                health.set(*condition)
+                health.set(condition)
 
+    short = SensorFinding("a", "short", 5.0)
     for i in range(20):
         look(0.25 * i, 9.0, None)
     for i in range(20, 40):
-        look(0.25 * i, 9.0, "Range a: 5x expected short readings")
+        look(0.25 * i, 9.0, short)
     for i in range(40, 60):
-        look(0.25 * i, 1.0, "Range a: 5x expected short readings")
+        look(0.25 * i, 1.0, short)
     for i in range(60, 80):
         look(0.25 * i, 1.0, None)
-    assert texts == ["Range: readings are noisy", "Range a: 5x expected short readings", "Range: readings are steady"]
+    assert texts == ["Range: readings are noisy", short.text, "Range: readings are steady"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import chisquare, norm
 
 from msp_range.reading_model.mixture import ReadingModel
-from msp_range.reading_model.sensor_model import MixtureParameters, Weights, load_sensor_model
+from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel, Weights, load_sensor_model
 
 MB1242 = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
 CODES = np.arange(20, 766)
@@ -228,3 +228,22 @@ def test_contexts_that_do_not_fit_are_refused() -> None:
         ROUGH.log_prob([20, 30], {"true_range_cm": np.zeros(3)})
     with pytest.raises(ValueError, match=r"expected one dimension"):
         ROUGH.sample({"true_range_cm": 300.0}, np.random.default_rng(5))
+
+
+def test_a_model_is_that_of_a_file_its_name_or_what_was_read_of_it() -> None:
+    read = ReadingModel.of(load_sensor_model(MB1242))
+    assert ReadingModel.of("mb1242") == ReadingModel.of(MB1242) == read
+
+
+def test_limits_that_are_no_whole_centimetres() -> None:
+    """Of a sensor without a driver, whose readings are in a finer step."""
+    changes = {"driver": "none", "minimum_cm": 20.5, "maximum_cm": 400.5, "resolution_cm": 0.5}
+    sensor = SensorModel.model_validate(load_sensor_model(MB1242).model_dump() | changes | {"heard_on_axis_cm": None})
+    model = ReadingModel.of(sensor)
+    every_cm = np.arange(20.5, 401.0, 0.5)
+    for true_cm in (10.0, 200.0, 399.8):
+        shares = np.exp(model.log_prob(every_cm, {"true_range_cm": np.full(every_cm.size, true_cm)}))
+        assert shares.sum() == pytest.approx(1.0, abs=1e-9)
+    drawn = model.sample({"true_range_cm": np.full(2000, 399.0)}, np.random.default_rng(1))
+    assert drawn.max() == 400.5
+    assert np.isin(drawn, every_cm).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.readings.column_map import load_map
+from msp_lab.readings.column_map import Codes, load_map
 from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
 from msp_lab.readings.resolution import measured_step, step_of
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -230,3 +230,58 @@ def test_the_time_in_the_run_is_made_from_the_time(tmp_path: Path) -> None:
 def test_a_time_since_power_up_is_not_doubled(tmp_path: Path) -> None:
     known = written(tmp_path, data(uptime_s=lambda c: c["time_s"] + 5.0))
     assert "time_in_run_s" not in load_readings([known], SENSOR).data
+
+
+def line(tmp_path: Path, text: str, **options: Any) -> LoadedReadings:
+    (tmp_path / "table.csv").write_text(text)
+    return load_readings([tmp_path / "table.csv"], SENSOR, **options)
+
+
+RANGES_CM = range(50, 250)
+
+
+def test_a_reading_and_a_true_range_are_enough(tmp_path: Path) -> None:
+    rows = "".join(f"{cm + 1},{cm}\n" for cm in RANGES_CM)
+    found = line(tmp_path, f"reading_cm,true_range_cm\n{rows}")
+    assert (found.data["reading_cm"] - found.data["true_range_cm"]).tolist() == [1.0] * 200
+    assert np.unique(found.data["sensor"]).tolist() == ["table"]
+    # Numbers of rows are no time: nothing drifts over them, and no reading is the one before.
+    assert np.isnan(found.data["previous_reading_cm"]).all()
+    # A name that is like the missing one is a misspelling, and no context.
+    with pytest.raises(RecordingError, match=r"'time_s' is missing\. Is it 'time'\?.*--map NAME=COLUMN"):
+        line(tmp_path, "time,reading_cm,true_range_cm\n1,50,50\n")
+    with pytest.raises(RecordingError, match="'reading_cm' is missing"):
+        line(tmp_path, "dist,true_range_cm\n1,2\n")
+
+
+@pytest.mark.parametrize("zone", ["Z", "+00:00", ""])
+def test_times_of_iso_8601_are_times(tmp_path: Path, zone: str) -> None:
+    rows = "".join(
+        f"2026-05-01T12:{i // 600:02d}:{i / 10 % 60:06.3f}{zone},a,{cm},{cm}\n" for i, cm in enumerate(RANGES_CM)
+    )
+    found = line(tmp_path, f"time_s,sensor,reading_cm,true_range_cm\n{rows}")
+    np.testing.assert_allclose(np.diff(found.data["time_s"]), 0.1, atol=1e-6)
+    np.testing.assert_allclose(found.data["range_rate_cm_s"], 10.0, rtol=1e-4)
+    mapped = line(tmp_path, f"when,sensor,reading_cm,true_range_cm\n{rows}", column_map=load_map(["time_s=when"]))
+    np.testing.assert_array_equal(mapped.data["time_s"], found.data["time_s"])
+
+
+def test_negative_readings_are_codes_and_no_distances(tmp_path: Path) -> None:
+    rows = "".join(f"{i / 10},a,{-1 if i == 7 else -2 if i == 9 else cm},{cm}\n" for i, cm in enumerate(RANGES_CM))
+    found = line(tmp_path, f"time_s,sensor,reading_cm,true_range_cm\n{rows}")
+    assert np.flatnonzero(np.isnan(found.data["reading_cm"])).tolist() == [7, 9]
+    note = next(each for each in found.messages if "negative" in each)
+    assert "2 negative readings are codes and no distances, and count as no answer: -2, -1" in note
+    codes = load_map(["reading_cm=reading_cm"]).model_copy(update={"codes": Codes(no_echo=(-1.0,))})
+    declared = line(tmp_path, (tmp_path / "table.csv").read_text(), column_map=codes)
+    assert declared.data["reading_cm"][[7, 9]].tolist() == pytest.approx([765.0, np.nan], nan_ok=True)
+
+
+def test_angles_of_a_flight_are_no_set_ups(tmp_path: Path) -> None:
+    """A breakaway angle at each of hundreds of ranges would be made of them."""
+    rng = np.random.default_rng(1)
+    for angles, is_kept in ((rng.uniform(0.0, 4.0, 300), False), (np.repeat((0.0, 5.0, 10.0), 100), True)):
+        flown = MeasuredData({**data().columns, "incidence_deg": angles})
+        found = without_impossible(load_readings([written(tmp_path, flown, f"{is_kept}.csv")], SENSOR), SENSOR)
+        assert ("incidence_deg" in found.data) == is_kept
+        assert any("no angle was set up" in each for each in found.messages) != is_kept

@@ -3,12 +3,14 @@
 import errno
 import gc
 import io
+import itertools
 import json
 import math
 import os
 import resource
 import struct
 import threading
+import time
 import tracemalloc
 import zlib
 from collections.abc import Iterator, Sequence
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -32,6 +34,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import TOPICS, schema_of
 from msp_range.recording.writer import Recorder
+from tests.support.waiting import LIMIT_S, until
 
 START_S = 5000.25
 UTC_S = 1_760_000_000.5
@@ -249,7 +252,7 @@ def test_what_is_unknown_is_left_out(tmp_path: Path) -> None:
 _SCALARS = st.none() | st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats() | st.text()
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=50)
 @given(messages=st.lists(st.dictionaries(st.text(), _SCALARS), max_size=5))
 def test_any_json_comes_back(tmp_path: Path, messages: list[dict[str, Any]]) -> None:
     path = tmp_path / "flight.mcap"
@@ -343,7 +346,7 @@ class StoppedDisk:
 
     def fdatasync(self, descriptor: int) -> None:
         self.entered.set()
-        assert self.go_on.wait(20)
+        assert self.go_on.wait(LIMIT_S)
 
 
 @pytest.fixture
@@ -365,7 +368,7 @@ def test_a_full_disk_is_a_fault_and_no_exception(tmp_path: Path, small_disk: int
     # One block, and larger than the disk.
     recorder.flush_if_due(1.0)
     for thread in recording_threads():
-        thread.join(20)
+        thread.join(LIMIT_S)
     assert recorder.fault is None
     recorder.flush_if_due(2.0)
     assert recorder.fault == f"disk error (errno {errno.EFBIG})"
@@ -379,7 +382,7 @@ def test_a_full_disk_is_a_fault_and_no_exception(tmp_path: Path, small_disk: int
 
 def test_a_slow_disk_does_not_hold_up_the_bridge(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
-    assert stopped_disk.entered.wait(20)
+    assert stopped_disk.entered.wait(LIMIT_S)
     for second in range(1, 100):
         recorder.write("/health", second, {"text": "on time"})
         recorder.flush_if_due(second)
@@ -395,7 +398,7 @@ def test_simulated_time_waits_for_a_slow_disk(tmp_path: Path, stopped_disk: Stop
     real = VirtualClock()
     file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"), real)
     recorder = Recorder(file, VirtualClock(), waits=True)
-    assert stopped_disk.entered.wait(20)
+    assert stopped_disk.entered.wait(LIMIT_S)
     recorder.write("/health", 1.0, {"text": "waits"})
     recorder.flush_if_due(1.0)
     assert real.now() == 0.0
@@ -404,7 +407,7 @@ def test_simulated_time_waits_for_a_slow_disk(tmp_path: Path, stopped_disk: Stop
     assert real.now() == pytest.approx(10.0, abs=0.2)
     assert recorder.fault == "disk does not answer"
     stopped_disk.go_on.set()
-    file.join(20)
+    file.join(LIMIT_S)
 
 
 def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
@@ -412,7 +415,7 @@ def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(tmp_path: P
     real = VirtualClock()
     file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"), real)
     recorder = Recorder(file, VirtualClock())
-    assert stopped_disk.entered.wait(20)
+    assert stopped_disk.entered.wait(LIMIT_S)
     faults = []
     for second in range(1, 20):
         real.sleep_until(second)
@@ -422,7 +425,7 @@ def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(tmp_path: P
     assert faults == [None] * 10 + ["disk does not answer"] * 9
     # What was recorded until then is written when the disk comes back.
     stopped_disk.go_on.set()
-    file.join(20)
+    file.join(LIMIT_S)
     recording = Recording(tmp_path / "flight.mcap")
     assert [each.time_s for each in recording] == list(range(1, 12))
     assert not recording.cut
@@ -444,12 +447,14 @@ def test_a_file_that_was_moved_away_is_a_fault(tmp_path: Path) -> None:
     folder.mkdir()
     recorder = Recorder(folder / "flight.mcap", VirtualClock())
     folder.rename(tmp_path / "other")
-    for second in range(1, 200):
+    seconds = itertools.count(1)
+
+    def record() -> None:
+        second = next(seconds)
         recorder.write("/health", second, {"text": "where to?"})
         recorder.flush_if_due(second)
-        if recorder.fault is not None:
-            break
-        threading.Event().wait(0.05)
-    assert recorder.fault == "folder gone"
+        time.sleep(0.01)
+
+    until(lambda: recorder.fault == "folder gone", work=record, seen=lambda: recorder.fault)
     with pytest.raises(RecordingError, match="No such file or directory"):
         recorder.close()

@@ -236,7 +236,7 @@ def replay(pings: dict[str, list[RecordedPing]]) -> list[Ranging]:
 _WORDS = st.none() | st.integers(0, 0xFFFF) | st.integers(20, 765)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(st.lists(st.tuples(_WORDS, st.integers(90, 2000)), min_size=1, max_size=20))
 def test_the_driver_gets_every_word_at_its_own_time(readings: list[tuple[int | None, int]]) -> None:
     pings, ping_s = [], 10.0

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from msp_range.reading_model.sensor_model import load_sensor_model, with_new_names
+from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 
 MB1242 = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
@@ -42,33 +42,6 @@ def test_the_shipped_file_says_what_maker_and_report_say() -> None:
     assert sensor.reading_model.sigma_cm**2 == pytest.approx(3.7811, abs=2 * 1.9445 * 0.5e-4)
 
 
-def test_an_old_key_is_refused_with_its_new_name(tmp_path: Path) -> None:
-    def with_old_keys(content: dict[str, Any]) -> None:
-        model = content["reading_model"]
-        model["weights"] = {"hit": 0.96, "unexpected": 0.01, "max": 0.02, "random": 0.01}
-        model["unexpected_rate_per_m"] = model.pop("short_rate_per_m")
-        model["max_growth_per_m"] = 0.1
-
-    with pytest.raises(ConfigError) as error:
-        load_sensor_model(write(tmp_path, with_old_keys))
-    assert str(error.value).endswith(
-        "sensor.yaml: reading_model: found keys of an earlier version: unexpected is called short now, max is called "
-        "missed now, unexpected_rate_per_m is called short_rate_per_m now, max_growth_per_m is called "
-        "missed_growth_per_m now"
-    )
-
-
-def test_recorded_files_get_the_new_names_and_other_texts_stay() -> None:
-    text = MB1242.read_text(encoding="utf-8")
-    old = text.replace("short: 0.01, missed: 0.02", "unexpected: 0.01, max: 0.02").replace(
-        "short_rate", "unexpected_rate"
-    )
-    assert "unexpected: 0.01, max: 0.02" in old
-    assert yaml.safe_load(with_new_names(old)) == CONTENT
-    for other in (text, "vehicle: quad\n", "reading_model: 3\n", "{not: [yaml", "reading_model: {weights: 2}\n"):
-        assert with_new_names(other) == other
-
-
 def test_effects_and_evidence_are_kept_unread(tmp_path: Path) -> None:
     effect = {"name": "range_scale", "parameters": {"scale": {"value": 0.01, "low": 0.008}}}
     sensor = load_sensor_model(
@@ -98,6 +71,11 @@ def test_effects_and_evidence_may_be_absent(tmp_path: Path) -> None:
         (lambda c: c.update(oblique_reading="both"), r"oblique_reading: found 'both'; expected 'slant', 'nearest' or"),
         (lambda c: c.update(resolution_cm=0.3), r"expected resolution_cm a whole number, or a .*, found 0\.3"),
         (lambda c: c.update(resolution_cm=2), r"whole multiples of resolution_cm \(2\), found 20 and 765"),
+        (lambda c: c.update(minimum_cm=20.5), r"whole multiples of resolution_cm \(1\), found 20\.5 and 765"),
+        (
+            lambda c: c.update(minimum_cm=20.5, resolution_cm=0.5),
+            r"whole multiples of a centimetre, as drivers answer \(1\), found 20\.5 and 765",
+        ),
         (lambda c: c.update(calibration_temperature_c=72.5), r"calibration_temperature_c: found 72\.5; .* 50"),
         (lambda c: c.update(minimum_cm=765), r"expected minimum_cm < maximum_cm, found 765 and 765"),
         (lambda c: c.update(maximum_cm=900), r"expected an echo from maximum_cm within timing\.cycle_s \(0\.067 s\)"),

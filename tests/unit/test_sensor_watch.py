@@ -59,7 +59,18 @@ def test_what_never_happens_by_the_model_is_found_when_it_does() -> None:
         if never.happens(0.0, []):
             break
     assert never.evidence.is_found
-    assert SensorFinding("front", "short", never.evidence.ratio).text == "Range front: 99x expected short readings"
+    assert "99 times as often" in SensorFinding("front", "short", never.evidence.ratio).remedy
+
+
+@pytest.mark.parametrize("kind", ["short", "missed", "wider", "shifted", "repeats"])
+@pytest.mark.parametrize("name", ["a", "front_left", "the_sensor_at_the_left_corner_32"])
+def test_a_finding_is_a_text_that_fits_whatever_the_name(kind: Kind, name: str) -> None:
+    """A name of a usual length leaves room for what to do; no text needs to know what a ratio is."""
+    text = SensorFinding(name, kind, 12.3).text
+    assert text.startswith(f"Range {name}: ")
+    assert len(text) <= LONGEST_TEXT
+    assert text.endswith(", check sensor") == (len(name) <= 10)
+    assert "expected" not in text
 
 
 @pytest.mark.parametrize(("missed", "growth_per_m", "range_m", "expected"), [

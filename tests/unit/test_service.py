@@ -5,14 +5,20 @@ import json
 import os
 import signal
 import socket
+import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from msp_range import service
+from msp_range.bus.smbus import KernelBus
+from msp_range.clock import SystemClock
 from msp_range.log import Log
 from msp_range.mavlink.transport.base import Nowhere
-from msp_range.service import serve, stop_signals
+from msp_range.service import serve, stop_signals, transfers_watched
 from tests.support.bench import Bench, airframe
 
 
@@ -48,6 +54,38 @@ def test_completed_turns_of_the_loop_feed_the_watchdog(tmp_path: Path, monkeypat
     assert set(messages[1:-1]) == {"WATCHDOG=1"}
     # Five times a second, a little less where a transfer is due at that moment, and only for as long as it works.
     assert 10 <= len(messages[1:-1]) <= 13
+
+
+@pytest.mark.parametrize(
+    ("in_transfer", "longest_s", "fed", "reports"),
+    [
+        pytest.param(True, 10.0, range(3, 8), range(1, 4), id="a transfer that takes long"),
+        pytest.param(True, 0.6, range(1, 3), range(1, 4), id="one that never ends"),
+        pytest.param(False, 10.0, range(1), range(1), id="a hang elsewhere"),
+    ],
+)
+def test_only_a_transfer_keeps_the_watchdog_fed_and_not_for_ever(
+    in_transfer: bool, longest_s: float, fed: range, reports: range, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, bus, reported = SystemClock(), KernelBus(str(tmp_path / "none")), []
+    bridge: Any = SimpleNamespace(completed_s=clock.now(), on_stuck_transfer=lambda: reported.append(clock.now()))
+    monkeypatch.setattr(service, "LONGEST_TRANSFER_S", longest_s)
+    messages = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(tmp_path / "notify"))
+        systemd.settimeout(0)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        with transfers_watched(bridge, bus, clock):
+            if in_transfer:
+                bus.waiting.release()
+            time.sleep(1.9)
+            if in_transfer:
+                bus.waiting.acquire()
+        with suppress(BlockingIOError):
+            while True:
+                messages.append(systemd.recv(100))
+    assert set(messages) <= {b"WATCHDOG=1"}
+    assert (len(messages) in fed, len(reported) in reports) == (True, True), (messages, reported)
 
 
 def test_the_log_says_once_how_the_link_is_and_each_minute_that_it_still_flies(monkeypatch: pytest.MonkeyPatch) -> None:

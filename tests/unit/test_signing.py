@@ -2,9 +2,10 @@
 
 import hashlib
 import os
+import socket
 import subprocess
 import sys
-import time
+import threading
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ from msp_range.mavlink.signing import (
 )
 from msp_range.yaml_file import ConfigError
 from tests.support.mavlink_ends import MemoryTransport
+from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.transports import free_port
+from tests.support.waiting import until
 
 KEY = hashlib.sha256(b"a passphrase").digest()
 NOW_S = EPOCH_S + 3.6e8
@@ -158,10 +162,54 @@ def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
 
 def until_kept(path: Path, timestamp: int) -> None:
     """Wait for the thread that writes."""
-    end_s = time.monotonic() + 10.0
-    while not path.exists() or int(path.read_text()) <= timestamp:
-        assert time.monotonic() < end_s, "the time was not kept"
-        time.sleep(0.01)
+    until(lambda: path.exists() and int(path.read_text()) > timestamp)
+
+
+@pytest.mark.parametrize("timestamp", [2**48 - 2, 2**47])
+def test_a_timestamp_that_no_clock_shows_does_not_end_signing(
+    timestamp: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bridge followed it to the end of the six bytes, kept that, and could not start again."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    make_key(tmp_path / "key", KEY)
+    for _ in range(2):
+        signing = signing_of(str(tmp_path / "key"), VirtualClock(NOW_S))
+        assert signing is not None
+        assert not signing.accepts(received(heartbeat(peer(timestamp=timestamp))))
+        last = signing.timestamp()
+        assert NOW <= last < NOW + 3 * RESERVED_UNITS
+        assert signing.accepts(received(heartbeat(peer(timestamp=last + 1))))
+        until_kept(tmp_path / "signing-time", last)
+
+
+@pytest.mark.parametrize("kept", ["", "x", "-5", str(2**48 - 2), str(2**90), "9" * 5000, b"\xff\xfe", None])
+def test_a_damaged_time_is_replaced_by_the_clocks(
+    kept: str | bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    make_key(tmp_path / "key", KEY)
+    if kept is None:
+        os.mkfifo(tmp_path / "signing-time")
+    else:
+        (tmp_path / "signing-time").write_bytes(kept.encode() if isinstance(kept, str) else kept)
+    for utc_s, first in ((NOW_S, NOW), (0.0, 1)):
+        signing = signing_of(str(tmp_path / "key"), VirtualClock(utc_s))
+        assert signing is not None
+        (message,) = peer(timestamp=0).parse_buffer(signing.sign(our_heartbeat()))
+        assert message.get_type() == "HEARTBEAT"
+        assert signing.timestamp() == first + 1
+        for thread in threading.enumerate():
+            if thread.name == "signing":  # which keeps the time
+                thread.join(10.0)
+        assert int((tmp_path / "signing-time").read_text()) > first
+        (tmp_path / "signing-time").write_text("damaged again")
+
+
+def test_a_date_that_no_clock_shows_is_not_followed() -> None:
+    """A real-time clock whose battery is empty may show any year."""
+    signing = Signing(KEY, VirtualClock(EPOCH_S + 2**48 / UNITS_PER_S), kept=NOW)
+    assert signing.timestamp() == NOW + 1
+    assert len(signing.sign(our_heartbeat())) > len(our_heartbeat())
 
 
 def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> None:
@@ -171,10 +219,7 @@ def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> No
     transport, clock = MemoryTransport(), VirtualClock(NOW_S)
     link = Link(transport, clock, signing=Signing(KEY, clock, keep=keep))
     link.service()
-    end_s = time.monotonic() + 10.0
-    while not any(each.text and "signing time" in each.text for each in link.conditions()):
-        assert time.monotonic() < end_s
-        time.sleep(0.01)
+    until(lambda: any(each.text and "signing time" in each.text for each in link.conditions()))
     assert peer().parse_buffer(transport.frames[0])[0].get_type() == "HEARTBEAT"
 
 
@@ -221,9 +266,46 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
         read_key(tmp_path / "none")
 
 
+def test_a_key_in_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
+    """Opening a pipe waited for a writer for ever, in the service as in the commands."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe, 0o600)
+    for path, found in ((pipe, "a pipe"), (tmp_path, "a directory"), (Path("/dev/zero"), "a device")):
+        with pytest.raises(ConfigError, match=f"{path}: found {found}, expected a file"):
+            read_key(path)
+    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242", str(CONFIGS / "sensors/mb1242"))
+    airframe = tmp_path / "airframe.yaml"
+    airframe.write_text(text.replace("\nlink:\n", f"\nlink:\n  signing_key: {pipe}\n"))
+    done = msp_range("run", airframe, tmp_path)
+    assert done.returncode == 3
+    assert f"{pipe}: found a pipe, expected a file" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_command_says_that_px4_cannot_sign(tmp_path: Path) -> None:
+    """It advised to clear the other key, which there is not."""
+    port = free_port(socket.SOCK_DGRAM)
+    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242", str(CONFIGS / "sensors/mb1242"))
+    airframe = tmp_path / "airframe.yaml"
+    link = f"\nlink:\n  signing_key: {tmp_path / 'key'}\n"
+    airframe.write_text(text.replace("\nlink:\n", link).replace("autopilot: ardupilot", "autopilot: px4"))
+    with ParameterAutopilot(f"udpin:127.0.0.1:{port}", px4=True):
+        done = msp_range("sign", airframe, tmp_path, "--link", f"udpout:127.0.0.1:{port}")
+    assert done.returncode == 3
+    assert "PX4 1.17 has no MAVLink signing: take link.signing_key out of the airframe file" in done.stderr
+    assert "another key" not in done.stderr
+
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def msp_range(verb: str, airframe: Path, folder: Path, *options: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-c", "from msp_range.cli import main; main()", verb, str(airframe), *options]
+    environment = os.environ | {"STATE_DIRECTORY": str(folder)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=30.0, cwd=folder, env=environment)
+
+
 def test_the_command_needs_a_place_for_the_key(tmp_path: Path) -> None:
-    airframe = Path(__file__).parents[2] / "configs/loopback.yaml"
-    command = [sys.executable, "-c", "from msp_range.cli import main; main()", "sign", str(airframe)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0, cwd=tmp_path)
+    done = msp_range("sign", CONFIGS / "loopback.yaml", tmp_path)
     assert done.returncode == 3
     assert done.stderr.startswith("link.signing_key is missing; add it")

@@ -69,7 +69,7 @@ def test_the_breakaway_angle_is_where_the_echo_meets_the_threshold() -> None:
         assert FITTED.excess_db(range_m, angles_rad[heard].max()) == pytest.approx(0.0, abs=0.01)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(6.0, 20.0), st.floats(0.010, 0.020), st.floats(3.5, 6.0))
 def test_a_sensor_that_is_a_piston_is_recovered(
     source_level_db: float, piston_diameter_m: float, gain_db_per_m: float

@@ -4,6 +4,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ import pytest
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.correction.air_temperature import AirTemperature
 from msp_range.correction.temperature import FileSource, TemperatureParameters
-from msp_range.correction.thermometer import HANGS_S, LoopReader, ThreadReader, read_thermometer
+from msp_range.correction.thermometer import HANGS_S, LoopReader, Sample, ThreadReader, read_thermometer
+from tests.support.waiting import LIMIT_S, until
 
 
 def source(path: Path | str, **limits: float) -> FileSource:
@@ -69,33 +71,33 @@ def threaded() -> Iterator[Callable[..., ThreadReader]]:
         each.close()
 
 
-def wait_for(happens: Callable[[], bool], limit_s: float = 5.0) -> None:
-    end_s = time.monotonic() + limit_s
-    while not happens():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
-
-
 def test_a_slow_file_costs_the_loop_nothing(threaded: Callable[..., ThreadReader]) -> None:
-    """And its value is as old as the read of it."""
+    """No read ends before the loop has gone on, and its value is as old as its beginning."""
+    begun_s: list[float] = []
+    samples: list[Sample] = []
+    may_end = threading.Semaphore(0)
 
     def read(named: FileSource) -> float:
-        time.sleep(0.2)
+        begun_s.append(time.monotonic())
+        assert may_end.acquire(timeout=LIMIT_S), "the loop waits for the file"
         return 21500.0
 
-    reader, named = threaded(read), source("temp1_input", period_s=0.1)
-    samples, longest_s = [], 0.0
-    end_s = time.monotonic() + 1.0
-    while time.monotonic() < end_s:
-        begun_s = time.monotonic()
-        sample = reader.newest(named, begun_s)
-        longest_s = max(longest_s, time.monotonic() - begun_s)
-        if sample is not None:
-            samples.append((begun_s - sample.time_s, sample.reported_c))
-        time.sleep(0.01)
-    assert longest_s < 0.05
-    assert 3 <= len(samples) <= 5
-    assert all(0.2 <= age_s < 0.3 and reported_c == 21.5 for age_s, reported_c in samples)
+    reader, named = threaded(read), source("temp1_input", period_s=0.01)
+
+    def has(count: int) -> bool:
+        """So many values, while the next one is being read."""
+        sample = reader.newest(named, time.monotonic())
+        samples.extend([sample] if sample is not None else [])
+        return len(samples) == count and len(begun_s) == count + 1
+
+    for count in range(4):
+        until(partial(has, count))
+        may_end.release()
+    may_end.release(1000)
+    assert {each.reported_c for each in samples} == {21.5}
+    times_s = [each.time_s for each in samples]
+    assert all(time_s <= at_s for time_s, at_s in zip(times_s, begun_s, strict=False))
+    assert all(time_s >= before_s for time_s, before_s in zip(times_s[1:], begun_s, strict=False))
 
 
 def test_a_read_that_never_ends_is_reported_and_its_value_grows_old(threaded: Callable[..., ThreadReader]) -> None:
@@ -119,13 +121,13 @@ def test_a_read_that_never_ends_is_reported_and_its_value_grows_old(threaded: Ca
         air.now(now_s)
         return [each.text for each in air.conditions(now_s) if each.text is not None]
 
-    wait_for(lambda: air.now(time.monotonic()).temperature_c == 21.5 and reads == 2)
+    until(lambda: air.now(time.monotonic()).temperature_c == 21.5 and reads == 2)
     assert texts(0.0) == []
     assert texts(HANGS_S + 0.1) == ["Range: thermometer file does not answer"]
     assert texts(60.0) == ["Range: no air temperature, using 22 C", "Range: thermometer file does not answer"]
     assert air.now(time.monotonic() + 300.0).std_c > 6.0
     ends.set()
-    wait_for(lambda: not reader.hangs(time.monotonic() + 60.0) or reads > 3)
+    until(lambda: not reader.hangs(time.monotonic() + 60.0) or reads > 3)
     assert texts(0.0) == []
 
 
@@ -136,8 +138,8 @@ def test_what_is_wrong_with_a_file_is_logged_once(tmp_path: Path, threaded: Call
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "good").write_text("20000")
     reader.newest(broken, 0.0)
-    wait_for(lambda: reader.newest(good, 0.0) is not None and bool(logged))
-    wait_for(lambda: reader.newest(good, 0.0) is not None)
+    until(lambda: reader.newest(good, 0.0) is not None and bool(logged))
+    until(lambda: reader.newest(good, 0.0) is not None)
     assert len(logged) == 1
     assert "pipe: is a pipe, a device or a folder" in logged[0]
 

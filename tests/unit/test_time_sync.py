@@ -130,6 +130,53 @@ def test_a_clock_that_starts_again_is_a_reboot(clock: AutopilotClock, heard_by: 
     assert clock.reboots == 1
 
 
+@pytest.mark.parametrize("up_s", [0.6, 1.5, 3.0, 4.9])
+@pytest.mark.parametrize("away_s", [0.5, 2.0])
+def test_a_reboot_soon_after_the_boot_is_noticed_at_once(clock: AutopilotClock, up_s: float, away_s: float) -> None:
+    """Stamps were ahead by what it had been up, for nine seconds: the old exchange had the shortest round trip."""
+    for step in range(5):
+        exchange(clock, BRIDGE_START_S + up_s * step / 5, 0.0005, 0.0005, ahead_s=-BRIDGE_START_S)
+    booted_s = BRIDGE_START_S + up_s + away_s
+    at_s = booted_s + 0.3
+    clock.on_system_time(at_s, 300)
+    exchange(clock, at_s + 0.01, 0.004, 0.004, ahead_s=-booted_s)
+    assert clock.reboots == 1
+    assert offset_error_s(clock, ahead_s=-booted_s) == approximately(0.0)
+
+
+@pytest.mark.parametrize("sign", ["late", "none"])
+def test_a_message_whose_time_does_not_fit_has_the_time_requested_at_once(clock: AutopilotClock, sign: str) -> None:
+    now_s = BRIDGE_START_S
+    for _ in range(10):
+        now_s = exchange(clock, now_s + 1.0, 0.001, 0.001)
+    at_s = now_s + 0.3
+    due_s = clock.next_request_s
+    behind_s = 3.0 if sign == "late" else 0.001
+    clock.time_of(round((at_s + AUTOPILOT_AHEAD_S - behind_s) * 1e3), at_s)
+    assert (clock.next_request_s <= at_s) is (sign == "late")
+    assert clock.next_request_s <= due_s
+    clock.request(at_s)
+    clock.time_of(round((at_s + AUTOPILOT_AHEAD_S - 3.0) * 1e3), at_s + 0.001)
+    assert clock.next_request_s == pytest.approx(at_s + 0.1), "but not for each message"
+
+
+def test_a_simulator_that_lags_has_not_rebooted(clock: AutopilotClock) -> None:
+    now_s = BRIDGE_START_S
+    for step in range(20):
+        lag_s = 0.3 * step
+        now_s = exchange(clock, now_s + 1.0, 0.001, 0.001, AUTOPILOT_AHEAD_S - lag_s)
+        assert offset_error_s(clock, AUTOPILOT_AHEAD_S - lag_s) == approximately(0.0)
+    assert clock.reboots == 0
+
+
+def test_system_time_that_goes_back_is_a_reboot_where_timesync_is_not_answered(clock: AutopilotClock) -> None:
+    for second in range(4):
+        clock.on_system_time(BRIDGE_START_S + second, 1000 * second)
+    clock.on_system_time(BRIDGE_START_S + 6.0, 1500)
+    assert clock.reboots == 1
+    assert clock.time_boot_ms(BRIDGE_START_S + 6.0) == 1500
+
+
 def test_an_answer_to_a_request_from_before_the_reboot_is_passed_over(clock: AutopilotClock) -> None:
     exchange(clock, BRIDGE_START_S, 0.0, 0.0)
     lost_ns = clock.request(BRIDGE_START_S + 1.0)

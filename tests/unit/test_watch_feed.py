@@ -5,6 +5,7 @@ import os
 import resource
 import socket
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
@@ -12,8 +13,10 @@ from typing import Any
 
 import pytest
 
+from msp_range.watch import feed as feed_module
 from msp_range.watch.client import LONGEST_PACKET, connect
 from msp_range.watch.feed import LONGEST_MARK, MOST_WATCHERS, Feed, FeedError, Watched
+from tests.support.waiting import LIMIT_S
 
 MESSAGE = {"time_s": 1.0, "status": "ok", "range_m": 2.5}
 
@@ -39,7 +42,7 @@ def feed(path: Path, marks: list[tuple[float, str]]) -> Iterator[Feed]:
 def watching(feed: Feed, now_s: float = 0.0) -> socket.socket:
     watcher = connect([feed.path])
     assert watcher is not None
-    watcher.settimeout(5.0)
+    watcher.settimeout(LIMIT_S)
     feed.service(now_s)
     return watcher
 
@@ -74,7 +77,7 @@ def test_nobody_is_waited_for(feed: Feed) -> None:
     with watching(feed):
         looking = Thread(target=look, daemon=True)
         looking.start()
-        looking.join(4.0)
+        looking.join(LIMIT_S)
         assert not looking.is_alive()
 
 
@@ -108,6 +111,43 @@ def test_a_watcher_that_reads_nothing_loses_packets_and_others_do_not(feed: Feed
         assert feed.dropped > 0
         received(lazy)
         assert received(lazy)["time_s"] == 0.0  # what it gets is whole, and from before it was full
+
+
+def test_no_user_of_the_computer_keeps_the_others_out(feed: Feed, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight connections of one program were all that there are."""
+    users: dict[socket.socket, int] = {}
+    real_user_of = feed_module._user_of
+
+    def user_of(watcher: socket.socket) -> int:
+        assert real_user_of(watcher) == os.getuid()
+        return users.setdefault(watcher, user)
+
+    monkeypatch.setattr(feed_module, "_user_of", user_of)
+    with ExitStack() as stack:
+
+        def comes() -> socket.socket:
+            watcher: socket.socket = stack.enter_context(watching(feed))
+            return watcher
+
+        def is_served(watcher: socket.socket) -> bool:
+            try:
+                return bool(watcher.recv(LONGEST_PACKET))
+            except ConnectionError:
+                return False
+
+        user = 1000
+        greedy = [comes() for _ in range(MOST_WATCHERS)]
+        assert all(map(is_served, greedy))
+        assert not is_served(comes())
+        user_of_first = list(map(feed_module._user_of, feed._watchers))
+        assert user_of_first == [1000] * MOST_WATCHERS
+        greedy[1].send(b'{"mark": "unread"}')
+        user = 0
+        own = [comes() for _ in range(3)]
+        assert all(map(is_served, own))
+        feed.publish("/range/a", 1.0, MESSAGE)
+        assert all(map(is_served, [*own, *greedy[3:]]))
+        assert not any(map(is_served, greedy[:3]))
 
 
 def test_a_watcher_that_goes_is_forgotten(feed: Feed) -> None:

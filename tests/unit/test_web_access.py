@@ -1,12 +1,16 @@
 """Who may see the page of a running bridge, and where it listens."""
 
+import asyncio
+import socket
 from pathlib import Path
 
 import pytest
 
 from msp_range.watch.place import Listen, own_socket, parse_listen, sockets
 from msp_range.web.access import Access, access_for
+from msp_range.web.server import Page
 from msp_range.yaml_file import ConfigError
+from tests.support.transports import free_port
 
 HERE = "127.0.0.1:8642"
 
@@ -36,6 +40,40 @@ def test_a_page_for_this_computer_is_seen_by_its_own_name_only(
     host: str | None, origin: str | None, expected: int | None
 ) -> None:
     assert status(Access(None), "/live", host, origin) == expected
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "GET / HTTP/1.1\r\nHost: [",
+        "GET / HTTP/1.1\r\nHost: [::1",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: localhost",
+        "GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://[",
+        "GET //[ HTTP/1.1\r\nHost: 127.0.0.1",
+    ],
+)
+@pytest.mark.parametrize("token", [None, "secret"])
+def test_a_request_without_a_clear_address_is_refused(
+    head: str, token: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It was an error of the server with a traceback, and came before the token was asked for."""
+
+    async def answer(port: int) -> bytes:
+        page = Page(tmp_path / "none", Access(token))
+        ready = asyncio.Event()
+        serving = asyncio.create_task(page.serve(Listen("127.0.0.1", port), False, lambda _: ready.set()))
+        await ready.wait()
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(f"{head}\r\n\r\n".encode())
+        received = await asyncio.wait_for(reader.read(), 5.0)
+        writer.close()
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+        return received
+
+    status_line = asyncio.run(answer(free_port(socket.SOCK_STREAM))).split(b"\r\n")[0]
+    assert status_line.split()[1] in (b"400", b"401", b"403")
+    assert [record for record in caplog.records if record.exc_info] == []
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import pytest
 from msp_range.yaml_file import ConfigError
 from msp_sim import workers as module
 from msp_sim.workers import ItemOutcome, Workers, workers
+from tests.support.waiting import LIMIT_S, until
 
 ROOT = Path(__file__).parents[2]
 
@@ -198,25 +198,42 @@ def test_a_cluster_as_the_document_starts_it(tmp_path: Path) -> None:
         # The workers first: they tell the scheduler that they end.
         for program in reversed(started):
             program.terminate()
-            program.wait(30)
+            program.wait(LIMIT_S)
 
 
 @contextmanager
 def connected(address: str) -> Iterator[Workers]:
     """Workers of a cluster that is being started."""
-    for attempt in range(20):
-        try:
-            opened = ExitStack()
-            found = opened.enter_context(workers(1, address, "a command"))
-        except ConfigError:
-            assert attempt < 19
-            time.sleep(0.5)
-            continue
-        with opened:
-            yield found
-        return
+    with ExitStack() as opened:
+        found: list[Workers] = []
+
+        def is_connected() -> bool:
+            with suppress(ConfigError):
+                found.append(opened.enter_context(workers(1, address, "a command")))
+            return bool(found)
+
+        until(is_connected)
+        yield found[0]
 
 
 def other_version(pickled: bytes, part: Any, expected: str) -> Any:
     """As a worker with other files answers."""
     raise module.OtherVersion("a worker on another has msp-range 0")
+
+
+@pytest.mark.slow
+def test_a_worker_without_the_program_is_named_at_once(tmp_path: Path) -> None:
+    import dask
+    from distributed import LocalCluster
+
+    without = "import sys\nsys.modules['msp_sim'] = None\n"
+    (tmp_path / "sitecustomize.py").write_text(without, encoding="utf-8")
+    with (
+        dask.config.set({"distributed.nanny.pre-spawn-environ.PYTHONPATH": str(tmp_path)}),
+        LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as cluster,
+    ):
+        address = cluster.scheduler_address
+        with pytest.raises(ConfigError, match="cannot import the program") as found, workers(1, address, "a command"):
+            pass
+    assert "\n" not in str(found.value)
+    assert "expected msp-range" in str(found.value)

@@ -7,7 +7,7 @@ from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import samples_of
 from msp_range.commission.session import Session
 from msp_range.config import Airframe
-from msp_range.doctor.finding import right, unknown, wrong
+from msp_range.doctor.finding import wrong
 
 FREE_S, LEAD_S, COVERED_S = 4.0, 3.0, 3.0
 """Time without a hand, time to get to a sensor, and time on it [s]: seven readings of each of four sensors."""
@@ -57,14 +57,14 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
     for name in unclear:
         text = "while it was covered no sensor, or more than one, had something in front of it"
         remedy = "cover it with a flat hand, right on the sensor; is it the one that you mean?"
-        outcome.findings.append(wrong(f"cover {name}", text, remedy))
+        outcome.wrong(f"cover {name}", text, remedy)
     if len(set(known.values())) < len(known):
         text = "two covered sensors answered as the same one"
-        outcome.findings.append(wrong("cover", text, "cover one at a time, in the order that is asked for"))
+        outcome.wrong("cover", text, "cover one at a time, in the order that is asked for")
         return outcome
     for name in known:
         if known[name] == name:
-            outcome.findings.append(right(f"cover {name}", "it is the one that answered"))
+            outcome.right(f"cover {name}", "it is the one that answered")
     others = exchanged(known)
     if not others:
         return outcome
@@ -72,16 +72,16 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
     index = {sensor.name: i for i, sensor in enumerate(airframe.sensors)}
     for name, other in others.items():
         text = f"the sensor at 0x{address[other]:02x} answered, which the file calls {other}"
-        outcome.findings.append(unknown(f"cover {name}", text, "the change below gives each its own address"))
+        outcome.unknown(f"cover {name}", text, "the change below gives each its own address")
     if set(others) != set(others.values()):
         text = "the addresses cannot be put right until every sensor is clear"
-        outcome.findings.append(wrong("cover", text, "cover them all once more"))
+        outcome.wrong("cover", text, "cover them all once more")
         return outcome
     listed = ", ".join(f"{name} 0x{address[name]:02x} -> 0x{address[other]:02x}" for name, other in others.items())
     models = {airframe.sensors[index[name]].model for name in others}
     if len(models) > 1:
         text = f"sensors of different models are exchanged ({listed})"
-        outcome.findings.append(wrong("cover", text, "correct address and model of each by hand"))
+        outcome.wrong("cover", text, "correct address and model of each by hand")
         return outcome
     outcome.proposals.append(
         Proposal(

@@ -23,7 +23,6 @@ from msp_range.commission.still import (
     tilt_rad,
 )
 from msp_range.config import Airframe, SensorSettings
-from msp_range.doctor.finding import right, unknown, wrong
 
 LEAD_S, STILL_S = 2.0, 15.0
 """Time for the hands to go, and time that is measured [s]: 37 readings of each of four sensors."""
@@ -82,7 +81,7 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
     tilts = [tilt_rad(each.samples) for each in stands]
     if any(each > LEVEL_RAD for each in tilts):
         text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
-        outcome.findings.append(wrong("level", text, "put it level, or calibrate the autopilot's level, then again"))
+        outcome.wrong("level", text, "put it level, or calibrate the autopilot's level, then again")
         return outcome
     noise = noise_m(still)
     outcome.measured["noise_cm"] = {name: round(100 * each.value, 2) for name, each in noise.items()}
@@ -90,17 +89,17 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
     answer_s = latency_s(still)
     if math.isfinite(answer_s):
         outcome.measured["echo_to_answer_s"] = round(answer_s, 4)
-        outcome.findings.append(right("latency", f"{1e3 * answer_s:.0f} ms from the echo to its answer"))
+        outcome.right("latency", f"{1e3 * answer_s:.0f} ms from the echo to its answer")
     if not stands:
         text = "no height was measured: heights and air temperature of the file are not checked"
-        outcome.findings.append(unknown("heights", text, "answer with a height, or give --height METRES"))
+        outcome.unknown("heights", text, "answer with a height, or give --height METRES")
         return outcome
     vertical = {sensor.name: _vertical(sensor) for sensor in airframe.sensors if sensor.tilt_from_down_rad < 0.8}
     air = mean_air_c(still)
     try:
         found = levels(stands, vertical, airframe.temperature.fixed_std_c if air and air[1] == FIXED else 2.0)
     except NotMeasured as error:
-        outcome.findings.append(wrong("heights", str(error), "then again"))
+        outcome.wrong("heights", str(error), "then again")
         return outcome
     _heights(airframe, found, stands, outcome)
     if air is not None:
@@ -125,25 +124,25 @@ def _heights(airframe: Airframe, found: Levels, stands: Sequence[Stand], outcome
         expected_m = stands[0].height_m - sensor.position_m[2]
         if measured is None:
             text = f"no distance where {expected_m:.2f} m are expected"
-            outcome.findings.append(unknown(f"height of {sensor.name}", text, "the lift shows where it looks"))
+            outcome.unknown(f"height of {sensor.name}", text, "the lift shows where it looks")
             continue
         in_file = sensor.position_m[2]
         if abs(measured.value - in_file) > ELSEWHERE_M:
             text = f"it reads {first[sensor.name]:.2f} m where {expected_m:.2f} m are expected"
             remedy = "was the right height typed, and does it look at the floor? The lift shows where it looks"
-            outcome.findings.append(unknown(f"height of {sensor.name}", text, remedy))
+            outcome.unknown(f"height of {sensor.name}", text, remedy)
         elif measured.differs_from(in_file, DEEPER_M):
             wrong_by[sensor.name] = measured.value - in_file
             text = f"{sensor.name}: {shown(measured)} below the reference point, and the file has {in_file:g}"
             outcome.proposals.append(Proposal(text, (Edit(("sensors", i, "position_m", 2), round(measured.value, 2)),)))
         else:
             text = f"{shown(measured)} below the reference point, {in_file:g} in the file"
-            outcome.findings.append(right(f"height of {sensor.name}", text))
+            outcome.right(f"height of {sensor.name}", text)
     by_m = list(wrong_by.values())
     if len(by_m) > 1 and len(by_m) == len(found.down_m) and max(by_m) - min(by_m) < 0.03:
         text = f"all sensors are {abs(by_m[0]):.2f} m {'lower' if by_m[0] > 0 else 'higher'} than the file says"
         remedy = "was the tape held at the reference point, [0, 0, 0] of the file?"
-        outcome.findings.append(unknown("heights", text, remedy))
+        outcome.unknown("heights", text, remedy)
 
 
 def _warmer_c(airframe: Airframe, flown: Airframe, source: str) -> float:
@@ -157,11 +156,11 @@ def _warmer_c(airframe: Airframe, flown: Airframe, source: str) -> float:
 
 def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source: str, outcome: StepOutcome) -> None:
     if measured is None:
-        outcome.findings.append(unknown("air temperature", "one height does not show it", "measure at a second height"))
+        outcome.unknown("air temperature", "one height does not show it", "measure at a second height")
         return
     text = f"by the distances the air has {shown(measured, 'C', 0)}; {assumed_c:.0f} C by the file, from {source}"
     if not measured.differs_from(assumed_c, WARMER_C):
-        outcome.findings.append(right("air temperature", text))
+        outcome.right("air temperature", text)
         return
     temperature = airframe.temperature
     sources = [each.name for each in temperature.sources]
@@ -177,4 +176,4 @@ def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source
         edit = Edit(("temperature", "fixed_c"), fixed_c)
         outcome.proposals.append(Proposal(f"{text}: fixed_c from {temperature.fixed_c:g} to {fixed_c}", (edit,)))
     else:
-        outcome.findings.append(unknown("air temperature", text, "its source has no value now: see 'msp-range doctor'"))
+        outcome.unknown("air temperature", text, "its source has no value now: see 'msp-range doctor'")

@@ -11,7 +11,6 @@ from msp_range.commission.motion import Places
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Samples
 from msp_range.config import Airframe, SensorSettings
-from msp_range.doctor.finding import right, unknown, wrong
 
 TURNED_DEG = 8.0
 """A direction in the file that differs by less [deg] stays, whatever the echoes exclude."""
@@ -42,12 +41,10 @@ def compare_directions(
     without_floor, shares = [], {}
     for i, sensor in enumerate(airframe.sensors):
         if sensor.name not in lifted.readings:
-            outcome.findings.append(
-                wrong(f"direction of {sensor.name}", "no reading", "msp-range commission --step wires")
-            )
+            outcome.wrong(f"direction of {sensor.name}", "no reading", "msp-range commission --step wires")
             continue
         if sensor.sensor_model.medium != "sound":
-            outcome.findings.append(unknown(f"direction of {sensor.name}", "a ray has no cone: not measured"))
+            outcome.unknown(f"direction of {sensor.name}", "a ray has no cone: not measured")
             continue
         measured = found.position_m.get(sensor.name)
         place = np.array([each.value for each in measured] if measured else sensor.position_m)
@@ -55,7 +52,7 @@ def compare_directions(
         shares[sensor.name] = axis.floor_share
         looks_down = sensor.tilt_from_down_rad < math.radians(45)
         if not looks_down and axis.floor_share < SEES_FLOOR:
-            outcome.findings.append(right(f"direction of {sensor.name}", "it does not see the floor, as the file says"))
+            outcome.right(f"direction of {sensor.name}", "it does not see the floor, as the file says")
         elif axis.boresight is None:
             without_floor.append(sensor.name)
             _by_board(i, sensor, boards, outcome)
@@ -63,7 +60,7 @@ def compare_directions(
             outcome.proposals.append(_turned(i, sensor, axis))
         else:
             text = f"within {max(axis.from_file_deg, axis.half_width_deg):.0f} deg of what the file says"
-            outcome.findings.append(right(f"direction of {sensor.name}", text))
+            outcome.right(f"direction of {sensor.name}", text)
     if without_floor:
         outcome.measured["without_floor"] = without_floor
     most = max(shares.values(), default=0.0)
@@ -99,12 +96,11 @@ def rotation_of(boresight: tuple[float, float, float], to_deg: float = 0.0) -> t
 
 
 def _rotation(i: int, sensor: SensorSettings, pitch: int, yaw: int) -> tuple[Edit, ...]:
-    edits = []
-    if sensor.rotation_deg.pitch != pitch:
-        edits.append(Edit(("sensors", i, "rotation_deg", "pitch"), pitch))
-    if sensor.rotation_deg.yaw != yaw:
-        edits.append(Edit(("sensors", i, "rotation_deg", "yaw"), yaw))
-    return tuple(edits)
+    return tuple(
+        Edit(("sensors", i, "rotation_deg", key), value)
+        for key, value in (("pitch", pitch), ("yaw", yaw))
+        if getattr(sensor.rotation_deg, key) != value
+    )
 
 
 def _by_board(i: int, sensor: SensorSettings, boards: Mapping[str, Samples], outcome: StepOutcome) -> None:
@@ -114,7 +110,7 @@ def _by_board(i: int, sensor: SensorSettings, boards: Mapping[str, Samples], out
     if len(seen) != 1:
         tried = "" if not boards else f", and the board at {'several sides' if seen else 'no side'}"
         remedy = "the file says that it looks down: turn it, clear what is in front of it, or correct rotation_deg"
-        outcome.findings.append(wrong(step, f"it sees the floor at no tilt{tried}", remedy))
+        outcome.wrong(step, f"it sees the floor at no tilt{tried}", remedy)
         return
     pitch, yaw = (round(each) for each in SIDES[seen[0]])
     text = (

@@ -1,6 +1,8 @@
 """Hover and review of the log: a recording of the bridge, from the first flight with this airframe file."""
 
 from collections import Counter
+from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Array, Record, Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
-from msp_range.commission.steps.places import compare_places
+from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, right, unknown, wrong
 from msp_range.recording.reader import Recording
@@ -25,8 +27,6 @@ ten a second."""
 MOST_REJECTED, MOST_MISSED = 0.10, 0.20
 """Shares of readings that were rejected or missed in a hover. Model and simulator have 4 %; above these one of four
 sensors contributes little, and wash, vibration or the ground is the reason."""
-OFF_M = 0.06
-"""Median difference of a sensor from the ground of all [m] that is reported: three times a place's accuracy."""
 
 
 def hover(session: Session) -> StepOutcome:
@@ -43,20 +43,16 @@ def hover(session: Session) -> StepOutcome:
     outcome = StepOutcome(measured={"recording": str(path)})
     if load_airframe_from(recording.files, path).model_dump() != airframe.model_dump():
         text = f"{path.name} was flown with another airframe file than the present one"
-        outcome.findings.append(
-            wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
-        )
+        outcome.wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
         return outcome
     samples = samples_of(Record(*each) for each in recording)
     part = hovering(samples)
     if part is None:
         text = f"{path.name} contains no hover: {HOVER_S:.0f} s within {STEADY_M:g} m, {HIGH_M:g} m above the ground"
-        outcome.findings.append(wrong("hover", text, "fly one, or name another recording: --recording FLIGHT.mcap"))
+        outcome.wrong("hover", text, "fly one, or name another recording: --recording FLIGHT.mcap")
         return outcome
     times_s = part.fused[:, 0]
-    outcome.findings.append(
-        right("hover", f"{path.name}: {times_s[-1] - times_s[0]:.0f} s at {np.median(part.fused[:, 1]):.1f} m")
-    )
+    outcome.right("hover", f"{path.name}: {times_s[-1] - times_s[0]:.0f} s at {np.median(part.fused[:, 1]):.1f} m")
     outcome.findings.append(gaps(times_s))
     return outcome
 
@@ -89,9 +85,7 @@ def review(session: Session) -> StepOutcome:
     )
     for text, count in reported.most_common(8):
         remedy = "docs/flying.md explains the texts"
-        outcome.findings.append(
-            unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", remedy)
-        )
+        outcome.unknown("reported in flight", f"{text}{f' ({count} times)' if count > 1 else ''}", remedy)
     sent = Counter(str(message["name"]) for topic, _, message in records if topic == SENT_TOPIC)
     outcome.measured["sent"] = dict(sent)
     return outcome
@@ -103,15 +97,13 @@ def compare(airframe: Airframe, part: Samples) -> StepOutcome:
     for sensor in airframe.downward:
         readings = part.readings.get(sensor.name)
         if readings is None:
-            outcome.findings.append(
-                wrong(f"flight of {sensor.name}", "no reading", "msp-range commission --step wires")
-            )
+            outcome.wrong(f"flight of {sensor.name}", "no reading", "msp-range commission --step wires")
             continue
         _rates(sensor.name, readings, outcome)
     try:
         found = places(part, {sensor.name: sensor.position_m for sensor in airframe.downward})
     except NotMeasured as error:
-        outcome.findings.append(unknown("residuals", str(error)))
+        outcome.unknown("residuals", str(error))
         return outcome
     _residuals(airframe, found, outcome)
     return outcome
@@ -137,19 +129,20 @@ def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
         remedy = (
             "prop wash, vibration, soft or rough ground, or a sensor that looks aside: move or damp it, or fly lower"
         )
-        outcome.findings.append(wrong(step, text, remedy))
+        outcome.wrong(step, text, remedy)
     else:
-        outcome.findings.append(right(step, text))
+        outcome.right(step, text)
 
 
 def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     """Places and noise as the flight shows them; tilts are small, so that only large errors sideways are seen."""
+    compare_lag(found, outcome)
     in_flight = StepOutcome()
     compare_places(airframe, found, in_flight)
     outcome.proposals += [Proposal(f"in flight: {each.text}", each.edits) for each in in_flight.proposals]
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
-        outcome.findings.append(wrong(f"residuals of {name}", text, "msp-range commission --step lift"))
+        outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")
     outcome.measured["noise_in_flight_cm"] = {name: round(100 * each.value, 2) for name, each in found.std_m.items()}
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
@@ -187,14 +180,12 @@ def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
     for name, each in samples.readings.items():
         kept = inside(each.time_s)
         if kept.any():
-            readings[name] = SensorReadings(
-                each.time_s[kept],
-                each.range_m[kept],
-                tuple(word for word, is_kept in zip(each.status, kept, strict=True) if is_kept),
-                tuple(word for word, is_kept in zip(each.rejected, kept, strict=True) if is_kept),
-                each.latency_s,
-                each.air_c,
-                each.air_source,
+            readings[name] = replace(
+                each,
+                time_s=each.time_s[kept],
+                range_m=each.range_m[kept],
+                status=tuple(compress(each.status, kept)),
+                rejected=tuple(compress(each.rejected, kept)),
             )
     return Samples(
         readings,

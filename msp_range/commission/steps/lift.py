@@ -5,15 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from msp_range.commission.motion import Measured, NotMeasured, Places, places
+from msp_range.assembly import fused_stream
+from msp_range.commission.edit import Edit
+from msp_range.commission.motion import NotMeasured, places
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import StepOutcome, shown
+from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Record, Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.directions import SIDES, compare_directions
-from msp_range.commission.steps.places import compare_places
+from msp_range.commission.steps.places import DEEPER_M, compare_lag, compare_places
 from msp_range.config import Airframe
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.params.settings import standing_m
 
 FLOOR_S, HOLD_S, TILT_S, ROCK_S = 3.0, 5.0, 4.0, 40.0
 """How long each motion is recorded [s]. Longer rocking gives smaller intervals: with 40 s
@@ -28,8 +31,6 @@ floor."""
 FOLLOWED = 0.3
 """A sensor looks at the floor if its distance grew as those of most, to this share of it. The sensor's minimum hides
 some centimetres of the floor's distance; a wall does not grow at all."""
-LATE_S = 0.10
-"""Attitudes that are later than this [s] are reported: at 20 deg/s a sensor 0.25 m away is 1 cm off."""
 FOLLOWS_M = 0.15
 """The autopilot's own distance follows the bridge's to this [m]: its last value is up to 0.5 s old."""
 
@@ -134,9 +135,7 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
     lifted_m = float(np.median(list(rises_m.values()))) if rises_m else 0.0
     if lifted_m < LIFTED_M:
         text = f"by the sensors it was lifted by {lifted_m:.2f} m"
-        outcome.findings.append(
-            unknown("lift", text, "lift it from the floor to 1 m when you are asked to, then again")
-        )
+        outcome.unknown("lift", text, "lift it from the floor to 1 m when you are asked to, then again")
         outcome.complete = False
         return outcome
     still = [name for name, rise_m in rises_m.items() if abs(rise_m - lifted_m) > FOLLOWED * lifted_m]
@@ -146,13 +145,30 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
             {sensor.name: sensor.position_m for sensor in airframe.sensors if sensor.name not in still},
         )
     except NotMeasured as error:
-        outcome.findings.append(wrong("places", str(error), "then again"))
+        outcome.wrong("places", str(error), "then again")
         return outcome
     dim = compare_directions(airframe, recorded.all, recorded.boards, found, outcome)
     compare_places(airframe, found, outcome, dim)
-    _lag(found, outcome)
+    compare_lag(found, outcome)
     _came_back(airframe, recorded, outcome)
+    _standing(airframe, recorded.floor, outcome)
     return outcome
+
+
+def _standing(airframe: Airframe, floor: Samples, outcome: StepOutcome) -> None:
+    """What the fused stream reads on the floor: for the autopilot the distance at which the vehicle stands."""
+    stream = fused_stream(airframe)
+    if stream is None or not len(floor.fused):
+        return
+    step, in_file_m = "standing on the floor", standing_m(airframe, stream)
+    standing = outcome.measured["standing_m"] = round(float(np.median(floor.fused[:, 1])), 2)
+    text = f"the fused distance is {standing:.2f} m, {in_file_m:.2f} by the file"
+    if abs(standing - in_file_m) > DEEPER_M:
+        outcome.proposals.append(
+            Proposal(f"{step}, {text}: send.standing_m", (Edit(("send", "standing_m"), standing),))
+        )
+    else:
+        outcome.right(step, text)
 
 
 def rises(recorded: Recorded) -> dict[str, float]:
@@ -201,17 +217,6 @@ def _attitude_deg(part: Samples) -> np.ndarray[tuple[int], np.dtype[np.float64]]
     return median
 
 
-def _lag(found: Places, outcome: StepOutcome) -> None:
-    lag = Measured(1e3 * found.lag.value, 1e3 * found.lag.half_width)
-    outcome.measured["attitude_later_s"] = round(found.lag.value, 3)
-    text = f"the attitude is {shown(lag, 'ms', 0)} later than the readings"
-    if lag.value - lag.half_width > 0 and found.lag.value > LATE_S:
-        remedy = "does the autopilot answer TIMESYNC, and is the link slow or shared? A distance is off while it turns"
-        outcome.findings.append(wrong("delay of the attitude", text, remedy))
-    else:
-        outcome.findings.append(right("delay of the attitude", text))
-
-
 def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> None:
     """Whether the autopilot's own distance followed the lift."""
     if airframe.send.fused is None or not len(recorded.all.fused):
@@ -219,9 +224,7 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
     step = "distance in the autopilot"
     if len(recorded.returned_m) < 3:
         text = "the autopilot reports no distance of its own"
-        outcome.findings.append(
-            unknown(step, text, "msp-range commission --step parameters, then restart the autopilot")
-        )
+        outcome.unknown(step, text, "msp-range commission --step parameters, then restart the autopilot")
         return
     back = np.array(recorded.returned_m)
     fused = recorded.all.fused
@@ -230,6 +233,6 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
     text = f"it follows the lift from {back[:, 1].min():.2f} to {back[:, 1].max():.2f} m, typically to {typical_m:.2f}"
     if typical_m > FOLLOWS_M:
         remedy = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
-        outcome.findings.append(wrong(step, f"it does not follow the lift: typically {typical_m:.2f} m off", remedy))
+        outcome.wrong(step, f"it does not follow the lift: typically {typical_m:.2f} m off", remedy)
     else:
-        outcome.findings.append(right(step, text))
+        outcome.right(step, text)

@@ -2,8 +2,8 @@
 
 from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.session import Session
-from msp_range.doctor.autopilot import DELAY_MS
-from msp_range.doctor.finding import right, unknown, wrong
+from msp_range.doctor.autopilot import DELAY_MS, Tap, silence
+from msp_range.doctor.finding import wrong
 from msp_range.mavlink.signing import signing_of
 from msp_range.params.client import ParameterClient
 from msp_range.params.commands import CONNECT_S, Difference, described, differences, undo_path, wanted, write
@@ -21,17 +21,12 @@ def run(session: Session) -> StepOutcome:
     session.operator.begin(
         "Parameters: those of the autopilot. Propellers off; each change is asked for and read back."
     )
-    transport = session.make_transport(airframe.link.url, session.clock)
-    client = ParameterClient(
-        transport,
-        session.clock,
-        airframe.link.system_id,
-        signing=signing_of(airframe.link.signing_key, session.clock),
-    )
+    signing = signing_of(airframe.link.signing_key, session.clock)
+    transport = Tap(session.make_transport(airframe.link.url, session.clock))
     try:
+        client = ParameterClient(transport, session.clock, airframe.link.system_id, signing=signing)
         if not client.connect(CONNECT_S):
-            remedy = "sudo systemctl stop msp-range if the service runs; else 'msp-range doctor' looks for the reason"
-            return StepOutcome([wrong("autopilot", f"{airframe.link.url}: none is received", remedy)])
+            return StepOutcome([silence(airframe, session.computer, transport, session.clock)])
         firmware, settings = wanted(airframe, client, session.port)
         changes = differences(client, settings) + _delay(session, client)
         outcome = StepOutcome(measured={"firmware": str(firmware)})
@@ -41,19 +36,17 @@ def run(session: Session) -> StepOutcome:
         for change in changes:
             name = change.setting.name
             if name in done:
-                outcome.findings.append(right(name, f"set to {done[name]:g} and read back"))
+                outcome.right(name, f"set to {done[name]:g} and read back")
             elif change.found is None:
                 remedy = "is --port the autopilot's port with the bridge, and the firmware the expected one?"
-                outcome.findings.append(wrong(name, described(change), remedy))
+                outcome.wrong(name, described(change), remedy)
             else:
-                outcome.findings.append(wrong(name, f"left as it was: {described(change)}", "set it, or say why not"))
+                outcome.wrong(name, f"left as it was: {described(change)}", "set it, or say why not")
         kept = len(settings) - sum(change.setting in settings for change in changes)
-        outcome.findings.append(right("parameters", f"{kept} of {len(settings)} of {firmware} were as they should be"))
+        outcome.right("parameters", f"{kept} of {len(settings)} of {firmware} were as they should be")
         if done:
             remedy = f"restart the autopilot now; to undo: msp-range params {session.path} --restore {undo}"
-            outcome.findings.append(
-                unknown("restart", f"{len(done)} set, and some count from the next start on", remedy)
-            )
+            outcome.unknown("restart", f"{len(done)} set, and some count from the next start on", remedy)
         return outcome
     except ConfigError as error:
         return StepOutcome([wrong("parameters", str(error), "then again; what was set stays set")])

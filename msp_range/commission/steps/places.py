@@ -3,16 +3,18 @@
 from collections.abc import Sequence
 
 from msp_range.commission.edit import Edit
-from msp_range.commission.motion import Places
+from msp_range.commission.motion import Measured, Places
 from msp_range.commission.outcome import Proposal, StepOutcome, shown
 from msp_range.config import Airframe
-from msp_range.doctor.finding import right, unknown
 
 SIDEWAYS_M, DEEPER_M = 0.05, 0.02
 """A place in the file that differs by less [m], sideways or in height, stays. An error of 5 cm costs 1 cm at 10
 degrees."""
 WIDEST_M = 0.10
 """Wider intervals [m] do not check a place: the vehicle was hardly tilted."""
+
+LATE_S = 0.10
+"""Attitudes that are later than this [s] are reported: at 20 deg/s a sensor 0.25 m away is 1 cm off."""
 
 
 def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim: Sequence[str] = ()) -> None:
@@ -24,14 +26,14 @@ def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim:
             continue
         if sensor.name in dim:
             text = "it looks aside and sees little of the floor"
-            outcome.findings.append(unknown(f"place of {sensor.name}", text, "turn it, then: --step lift"))
+            outcome.unknown(f"place of {sensor.name}", text, "turn it, then: --step lift")
             continue
         edits, parts = [], []
         for axis, (name, each, in_file) in enumerate(zip(("x", "y", "z"), measured, sensor.position_m, strict=True)):
             if each.half_width > WIDEST_M:
                 text = f"{name} {shown(each)} is not known well enough"
                 remedy = "rock it by 15 to 20 degrees to all sides, slowly, 1 m over the floor"
-                outcome.findings.append(unknown(f"place of {sensor.name}", text, remedy))
+                outcome.unknown(f"place of {sensor.name}", text, remedy)
                 outcome.complete = False
                 continue
             if not each.differs_from(in_file, DEEPER_M if axis == 2 else SIDEWAYS_M):
@@ -47,12 +49,12 @@ def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim:
         else:
             at = ", ".join(f"{each.value:.2f}" for each in measured)
             widest = max(each.half_width for each in measured)
-            outcome.findings.append(right(f"place of {sensor.name}", f"[{at}] m, each to {widest:.2f}, as in the file"))
+            outcome.right(f"place of {sensor.name}", f"[{at}] m, each to {widest:.2f}, as in the file")
     for axis, (letter, meaning) in enumerate((("x", "forward"), ("y", "to the right"))):
         of_axis = [sensor.name for sensor in airframe.sensors if abs(sensor.position_m[axis]) > SIDEWAYS_M]
         if len(of_axis) > 1 and set(of_axis) == set(mirrored[axis]):
             text = f"every {letter} in the file has the wrong sign: positions count {meaning}"
-            outcome.findings.append(unknown("places", text, "the changes below turn them round"))
+            outcome.unknown("places", text, "the changes below turn them round")
     _exchanged(airframe, found, outcome)
 
 
@@ -73,6 +75,18 @@ def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
             apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
             if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
                 text = f"{one} and {other} sit at each other's place"
-                outcome.findings.append(
-                    unknown("places", text, "if their addresses are exchanged: msp-range commission --step addresses")
+                outcome.unknown(
+                    "places", text, "if their addresses are exchanged: msp-range commission --step addresses"
                 )
+
+
+def compare_lag(found: Places, outcome: StepOutcome) -> None:
+    """Add whether the attitudes come in time."""
+    lag = Measured(1e3 * found.lag.value, 1e3 * found.lag.half_width)
+    outcome.measured["attitude_later_s"] = round(found.lag.value, 3)
+    text = f"the attitude is {shown(lag, 'ms', 0)} later than the readings"
+    if lag.value - lag.half_width > 0 and found.lag.value > LATE_S:
+        remedy = "does the autopilot answer TIMESYNC, and is the link slow or shared? A distance is off while it turns"
+        outcome.wrong("delay of the attitude", text, remedy)
+    else:
+        outcome.right("delay of the attitude", text)

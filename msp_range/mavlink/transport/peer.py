@@ -1,6 +1,6 @@
 """One of several senders on a link (``udpin``, ``tcpin``), with its own parser and its state.
 
-Senders without MAVLink get nothing and cost nothing, and no new sender can replace the autopilot.
+Senders without MAVLink get nothing and cost nothing, and no new sender can replace the first autopilot.
 """
 
 from collections.abc import Iterable
@@ -26,6 +26,7 @@ class Peer:
         self._frames = FrameReader()
         self.last_frame_s = now_s
         self._last_autopilot_s = float("-inf")
+        self.first_autopilot_s = float("inf")
 
     def read(self, arrived: bytes, now_s: float) -> bytes:
         """The valid frames completed by these bytes, joined; other bytes are dropped."""
@@ -34,6 +35,7 @@ class Peer:
             return b""
         self.last_frame_s = now_s
         if any(frame.is_autopilot_heartbeat for frame in frames):
+            self.first_autopilot_s = min(self.first_autopilot_s, now_s)
             self._last_autopilot_s = now_s
         return b"".join(frame.data for frame in frames)
 
@@ -49,7 +51,9 @@ class Peer:
 SomePeer = TypeVar("SomePeer", bound=Peer)
 
 
-def longest_silent(peers: Iterable[SomePeer], now_s: float) -> SomePeer | None:
-    """The peer to drop for a new one, never an autopilot; None if all are autopilots."""
-    others = [peer for peer in peers if not peer.is_autopilot(now_s)]
-    return min(others, key=lambda peer: peer.last_frame_s, default=None)
+def longest_silent(peers: Iterable[SomePeer], now_s: float) -> SomePeer:
+    """The peer to drop for a new one: no autopilot where there is another, and never the first autopilot."""
+    first, *others = sorted(peers, key=lambda peer: (not peer.is_autopilot(now_s), peer.first_autopilot_s))
+    if not first.is_autopilot(now_s):
+        others.insert(0, first)
+    return min(others, key=lambda peer: (peer.is_autopilot(now_s), peer.last_frame_s))

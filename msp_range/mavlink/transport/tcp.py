@@ -95,7 +95,7 @@ class TcpIn(Reconnecting):
     """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received.
 
     A client that sends no valid frame for 10 s is dropped. If the maximum number is reached, a new client
-    replaces the longest silent one that is not an autopilot.
+    replaces the longest silent one that is not an autopilot, or else one that is not the first autopilot.
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
@@ -173,9 +173,6 @@ class TcpIn(Reconnecting):
     def _accept(self, listener: socket.socket) -> None:
         for _ in range(MOST_CLIENTS):
             now_s = self._clock.now()
-            given_up = longest_silent(self._clients, now_s)
-            if len(self._clients) >= MOST_CLIENTS and given_up is None:
-                return
             try:
                 tcp, _ = listener.accept()
                 _prepare(tcp)
@@ -184,8 +181,8 @@ class TcpIn(Reconnecting):
             except OSError as error:  # the client has gone again, or this program has no file handles left
                 self._remember(error)
                 return
-            if len(self._clients) >= MOST_CLIENTS and given_up is not None:
-                self._drop(given_up)
+            if len(self._clients) >= MOST_CLIENTS:
+                self._drop(longest_silent(self._clients, now_s))
             self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S), now_s))
             self.last_error = None
 

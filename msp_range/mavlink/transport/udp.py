@@ -149,7 +149,7 @@ class UdpIn(_Udp):
     """``udpin``: a bound socket that sends every frame to all peers, whose number is limited.
 
     A peer is an address from which a valid frame came within the last 10 s. If the maximum number is reached, only
-    an autopilot is added, in place of a peer that is not one.
+    an autopilot is added, in place of a peer that is not one, or else that is not the first one.
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
@@ -190,9 +190,9 @@ class UdpIn(_Udp):
     def _admit(self, address: tuple[str, int], newcomer: Peer, now_s: float) -> bool:
         self._forget_silent_peers()
         if len(self._peers) >= MOST_PEERS:
-            given_up = longest_silent(self._peers.values(), now_s)
-            if given_up is None or not newcomer.is_autopilot(now_s):
+            if not newcomer.is_autopilot(now_s):
                 return False
+            given_up = longest_silent(self._peers.values(), now_s)
             self._peers = {each: peer for each, peer in self._peers.items() if peer is not given_up}
         self._peers[address] = newcomer
         return True

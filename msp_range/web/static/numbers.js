@@ -9,6 +9,7 @@ export function drawNumbers() {
   const shown = state.gone ? "gone" : status?.state ?? "waiting";
   badge.dataset.state = shown;
   badge.textContent = { gone: "the bridge does not run", waiting: "waiting for the bridge" }[shown] ?? shown;
+  drawFaults(state.gone ? [] : status?.faults ?? []);
   if (!airframe) return;
   byId("vehicle").textContent = document.title = airframe.vehicle;
   const distance = presentDistance();
@@ -22,16 +23,29 @@ export function drawNumbers() {
     ["air", `${air.temperature_c.toFixed(1)} C ± ${air.std_c.toFixed(1)}, from ${air.source}`],
     ["link", link.connected ? link.url : `${link.url}: ${link.error ?? "not connected"}`],
     ["autopilot", link.autopilot === null ? "none received" : `system ${link.autopilot}, ${link.armed ? "armed" : "disarmed"}`],
-    ["sent", `${link.sent.DISTANCE_SENSOR ?? 0} distances, ${link.dropped} frames dropped`],
+    ["sent", `${link.sent.DISTANCE_SENSOR ?? 0} distances${link.autopilot === null ? ", nobody gets them" : ""}, ` +
+      `${link.dropped} frames dropped`],
     ["it received", received()],
     ["recording", status.recording ?? "none"],
     ["running for", duration(status.uptime_s)],
   ];
   byId("facts").replaceChildren(...facts.flatMap(([name, text]) => [made("dt", name), made("dd", text)]));
-  const faults = status.faults.map((each) => made("li", each.text, each.severity));
-  byId("faults").replaceChildren(...(faults.length ? faults : [made("li", "nothing")]));
   byId("texts").replaceChildren(...state.texts.toReversed().map(
     (each) => made("li", `${duration(state.nowS - each.timeS)} ago: ${each.text}`, each.severity)));
+}
+
+// What is wrong: causes with what to do, and behind each what follows from it. Drawn when it changes, since it is read
+// aloud then.
+let shownFaults = "[]";
+function drawFaults(faults) {
+  if (shownFaults === JSON.stringify(faults)) return;
+  shownFaults = JSON.stringify(faults);
+  byId("wrong").hidden = !faults.length;
+  byId("faults").replaceChildren(...faults.map((each) => {
+    const line = made("li", each.text, each.cause === null ? each.severity : "follows");
+    if (each.cause === null) line.append(made("small", each.remedy));
+    return line;
+  }));
 }
 
 function received() {

@@ -126,26 +126,32 @@ def characterise(
     progress("questions")
     found_points = tuple(point.found for point in points)
     asked = answer_questions(found_points)
-    boxes = hot_boxes(found_points, sensor.calibration_temperature_c)
-    table = compensation_table(by.get(COMPENSATION, []), curve)
+    calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
+    boxes = () if calibration_c is None else hot_boxes(found_points, calibration_c)
+    table = () if calibration_c is None else compensation_table(by.get(COMPENSATION, []), curve)
 
     nothing_undisturbed = "no readings of the surface with nothing varied"
+    no_sound = None if calibration_c is not None else f"about sound, and this sensor ranges with {sensor.medium}"
     parts: list[tuple[str, object, str]] = [
         ("baseline", found_base, nothing_undisturbed),
         ("calibration", calibration, nothing_undisturbed),
         ("mixture", isinstance(fitted, FittedMixture), str(fitted)),
         ("maximum_range", longest, NOT_MEASURED),
         ("field_of_view", view, "no range was tried at more than one angle (incidence_deg)"),
-        ("sonar", sonar, "needs breakaway angles at three ranges at least"),
+        ("sonar", sonar, no_sound or "needs breakaway angles at three ranges at least"),
         *((name, any(each.name == name for each in asked), NOT_MEASURED) for name in TOPICS),
-        ("hot_boxes", boxes, "no three ranges with hot or cold air at the sensor and the same ranges without"),
-        (COMPENSATION, table, NOT_MEASURED),
+        (
+            "hot_boxes",
+            boxes,
+            no_sound or "no three ranges with hot or cold air at the sensor and the same ranges without",
+        ),
+        (COMPENSATION, table, no_sound or NOT_MEASURED),
     ]
     absent = {name: why for name, found, why in parts if not found}
     findings = Findings(
         sensor=sensor.name,
         date=date,
-        calibration_temperature_c=sensor.calibration_temperature_c,
+        calibration_temperature_c=calibration_c,
         sources=loaded.sources,
         points=found_points,
         baseline=found_base,
@@ -282,7 +288,8 @@ def _warnings(
     ranges = {round(p.range_cm, 1) for p in undisturbed}
     if len(ranges) == 1:
         found.append("one range only: no scale, no linearity, and nothing that depends on range can be found")
-    if calibration is not None and undisturbed and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
+    by_sound = any(p.sensor_model.medium == "sound" for p in undisturbed)
+    if calibration is not None and by_sound and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
         found.append(
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"

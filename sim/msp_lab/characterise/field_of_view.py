@@ -94,9 +94,9 @@ def sonar_through(
     Returns
     -------
     SonarFit or None
-        None with fewer rows than the equation has parameters.
+        None with fewer rows than the equation has parameters, and for light and radio.
     """
-    if len(rows) < PARAMETERS:
+    if len(rows) < PARAMETERS or sensor.medium != "sound":
         return None
     table = BreakawayTable(tuple(r / 100.0 for r, _ in rows), tuple(angle for _, angle in rows))
     on_axis_m = None if on_axis_cm is None else on_axis_cm / 100.0

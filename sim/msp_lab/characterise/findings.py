@@ -52,7 +52,7 @@ class Baseline:
 
 @dataclass(frozen=True)
 class MeasuredKnot:
-    """True range and the mean reading there [cm], in air of the sensor's calibration temperature."""
+    """True range and the mean reading there [cm]; of sound, in air of the sensor's calibration temperature."""
 
     true_cm: float
     reading_cm: float
@@ -238,6 +238,8 @@ class Findings:
         The data.
     points
         All set-ups.
+    calibration_temperature_c
+        Air temperature that the sensor assumes [deg C]; None for light and radio, whose ranges are not the air's.
     absent
         Part -> why it is missing.
     warnings
@@ -246,7 +248,7 @@ class Findings:
 
     sensor: str
     date: str
-    calibration_temperature_c: float
+    calibration_temperature_c: float | None
     sources: tuple[SourceFile, ...]
     points: tuple[PointResult, ...]
     baseline: Baseline | None = None

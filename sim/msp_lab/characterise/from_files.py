@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from msp_lab.characterise.analysis import characterise as analyse
 from msp_lab.characterise.findings import as_json
@@ -70,7 +71,8 @@ def characterise(
     mapping = None if columns is None else load_map(map_options(columns))
     loaded = without_impossible(load_readings(paths_of(files), started, mapping), started)
     today = date_of(SystemClock().utc())
-    findings, changes = analyse(loaded, started, date=today, rng=np.random.default_rng(seed))
+    with threadpool_limits(limits=1):
+        findings, changes = analyse(loaded, started, date=today, rng=np.random.default_rng(seed))
     model = changed(started, findings, changes)
     if out is not None:
         write_model(Path(out), model, findings, changes, config_path(sensor, "sensors").name)

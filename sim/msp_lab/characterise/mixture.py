@@ -195,8 +195,7 @@ def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
     if "missed_growth_per_m" not in result.estimates:
         return growing
     grid = result.grid
-    limits = int(grid.minimum_cm), int(grid.maximum_cm)
-    model = ReadingModel(result.parameters, *limits, resolution_cm=grid.resolution_cm)
+    model = ReadingModel(result.parameters, grid.minimum_cm, grid.maximum_cm, resolution_cm=grid.resolution_cm)
     names = ("hit", "short", "missed", "random")
     shares = zip(names, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)

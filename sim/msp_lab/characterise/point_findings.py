@@ -62,7 +62,7 @@ class PointResult:
         Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
         contain the scatter of readings, not the error of the placement. None without hits.
     compensated_error
-        The mean error compensated for the air's temperature; None without an air temperature.
+        The mean error compensated for the air's temperature; None without one, and for light and radio.
     worst_error_cm
         Largest error of a reading that is no code, signed.
     """

@@ -174,7 +174,12 @@ class PointReadings:
 
     @cached_property
     def compensation(self) -> _Array:
-        """sqrt(T / T_calibration), absolute temperatures, for each row; NaN where the air's temperature is unknown."""
+        """sqrt(T / T_calibration), absolute temperatures, for each row.
+
+        NaN where the air's temperature is unknown, and for light and radio, which it does not change.
+        """
+        if self.sensor_model.medium != "sound":
+            return np.full(self.air_temperature_c.size, math.nan)
         calibration_k = self.sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
         return np.sqrt((self.air_temperature_c + ZERO_CELSIUS_K) / calibration_k)
 
@@ -210,7 +215,7 @@ class PointReadings:
         codes = self.reading_cm[self.is_code]
         no_echo = int((codes == self.sensor_model.maximum_cm).sum())
         compensated = None
-        if statistics is not None and not np.isnan(self.air_temperature_c[self.is_hit]).all():
+        if statistics is not None and not np.isnan(self.compensation[self.is_hit]).all():
             # Each row by its own air; the interval is that of the mean, moved.
             change = np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit])
             compensated = _shifted(statistics.mean, float(change))

@@ -182,7 +182,7 @@ def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibrat
     compensated, thermometer_c = None, None
     if not np.isnan(air_c).any():
         thermometer_c = float(air_c.mean())
-        corrected = hits * np.sqrt((air_c + ZERO_CELSIUS_K) / calibration_k)
+        corrected = hits * np.concatenate([p.compensation[p.is_hit] for p in points])
         compensated = IntervalEstimate.about(float(corrected.mean()) - range_cm, half, "cm", hits.size)
     implied = [calibration_k * (range_cm / each) ** 2 - ZERO_CELSIUS_K for each in (mean, mean + half, mean - half)]
     return CompensationRow(

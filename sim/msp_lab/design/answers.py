@@ -20,6 +20,7 @@ from msp_lab.gap.named_file import read_named
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.refit import JointFit, refit
+from msp_lab.gap.runs import sample
 from msp_lab.gap.steps import Steps
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
@@ -28,7 +29,7 @@ _Array = NDArray[np.float64]
 
 OFFSETS = "run_offsets"
 FITTED_ROWS = 6_000
-"""The answers are fitted to every k-th of the readings beyond so many. Errors of a strength are then those of 6,000
+"""The answers are fitted to a sample of at most so many readings. Errors of a strength are then those of 6,000
 readings, which `cautious` takes off. More: slower."""
 STARTS = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
 """Strengths at which a fit may start, as shares of what the parameter may be; the likeliest is taken."""
@@ -125,9 +126,9 @@ class OldReadings:
 
     @cached_property
     def prepared(self) -> Prepared:
-        """Every k-th reading."""
-        size = self.columns["reading_cm"].size
-        some = slice(None, None, max(1, -(-size // FITTED_ROWS)))
+        """A sample of the readings."""
+        rng = np.random.default_rng(self.comparison.settings.seed)
+        some = sample(self.columns, np.arange(self.columns["reading_cm"].size), FITTED_ROWS, rng)
         columns = {name: np.asarray(column)[some] for name, column in self.columns.items()}
         return Prepared.of(self.model, columns, columns.pop("reading_cm"))
 

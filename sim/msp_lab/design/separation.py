@@ -7,7 +7,7 @@ count (T-optimality, Atkinson and Fedorov 1975).
 
 from dataclasses import dataclass
 from functools import cache
-from math import ceil, sqrt
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -74,10 +74,10 @@ class Separation:
         Correlated readings count as fewer; runs that have offsets of their own count as ``1 / (1 + n offsets)``. Where
         these show, `gap` takes the run as the unit of evidence: it integrates the offsets out and compares alternatives
         by the scatter of what is left of their lead over runs (Vuong 1989), as `msp_lab.gap.evidence.lead_nats` does.
-        Alternatives are compared on every k-th reading beyond `rules.READINGS`.
+        Alternatives are compared on `rules.READINGS` at most.
         """
         if self.run_scatter is not None:
-            readings //= max(ceil(readings / rules.READINGS), 1)
+            readings = min(readings, rules.READINGS)
         independent = readings * (1.0 - self.correlation) / (1.0 + self.correlation)
         in_run = independent / max(runs, 1)
         nats = independent * (self.within_nats + self.between_nats / (1.0 + in_run * self.offsets))

@@ -5,6 +5,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
+from threadpoolctl import threadpool_limits
+
 from msp_lab.gap.findings import Settings
 from msp_lab.gap.findings_file import as_json
 from msp_lab.gap.steps import Steps
@@ -53,9 +55,8 @@ def find_gap(
     --------
     >>> import numpy as np
     >>> from msp_range import ReadingModel
-    >>> from msp_range.reading_model.sensor_model import load_sensor_model
     >>> from msp_range.recording.csv_form import write_csv
-    >>> sensor = ReadingModel.of(load_sensor_model("mb1242"))
+    >>> sensor = ReadingModel.of("mb1242")
     >>> rng = np.random.default_rng(1)
     >>> true_cm = rng.uniform(40.0, 400.0, 2000)
     >>> reading_cm = sensor.sample({"true_range_cm": true_cm}, rng) + 4.0
@@ -70,6 +71,6 @@ def find_gap(
     """
     maps = () if columns is None else tuple(map_options(columns))
     settings = Settings(str(config_path(model, "sensors")), seed=seed, map=maps)
-    with TemporaryDirectory() as kept_nowhere:
+    with TemporaryDirectory() as kept_nowhere, threadpool_limits(limits=1):
         steps = Steps(Path(kept_nowhere if out is None else out), SystemClock(), lambda what, share: None)
         return dict(json.loads(as_json(steps.all(paths_of(files), settings, until))))

@@ -18,6 +18,7 @@ from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
+from msp_lab.gap.runs import sample
 from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
@@ -167,7 +168,7 @@ class Comparison:
         data = dict(readings.data.columns)
         parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
         rows = np.flatnonzero(parts.held_out)
-        rows = rows[:: max(1, -(-rows.size // rules.MAX_MEASURED))]
+        rows = sample(data, rows, rules.MAX_MEASURED, np.random.default_rng([settings.seed, 3]))
         contexts = {name: column[rows] for name, column in data.items()}
         held_out = HeldOutReadings(data["reading_cm"][rows], contexts, _units(parts.runs[rows]))
         can = usable(model, held_out)

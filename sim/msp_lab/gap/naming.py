@@ -21,7 +21,7 @@ from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
-from msp_lab.gap.runs import previous
+from msp_lab.gap.runs import previous, sample
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
@@ -230,8 +230,9 @@ class AllReadings:
 def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:
     model, by_run, splits = problem.model, kept.state.by_run, whole.splits
     fit, base = kept.state.fit, selection.base.fit.base
-    held_out_rows = _rows(np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
-    training = whole.prepared(problem, _rows(np.flatnonzero(splits.training), rules.READINGS))
+    held_out_rows = sample(whole.contexts, np.flatnonzero(splits.held_out), rules.FINAL_ROWS, problem.rng)
+    rows = sample(whole.contexts, np.flatnonzero(splits.training), rules.READINGS, problem.rng)
+    training = whole.prepared(problem, rows)
     held_out = whole.prepared(problem, held_out_rows)
     of_training = refit(training, fit.effects, fit.base)
     found = kept.state.terms or selection.run_offset_cm > 0.0
@@ -242,7 +243,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         base = np.zeros(len(BASE))
         fit, of_training = refit(readings, [], base, rounds=0), refit(training, [], base, rounds=0)
     elif len(readings) < whole.reading_cm.size:
-        rows = _rows(np.arange(whole.reading_cm.size), rules.FINAL_ROWS)
+        rows = sample(whole.contexts, np.arange(whole.reading_cm.size), rules.FINAL_ROWS, problem.rng)
         readings, unit = whole.prepared(problem, rows), splits.unit[rows]
         fit = refit(readings, fit.effects, fit.base)
     final = FinalFit.of(readings, fit, unit, by_run)
@@ -276,7 +277,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         detectable(problem, selection.first),
         gained,
         tuple((each.term.label, each.why) for each in kept.dropped),
-        tuple(_messages(problem, selection, by_run)),
+        tuple(_messages(problem, selection, by_run, whole.reading_cm.size)),
     )
 
 
@@ -284,11 +285,6 @@ def _not_testable(effect: str, absent: Sequence[str]) -> NotTestable:
     """With the columns to record: the reading before each is known where the times are."""
     columns = tuple("time_s" if each == PREVIOUS else each for each in absent)
     return NotTestable(effect, columns, f"{' and '.join(columns)} not recorded")
-
-
-def _rows(readings: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Every k-th of these readings, at most so many."""
-    return readings[:: max(1, -(-readings.size // most))]
 
 
 def _score(prepared: Prepared, base: _Array) -> float:
@@ -306,7 +302,12 @@ def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelSt
     return tuple(steps)
 
 
-def _messages(problem: Problem, selection: Selection, by_run: bool) -> Iterator[str]:
+def _messages(problem: Problem, selection: Selection, by_run: bool, size: int) -> Iterator[str]:
+    if len(problem.readings) < size:
+        yield (
+            f"Effects were searched in {len(problem.readings):,} of {size:,} readings, stretches of neighbours from "
+            f"all parts of all runs, and their values fitted to {min(size, rules.FINAL_ROWS):,}."
+        )
     if selection.is_full:
         yield "As many effects were found as may be added; more may be missing (--max-effects)."
     if by_run:

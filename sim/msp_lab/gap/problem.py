@@ -22,7 +22,7 @@ from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats, of_one_run
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import Dependence, dependence, previous, spacing_s
+from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
@@ -58,7 +58,7 @@ class Problem:
     model
         The given model.
     contexts, unit
-        Of every k-th reading, at most `rules.READINGS`; unit is the number of its run.
+        Of a sample of at most `rules.READINGS` readings; unit is the number of each one's run.
     readings
         These readings, prepared.
     moved_cm
@@ -103,10 +103,10 @@ class Problem:
         alpha: float = 0.01,
         report: Progress = lambda what, share: None,
     ) -> "Problem":
-        """Prepare every k-th of these readings; the parameters are as the attributes."""
-        thin = slice(None, None, max(1, -(-reading_cm.size // rules.READINGS)))
-        whole, contexts = contexts, {name: np.asarray(column)[thin] for name, column in contexts.items()}
-        reading_cm, unit = reading_cm[thin], unit[thin]
+        """Prepare a sample of these readings; the parameters are as the attributes."""
+        rows = sample(contexts, np.arange(reading_cm.size), rules.READINGS, rng)
+        whole, contexts = contexts, {name: np.asarray(column)[rows] for name, column in contexts.items()}
+        reading_cm, unit = reading_cm[rows], unit[rows]
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)
         if readings.spacing_s is None:
@@ -119,7 +119,7 @@ class Problem:
 
         def moved_cm() -> _Array:
             true_cm = np.asarray(whole[TRUE_RANGE], dtype=np.float64)
-            return np.abs(true_cm - previous(whole, true_cm))[thin]
+            return np.abs(true_cm - previous(whole, true_cm))[rows]
 
         return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, alpha, rng, report)
 

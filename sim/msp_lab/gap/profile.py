@@ -98,10 +98,8 @@ def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
 def _odds_scales(
     model: Model, candidates: Sequence[CandidateEffect], contexts: Mapping[str, Any]
 ) -> tuple[_Array, _Array]:
-    """For odds, the number that changes them by one where it acts most, and its mean template, from some rows."""
-    n = np.shape(contexts["true_range_cm"])[0]
-    some = {name: np.asarray(column)[:: max(1, n // 5000)] for name, column in contexts.items()}
-    scene = Scene(model.sensor, some)
+    """For odds, the number that changes them by one where it acts most, and its mean template."""
+    scene = Scene(model.sensor, contexts)
     sizes, means = np.ones(len(candidates)), np.zeros(len(candidates))
     for j, candidate in enumerate(candidates):
         if candidate.odds is not None:

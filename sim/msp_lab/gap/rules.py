@@ -157,8 +157,8 @@ MIN_WEIGHT = 1e-4
 """A kind of reading that the model gives a smaller share gets this one. A reading of probability 0 would decide the
 whole comparison alone. Larger: the model is judged by what it is not."""
 MAX_MEASURED = 12_000
-"""The measures are taken on every k-th held-out reading beyond so many. Their errors are then a tenth of the bounds.
-More: slower."""
+"""The measures are taken on a sample of at most so many held-out readings. Their errors are then a tenth of the
+bounds. More: slower."""
 EXPANSION_FACTOR = 2.0
 """Where a slice's free fit gains so many times more or less than one step from the model promises, its p-value is that
 of the likelihood. The score is then no longer a slope that means anything: readings so improbable that the model's
@@ -207,8 +207,12 @@ slower."""
 # Refits.
 
 READINGS = 20_000
-"""Effects are named on every k-th reading beyond so many. At 20,000 a bias of 0.03 sigma is certain. More: slower, and
-smaller effects."""
+"""Effects are named on a sample of at most so many readings. At 20,000 a bias of 0.03 sigma is certain. More:
+slower, and smaller effects."""
+STRETCH = 10
+"""Readings of a sample come in stretches of so many neighbours (`msp_lab.gap.runs.sample`): the correlation with the
+reading before is that of 9 in 10. More: fewer places, so that a context that stays for less than a stretch of each part
+may be missed; fewer: less to see of how readings depend on each other."""
 BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0])
 """The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share, the
 correlation. What is farther is another sensor. Wider: fits that end at nonsense."""
@@ -462,8 +466,8 @@ ROW_NATS = 5.0
 against repeated readings. A hit that becomes a random reading loses about 8; nine such rows of 700 removed a true slant
 range. Lower: effects that explain rare readings need more of them; higher: single rows decide."""
 FINAL_ROWS = 60_000
-"""The values that are reported are fitted to every k-th reading beyond so many. Three times those of the search. More:
-slower, and narrower intervals."""
+"""The values that are reported are fitted to a sample of at most so many readings. Three times those of the
+search. More: slower, and narrower intervals."""
 CALIBRATION_Z = 4.0
 """A number of the base is reported as calibration if it moved by so many standard errors, and in the same direction on
 the training runs alone. Eight numbers are asked. Lower: calibration of nothing."""

@@ -1,6 +1,7 @@
-"""How far readings of a run depend on each other, and which reading came before which.
+"""How far readings of a run depend on each other, which reading came before which, and which ones are a sample of all.
 
 Scores enter, a measure of dependence leaves: with any dependence the unit of evidence is the run and not the reading.
+Contexts enter, rows of a sample leave.
 """
 
 from collections.abc import Mapping
@@ -12,9 +13,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from msp_lab.gap import rules
+from msp_lab.readings.intake import PREVIOUS
 from msp_sim.model.history import History
 
 _Array = NDArray[np.float64]
+NO_PARTS = frozenset({"time_s", "reading_cm", PREVIOUS})
+"""Columns that do not say where one part of a run ends and another begins."""
 
 
 def numbered(runs: NDArray[np.str_]) -> NDArray[np.intp]:
@@ -94,6 +98,40 @@ def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:
     """The reading before each, of the same sensor in the same run; NaN for the first [cm]."""
     before, _ = History.of(contexts, reading_cm.size, 0.0, 1.0).before(np.ones(reading_cm.size, dtype=bool))
     return np.where(before >= 0, reading_cm[before], np.nan)
+
+
+def sample(
+    contexts: Mapping[str, Any],
+    rows: NDArray[np.intp],
+    most: int,
+    rng: np.random.Generator,
+    stretch: int = rules.STRETCH,
+) -> NDArray[np.intp]:
+    """At most so many of these rows: neighbours, from a place drawn at random in every part of every run.
+
+    Every k-th reading would be no sample: what changes with a period of k is always the same in it. Stretches of
+    neighbours keep what a reading shares with the one before. The parts are of equal length, and also end where a run,
+    a sensor or a context that stays as it is for as long as a stretch ends, so that each has its share.
+    """
+    n = rows.size
+    if n <= most:
+        return rows
+    columns = {name: np.asarray(column)[rows] for name, column in contexts.items()}
+    history = History.of(columns, n, 0.0, 1.0)
+    starts = np.diff(history.series, prepend=-1) != 0
+    starts[np.linspace(0, n, most // stretch, endpoint=False).astype(np.intp)] = True
+    for name, column in columns.items():
+        if name not in NO_PARTS:
+            ordered = column[history.order]
+            changes = np.flatnonzero(ordered[1:] != ordered[:-1]) + 1
+            stays = np.diff(changes, prepend=0, append=n) >= stretch
+            starts[changes[stays[1:] & stays[:-1]]] = True
+    first = np.flatnonzero(starts)
+    size = np.diff(first, append=n)
+    drawn = np.diff(np.cumsum(size) * most // n, prepend=0)
+    first += rng.integers(0, size - drawn, endpoint=True)
+    some = np.repeat(first - np.cumsum(drawn) + drawn, drawn) + np.arange(drawn.sum())
+    return np.sort(rows[history.order[some]])
 
 
 def spacing_s(contexts: Mapping[str, Any]) -> float:

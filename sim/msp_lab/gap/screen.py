@@ -17,6 +17,7 @@ from msp_lab.gap.candidates import CandidateEffect, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
+from msp_lab.gap.runs import sample
 from msp_sim.effects.base import Scene
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
@@ -107,13 +108,11 @@ def replicate(
     rows: int = rules.REPLICATE_ROWS,
     spacing_s: float | None = None,
 ) -> Prepared:
-    """Readings simulated by the present fit at the measured contexts, the contexts repeated or thinned."""
+    """Readings simulated by the present fit at the measured contexts, the contexts repeated or a sample of them."""
     n = np.shape(contexts["true_range_cm"])[0]
-    at = np.linspace(0, n - 1, rows).astype(np.intp) if n >= rows else np.tile(np.arange(n), -(-rows // n))
-    if spacing_s is not None and n >= rows:
-        # Neighbours stay neighbours: blocks of readings, spread over the whole.
-        blocks = np.linspace(0, n - BLOCK_ROWS, -(-rows // BLOCK_ROWS)).astype(np.intp)
-        at = (blocks[:, None] + np.arange(BLOCK_ROWS)).ravel()
+    at = np.tile(np.arange(n), -(-rows // n))
+    if n >= rows:
+        at = sample(contexts, np.arange(n), rows, rng, rules.STRETCH if spacing_s is None else BLOCK_ROWS)
     drawn = {name: np.asarray(column)[at] for name, column in contexts.items()}
     prepared = Prepared.of(model, drawn, np.zeros(at.size), spacing_s)
     if prepared.rows.history is not None and at.size > n and "time_s" in drawn:

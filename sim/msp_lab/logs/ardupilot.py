@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.logs.dataflash import Messages, Progress, read_messages
+from msp_lab.logs.dataflash import PLACE, Messages, Progress, read_messages
 from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
@@ -30,8 +30,10 @@ from msp_lab.logs.log import (
     series,
     tilt_deg,
 )
+from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.mavlink.orientation import DOWN
 
+_WEEK_S = 604_800.0
 _NO_DATA, _TOO_NEAR, _TOO_FAR = 1, 2, 3
 """RangeFinder::Status: nothing was read; nearer than RNGFNDx_MIN; beyond RNGFNDx_MAX (AP_RangeFinder.h)."""
 
@@ -42,7 +44,7 @@ WANTED = {
     "ATT": ("TimeUS", "TimeMS", "Roll", "Pitch"),
     "XKF1": ("TimeUS", "C", "VD", "PD"),
     "NKF1": ("TimeUS", "C", "VD", "PD"),
-    "GPS": ("TimeUS", "I", "Status", "Alt"),
+    "GPS": ("TimeUS", "I", "Status", "Alt", "GMS", "GWk"),
     "GPA": ("TimeUS", "I", "VAcc"),
     "VISP": ("TimeUS", "PZ"),
     "SIM": ("TimeUS", "Alt"),
@@ -60,7 +62,8 @@ def read_ardupilot(path: Path, progress: Progress, named_field: str = "") -> Veh
     """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``MESSAGE.FIELD``."""
     message, _, field = named_field.partition(".")
     wanted = WANTED | ({message: (*WANTED.get(message, ("TimeUS", "TimeMS")), field)} if field else {})
-    found, lost = read_messages(path, wanted, progress)
+    found, lost = read_messages(path, {name: (*fields, PLACE) for name, fields in wanted.items()}, progress)
+    clock = _make_continuous(found)
     parameters = _parameters(found)
     context = {
         TILT: _attitude(found),
@@ -81,7 +84,30 @@ def read_ardupilot(path: Path, progress: Progress, named_field: str = "") -> Veh
         {name: each for name, each in context.items() if each is not None and len(each)},
         tuple(references),
         (f"{lost}.",) if lost else (),
+        clock,
     )
+
+
+def _make_continuous(found: Messages) -> tuple[ClockRun, ...]:
+    """Put the times of all messages on a clock that never steps; the runs between the steps.
+
+    The times of the satellites, which GPS has next to the log's own, are the other clock.
+    """
+    senders = []
+    for fields in found.values():
+        if not _has_time(fields) or PLACE not in fields or len({each.size for each in fields.values()}) > 1:
+            continue  # the format of some of its messages is damaged
+        instance = _instance(fields, np.zeros(fields[PLACE].size))
+        other_s = np.full(fields[PLACE].size, np.nan)
+        if "GMS" in fields and "GWk" in fields:
+            other_s = np.where(fields["GWk"] > 0.0, _WEEK_S * fields["GWk"] + fields["GMS"] / 1e3, np.nan)
+        senders += [(fields, np.flatnonzero(instance == each), other_s) for each in np.unique(instance)]
+    stamps = [Stamps(each[PLACE][rows], _time_s(each)[rows], other_s[rows]) for each, rows, other_s in senders]
+    times_s, runs = continuous(stamps)
+    for (fields, rows, _), time_s in zip(senders, times_s, strict=True) if runs else ():
+        name, factor = ("TimeUS", 1e6) if "TimeUS" in fields else ("TimeMS", 1e3)
+        fields[name][rows] = factor * time_s
+    return runs
 
 
 def _rangers(found: Messages, parameters: Mapping[str, float]) -> list[Ranger]:
@@ -97,7 +123,7 @@ def _rangers(found: Messages, parameters: Mapping[str, float]) -> list[Ranger]:
         ]
     if "Dist" not in rfnd:
         return []
-    instance = rfnd.get("Instance", rfnd.get("I", np.zeros(rfnd["Dist"].size)))
+    instance = _instance(rfnd, np.zeros(rfnd["Dist"].size))
     rangers = []
     for each in np.unique(instance).tolist():
         rows = instance == each
@@ -197,14 +223,19 @@ def _first(found: Messages, message: str, field: str, wanted: float = 0.0) -> Se
     if field not in fields or not _has_time(fields):
         return None
     time_s, values = _time_s(fields), fields[field]
-    instance = next((fields[name] for name in ("I", "C", "IMU") if name in fields), None)
+    instance = _instance(fields, np.zeros(0))
     name = message
-    if instance is not None and instance.size:
+    if instance.size:
         first = instance.min()
         taken = wanted if (instance == wanted).any() else first
         time_s, values = time_s[instance == taken], values[instance == taken]
         name = message if taken == first else f"{message}[{taken:g}]"
     return series(f"{name}.{field}", time_s, values)
+
+
+def _instance(fields: Mapping[str, NDArray[Any]], otherwise: NDArray[Any]) -> NDArray[Any]:
+    """Which of several sensors or cores each message is of."""
+    return next((fields[name] for name in ("Instance", "I", "C", "IMU") if name in fields), otherwise)
 
 
 def _up(found: Messages, message: str, field: str) -> Series | None:

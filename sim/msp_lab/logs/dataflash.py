@@ -35,6 +35,8 @@ few lost sectors has thousands; a larger number reads on through what has hardly
 _FMT, _FMT_BYTES = 0x80, 89
 """The format message has this type and length in every log; its own type, length, name, format and field names follow
 after 3 bytes of header (AP_Logger, LogStructure.h)."""
+PLACE = "place"
+"""Asked for like a field: where in the file each message is. No field of a log has a name in small letters only."""
 TEXTS = ("Name", "Message")
 """Fields that are texts, of all that are read; the others are numbers."""
 _FIELD = re.compile(r"\d*[a-zA-Z]")
@@ -100,6 +102,9 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
                         in_messages += len(places) * form.len
                         if form.name in wanted:
                             _add_values(found, piece, places, form, wanted[form.name])
+                        if PLACE in wanted.get(form.name, ()):
+                            at = np.array(places) + (file.tell() - len(piece))
+                            found.setdefault(form.name, {}).setdefault(PLACE, []).append(at)
                 bad += end - begins - in_messages
                 if len(piece) - begins - in_messages > MOST_BAD_BYTES:
                     if not formats:

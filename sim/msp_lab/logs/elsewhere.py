@@ -13,7 +13,7 @@ from msp_lab.logs.clocks import clock_difference_s
 from msp_lab.logs.log import Series, TruthSource, VehicleLog, series
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import Truth, choose
-from msp_range.recording.csv_form import csv_rows, short_list
+from msp_range.recording.csv_form import csv_rows, short_list, to_number, to_time_s
 from msp_range.recording.error import RecordingError
 
 TIME_NAMES = ("time_s", "time", "timestamp", "stamp", "t")
@@ -68,8 +68,8 @@ def _column(path: Path, truth: Truth) -> Series:
     for line, row in rows:
         try:
             cell = row[at].strip()
-            time_s.append(float(row[time_at]))
-            values.append(float(cell) if cell else np.nan)
+            time_s.append(to_time_s(row[time_at].strip()))
+            values.append(to_number(cell) if cell else np.nan)
         except (ValueError, IndexError):
             raise RecordingError(
                 f"{path}:{line}: expected numbers in the columns {header[time_at]!r}, {truth.name!r}"

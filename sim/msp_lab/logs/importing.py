@@ -266,20 +266,22 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
         if outcome.value is None:
             failed[paths[outcome.index]] = outcome.error or ""
             continue
-        record_runs(common.out, outcome.value.runs, asdict(outcome.value))
-        found.append(outcome.value)
+        for each in outcome.value:
+            record_runs(common.out, each.runs, asdict(each))
+        found += outcome.value
     return found, failed
 
 
-def import_log(common: Import, named: NamedLog) -> Imported:
-    """Read a log and write its readings, as runs that the dataset does not list yet.
+def import_log(common: Import, named: NamedLog) -> list[Imported]:
+    """Read a log and write its readings, as runs that the dataset does not list yet: one, or one after each step of its
+    clock.
 
     Raises
     ------
     RecordingError
         The log cannot be used.
     """
-    path, run, truth = named.path, named.run, common.truth
+    path, truth = named.path, common.truth
 
     def share(of_file: float) -> None:
         if common.progress is not None:
@@ -290,12 +292,29 @@ def import_log(common: Import, named: NamedLog) -> Imported:
     log = open_log(path, share, field=field, column_map=common.column_map, maximum_cm=common.sensor.maximum_cm)
     if not log.rangers:
         raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
-    notes: list[str] = []
     if truth.kind == RECORDED and not any(TRUE_RANGE in each.columns for each in log.rangers):
         raise RecordingError(f"{path}: --truth recorded: this {log.form} has no {TRUE_RANGE} next to its readings")
     if truth.kind not in ("", RECORDED):
         # What is asked for takes the place of what the file has.
         log = replace(log, rangers=tuple(_without_truth(each) for each in log.rangers))
+    found: list[Imported] = []
+    failed: list[str] = []
+    for number, part in enumerate(log.runs(), start=1):
+        run = named.run if number == 1 else f"{named.run}/{number}"
+        try:
+            if part.rangers:
+                found.append(_import_run(common, part, run))
+        except RecordingError as error:
+            failed.append(f"{run}: {error}" if log.clock else str(error))
+    if not found:
+        raise RecordingError(failed[0])
+    return [replace(found[0], notes=(*found[0].notes, *(f"Not imported: {why}" for why in failed))), *found[1:]]
+
+
+def _import_run(common: Import, log: VehicleLog, run: str) -> Imported:
+    """Write the readings of a log whose clock does not step."""
+    path, truth = log.path, common.truth
+    notes: list[str] = []
     if truth.file is None:
         reference = choose(log, truth)
     else:
@@ -331,9 +350,10 @@ def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, Measured
     """Tables by run and sensor: a CSV file or a recording of a bench may have several runs."""
     found: dict[str, dict[str, MeasuredData]] = {}
     for each in joined:
-        words = each.data["run"] if "run" in each.data else np.full(len(each.data), name)
+        words = each.data["run"] if "run" in each.data else np.full(len(each.data), "")
         for word in dict.fromkeys(words.tolist()):
-            run = name if word in ("", Path(name).name) else f"{name}/{word}"
+            own = Path(name).name
+            run = name if word in ("", own) else f"{name}/{word.removeprefix(f'{own}/')}"
             found.setdefault(run, {})[each.ranger.name] = each.data.select(words == word)
     return found
 
@@ -347,12 +367,12 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     whole = MeasuredData({name: np.concatenate([_column(each.data, name) for each in down]) for name in columns})
     recording = Recording(path) if kind_of(path) == ".mcap" else None
     whole, _ = in_code_of(sensor, whole)
-    data, offsets_cm = others_as_reference(path, whole, recording, Model.of(sensor), ())
+    data, runs = others_as_reference(path, whole, recording, Model.of(sensor), ())
     found = [
         replace(each, data=data.select(np.flatnonzero(data["sensor"] == each.ranger.name)), alignment=None, error=None)
         for each in down
     ]
-    listed = ", ".join(f"{name} {value:+.1f} cm" for run in offsets_cm for name, value in run.items())
+    listed = ", ".join(f"{name} {value:+.1f} cm" for run in runs for name, value in run.offsets_cm.items())
     return found, [f"Each sensor reads more than the others by, and this is taken off: {listed}."]
 
 

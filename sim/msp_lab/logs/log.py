@@ -5,14 +5,15 @@ are those of the names, times are seconds on the log's own clock.
 """
 
 from array import array
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.recording.csv_form import Column
 
 Array: TypeAlias = NDArray[np.float64]
@@ -64,6 +65,11 @@ class Series:
         interval_s = float(np.median(np.diff(self.time_s)))
         return 1.0 / interval_s if interval_s > 0.0 else float("nan")
 
+    def during(self, begins_s: float, ends_s: float, later_s: float) -> "Series":
+        """The samples from one time to another, on a clock that is by so much earlier [s]."""
+        first, last = np.searchsorted(self.time_s, (begins_s, ends_s))
+        return Series(self.source, self.time_s[first:last] - later_s, self.values[first:last])
+
     def known(self) -> "Series":
         """Without the samples that are not a number."""
         good = np.isfinite(self.values)
@@ -112,8 +118,8 @@ class Ranger:
         Where it does not: the sensor's code of no echo. Other readings may be beyond it, of another sensor.
     columns
         What the log says of each reading, in the names of the CSV form.
-    too_near
-        How many readings are nearer than the minimum that the log states.
+    near
+        Times of the readings that are nearer than the minimum that the log states.
     """
 
     name: str
@@ -121,8 +127,18 @@ class Ranger:
     is_down: bool = True
     maximum_cm: float = np.inf
     columns: Mapping[str, Column] = field(default_factory=dict)
-    too_near: int = 0
+    near: Series | None = None
     code_cm: float = np.nan
+
+    @property
+    def too_near(self) -> int:
+        """How many readings are nearer than the minimum that the log states."""
+        return 0 if self.near is None else len(self.near)
+
+    def during(self, begins_s: float, ends_s: float, later_s: float) -> "Ranger":
+        """The readings from one time to another, as `Series.during`."""
+        near = None if self.near is None else self.near.during(begins_s, ends_s, later_s)
+        return replace(self, series=self.series.during(begins_s, ends_s, later_s), near=near)
 
     @property
     def echoes_cm(self) -> Array:
@@ -183,6 +199,8 @@ class VehicleLog:
         Possible references, the best ones first.
     notes
         What was lost, or is worth knowing, a sentence each.
+    clock
+        The runs between steps of its clock, on whose continuous form its times are; none: it does not step.
     """
 
     path: Path
@@ -191,6 +209,27 @@ class VehicleLog:
     context: Mapping[str, Series]
     references: tuple[TruthSource, ...]
     notes: tuple[str, ...] = ()
+    clock: tuple[ClockRun, ...] = ()
+
+    def runs(self) -> "Iterator[VehicleLog]":
+        """The log itself, or what it holds between the steps of its clock, each with the times of the log."""
+        ends_s = [run.start_s for run in self.clock[1:]] + [np.inf]
+        for number, (run, end_s) in enumerate(zip(self.clock, ends_s, strict=False)):
+            span = (run.start_s, end_s, run.later_s)
+            yield replace(
+                self,
+                rangers=tuple(each.during(*span) for each in self.rangers if len(each.series.during(*span))),
+                context={name: found for name, each in self.context.items() if len(found := each.during(*span)) > 0},
+                references=tuple(
+                    replace(each, series=found, std=None if each.std is None else each.std.during(*span))
+                    for each in self.references
+                    if len(found := each.series.during(*span)) > 0
+                ),
+                notes=(*self.notes[: 0 if number else None], *([run.note] if number else [])),
+                clock=(),
+            )
+        if not self.clock:
+            yield self
 
 
 def series(source: str, time_s: Array, values: Array) -> Series:
@@ -215,11 +254,18 @@ class MessageColumns:
         self.source = source
         self.fields = tuple(fields)
         self._time_s = array("d")
+        self._other_s = array("d")
+        self._place = array("q")
         self._values = {field: array("d") for field in fields}
 
-    def add(self, time_s: float, message: Any) -> None:
-        """Add a message; one that has no such numbers raises AttributeError, IndexError, TypeError or ValueError."""
+    def add(self, time_s: float, message: Any, place: int = 0, other_s: float = np.nan) -> None:
+        """Add a message, at a place in the log and a time of another clock.
+
+        One that has no such numbers raises AttributeError, IndexError, TypeError or ValueError.
+        """
         self._time_s.append(time_s)
+        self._other_s.append(other_s)
+        self._place.append(place)
         for path, values in self._values.items():
             number = message
             for name in path.split("."):
@@ -229,6 +275,11 @@ class MessageColumns:
     def __getitem__(self, field: str) -> Array:
         return np.array(self._values[field])
 
+    @property
+    def stamps(self) -> Stamps:
+        """The times of its messages."""
+        return Stamps(np.array(self._place), np.array(self._time_s), np.array(self._other_s))
+
     def series(self, field: str = "", values: Array | None = None) -> Series:
         """A field, or what follows from several, as a series."""
         found = self.unsorted(field, self[field] if values is None else values)
@@ -237,6 +288,15 @@ class MessageColumns:
     def unsorted(self, field: str, values: Array) -> Series:
         """What follows from a field, in the order in which the messages were added."""
         return Series(f"{self.source}.{field}" if field else self.source, np.array(self._time_s), values)
+
+
+def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
+    """Put the times of all senders of a log on a clock that never steps; the runs between the steps."""
+    columns = list(columns)
+    times_s, runs = continuous([each.stamps for each in columns])
+    for each, time_s in zip(columns, times_s, strict=True):
+        each._time_s = array("d", time_s)
+    return runs
 
 
 def negative(found: Series) -> Series:
@@ -286,10 +346,9 @@ def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is
         Which readings are nearer than its shortest one. Autopilots do not use them, and what a sensor reports there
         is another thing for each sensor, so they count as no answer.
     """
-    is_too_near = is_too_near & ~np.isnan(readings.values)
-    reading_cm = np.where(is_too_near, -np.inf, readings.values)
-    kept = series(readings.source, readings.time_s, reading_cm)
-    # Of readings at one time one is kept.
-    is_too_near = kept.values == -np.inf
-    kept.values[is_too_near] = np.nan
-    return Ranger(name, kept, is_down, float(rounded_cm(maximum_m)), too_near=int(is_too_near.sum()))
+    order = np.argsort(readings.time_s, kind="stable")
+    time_s, reading_cm, is_too_near = readings.time_s[order], readings.values[order], is_too_near[order]
+    is_too_near = is_too_near & ~np.isnan(reading_cm)
+    reading_cm[is_too_near] = np.nan
+    found, near = (Series(readings.source, time_s[rows], reading_cm[rows]) for rows in (slice(None), is_too_near))
+    return Ranger(name, found, is_down, float(rounded_cm(maximum_m)), near=near)

@@ -7,7 +7,10 @@ finder's wherever there is one.
 """
 
 import contextlib
+import functools
 import struct
+from array import array
+from collections import defaultdict
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -34,6 +37,7 @@ from msp_lab.logs.log import (
     rounded_cm,
     series,
 )
+from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.input_file import open_input
 from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
@@ -78,7 +82,7 @@ def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "
     try:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
-            log = ULog(_Watched(file, progress), [*_TOPICS, *([topic] if dot else [])])
+            log = _InOrder(_Watched(file, progress), [*_TOPICS, *([topic] if dot else [])])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (TypeError, ValueError, KeyError, IndexError, struct.error, ULogException, _ReadWithoutEnd) as error:
@@ -93,9 +97,10 @@ def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "
 def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
     """What was read, as a `VehicleLog`; raises KeyError where a topic lacks a field that every version has."""
     topic, _, field = named_field.partition(".")
-    found: dict[str, Mapping[str, NDArray[Any]]] = {}
+    found: dict[str, dict[str, NDArray[Any]]] = {}
     for each in log.data_list:
-        found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = each.data
+        found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = dict(each.data)
+    clock = _make_continuous(found, [_places(log, each) for each in log.data_list])
     parameters = log.initial_parameters | {name: value for _, name, value in log.changed_parameters}
     context = {
         TILT: _tilt(found),
@@ -121,7 +126,51 @@ def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
         {name: each for name, each in context.items() if each is not None and len(each)},
         tuple(references),
         tuple(notes),
+        clock,
     )
+
+
+def _make_continuous(found: dict[str, dict[str, NDArray[Any]]], places: list[NDArray[Any]]) -> tuple[ClockRun, ...]:
+    """Put the times of all topics on a clock that never steps; the runs between the steps.
+
+    The times of the satellites, which are next to the log's own, are the other clock.
+    """
+    stamps = []
+    for data, place in zip(found.values(), places, strict=True):
+        utc_us = data.get("time_utc_usec", np.zeros(place.size))
+        stamps.append(Stamps(place, data["timestamp"] / 1e6, np.where(utc_us > 0, utc_us / 1e6, np.nan)))
+    times_s, runs = continuous(stamps)
+    for data, sender, time_s in zip(found.values(), stamps, times_s, strict=True) if runs else ():
+        for name in {"timestamp", "timestamp_sample"} & data.keys():
+            # A sample that was not stamped stays so.
+            data[name] = np.where(data[name] > 0, data[name] + 1e6 * (time_s - sender.time_s), 0.0)
+    return runs
+
+
+def _places(log: "_InOrder", topic: Any) -> NDArray[Any]:
+    """Where in the log a topic's messages are; a topic that is added again has lost those before."""
+    return np.array(log.places[topic.msg_id])[-topic.data["timestamp"].size :]
+
+
+class _InOrder(ULog):  # type: ignore[misc]
+    """A log that knows in which order the messages of its topics were written."""
+
+    @functools.cached_property
+    def places(self) -> "dict[int, array[int]]":
+        """Places of the messages by the topic's number."""
+        return defaultdict(lambda: array("q"))
+
+    class _MessageData(ULog._MessageData):  # type: ignore[misc]
+        _count = 0
+
+        def initialize(self, data: bytes, header: Any, subscriptions: Any, log: Any) -> bool:
+            """Keep a message, as of pyulog, and its place."""
+            is_corrupt: bool = super().initialize(data, header, subscriptions, log)
+            self._count += 1
+            number = int.from_bytes(data[:2], "little")
+            if not is_corrupt and number in subscriptions:
+                log.places[number].append(self._count)
+            return is_corrupt
 
 
 class _ReadWithoutEnd(Exception):

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.logs.log import TILT, Array, Ranger, Series, VehicleLog, series, tilt_deg
-from msp_lab.readings.column_map import ColumnMap, read_mapped
-from msp_range.recording.columns import BRIDGE_COLUMNS
-from msp_range.recording.csv_form import MeasuredData, read_csv
+from msp_lab.readings.clock_runs import with_clock_runs
+from msp_lab.readings.column_map import ColumnMap
+from msp_lab.readings.column_map import read_table as read_rows
+from msp_lab.readings.no_echo import without_negative
+from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.pings import recorded_attitudes
@@ -40,7 +42,10 @@ def read_recording(path: Path, maximum_cm: float) -> VehicleLog:
     if angles:
         rows = np.array([(each.time_s, each.roll_rad, each.pitch_rad) for _, each in angles])
         context[TILT] = series("/attitude", rows[:, 0], tilt_deg(rows[:, 1], rows[:, 2]))
-    return VehicleLog(path, "recording of msp-range", tuple(rangers_of(path, data, maximum_cm)), context, (), lost)
+    rangers, notes = rangers_of(path, data, maximum_cm)
+    # Where a step of the clock began runs, attitudes are on none of their clocks.
+    is_one = all(np.unique(each.columns["run"]).size == 1 for each in rangers)
+    return VehicleLog(path, "recording of msp-range", rangers, context if is_one else {}, (), (*lost, *notes))
 
 
 def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> VehicleLog:
@@ -51,30 +56,25 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> V
     RecordingError
         It cannot be read.
     """
-    if column_map is not None:
-        data = read_mapped(path, column_map, maximum_cm)
-    else:
-        try:
-            data = read_csv(path)
-        except RecordingError as error:
-            if "is missing" not in str(error):
-                raise
-            raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
-    notes = (column_map.note,) if column_map is not None and column_map.note else ()
-    return VehicleLog(path, "CSV table", tuple(rangers_of(path, data, maximum_cm)), {}, (), notes)
+    rangers, notes = rangers_of(path, read_rows(path, column_map, maximum_cm), maximum_cm)
+    about = (column_map.note,) if column_map is not None and column_map.note else ()
+    return VehicleLog(path, "CSV table", rangers, {}, (), (*about, *notes))
 
 
-def rangers_of(path: Path, data: MeasuredData, code_cm: float) -> list[Ranger]:
-    """The range finders of a table, each with its rows in the order of time, and their code of no echo."""
+def rangers_of(path: Path, data: MeasuredData, code_cm: float) -> tuple[tuple[Ranger, ...], list[str]]:
+    """The range finders of a table, each with its rows in the order of time, and their code of no echo; with notes
+    on runs that a step of its clock begins and on readings that are codes."""
     if not len(data):
         raise RecordingError(f"{path}: no readings")
+    data, notes = with_clock_runs(path, data)
+    data, codes = without_negative(data)
     rangers = []
     for name in dict.fromkeys(data["sensor"].tolist()):
         rows = np.flatnonzero(data["sensor"] == name)
         rows = rows[np.argsort(data["time_s"][rows], kind="stable")]
-        left_out = {"time_s", "sensor", "reading_cm", *BRIDGE_COLUMNS}
+        left_out = {"time_s", "sensor", "reading_cm"}
         columns = {key: column[rows] for key, column in data.columns.items() if key not in left_out}
         reading_cm: Array = data["reading_cm"][rows]
         readings = Series(path.name, data["time_s"][rows], reading_cm)
         rangers.append(Ranger(name, readings, columns=columns, code_cm=code_cm))
-    return rangers
+    return tuple(rangers), [*notes, *codes]

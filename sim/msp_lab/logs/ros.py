@@ -6,16 +6,13 @@ ranges that are infinite are out of range (REP 117).
 """
 
 import re
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Reader
-from rosbags.typesys import Stores, get_typestore
 
+from msp_lab.logs.bag_messages import Topic, decoder, files_of, read_messages
 from msp_lab.logs.log import (
     CLIMB,
     THROTTLE,
@@ -26,6 +23,7 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_continuous,
     make_ranger,
     readings_cm,
     rounded_cm,
@@ -68,20 +66,6 @@ class _Topic(MessageColumns):
         self.kind = message_type.rsplit("/", 1)[-1]
 
 
-class _Bag1(Reader):
-    """A bag of ROS 1. Its reader keeps 170 bytes for each message; here for those of wanted topics only."""
-
-    def __init__(self, path: Path, is_wanted: Callable[[Any], bool]) -> None:
-        super().__init__(path)
-        self._is_wanted = is_wanted
-
-    def read_index_data(self, pos: int, indexes: dict[int, list[Any]]) -> None:
-        found: dict[int, list[Any]] = defaultdict(list)
-        super().read_index_data(pos, found)
-        for connection in filter(self._is_wanted, self.connections):
-            indexes[connection.id] += found[connection.id]
-
-
 def read_bag(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
     """Read a bag, as `msp_lab.logs.opening.open_log`; its fields are named ``/topic.field.of.field``."""
     topic, _, field = named_field.partition(".")
@@ -89,53 +73,57 @@ def read_bag(path: Path, progress: Callable[[float], None], named_field: str = "
     columns: dict[str, _Topic] = {}
     notes = ["A bag does not say which way range finders look: all count as looking down."]
     names = [topic] if field else []
-    for time_s, name, kind, message in _messages(path, names, progress, notes):
+    for place, (time_s, arrived_s, found, message) in enumerate(_messages(path, names, progress, notes)):
+        name, kind = found.name, found.kind
         try:
             if kind in _FIELDS:
-                topics.setdefault(name, _Topic(name, kind, _FIELDS[kind])).add(time_s, message)
+                topics.setdefault(name, _Topic(name, kind, _FIELDS[kind])).add(time_s, message, place, arrived_s)
             if name in names:
-                columns.setdefault(name, _Topic(name, kind, (field,))).add(time_s, message)
+                columns.setdefault(name, _Topic(name, kind, (field,))).add(time_s, message, place, arrived_s)
         except (AttributeError, IndexError, TypeError, ValueError) as error:
             raise RecordingError(f"{path}: {name}, a {kind}, has no such number: {error}") from None
+    clock = make_continuous([*topics.values(), *columns.values()])
     references = _references(topics)
     references += [TruthSource("column", found.series(field)) for found in columns.values()]
-    return VehicleLog(path, "ROS bag", tuple(_rangers(topics)), _context(topics), tuple(references), tuple(notes))
+    rangers, context = tuple(_rangers(topics)), _context(topics)
+    return VehicleLog(path, "ROS bag", rangers, context, tuple(references), tuple(notes), clock)
 
 
 def _messages(
     path: Path, names: list[str], progress: Callable[[float], None], notes: list[str]
-) -> Iterator[tuple[float, str, str, Any]]:
-    """Time since the bag's beginning [s], topic, type and message, of these topics and of those with `_FIELDS`.
+) -> Iterator[tuple[float, float, Topic, Any]]:
+    """Time by the header and of arrival since the first message arrived [s], topic and message, of these topics and of
+    those with `_FIELDS`.
 
-    Where the bag is damaged, the messages before that, and a note.
+    Where a file is cut or damaged, the messages before that, and a note.
     """
 
-    def is_wanted(connection: Any) -> bool:
-        return connection.msgtype in _FIELDS or connection.topic in names
+    def is_wanted(topic: Topic) -> bool:
+        return topic.kind in _FIELDS or topic.name in names
 
-    count = 0
-    try:
-        bags = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        if not bags.is2:
-            bags.readers = [_Bag1(path, is_wanted)]
-        with bags as reader:
-            wanted = list(filter(is_wanted, reader.connections))
-            if not wanted:
-                return
-            start_ns, length_ns = reader.start_time, max(reader.duration, 1)
-            for connection, arrived_ns, content in reader.messages(connections=wanted):
-                message: Any = reader.deserialize(content, connection.msgtype)
+    count = read_bytes = 0
+    start_ns: int | None = None
+    lost = []
+    files, unpack = files_of(path)
+    size = sum(each.stat().st_size for each in files if each.is_file())
+    for file in files:
+        try:
+            for topic, arrived_ns, packed in read_messages(file, is_wanted):
+                message: Any = decoder(topic.kind, topic.definition, topic.is_ros1)(unpack(packed))
                 stamp = getattr(getattr(message, "header", None), "stamp", None)
                 sent_ns = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+                start_ns = arrived_ns if start_ns is None else start_ns
                 count += 1
+                read_bytes += len(packed)
                 if count % 1000 == 0:
-                    progress(min(1.0, (arrived_ns - start_ns) / length_ns))
-                yield ((sent_ns or arrived_ns) - start_ns) / 1e9, connection.topic, connection.msgtype, message
-    except Exception as error:  # whatever rosbags, its storage, or types that damaged definitions make raise
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        if not count:
-            raise RecordingError(f"{path}: cannot be read as a ROS bag: {reason}") from None
-        notes.append(f"The bag is damaged after {count} messages ({reason}); those before are here.")
+                    progress(min(1.0, read_bytes / size))
+                yield ((sent_ns or arrived_ns) - start_ns) / 1e9, (arrived_ns - start_ns) / 1e9, topic, message
+        except Exception as error:  # whatever storages, decoders, or types that damaged definitions make raise
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            lost.append(f"{file.name} is cut or damaged after {count} messages ({reason}); those before are here.")
+    if lost and not count:
+        raise RecordingError(f"{path}: cannot be read as a ROS bag: {lost[0].partition('(')[2].rpartition(')')[0]}")
+    notes += lost
 
 
 def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:

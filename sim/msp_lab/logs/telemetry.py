@@ -24,6 +24,7 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_continuous,
     make_ranger,
     negative,
     readings_cm,
@@ -78,7 +79,7 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
     wanted = {*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE}
     start_s: float | None = None
     bad, size = 0, 0
-    for time_s, frame, read, skipped, size in _frames(path, wanted):
+    for place, (time_s, frame, read, skipped, size) in enumerate(_frames(path, wanted)):
         progress(read / size)
         bad += skipped
         if frame is None:
@@ -86,15 +87,18 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
         start_s = time_s if start_s is None else start_s
         decoded = frame.decode()
         sender = (frame.system, frame.component)
+        # Zero is a sender without a clock.
+        stamp = (time_s - start_s, decoded, place, 1e-3 * getattr(decoded, "time_boot_ms", 0) or np.nan)
         if frame.message_id == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
             key = (*sender, decoded.id)
-            distances.setdefault(key, MessageColumns("DISTANCE_SENSOR", _DISTANCE)).add(time_s - start_s, decoded)
+            distances.setdefault(key, MessageColumns("DISTANCE_SENSOR", _DISTANCE)).add(*stamp)
         elif frame.message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             parameters[decoded.param_id] = _parameter(decoded)
         else:
             name = ids[frame.message_id]
             if senders.setdefault(name, sender) == sender:
-                flight.setdefault(name, MessageColumns(name, fields[name])).add(time_s - start_s, decoded)
+                flight.setdefault(name, MessageColumns(name, fields[name])).add(*stamp)
+    clock = make_continuous([*distances.values(), *flight.values()])
     if bad > MOST_BAD_SHARE * size:
         raise RecordingError(f"{path}: no telemetry log: {bad} of {size} bytes are in no frame")
     notes = ["Times are those of arrival at the ground station, so lags contain the radio link's."]
@@ -104,9 +108,8 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
     if field and message in flight:
         refused = by_any(parameters) if is_estimate(named_field) else ""
         references.append(TruthSource("column", _series(flight, message, field), refused=refused))
-    return VehicleLog(
-        path, "telemetry log (MAVLink)", tuple(_rangers(distances)), _context(flight), tuple(references), tuple(notes)
-    )
+    form, rangers = "telemetry log (MAVLink)", tuple(_rangers(distances))
+    return VehicleLog(path, form, rangers, _context(flight), tuple(references), tuple(notes), clock)
 
 
 def _frames(path: Path, wanted: set[int]) -> Iterator[tuple[float, Frame | None, int, int, int]]:

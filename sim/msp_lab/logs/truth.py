@@ -7,6 +7,7 @@ import numpy as np
 
 from msp_lab.logs.fused import is_range
 from msp_lab.logs.log import Series, TruthSource, VehicleLog
+from msp_range.recording.csv_form import to_number
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
@@ -84,7 +85,7 @@ def parse_truth(text: str) -> Truth:
     if colon and name and kind == "column":
         column, star, factor = name.partition("*")
         try:
-            return Truth(kind, column.strip(), float(factor) if star else 1.0)
+            return Truth(kind, column.strip(), to_number(factor) if star else 1.0)
         except ValueError:
             raise ConfigError(f"--truth {text}: found the factor {factor!r}, expected a number") from None
     known = "; ".join(f"{word}: {meaning}" for word, meaning in KINDS.items())

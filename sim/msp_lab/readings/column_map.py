@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from msp_range.input_file import CONTROL
-from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
+from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.csv_form import (
     BLOCK,
     Column,
@@ -26,7 +26,10 @@ from msp_range.recording.csv_form import (
     csv_rows,
     is_number,
     join_columns,
+    read_csv,
     short_list,
+    to_number,
+    to_time_s,
     word_column,
 )
 from msp_range.recording.error import RecordingError
@@ -192,6 +195,28 @@ def load_map(options: Sequence[str]) -> ColumnMap:
     return ColumnMap(columns=columns)
 
 
+def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> MeasuredData:
+    """Read a CSV file in the project's form, in which time and sensor may be missing, or with a map anybody's.
+
+    Parameters, what is returned and what is raised are those of `read_mapped`.
+    """
+    if column_map is not None:
+        return read_mapped(path, column_map, maximum_cm)
+    try:
+        try:
+            table = read_csv(path)
+        except RecordingError as error:
+            # A name that is like the missing one is that, misspelt.
+            if "is missing. Found" not in str(error):
+                raise
+            table = _with_times(path, dict(read_csv(path, ("reading_cm",)).columns))
+        return MeasuredData({name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS})
+    except RecordingError as error:
+        if "is missing" not in str(error):
+            raise
+        raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+
+
 def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> MeasuredData:
     """Read a table with other column names.
 
@@ -228,22 +253,27 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
         for part in parts:
             part.read(block, column_map, maximum_cm)
     names = dict.fromkeys(name for part in parts for name in part.places)
-    sizes = [part.size for part in parts]
     joined: dict[str, Column] = {}
     for name in names:
         own_words = name not in KNOWN and any(part.has_words(name) for part in parts)
         pieces = [piece for part in parts for piece in part.column(name, own_words)]
         joined[name] = join_columns(str(path), name, pieces)
-    if "time_s" not in joined:
-        # Numbers of rows keep their order, and are no time that anything could drift over.
-        joined |= {"time_s": np.arange(float(sum(sizes))), "time_in_run_s": np.full(sum(sizes), math.nan)}
-    joined.setdefault("sensor", np.full(sum(sizes), path.name.split(".")[0]))
-    data = MeasuredData(joined)
+    data = _with_times(path, joined)
     for name, values in column_map.leave_out.items():
         if name not in data:
             raise RecordingError(f"{path}: the map leaves out rows by {name}, but has no column for it")
         data = data.select(~np.isin(data[name], values))
     return data
+
+
+def _with_times(path: Path, columns: dict[str, Column]) -> MeasuredData:
+    """A table with a time and a sensor, where it has none of its own."""
+    size = len(columns["reading_cm"])
+    if "time_s" not in columns:
+        # Numbers of rows keep their order, and are no time that anything could drift over.
+        columns |= {"time_s": np.arange(float(size)), "time_in_run_s": np.full(size, math.nan)}
+    columns.setdefault("sensor", np.full(size, path.name.split(".")[0]))
+    return MeasuredData(columns)
 
 
 class _Part:
@@ -291,7 +321,7 @@ class _Part:
                 continue
             heading = self._header[index] or f"number {index + 1}"
             numbers = np.array(
-                [_number(self._path, line, heading, cell) for (line, _), cell in zip(rows, cells, strict=True)],
+                [_number(self._path, line, heading, cell, name) for (line, _), cell in zip(rows, cells, strict=True)],
                 dtype=float,
             )
             converted = _converted(name, place, numbers)
@@ -324,7 +354,7 @@ def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int
 def _constant(path: Path, name: str, place: MappedColumn, size: int) -> Column:
     if name in WORD_COLUMNS or name not in KNOWN:
         return np.repeat(word_column(str(path), name, [str(place.value)]), size)
-    return _converted(name, place, np.full(size, _number(path, 1, name, str(place.value))))
+    return _converted(name, place, np.full(size, _number(path, 1, name, str(place.value), name)))
 
 
 def _converted(name: str, place: MappedColumn, numbers: Column) -> Column:
@@ -341,8 +371,12 @@ def _units(name: str) -> dict[str, tuple[float, float]]:
     return _KINDS[endings[-1]] if endings else {}
 
 
-def _number(path: Path, line: int, column: str, cell: str) -> float:
-    number = (float(cell) if cell else math.nan) if is_number(cell) else math.inf
+def _number(path: Path, line: int, column: str, cell: str, name: str) -> float:
+    parse = to_time_s if name == "time_s" else to_number
+    try:
+        number = parse(cell) if cell else math.nan
+    except ValueError:
+        number = math.inf
     if abs(number) > LARGEST_NUMBER:
         hint = '. With decimal commas: a map file with decimal: ","' if is_number(_with_point(cell)) else ""
         raise RecordingError(

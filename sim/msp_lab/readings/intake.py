@@ -16,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
-from msp_lab.readings.column_map import ColumnMap, read_mapped
+from msp_lab.readings.clock_runs import with_clock_runs
+from msp_lab.readings.column_map import ColumnMap, read_table
 from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset
-from msp_lab.readings.no_echo import NO_ECHO, in_code_of
+from msp_lab.readings.no_echo import NO_ECHO, in_code_of, without_negative
+from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.columns import BRIDGE_COLUMNS, WORD_COLUMNS
+from msp_range.recording.columns import WORD_COLUMNS
 from msp_range.recording.context_limits import check_contexts
-from msp_range.recording.csv_form import Column, MeasuredData, read_csv
+from msp_range.recording.csv_form import Column, MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
@@ -40,6 +42,9 @@ They are left out where a unit is judged by distances."""
 OVERLAP_SHARE = 0.95
 """Two files of which this share of the smaller one's rows is in both are the same readings twice, and are refused. Any
 value from 0.5 on finds a table and the recording that it was made from; accidental repeats stay far below."""
+FLOWN_SHARE = 0.5
+"""Angles of which there are more different ones than this share of the readings were flown: those that are set up have
+at least ten readings each. Any value from 0.1 to 0.9 decides alike."""
 EQUAL_RELATIVE = 1e-9
 """A column whose values differ by a smaller share than this is constant: 100.00000000000142 is 100. It is far above the
 rounding of arithmetic (1e-15) and far below any resolution."""
@@ -127,16 +132,21 @@ def load_readings(
     messages = [column_map.note] if column_map is not None and column_map.note else []
     tables: list[MeasuredData] = []
     sources: list[SourceFile] = []
-    offsets_cm: list[dict[str, float]] = []
+    referenced: list[Referenced] = []
     for path in paths:
         table, recording = _read_table(path, sensor, column_map, messages, runs)
+        table, steps = with_clock_runs(path, table, run_column or "run")
+        table, codes = without_negative(table)
+        messages += [f"{path}: {note}" for note in (*steps, *codes)]
+        if truth == "others" and not len(table):
+            raise RecordingError(f"{path}: no readings, only a header")
         if NO_ECHO in table.columns:
             table, changed = in_code_of(sensor, table)
             table = MeasuredData({name: column for name, column in table.columns.items() if name != NO_ECHO})
             messages += changed
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
-            offsets_cm += of_runs
+            referenced += of_runs
         # Of some runs of a large dataset the others are not read: their logs' SHA-256 are in this file.
         source = SourceFile(path.name, sha256(path / ORIGIN if runs else path), len(table))
         same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
@@ -166,12 +176,18 @@ def load_readings(
     check_comparable(name, sound, sensor)
     _round_constants(columns)
     repeated = _add_previous(columns)
-    messages += [*renamed, *repeated, *_about_others(columns), *_about_offsets(offsets_cm)]
+    messages += [*renamed, *repeated, *_about_others(columns), *_about_offsets(referenced)]
     return LoadedReadings(MeasuredData(columns), tuple(sources), tuple(messages), tuple(sensors))
 
 
 def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedReadings:
-    """Return the readings with those outside of the sensor's limits as no answer, and a message about them."""
+    """Return the readings with those outside of the sensor's limits as no answer, and without angles that were flown
+    and not set up; with a message about both."""
+    angles = loaded.data.columns.get("incidence_deg", np.zeros(0))
+    if np.unique(angles[~np.isnan(angles)]).size > FLOWN_SHARE * angles.size:
+        kept = {name: column for name, column in loaded.data.columns.items() if name != "incidence_deg"}
+        text = "incidence_deg is another one in most readings, as in flight: no angle was set up, so it is not used."
+        loaded = replace(loaded, data=MeasuredData(kept), messages=(*loaded.messages, text))
     reading_cm = loaded.data["reading_cm"]
     outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
     if not outside.any() or outside.sum() > WRONG_UNIT_SHARE * (~np.isnan(reading_cm)).sum():
@@ -204,22 +220,13 @@ def _read_table(
         return read_dataset(path, runs=runs), None
     if path.suffix.lower() in FLIGHT_LOGS:
         raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
-    if column_map is not None:
-        return read_mapped(path, column_map, sensor.maximum_cm), None
-    if is_recording(path):
+    if column_map is None and is_recording(path):
         recording = Recording(path)
         data = measured_data(recording)
         if recording.losses:
             messages.append(f"{path} is damaged; lost: {recording.losses}")
         return data, recording
-    try:
-        table = read_csv(path)
-        columns = {name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS}
-        return MeasuredData(columns), None
-    except RecordingError as error:
-        if "is missing" not in str(error):
-            raise
-        raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+    return read_table(path, column_map, sensor.maximum_cm), None
 
 
 def _about_others(columns: Mapping[str, Column]) -> list[str]:
@@ -229,25 +236,26 @@ def _about_others(columns: Mapping[str, Column]) -> list[str]:
         return []
     unknown = np.isnan(columns[TRUE_RANGE][of_others])
     typical_cm = float(np.nanmedian(columns[REFERENCE_STD][of_others])) if not unknown.all() else math.nan
-    lost = f" In {unknown.sum()} rows they do not know it." if unknown.any() else ""
+    lost = f" In {unknown.sum()} rows they do not know it, or the vehicle stands or is as low." if unknown.any() else ""
     return [
         f"The true range is what the other sensors say, to {typical_cm:.2g} cm.{lost} What all of them have in common "
         "cannot be seen: the air's temperature, a common latency, scale or offset."
     ]
 
 
-def _about_offsets(offsets_cm: Sequence[Mapping[str, float]]) -> list[str]:
-    """By how much sensors read more than the others, over the runs."""
+def _about_offsets(referenced: Sequence[Referenced]) -> list[str]:
+    """By how much sensors read more than the others, over their readings of all runs."""
     found = []
-    for sensor in sorted({name for each in offsets_cm for name in each}):
-        of_runs = np.array([each[sensor] for each in offsets_cm if sensor in each])
-        if of_runs.size > 1:
-            half_cm = 2.0 * float(of_runs.std(ddof=1)) / math.sqrt(of_runs.size)
-            found.append(f"{sensor} {of_runs.mean():+.1f} cm ({half_cm:.1f} either way)")
+    for sensor in sorted({name for each in referenced for name in each.rows}):
+        of_runs = [(each.offsets_cm[sensor], each.rows[sensor]) for each in referenced if sensor in each.rows]
+        if len(of_runs) > 1:
+            offset_cm, rows = np.array(of_runs).T
+            half_cm = 2.0 * float(offset_cm.std(ddof=1)) / math.sqrt(offset_cm.size)
+            found.append(f"{sensor} {np.average(offset_cm, weights=rows):+.1f} cm ({half_cm:.1f} either way)")
     if not found:
         return []
     return [
-        f"Readings less the others', on average over the runs: {', '.join(found)}. It is taken off, since a "
+        f"Readings less the others', on average over all runs: {', '.join(found)}. It is taken off, since a "
         "sloping ground or a mounting that is a little off looks the same."
     ]
 

@@ -56,3 +56,17 @@ def in_code_of(sensor: SensorModel, data: MeasuredData) -> tuple[MeasuredData, l
             "to the model's, where the log does not show what the sensor read."
         )
     return MeasuredData(columns), [text]
+
+
+def without_negative(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
+    """Make negative readings no answer, with a note: they are a program's codes and no distances."""
+    reading_cm = data["reading_cm"]
+    negative = reading_cm < 0.0
+    if not negative.any():
+        return data, []
+    shown = ", ".join(f"{value:g}" for value in np.unique(reading_cm[negative])[:5])
+    text = (
+        f"{negative.sum()} negative readings are codes and no distances, and count as no answer: {shown}. Do they mean "
+        "no echo? Then name them in a map file: codes: {no_echo: [...]}"
+    )
+    return MeasuredData({**data.columns, "reading_cm": np.where(negative, math.nan, reading_cm)}), [text]

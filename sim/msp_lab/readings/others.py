@@ -43,6 +43,11 @@ SLOPES_PER_S = (1e-7, 1e-5, 1e-3)
 turns by 2 deg in a second."""
 MEDIAN_SQUARE = 0.4549
 """Median of the square of a standard normal number."""
+STANDING_CM, STANDING_S, LEGS_CM = 8.0, 5.0, 100.0
+"""A vehicle stands where the readings around are within so many centimetres of the lowest of the flight for so long
+[s], no farther than legs are high, in a flight that goes as far above that. No hover is as steady. A shorter time takes
+low passes for landings; higher legs a low hover. Slope and bumps below a vehicle that stands are the same in hundreds
+of readings, and count as an error of a sensor."""
 ROUNDS = 3
 """Rounds of smoothing. Each takes off the biases that the model has at the state of the round before, and leaves out
 what does not fit it; a fourth changes nothing that is printed."""
@@ -57,11 +62,14 @@ class Referenced:
     data
         In the order of time.
     offsets_cm
-        Of each sensor: how much more than the others it read on average, which was taken off.
+        Of each sensor that has a reference: how much more than the others it read on average, which was taken off.
+    rows
+        Of how many readings that is the average.
     """
 
     data: MeasuredData
     offsets_cm: Mapping[str, float]
+    rows: Mapping[str, int]
 
 
 @dataclass(frozen=True)
@@ -121,7 +129,10 @@ def with_others_as_reference(
     columns: dict[str, Column] = {key: column[order] for key, column in data.columns.items() if key not in FROM_TRUTH}
     columns.setdefault("condition", np.full(order.size, "baseline"))
     reference, offsets_cm = _reference(columns, names, model, mounting, [each not in without for each in names])
-    return Referenced(MeasuredData(columns | reference), dict(zip(names, offsets_cm.tolist(), strict=True)))
+    known = columns["sensor"][~np.isnan(np.asarray(reference[TRUE_RANGE], dtype=np.float64))].tolist()
+    rows_of = {name: count for name in names if (count := known.count(name))}
+    offsets = dict(zip(names, offsets_cm.tolist(), strict=True))
+    return Referenced(MeasuredData(columns | reference), {name: offsets[name] for name in rows_of}, rows_of)
 
 
 def _reference(
@@ -134,8 +145,12 @@ def _reference(
     mounted = [mounting.sensors[names[each]] for each in sensor.tolist()]
     # Codes and limits say nothing of how far the ground is.
     is_range = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
-    usable = is_range & np.asarray(trusted)[sensor]
-    state = _start(time_s, reading_cm, usable)
+    around_cm = _around(reading_cm, reading_cm < model.sensor.maximum_cm)
+    flies = ~_grounded(time_s, around_cm, model.sensor.minimum_cm + GATE * model.sensor.reading_model.sigma_cm)
+    usable = is_range & flies & np.asarray(trusted)[sensor]
+    # A first height at each time, over level ground.
+    state = np.zeros((time_s.size, STATES))
+    state[:, HEIGHT] = _around(reading_cm, usable) / 100.0
     bias_cm, own_cm2 = np.zeros(time_s.size), np.full(time_s.size, model.sensor.reading_model.sigma_cm**2)
     excess_cm2 = np.zeros(len(names))
     fits = np.ones(time_s.size, dtype=bool)
@@ -148,13 +163,15 @@ def _reference(
         whole = np.where(usable & fits, variance_m2, np.inf)
         sets = np.stack([*(np.where(sensor == s, np.inf, whole) for s in range(len(names))), whole])
         seen = _smoothed(time_s, np.nan_to_num(reading_cm - bias_cm) / 100.0 - offset_m, geometry, sets)
-        state = seen.mean[-1]
+        # About level ground: at a slope that is estimated, readings depend on it by height too. Two others, on one
+        # line, do not show the slope across it, and by its own errors it would grow.
+        state = seen.mean[-1] * (np.arange(STATES) < NORTH)
         expected_m, doubt_m2 = seen.predicted(geometry)
         here = sensor, np.arange(time_s.size)
         true_cm, std_cm2 = 100.0 * (expected_m[here] + offset_m), 1e4 * doubt_m2[here]
         off_cm = reading_cm - bias_cm - true_cm
         off_cm2 = off_cm**2
-        known = std_cm2 < MAX_STD_CM**2
+        known = flies & (std_cm2 < MAX_STD_CM**2)
         with np.errstate(invalid="ignore"):
             fits = off_cm2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
         # Readings are whole centimetres.
@@ -196,16 +213,26 @@ def _offsets(
     return offsets_cm
 
 
-def _start(time_s: _Array, reading_cm: _Array, usable: NDArray[np.bool_]) -> _Array:
-    """A first height at each time, the median of the readings around it, over level ground, (n, 5)."""
-    state = np.zeros((time_s.size, STATES))
-    rows = np.flatnonzero(usable)
-    if rows.size:
-        around = rows[
-            np.clip(np.searchsorted(rows, np.arange(time_s.size))[:, None] + np.arange(-3, 4), 0, rows.size - 1)
-        ]
-        state[:, HEIGHT] = np.median(reading_cm[around], axis=1) / 100.0
-    return state
+def _around(reading_cm: _Array, rows: NDArray[np.bool_]) -> _Array:
+    """The median of seven of these readings around each one [cm], (n,); 0 where there are none."""
+    at = np.flatnonzero(rows)
+    if not at.size:
+        return np.zeros(reading_cm.size)
+    first = np.clip(np.searchsorted(at, np.arange(reading_cm.size)) - 3, 0, max(at.size - 7, 0))
+    seven = np.minimum(first[:, None] + np.arange(7), at.size - 1)
+    return np.asarray(np.median(reading_cm[at[seven]], axis=1))
+
+
+def _grounded(time_s: _Array, around_cm: _Array, least_cm: float) -> NDArray[np.bool_]:
+    """Where a vehicle is nearer to the ground than `least_cm`, or stands there for `STANDING_S` or longer, (n,)."""
+    near = around_cm <= least_cm
+    lowest = (around_cm < around_cm.min(initial=np.inf) + STANDING_CM) & (around_cm < LEGS_CM)
+    if not around_cm.max(initial=0.0) > around_cm.min(initial=np.inf) + LEGS_CM:
+        return near
+    stretch = np.cumsum(np.diff(lowest, prepend=False) != 0)
+    first, last = (np.searchsorted(stretch, stretch, side) for side in ("left", "right"))
+    stands: NDArray[np.bool_] = near | (lowest & (time_s[last - 1] - time_s[first] >= STANDING_S))
+    return stands
 
 
 def _view(mounted: DownwardSensor, rotation: Matrix, state: _Array) -> View:

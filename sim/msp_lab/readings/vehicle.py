@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_lab.readings.others import Mounting, side_by_side, with_others_as_reference
+from msp_lab.readings.others import Mounting, Referenced, side_by_side, with_others_as_reference
 from msp_range.config import load_airframe_from
 from msp_range.fusion.attitude import RecordedAttitude
 from msp_range.fusion.mounting import DownwardSensor
@@ -53,8 +53,8 @@ def mounting_of(recording: Recording) -> Mounting | None:
 
 def others_as_reference(
     path: Path, data: MeasuredData, recording: Recording | None, model: Model, without: Collection[str]
-) -> tuple[MeasuredData, list[dict[str, float]]]:
-    """A file's readings with the other sensors of each run as reference, and by how much each sensor was off [cm].
+) -> tuple[MeasuredData, list[Referenced]]:
+    """A file's readings with the other sensors of each run as reference, and the same run by run.
 
     Parameters
     ----------
@@ -84,4 +84,4 @@ def others_as_reference(
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None
     columns = {name: np.concatenate([part.data[name] for part in parts]) for name in parts[0].data.columns}
-    return MeasuredData(columns), [dict(part.offsets_cm) for part in parts]
+    return MeasuredData(columns), parts

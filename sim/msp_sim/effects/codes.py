@@ -53,8 +53,8 @@ class Coarser:
     """
 
     step_cm: float
-    minimum_cm: int
-    maximum_cm: int
+    minimum_cm: float
+    maximum_cm: float
     resolution_cm: float
     from_cm: float = 0.0
     order = 0

@@ -21,8 +21,8 @@ class Hits:
 
     centre_cm: _Array
     sigma_cm: _Array
-    minimum_cm: int
-    maximum_cm: int
+    minimum_cm: float
+    maximum_cm: float
     step_cm: float
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from msp_range.clock import VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -82,7 +83,7 @@ def simulate_flight(
         recorder = Recorder(Path(recording), clock, files=loaded.airframe.files, metadata=metadata, waits=True)
     sensor_model = None if model is None else load_sensor_model(model)
     simulation = Simulation(loaded, clock, seed, model=sensor_model, recorder=recorder)
-    with closing(simulation.fly()) as flying:
+    with threadpool_limits(limits=1), closing(simulation.fly()) as flying:
         for _ in flying:
             pass
     if recorder is not None:

@@ -5,4 +5,4 @@ cp configs/sensors/mb1242_in_flight.yaml MODEL.yaml
 # The service, and its journal.
 msp-range run my_airframe.yaml --no-record --web 0.0.0.0:$PORT 2> service.log &
 journalctl() { cat service.log; }
-sleep 4
+timeout 60 sh -c "until grep -q 'web page' service.log; do sleep 0.2; done"

@@ -61,7 +61,8 @@ def summarise(findings: Findings) -> str:
         bias = plus((calibration if base is None else base).bias.value, 2)
         in_air = plus(calibration.bias.value, 2)
         # What a calibration corrects is the error that is left when the air's temperature is compensated.
-        compensated = "" if in_air == bias else f" ({in_air} cm in air of {findings.calibration_temperature_c:g} °C)"
+        air_c = findings.calibration_temperature_c
+        compensated = "" if in_air == bias or air_c is None else f" ({in_air} cm in air of {air_c:g} °C)"
         form = _CALIBRATION[calibration.form] if calibration.held_out else "there are too few ranges for a calibration"
         parts = [
             f"Hits of the {findings.sensor} are off by {bias} cm on average{compensated} and scatter by "

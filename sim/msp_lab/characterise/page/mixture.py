@@ -1,5 +1,6 @@
 """Pictures of the fitted mixture: its four densities, all of them together, how well they fit; and its parameters."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -70,14 +71,14 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
         raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
     condition, true_cm = _one_range(rows)
     chosen = rows.of(condition) & (rows.true_cm == true_cm)
-    minimum_cm, maximum_cm = rows.model.minimum_cm, rows.model.maximum_cm
+    minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
     mean_cm = float(np.mean(rows.apparent_cm[chosen]))
     steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
     apparent_cm = mean_cm + placement_error_cm(findings, condition, true_cm)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
-    whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0)
+    whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm.tolist()]
     *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
     by_kind = dict(zip(KINDS, by_each_kind, strict=True))

@@ -46,7 +46,8 @@ def calibration(findings: Findings, rows: PictureData) -> Drawn:
         if found.linearity_noise_floor_cm is not None:
             caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
     caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
-    return Drawn(draw_linearity(found), caption, "Mean error over true range with the calibration.")
+    by_sound = findings.calibration_temperature_c is not None
+    return Drawn(draw_linearity(found, by_sound), caption, "Mean error over true range with the calibration.")
 
 
 def baseline(findings: Findings, rows: PictureData) -> Drawn:

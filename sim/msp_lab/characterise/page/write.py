@@ -39,13 +39,13 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
     ConfigError
         The directory cannot be made or written to.
     """
-    rows = PictureData(data, model)
+    rows, by_sound = PictureData(data, model), findings.calibration_temperature_c is not None
     with style():
         accuracy = chain(range_error.entries(rows), longest_range.entries())
         sections = [
             ("errors", "Range errors", drawn(accuracy, findings, rows)),
             ("beam", "Field of view", drawn(field_of_view.entries(rows), findings, rows)),
-            ("air", "Air temperature", drawn(air.entries(), findings, rows)),
+            ("air", "Air temperature", drawn(air.entries() if by_sound else (), findings, rows)),
             ("mixture-fit", "Kinds of readings", drawn(mixture.entries(), findings, rows)),
         ]
         forest = drawn([("questions", "The questions in one picture", questions.forest)], findings, rows)

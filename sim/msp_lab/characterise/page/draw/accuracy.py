@@ -24,7 +24,7 @@ CROWDED = 60
 """With more points than this they are drawn smaller and paler than the lines."""
 
 
-def draw_linearity(found: CalibrationFindings) -> Figure:
+def draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     """Mean error over range with the forms of calibration; next to it their errors on left-out points."""
     figure = new_figure(3.7)
     if found.held_out:
@@ -70,7 +70,7 @@ def draw_linearity(found: CalibrationFindings) -> Figure:
             markeredgecolor="white",
             zorder=6,
         )
-    axes.set_xlabel("true range [cm], in air of the calibration temperature")
+    axes.set_xlabel("true range [cm]" + (", in air of the calibration temperature" if by_sound else ""))
     axes.set_ylabel("mean reading − true range [cm]")
     if side is not None:
         forms = [each.form.replace(" ", "\n", 1) for each in found.held_out]

@@ -1,0 +1,89 @@
+"""What the bridge's state is, and why: the one verdict that heartbeat, page, terminal, metrics and doctor show."""
+
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import NamedTuple
+
+from msp_range.health.conditions import Condition, Severity
+
+_WIDEST = ("bus", "signing", "other autopilot", "autopilot")
+"""Conditions that concern more than one sensor, in the order in which they are shown, before those of single ones."""
+
+
+class BridgeState(StrEnum):
+    """What the bridge's work is worth to the autopilot."""
+
+    STARTING = "starting"
+    """nothing is wrong, but not all sensors and the autopilot are known yet"""
+    ACTIVE = "active"
+    """distances go out, and an autopilot is received"""
+    CRITICAL = "critical"
+    """a distance is missing, or nobody gets it"""
+
+
+class BridgeFinding(NamedTuple):
+    """One thing that is wrong.
+
+    Attributes
+    ----------
+    what, text, remedy, severity, is_reported
+        Those of its condition.
+    cause
+        ``what`` of the finding that it follows from; None: it follows from none.
+    """
+
+    what: str
+    text: str
+    remedy: str
+    severity: Severity
+    is_reported: bool
+    cause: str | None
+
+
+class BridgeVerdict(NamedTuple):
+    """The state, and what is wrong: each cause, errors first, and right behind it what follows from it."""
+
+    state: BridgeState
+    findings: tuple[BridgeFinding, ...] = ()
+
+
+def verdict_of(conditions: Iterable[Condition], is_ready: bool) -> BridgeVerdict:
+    """What conditions mean together; ``is_ready``: all sensors and the autopilot are known.
+
+    Examples
+    --------
+    >>> found = [Condition("sensor a", "a: no answer", "", Severity.ERROR), Condition("bus", "no bus", "")]
+    >>> [(each.what, each.cause) for each in verdict_of(found, True).findings]
+    [('bus', None), ('sensor a', 'bus')]
+    """
+    present = {each.key: each for each in conditions}
+    groups: dict[str, list[BridgeFinding]] = {}
+    state = BridgeState.ACTIVE if is_ready else BridgeState.STARTING
+    for key, text, _, severity, _, remedy, is_reported in present.values():
+        if text is None:
+            continue
+        if severity is Severity.ERROR:
+            state = BridgeState.CRITICAL
+        cause = next((each for each in _causes(key) if each in present), None)
+        groups.setdefault(cause or key, []).append(BridgeFinding(key, text, remedy, severity, is_reported, cause))
+
+    def rank(cause: str) -> tuple[int, int]:
+        place = _WIDEST.index(cause) if cause in _WIDEST else len(_WIDEST)
+        return min(each.severity for each in groups[cause]), place
+
+    return BridgeVerdict(
+        state,
+        tuple(
+            finding
+            for cause in sorted(groups, key=rank)
+            for finding in sorted(groups[cause], key=lambda each: each.cause is not None)
+        ),
+    )
+
+
+def _causes(key: str) -> tuple[str, ...]:
+    """Conditions that a condition follows from where they are present, the widest first."""
+    if key == "autopilot":
+        return "signing", "other autopilot"
+    kind, _, name = key.partition(" ")
+    return {"sensor": ("bus",), "silence": ("bus", f"sensor {name}")}.get(kind, ())

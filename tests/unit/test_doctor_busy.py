@@ -1,0 +1,29 @@
+"""`msp-range doctor` on a computer that is busy: what it does late is no fault of a sensor."""
+
+import pytest
+
+from msp_range.clock import VirtualClock
+from msp_range.config import load_airframe
+from msp_range.doctor.sensors import look
+from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.mb1242 import EmulatedMB1242
+
+
+class LateBus(EmulatedBus):
+    """A range command reaches its sensor when the program has had to wait for a processor."""
+
+    def __init__(self, clock: VirtualClock, late_s: float) -> None:
+        devices = [EmulatedMB1242(0x70 + number, clock.now, lambda ping_s: 700) for number in range(4)]
+        super().__init__(devices, clock.now)
+        self._clock, self._late_s = clock, late_s
+
+    def write(self, address: int, data: bytes) -> None:
+        self._clock.sleep_until(self._clock.now() + self._late_s)
+        super().write(address, data)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.07])
+def test_a_range_command_that_is_written_late_is_answered_all_the_same(late_s: float) -> None:
+    clock = VirtualClock()
+    found = look(load_airframe("configs/quad_pallet.yaml"), LateBus(clock, late_s), clock).findings
+    assert [f"{each.step}: {each.text}" for each in found if each.verdict == "wrong"] == []
