@@ -122,10 +122,10 @@ class AutopilotClock:
         if self._offset_s is not None:
             error_s = (sample.error_s + (self.round_trip_s or 0.0)) / 2
             if abs(sample.offset_s - self._offset_s) > error_s + STEP_S:
-                # It has booted if it began to count since it was last received. A slow simulator's clock only lags.
+                # It has booted if its time went back, or began since it was last received. A slow simulator's only lags.
                 booted_s = sample.error_s / 2 - sample.offset_s
                 last = self._exchanges[-1] if self._exchanges else sample
-                self._forget(booted_s > last.received_s - last.error_s)
+                self._forget(self._goes_back(tc1_ns * 1e-9) or booted_s > last.received_s - last.error_s)
         self._newest_s = tc1_ns * 1e-9
         self._exchanges.append(sample)
         self._update(now_s)
@@ -135,7 +135,7 @@ class AutopilotClock:
         self.time_of(time_boot_ms, now_s)
         time_s = time_boot_ms * 1e-3
         if not self._exchanges or now_s - self._exchanges[-1].received_s > ANSWERED_S:
-            if self._newest_s is not None and shortest(time_s - self._newest_s) < -BACKWARDS_S:
+            if self._goes_back(time_s):
                 self._forget(True)
             self._newest_s = time_s
         offset_s = time_s - now_s
@@ -153,6 +153,10 @@ class AutopilotClock:
         system_times = [each.offset_s for each in self._system_times if now_s - each.received_s <= OLDEST_S]
         if system_times:
             self._offset_s = max(system_times)
+
+    def _goes_back(self, time_s: float) -> bool:
+        """Whether a time of the autopilot is before the newest one that it has sent."""
+        return self._newest_s is not None and shortest(time_s - self._newest_s) < -BACKWARDS_S
 
     def _forget(self, rebooted: bool) -> None:
         """Forget what the clock showed before it stepped."""

@@ -160,6 +160,14 @@ def test_a_message_whose_time_does_not_fit_has_the_time_requested_at_once(clock:
     assert clock.next_request_s == pytest.approx(at_s + 0.1), "but not for each message"
 
 
+def test_a_time_that_goes_back_is_a_reboot_whenever_it_began(clock: AutopilotClock) -> None:
+    """A second autopilot of the same id may have run before the first one ended."""
+    exchange(clock, BRIDGE_START_S, 0.001, 0.001)
+    exchange(clock, BRIDGE_START_S + 1.0, 0.001, 0.001, ahead_s=5.0 - BRIDGE_START_S)
+    assert clock.reboots == 1
+    assert offset_error_s(clock, ahead_s=5.0 - BRIDGE_START_S) == approximately(0.0)
+
+
 def test_a_simulator_that_lags_has_not_rebooted(clock: AutopilotClock) -> None:
     now_s = BRIDGE_START_S
     for step in range(20):

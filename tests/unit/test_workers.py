@@ -222,16 +222,13 @@ def other_version(pickled: bytes, part: Any, expected: str) -> Any:
 
 
 @pytest.mark.slow
-def test_a_worker_without_the_program_is_named_at_once(tmp_path: Path) -> None:
-    import dask
+def test_a_worker_without_the_program_is_named_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from distributed import LocalCluster
 
     without = "import sys\nsys.modules['msp_sim'] = None\n"
     (tmp_path / "sitecustomize.py").write_text(without, encoding="utf-8")
-    with (
-        dask.config.set({"distributed.nanny.pre-spawn-environ.PYTHONPATH": str(tmp_path)}),
-        LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as cluster,
-    ):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0") as cluster:
         address = cluster.scheduler_address
         with pytest.raises(ConfigError, match="cannot import the program") as found, workers(1, address, "a command"):
             pass
