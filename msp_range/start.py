@@ -1,7 +1,7 @@
-"""Entry point of the command. Before any slow import it arranges that SIGINT ends the program without a traceback.
+"""What each command imports first. SIGINT then ends the program without a traceback, and matrices use one thread.
 
-Python's own handler raises KeyboardInterrupt anywhere, and during an import that prints a traceback. This happens when
-this module is imported; only ``bin/msp-range`` imports it, with SIGINT blocked.
+Python's own handler of SIGINT raises KeyboardInterrupt anywhere, and during an import that prints a traceback. Only the
+files of `bin/` import this module, with SIGINT blocked.
 """
 
 import os
@@ -12,10 +12,3 @@ import signal
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
-
-
-def main() -> None:
-    """Entry point of the command msp-range."""
-    from msp_range.cli import main as command
-
-    command()

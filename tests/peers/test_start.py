@@ -81,10 +81,20 @@ def test_help_and_check_are_quick(arguments: list[str], heavy: set[str]) -> None
 
 def test_each_command_has_one_thread_of_blas_before_numpy_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    for package in ("msp_range", "msp_sim", "msp_lab"):
-        program = f"import os, sys, {package}.start; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-        assert done.stdout == "1 False\n"
+    program = "import os, sys, msp_range.start; print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "1 False\n"
+
+
+@pytest.mark.parametrize("command", ["msp-range", "msp-sim", "msp-lab"])
+def test_each_command_imports_that_first(command: str) -> None:
+    program = [Path(sys.executable).with_name(command), "--help"]
+    environment = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
+    done = subprocess.run(program, capture_output=True, text=True, check=True, env=environment)
+    modules = [line.rpartition("|")[2].strip() for line in done.stderr.splitlines()]
+    own = [each for each in modules if each.startswith(("msp_range.", "msp_sim.", "msp_lab."))]
+    assert own[0] == "msp_range.start"
+    assert f"{command.replace('-', '_')}.cli" in own
 
 
 def test_the_functions_for_programs_compute_with_one_thread_of_blas(tmp_path: Path) -> None:

@@ -34,6 +34,24 @@ def test_a_lag_is_found_next_to_a_scale_an_offset_and_outliers(lag_s: float) -> 
     assert abs(found.offset_cm - 21.0) < 2.0
 
 
+def test_a_damaged_value_of_the_reference_is_a_hole() -> None:
+    time_s = np.arange(0.0, 60.0, 0.1)
+    heights = climbs(time_s)
+    heights[300] = 7e174
+    found = align(time_s, climbs(time_s - 0.21), Series("", time_s, heights).at, np.random.default_rng(1))
+    assert found is not None
+    assert abs(found.lag_s - 0.21) < 0.01
+
+
+def test_of_many_readings_a_lag_is_found_though_every_second_one_is_bad() -> None:
+    time_s = np.linspace(0.0, 600.0, 20_000)
+    reading_cm = climbs(time_s - 0.21)
+    reading_cm[::2] = 30.0 + np.random.default_rng(2).normal(0.0, 3.0, reading_cm[::2].size)
+    found = align(time_s, reading_cm, climbs, np.random.default_rng(1))
+    assert found is not None
+    assert abs(found.lag_s - 0.21) < 0.05
+
+
 @pytest.mark.slow
 def test_the_interval_holds_the_lag_as_often_as_it_says() -> None:
     found = [aligned(seed, seconds=40.0) for seed in range(200)]

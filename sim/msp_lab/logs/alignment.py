@@ -17,7 +17,7 @@ LARGEST_LAG_S = 1.5
 LAG_STEP_S = 0.01
 """Steps in which they are tried [s]; between them a parabola through the least squares is used."""
 MOST_READINGS = 10_000
-"""Of a longer log evenly spaced readings are used: 300 lags of so many take 100 MB and half a second. More: narrower
+"""Of a longer log so many readings are drawn: 300 lags of so many take 100 MB and half a second. More: narrower
 intervals than anybody needs."""
 BLOCKS = 30
 """The log is cut into so many blocks for the bootstrap. Fewer: their number limits what the interval can know; more:
@@ -84,10 +84,10 @@ def align(
     expected_cm
         The reference at any times [s -> cm], NaN where it is not known.
     rng
-        Draws the blocks of the bootstrap.
+        Draws the readings if there are many, and the blocks of the bootstrap.
     """
     rows = np.flatnonzero(np.isfinite(reading_cm) & np.isfinite(expected_cm(time_s)))
-    rows = rows[:: max(1, -(-rows.size // MOST_READINGS))]
+    rows = _sample(rows, rng)
     if rows.size < LEAST_READINGS:
         return None
     time_s, reading_cm = time_s[rows], reading_cm[rows]
@@ -135,7 +135,7 @@ def reference_std_cm(
     reading_cm, reference_cm, other_cm
         At the same times; NaN where one is not known.
     rng
-        Draws the blocks of the bootstrap.
+        Draws the readings if there are many, and the blocks of the bootstrap.
 
     Returns
     -------
@@ -143,7 +143,7 @@ def reference_std_cm(
         Estimate and 95 % interval [cm]; zero where it is too small to be seen; None: too few times with all three.
     """
     rows = np.flatnonzero(np.isfinite(reading_cm) & np.isfinite(reference_cm) & np.isfinite(other_cm))
-    rows = rows[:: max(1, -(-rows.size // MOST_READINGS))]
+    rows = _sample(rows, rng)
     if rows.size < LEAST_READINGS:
         return None
     reading, reference, other = reading_cm[rows], reference_cm[rows], other_cm[rows]
@@ -157,6 +157,11 @@ def reference_std_cm(
     drawn = [estimate(np.concatenate([blocks[b] for b in rng.integers(0, BLOCKS, BLOCKS)])) for _ in range(200)]
     low, high = np.quantile(drawn, (0.025, 0.975)).tolist()
     return estimate(np.arange(rows.size)), low, high
+
+
+def _sample(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Some of many rows, in their order. Every k-th one could be always of the same state of a vehicle."""
+    return rows if rows.size <= MOST_READINGS else np.sort(rng.choice(rows, MOST_READINGS, replace=False))
 
 
 def _without_lag(off_cm: Array, why: str) -> Alignment:

@@ -25,6 +25,9 @@ of the series [s]. Longer: a value is made up where the log was silent; shorter:
 RTK_FIXED = 6
 """Kind of a satellite fix, in MAVLink, ArduPilot and PX4 alike: RTK, to centimetres; a float solution (5) is off by
 decimetres."""
+LARGEST_VALUE = 1e9
+"""A value this large, in any unit of a log, is a damaged one: as a height, a million kilometres. The
+square of much more is not a number."""
 TILT, CLIMB, THROTTLE = "tilt_deg", "climb_m_s", "throttle"
 CONTEXT = {
     TILT: "angle between the vehicle's down axis and straight down [deg]",
@@ -71,8 +74,8 @@ class Series:
         return Series(self.source, self.time_s[first:last] - later_s, self.values[first:last])
 
     def known(self) -> "Series":
-        """Without the samples that are not a number."""
-        good = np.isfinite(self.values)
+        """Without the samples that are not a number, or none that a vehicle measures."""
+        good = np.abs(self.values) < LARGEST_VALUE
         return self if good.all() else Series(self.source, self.time_s[good], self.values[good])
 
     @property
