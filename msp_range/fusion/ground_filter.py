@@ -17,15 +17,15 @@ from typing import NamedTuple
 from msp_range.fusion.mounting import View
 from msp_range.fusion.vertical import Rate
 
-CALM_M2_S3, MOVING_M2_S3, MANOEUVRE_M2_S3 = 3e-5, 1e-2, 0.8
+QUIET_M2_S3, CRUISE_M2_S3, MANOEUVRE_M2_S3 = 3e-5, 1e-2, 0.8
 """Spectral density of the vehicle's acceleration [m^2/s^3]: at a steady rate; bobbing; changing its speed by a metre a
 second within a second."""
 MEASURED_M2_S3 = 0.1
 """The last one where the vehicle's acceleration is measured: what is left is the ground's, and the accelerometer's."""
-WAKES_PER_S, CALMS_PER_S = 0.03, 0.2
-"""How often a calm vehicle begins to move, and one that moves becomes calm [1/s]."""
-SPURS_PER_S, EASES_PER_S = 0.2, 0.7
-"""How often a vehicle that moves begins a manoeuvre, and ends one [1/s]."""
+QUIET_TO_CRUISE_PER_S, CRUISE_TO_QUIET_PER_S = 0.03, 0.2
+"""How often a quiet vehicle begins to move, and one in cruise becomes quiet [1/s]."""
+CRUISE_TO_MANOEUVRE_PER_S, MANOEUVRE_TO_CRUISE_PER_S = 0.2, 0.7
+"""How often one in cruise begins a manoeuvre, and ends it [1/s]."""
 LONGEST_S = 1.0
 """Longer than this without a reading changes no more of how the vehicle moves [s]."""
 START_WEIGHTS = (0.2, 0.4, 0.4)
@@ -37,8 +37,8 @@ SLOPE_STD = 0.10
 SLOPE_LASTS_S = 30.0
 """Time constant with which the slope falls back to level where no reading holds it [s]."""
 QUIET_M_S2, QUIET_STD_M_S2 = 0.6, 0.3
-"""A calm vehicle has no measured acceleration much beyond the first, by a normal distribution of the second [m/s^2]:
-twice an accelerometer's noise, and once. Smaller leaves the calm filter for vibration, larger lets it lag behind a
+"""A quiet vehicle has no measured acceleration much beyond the first, by a normal distribution of the second [m/s^2]:
+twice an accelerometer's noise, and once. Smaller leaves the quiet filter for vibration, larger lets it lag behind a
 vehicle that is read twice a second."""
 LEAST_SHARE = 1e-3
 """A filter is not mixed with less than this of another."""
@@ -132,27 +132,29 @@ class GroundFilter:
         """
         if t <= 0:
             return
-        calm, moving, wild = self._filters
-        of_calm, of_moving, of_wild = self._weights
+        quiet, cruise, manoeuvre = self._filters
+        of_quiet, of_cruise, of_manoeuvre = self._weights
         manoeuvre_m2_s3 = MANOEUVRE_M2_S3 if up_m_s2 is None else MEASURED_M2_S3
         up_m_s2 = up_m_s2 or 0.0
         if abs(up_m_s2) > QUIET_M_S2:
-            of_calm, of_moving, of_wild = _without_calm(up_m_s2, of_calm, of_moving, of_wild)
+            of_quiet, of_cruise, of_manoeuvre = _rather_not_quiet(up_m_s2, of_quiet, of_cruise, of_manoeuvre)
         change_s = t if t < LONGEST_S else LONGEST_S
-        wakes, calms = of_calm * WAKES_PER_S * change_s, of_moving * CALMS_PER_S * change_s
-        spurs, eases = of_moving * SPURS_PER_S * change_s, of_wild * EASES_PER_S * change_s
-        of_calm += calms - wakes
-        of_moving += wakes + eases - calms - spurs
-        of_wild += spurs - eases
-        # A calm vehicle's filter takes hardly anything of the next one; that one takes from both sides.
-        woken = _mixed(moving, calm, wakes / (of_moving - eases))
+        to_cruise = of_quiet * QUIET_TO_CRUISE_PER_S * change_s
+        to_quiet = of_cruise * CRUISE_TO_QUIET_PER_S * change_s
+        to_manoeuvre = of_cruise * CRUISE_TO_MANOEUVRE_PER_S * change_s
+        from_manoeuvre = of_manoeuvre * MANOEUVRE_TO_CRUISE_PER_S * change_s
+        of_quiet += to_quiet - to_cruise
+        of_cruise += to_cruise + from_manoeuvre - to_quiet - to_manoeuvre
+        of_manoeuvre += to_manoeuvre - from_manoeuvre
+        # A quiet vehicle's filter takes hardly anything of the next one; that one takes from both sides.
+        cruise_after = _mixed(cruise, quiet, to_cruise / (of_cruise - from_manoeuvre))
         stays = max(1 - t / SLOPE_LASTS_S, 0.0)
         self._filters = (
-            _moved(_mixed(calm, moving, calms / of_calm), t, CALM_M2_S3, 0.0, stays),
-            _moved(_mixed(woken, wild, eases / of_moving), t, MOVING_M2_S3, up_m_s2, stays),
-            _moved(_mixed(wild, moving, spurs / of_wild), t, manoeuvre_m2_s3, up_m_s2, stays),
+            _moved(_mixed(quiet, cruise, to_quiet / of_quiet), t, QUIET_M2_S3, 0.0, stays),
+            _moved(_mixed(cruise_after, manoeuvre, from_manoeuvre / of_cruise), t, CRUISE_M2_S3, up_m_s2, stays),
+            _moved(_mixed(manoeuvre, cruise, to_manoeuvre / of_manoeuvre), t, manoeuvre_m2_s3, up_m_s2, stays),
         )
-        self._weights = (of_calm, of_moving, of_wild)
+        self._weights = (of_quiet, of_cruise, of_manoeuvre)
         self._combine()
         square = stays * stays
         comes = (1 - square) * SLOPE_STD * SLOPE_STD
@@ -194,7 +196,7 @@ class GroundFilter:
         for weight, (h, w, hh, hw, ww, hn, he, wn, we) in zip(self._weights, self._filters, strict=True):
             ph, pw = a * hh + b * hn + c * he, a * hw + b * wn + c * we
             pn, pe = a * hn + b * nn + c * ne, a * he + b * ne + c * ee
-            # The reading was foretold for the mixture; each filter's own mean is a little off from that.
+            # The reading was predicted for the mixture; each filter's own mean is a little off from that.
             own_m, own_m2 = expected_m - a * h, a * ph + b * pn + c * pe + variance_m2
             k, j = ph / own_m2, pw / own_m2
             h, w, hh, hw, ww = h + k * own_m, w + j * own_m, hh - k * ph, hw - k * pw, ww - j * pw
@@ -254,17 +256,19 @@ class GroundFilter:
 
     def _combine(self) -> None:
         a, b, c = self._weights
-        calm, moving, wild = self._filters
-        self.height_m = a * calm[0] + b * moving[0] + c * wild[0]
-        self.climb_m_s = a * calm[1] + b * moving[1] + c * wild[1]
+        quiet, cruise, manoeuvre = self._filters
+        self.height_m = a * quiet[0] + b * cruise[0] + c * manoeuvre[0]
+        self.climb_m_s = a * quiet[1] + b * cruise[1] + c * manoeuvre[1]
 
 
-def _without_calm(up_m_s2: float, of_calm: float, of_moving: float, of_wild: float) -> tuple[float, float, float]:
-    """The weights, given an acceleration that a calm vehicle does not have."""
+def _rather_not_quiet(
+    up_m_s2: float, of_quiet: float, of_cruise: float, of_manoeuvre: float
+) -> tuple[float, float, float]:
+    """The weights, given an acceleration that a quiet vehicle does not have."""
     over = (abs(up_m_s2) - QUIET_M_S2) / QUIET_STD_M_S2
-    of_calm = max(of_calm * math.exp(-0.5 * over * over), LEAST_WEIGHT)
-    total = of_calm + of_moving + of_wild
-    return of_calm / total, of_moving / total, of_wild / total
+    of_quiet = max(of_quiet * math.exp(-0.5 * over * over), LEAST_WEIGHT)
+    total = of_quiet + of_cruise + of_manoeuvre
+    return of_quiet / total, of_cruise / total, of_manoeuvre / total
 
 
 def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:

@@ -81,6 +81,7 @@ class Signing:
         self._clock = clock
         self._last = self._reserved = kept
         self._keep = keep
+        self._keeping = threading.Lock()
         self._accepts_unsigned = accepts_unsigned
         self._streams: dict[tuple[int, int, int], int] = {}
         self.fault: str | None = None
@@ -121,7 +122,9 @@ class Signing:
 
     def _keep_reserved(self) -> None:
         try:
-            self._keep(self._reserved)
+            # One after the other: a slow disk must not end with the older of two times.
+            with self._keeping:
+                self._keep(self._reserved)
         except OSError as error:
             self.fault = error.strerror or str(error)
         else:

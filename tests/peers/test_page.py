@@ -248,7 +248,7 @@ def test_a_browser_that_stalls_delays_no_reading(tmp_path: Path) -> None:
         os.kill(page, signal.SIGCONT)
         bridge.until(bridge.is_served)
     # A bridge that waited for it would send none of them; the computer may be busier than just before.
-    assert stalled_s < 2.0 * idle_s
+    assert stalled_s < idle_s + 10.0
 
 
 @pytest.mark.slow

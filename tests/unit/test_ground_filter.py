@@ -18,7 +18,7 @@ CORNERS = [View(2.0, 1.0, -x, -y, 0.0) for x, y in ((0.25, -0.2), (0.25, 0.2), (
 
 def test_with_one_way_to_move_it_is_a_kalman_filter(monkeypatch: pytest.MonkeyPatch) -> None:
     density = 0.3
-    for name in ("CALM_M2_S3", "MOVING_M2_S3", "MANOEUVRE_M2_S3"):
+    for name in ("QUIET_M2_S3", "CRUISE_M2_S3", "MANOEUVRE_M2_S3"):
         monkeypatch.setattr(ground_filter, name, density)
     draw = np.random.default_rng(3)
     known = GroundFilter(2.0, R_M2, 0.1, 0.1)
@@ -54,7 +54,7 @@ def test_with_one_way_to_move_the_slope_is_that_of_a_dense_filter(
 ) -> None:
     """A Kalman filter of four states, or one with the gain of the slope set to zero (Schmidt), in Joseph's form."""
     density = 0.02
-    for name in ("CALM_M2_S3", "MOVING_M2_S3", "MANOEUVRE_M2_S3"):
+    for name in ("QUIET_M2_S3", "CRUISE_M2_S3", "MANOEUVRE_M2_S3"):
         monkeypatch.setattr(ground_filter, name, density)
     draw = np.random.default_rng(4)
     lever = (0.25, -0.2)

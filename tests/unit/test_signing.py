@@ -30,7 +30,7 @@ from msp_range.yaml_file import ConfigError
 from tests.support.mavlink_ends import MemoryTransport
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.transports import free_port
-from tests.support.waiting import until
+from tests.support.waiting import LIMIT_S, until
 
 KEY = hashlib.sha256(b"a passphrase").digest()
 NOW_S = EPOCH_S + 3.6e8
@@ -160,6 +160,25 @@ def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
     assert last < 4 * 2 * RESERVED_UNITS + 400 * UNITS_PER_S, "no farther ahead than the runs and their reserves"
 
 
+def test_the_newest_time_is_kept_last_though_a_disk_was_slow_before() -> None:
+    kept: list[int] = []
+    slow = threading.Event()
+
+    def keep(timestamp: int) -> None:
+        if not kept:
+            slow.wait(0.5)
+        kept.append(timestamp)
+
+    clock = VirtualClock(0.0)
+    signing = Signing(KEY, clock, keep=keep)
+    for at_s in (0.0, 100.0, 200.0):
+        clock.sleep_until(at_s)
+        last = signing.timestamp()
+    until(lambda: len(kept) == 3)
+    assert kept == sorted(kept)
+    assert kept[-1] > last
+
+
 def until_kept(path: Path, timestamp: int) -> None:
     """Wait for the thread that writes."""
     until(lambda: path.exists() and int(path.read_text()) > timestamp)
@@ -200,7 +219,7 @@ def test_a_damaged_time_is_replaced_by_the_clocks(
         assert signing.timestamp() == first + 1
         for thread in threading.enumerate():
             if thread.name == "signing":  # which keeps the time
-                thread.join(10.0)
+                thread.join(LIMIT_S)
         assert int((tmp_path / "signing-time").read_text()) > first
         (tmp_path / "signing-time").write_text("damaged again")
 

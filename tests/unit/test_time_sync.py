@@ -22,6 +22,14 @@ def exchange(
     return now_s + there_s + back_s
 
 
+def synchronised(clock: AutopilotClock) -> float:
+    """Ten exchanges, one a second; the time of the last answer."""
+    now_s = BRIDGE_START_S
+    for _ in range(10):
+        now_s = exchange(clock, now_s + 1.0, 0.001, 0.001)
+    return now_s
+
+
 def offset_error_s(clock: AutopilotClock, ahead_s: float = AUTOPILOT_AHEAD_S) -> float:
     """How far the clock is wrong, to the millisecond below that a message shows."""
     at_s = BRIDGE_START_S + 100.0
@@ -114,9 +122,7 @@ def test_timesync_takes_over_from_system_time(clock: AutopilotClock) -> None:
 
 @pytest.mark.parametrize("heard_by", ["timesync", "system_time"])
 def test_a_clock_that_starts_again_is_a_reboot(clock: AutopilotClock, heard_by: str) -> None:
-    now_s = BRIDGE_START_S
-    for _ in range(10):
-        now_s = exchange(clock, now_s + 1.0, 0.001, 0.001)
+    now_s = synchronised(clock)
     booted_s = now_s + 8.0
     at_s = booted_s + 2.5
     if heard_by == "timesync":
@@ -146,9 +152,7 @@ def test_a_reboot_soon_after_the_boot_is_noticed_at_once(clock: AutopilotClock, 
 
 @pytest.mark.parametrize("sign", ["late", "none"])
 def test_a_message_whose_time_does_not_fit_has_the_time_requested_at_once(clock: AutopilotClock, sign: str) -> None:
-    now_s = BRIDGE_START_S
-    for _ in range(10):
-        now_s = exchange(clock, now_s + 1.0, 0.001, 0.001)
+    now_s = synchronised(clock)
     at_s = now_s + 0.3
     due_s = clock.next_request_s
     behind_s = 3.0 if sign == "late" else 0.001

@@ -25,7 +25,7 @@ and a burst of messages that a radio link had kept is over by then, of 10 Hz aft
 begin runs; more: two steps that follow each other are one."""
 MESSAGES_A_STEP = 50
 """A sender with fewer messages for each step does not write in the order of time (a sorted table, two publishers of one
-topic), and shows no steps. Fewer: such tables become runs of a few rows; more: short runs are not told apart."""
+topic), and shows no steps. Fewer: such tables become runs of a few rows; more: short runs become one."""
 APART_S = 600.0
 """Pause between two runs on the continuous clock [s]: nothing is interpolated or aligned across it. Any value does that
 is longer than the longest interval of a series."""
