@@ -169,7 +169,7 @@ def test_the_newest_time_is_kept_last_though_a_disk_was_slow_before() -> None:
             slow.wait(0.5)
         kept.append(timestamp)
 
-    clock = VirtualClock(0.0)
+    clock = VirtualClock(NOW_S)
     signing = Signing(KEY, clock, keep=keep)
     for at_s in (0.0, 100.0, 200.0):
         clock.sleep_until(at_s)
