@@ -172,7 +172,7 @@ def test_the_newest_time_is_kept_last_though_a_disk_was_slow_before() -> None:
     clock = VirtualClock(NOW_S)
     signing = Signing(KEY, clock, keep=keep)
     for at_s in (0.0, 100.0, 200.0):
-        clock.sleep_until(at_s)
+        clock.sleep_until(NOW_S + at_s)
         last = signing.timestamp()
     until(lambda: len(kept) == 3)
     assert kept == sorted(kept)
