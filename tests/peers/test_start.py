@@ -88,7 +88,7 @@ def test_each_command_has_one_thread_of_blas_before_numpy_is_imported(monkeypatc
 
 @pytest.mark.parametrize("command", ["msp-range", "msp-sim", "msp-lab"])
 def test_each_command_imports_that_first(command: str) -> None:
-    program = [Path(sys.executable).with_name(command), "--help"]
+    program = [str(Path(sys.executable).with_name(command)), "--help"]
     environment = os.environ | {"PYTHONPROFILEIMPORTTIME": "1"}
     done = subprocess.run(program, capture_output=True, text=True, check=True, env=environment)
     modules = [line.rpartition("|")[2].strip() for line in done.stderr.splitlines()]
