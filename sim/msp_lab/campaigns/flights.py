@@ -18,8 +18,7 @@ from rich.console import Console
 from msp_lab.campaigns.campaign import Reference
 from msp_range.config import NamedAirframe
 from msp_range.input_file import making, open_input
-from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
-from msp_range.recording.csv_form import Column, MeasuredData, read_csv, write_csv
+from msp_range.recording.csv_form import Column, MeasuredData, join_tables, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
@@ -173,14 +172,8 @@ class FlightArchive:
 
     def readings(self) -> MeasuredData:
         """Return the readings of every flight's last recording, in the order of the campaign."""
-        parts = [
-            self._of(flight, self.recordings(flight)[-1])
-            for flight in self._campaign.flights
-            if self.recordings(flight)
-        ]
-        found = dict.fromkeys(name for part in parts for name in part.columns)
-        names = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS) if name in found]
-        return MeasuredData({name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names})
+        recorded = [(flight, self.recordings(flight)) for flight in self._campaign.flights]
+        return join_tables([self._of(flight, paths[-1]) for flight, paths in recorded if paths])
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv``; return its path and its number of rows."""
@@ -273,12 +266,6 @@ def collect_flights(
                 console.print(f"  {error}", style="yellow")
         if answer == "q":
             return
-
-
-def _or_unknown(part: MeasuredData, name: str) -> Column:
-    if name in part:
-        return part[name]
-    return np.full(len(part), "") if name in ("run", "target", "condition") else np.full(len(part), np.nan)
 
 
 def _number(flight: Flight, path: Path) -> int:

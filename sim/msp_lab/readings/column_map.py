@@ -210,7 +210,7 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> M
             if "is missing. Found" not in str(error):
                 raise
             table = _with_times(path, dict(read_csv(path, ("reading_cm",)).columns))
-        return MeasuredData({name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS})
+        return table.without(*BRIDGE_COLUMNS)
     except RecordingError as error:
         if "is missing" not in str(error):
             raise

@@ -29,14 +29,14 @@ def entries() -> Iterator[Entry]:
 
 def _compensated_cm(rows: PictureData) -> NDArray[np.float64]:
     """Readings in the speed of sound of their air; NaN where the air's temperature is unknown."""
-    air_c = rows.number("air_temperature_c")
+    air_c = rows.data.column("air_temperature_c")
     return 100.0 * compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c)
 
 
 def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
     """Draw range errors without or with (``after``) compensation."""
     found = rows.of("temperature_compensation")
-    air_c = rows.number("air_temperature_c")
+    air_c = rows.data.column("air_temperature_c")
     known = found & np.isfinite(air_c)
     if after and not np.any(known):
         raise Absent("The readings have no air temperature (column air_temperature_c), and nothing can be compensated.")

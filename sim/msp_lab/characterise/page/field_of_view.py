@@ -33,7 +33,7 @@ def measured_ranges_cm(rows: PictureData) -> list[float]:
 
 def _sweep_ranges(rows: PictureData) -> NDArray[np.float64]:
     found = rows.of("field_of_view")
-    incidence = rows.number("incidence_deg")
+    incidence = rows.data.column("incidence_deg")
     if not np.any(np.isfinite(incidence[found])):
         raise Absent("The readings of the field of view have no angle (column incidence_deg).")
     return np.unique(rows.true_cm[found])
@@ -45,7 +45,7 @@ def sweep(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
     if range_cm not in ranges:
         there = ", ".join(f"{each:g}" for each in ranges[:12])
         raise Absent(f"The field of view was not measured at {range_cm:g} cm, but at {there} cm.")
-    incidence, found = rows.number("incidence_deg"), rows.of("field_of_view")
+    incidence, found = rows.data.column("incidence_deg"), rows.of("field_of_view")
     chosen = found & (rows.true_cm == range_cm) & np.isfinite(incidence)
     if np.unique(incidence[chosen]).size < 2:
         raise Absent(f"At {range_cm:g} cm only one angle was measured.")

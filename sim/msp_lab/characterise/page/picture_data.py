@@ -69,32 +69,20 @@ class PictureData:
     model: SensorModel
     reference: ReferenceNumbers | None = None
 
-    def number(self, name: str) -> _Array:
-        """A column of numbers; NaN where it is absent, unknown, or holds words."""
-        if name in self.data and self.data[name].dtype.kind in "fiub":
-            return np.asarray(self.data[name], dtype=np.float64)
-        return np.full(len(self.data), np.nan)
-
-    def word(self, name: str) -> NDArray[np.str_]:
-        """A column of words; "" where it is absent."""
-        if name in self.data:
-            return np.asarray(self.data[name]).astype(str)
-        return np.full(len(self.data), "", dtype="<U1")
-
     @cached_property
     def true_cm(self) -> _Array:
         """True ranges [cm]."""
-        return self.number("true_range_cm")
+        return self.data.column("true_range_cm")
 
     @cached_property
     def reading_cm(self) -> _Array:
         """Readings [cm]."""
-        return self.number("reading_cm")
+        return self.data.column("reading_cm")
 
     @cached_property
     def sensor(self) -> NDArray[np.str_]:
         """Names of the sensors."""
-        return self.word("sensor")
+        return self.data.column("sensor")
 
     @cached_property
     def _points(self) -> list[PointReadings]:

@@ -70,7 +70,7 @@ def materials(rows: PictureData) -> list[str]:
         found = rows.of("material")
     except Absent:
         return []
-    return [str(each) for each in np.unique(rows.word("target")[found]) if each]
+    return [str(each) for each in np.unique(rows.data.column("target")[found]) if each]
 
 
 def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
@@ -79,7 +79,7 @@ def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
     there = materials(rows)
     if name not in there:
         raise Absent(f"No readings of {name}; the targets are {', '.join(there) or 'not named (column target)'}.")
-    target = rows.word("target")
+    target = rows.data.column("target")
     errors = rows.errors(found & (target == name))
     limits = shared_limits_cm([rows.errors(found & (target == each)) for each in there])
     caption = summary(errors) + _answers(findings, "material", name)
@@ -93,7 +93,7 @@ def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
 def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
     """Draw the range error in room, hot or cold air."""
     found = rows.of("temperature")
-    air_c = rows.number("air_temperature_c")
+    air_c = rows.data.column("air_temperature_c")
     if not np.any(np.isfinite(air_c[found])):
         raise Absent("The readings of the temperature have no air temperature (column air_temperature_c).")
     kinds = {
@@ -107,7 +107,7 @@ def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
     errors = rows.errors(kinds[kind])
     limits = shared_limits_cm([rows.errors(each) for each in kinds.values() if np.any(each)])
     caption = f"Air at the sensor {span(air_c[kinds[kind]])} °C"
-    far_c = rows.number("target_temperature_c")[kinds[kind]]
+    far_c = rows.data.column("target_temperature_c")[kinds[kind]]
     caption += f", at the target {span(far_c)} °C. " if np.any(np.isfinite(far_c)) else ". "
     caption += summary(errors)
     for box in findings.hot_boxes:
@@ -123,7 +123,7 @@ def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
 def vibration(findings: Findings, rows: PictureData) -> Drawn:
     """Draw the range error at each frequency of vibration."""
     found = rows.of("vibration")
-    vibration_hz = rows.number("vibration_hz")
+    vibration_hz = rows.data.column("vibration_hz")
     shaken = found & (vibration_hz > 0.0)
     if not np.any(shaken):
         raise Absent("No readings with vibration (column vibration_hz above 0).")
