@@ -54,8 +54,8 @@ class Characterisation:
     truth: Literal["recorded", "others"]
     date: str
     seed: int
-    reference_std_cm: float | None
-    set_up_std_cm: float | None
+    reference_std_cm: float | None = None
+    set_up_std_cm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class SensorResult:
 
 
 def characterised(
-    how: Characterisation, sensors: Sequence[str], progress: Callable[[str], None] = lambda what: None
+    how: Characterisation, sensors: Sequence[str] = (), progress: Callable[[str], None] = lambda what: None
 ) -> SensorResult:
     """Make a model from the readings of these sensors (none: all).
 
@@ -79,7 +79,7 @@ def characterised(
         The readings cannot be used.
     """
     start = load_sensor_model(how.start)
-    column_map = load_map(list(how.column_map)) if how.column_map else None
+    column_map = load_map(how.column_map) if how.column_map else None
     loaded = without_impossible(load_readings(how.data, start, column_map, sensors=sensors, truth=how.truth), start)
     findings, changes = characterise(
         loaded,
@@ -123,7 +123,7 @@ def sensors_in(how: Characterisation) -> list[str]:
     """Names of the sensors in the readings."""
     if all(map(is_dataset, how.data)):
         return sorted({name for path in how.data for name in sensors_of(path)})
-    column_map = load_map(list(how.column_map)) if how.column_map else None
+    column_map = load_map(how.column_map) if how.column_map else None
     data = load_readings(how.data, load_sensor_model(how.start), column_map, truth=how.truth).data
     return sorted(set(data["sensor"].tolist()))
 

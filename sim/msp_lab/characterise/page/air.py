@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, summary
 from msp_lab.characterise.page.text import interval, number, sentence
 from msp_lab.characterise.question_findings import CompensationRow
 from msp_range.acoustics.air import compensate_range
@@ -72,12 +72,7 @@ def _reference_errors(rows: PictureData, tested_cm: NDArray[np.float64], after: 
 
 def compensation(findings: Findings, rows: PictureData) -> Drawn:
     """Draw the mean errors by range, without and with compensation."""
-    table = findings.temperature_compensation
-    if not table:
-        raise Absent(
-            findings.absent.get("temperature_compensation", "No readings of temperature compensation are in the data.")
-        )
-
+    table = needed(findings.temperature_compensation, findings, "temperature_compensation")
     before_cm = np.array([row.uncompensated.value for row in table])
     after_cm = np.array([row.compensated.value for row in table if row.compensated is not None])
     caption = f"Mean size of the error of the ranges: {np.mean(np.abs(before_cm)):.2f} cm without compensation"
@@ -117,13 +112,9 @@ def compensation_table(findings: Findings) -> PageTable | None:
 
 
 def _boxes(findings: Findings, rows: PictureData) -> Drawn:
-    if not findings.hot_boxes:
-        raise Absent(
-            sentence(findings.absent.get("hot_boxes", "there are no readings with hot or cold air at the sensor only"))
-        )
-    caption = " ".join(sentence(box.answer) for box in findings.hot_boxes)
+    boxes = needed(findings.hot_boxes, findings, "hot_boxes")
     return Drawn(
-        draw_boxes(findings.hot_boxes[:MAX_BOXES]),
-        caption,
+        draw_boxes(boxes[:MAX_BOXES]),
+        " ".join(sentence(box.answer) for box in boxes),
         "Shift of the mean error with hot or cold air at the sensor, by range.",
     )

@@ -9,7 +9,7 @@ import numpy as np
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.accuracy import draw_linearity
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, summary
 from msp_lab.characterise.page.text import file_word, interval, plus, sentence, span
 from msp_lab.characterise.temperature import ROOM_C
 
@@ -35,9 +35,7 @@ def entries(rows: PictureData) -> Iterator[Entry]:
 
 def calibration(findings: Findings, rows: PictureData) -> Drawn:
     """Draw the calibration and its linearity."""
-    found = findings.calibration
-    if found is None or not found.true_cm:
-        raise Absent(sentence(findings.absent.get("calibration", "the readings were not compared with a reference")))
+    found = needed(findings.calibration, findings, "calibration")
     caption = f"Mean error {interval(found.bias)}"
     if found.offset is not None and found.scale is not None:
         caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, SonarFit
@@ -111,7 +111,7 @@ def draw_sweep(
     if ticks.size > 15:
         ticks = ticks[np.abs(np.rint(ticks / 3.6) * 3.6 - ticks) < 0.05] if np.any(ticks % 1.0) else ticks[::2]
     bottom.set_xticks(ticks if ticks.size else angle_deg)
-    bottom.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
+    bottom.xaxis.set_major_formatter("{x:g}")
     bottom.set_xlim(edges[0], edges[-1])
     top.grid(axis="x", visible=False)
     bottom.grid(axis="x", visible=False)

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure
+from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure, signed
 
 _Array = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
         ticks = (-500, -200, -100, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500)
         row.yaxis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
         row.yaxis.set_minor_locator(NullLocator())
-    row.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
+    row.yaxis.set_major_formatter(signed)
     row.set_ylim(low, high)
     row.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
     if axes.band_cm is not None:
@@ -222,7 +222,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
     row.set_xlim(edges[0], edges[-1])
     if ranges_cm.size <= 16:
         row.set_xticks(ranges_cm)
-        row.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+        row.xaxis.set_major_formatter("{x:g}")
     row.grid(axis="x", visible=False)
 
 

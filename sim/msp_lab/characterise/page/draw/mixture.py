@@ -6,12 +6,25 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
-from msp_sim.page.style import DOTS, GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
+from msp_sim.page.style import (
+    DOTS,
+    GREEN,
+    INK,
+    ORANGE,
+    OURS,
+    PURPLE,
+    REFERENCE,
+    legend_below,
+    new_figure,
+    note,
+    p_text,
+    signed,
+)
 
 _Array = NDArray[np.float64]
 
@@ -218,7 +231,7 @@ def draw_pit(counts: _Array, p_value: float) -> Figure:
     )
     reach = max(float(np.max(np.abs(excess))), high) * 1.3
     axes.set_ylim(-reach, reach)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
+    axes.yaxis.set_major_formatter(signed)
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("probability that the fitted model gives to a smaller reading (randomised within a centimetre)")
     axes.set_ylabel("readings more than expected [%]")
@@ -237,7 +250,7 @@ def _finish(figure: Figure, axes: Axes, label: str) -> Figure:
     axes.set_xlabel("reading [cm]")
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:.3g}"))
+    axes.yaxis.set_major_formatter("{x:.3g}")
     axes.grid(axis="x", visible=False)
     legend_below(figure)
     return figure

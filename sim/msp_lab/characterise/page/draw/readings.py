@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
@@ -86,7 +86,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     axes.set_xlim(0, number.size + 1)
     axes.set_xlabel("reading, in order")
     axes.set_ylabel("reading [cm]")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}"))
+    axes.xaxis.set_major_formatter("{x:,.0f}")
     legend_below(figure, handles)
     return figure
 
@@ -135,7 +135,7 @@ def draw_histogram(
         axes.set_xlim(0.0, 1.06 * max(float(np.max(values)), fixed.true_range_cm))
         axes.set_yscale("log")
         axes.set_ylim(0.7, float(np.max(counts)) * 4.0)
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else ""))
+        axes.yaxis.set_major_formatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else "")
         for value, count in zip(values[is_code].tolist(), counts[is_code].tolist(), strict=True):
             axes.annotate(
                 f"{value:g} cm\n{count} ({100.0 * count / readings.size:.2g} %)",
