@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from rich.console import Console
 
 from msp_lab.campaigns.campaign import Reference
+from msp_lab.logs.log import between_samples
 from msp_range.config import NamedAirframe
 from msp_range.input_file import making, open_input
 from msp_range.recording.csv_form import Column, MeasuredData, join_tables, read_csv, write_csv
@@ -226,9 +227,7 @@ def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
             f"{reference}: found times that do not increase, or fewer than two; expected increasing times"
         )
     asked_s = time_s if TIME in table else time_s + recording.utc_s(0.0)
-    after = np.clip(np.searchsorted(their_s, asked_s), 1, their_s.size - 1)
-    inside = (asked_s >= their_s[0]) & (asked_s <= their_s[-1]) & (their_s[after] - their_s[after - 1] <= GAP_S)
-    return np.where(inside, np.interp(asked_s, their_s, table[TRUTH][known]), np.nan)
+    return between_samples(asked_s, their_s, table[TRUTH][known], GAP_S)
 
 
 def show_flights(campaign: FlightCampaign, archive: FlightArchive, console: Console) -> None:

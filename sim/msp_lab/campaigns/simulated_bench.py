@@ -114,12 +114,11 @@ class SimulatedBench:
         self.clock: Clock = self._clock
         self.description = f"the simulator, {of}, seed {seed}"
         self.begins_s: dict[str, float] = {}
-        begin_s, before = 0.0, None
-        for point in points:
-            begin_s += setup_s(before, point.setup)
+        begin_s = 0.0
+        for before, point in zip([None, *points], points, strict=False):
+            begin_s += setup_s(before, point)
             self.begins_s[point.name] = begin_s
             begin_s += MARGIN * reading_s(campaign, point)
-            before = point.setup
         self._length_s = begin_s
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:

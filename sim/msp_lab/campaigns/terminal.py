@@ -13,7 +13,7 @@ from rich.text import Text
 
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.collect import Arranged, Decision, Place
-from msp_lab.campaigns.plan import Point, reading_s, setup_s
+from msp_lab.campaigns.plan import Point, changes, reading_s, setup_s
 from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.clock import Clock
 from msp_range.reading import Reading, Status
@@ -94,7 +94,7 @@ class Terminal:
             show(f"  {number}. {line}")
         began_s = self._clock.now()
         arranged = self._wait(point, to_change)
-        self._planned_setup_s += setup_s(self._last.setup if self._last else None, point.setup)
+        self._planned_setup_s += setup_s(self._last, point)
         self._real_setup_s += self._clock.now() - began_s
         self._last = point
         self._noticed = []
@@ -221,11 +221,9 @@ class Terminal:
         if self._planned_setup_s > 0.0:
             # Ten minutes at the planned pace are added, so that the first minutes do not dominate.
             pace = (self._real_setup_s + 600.0) / (self._planned_setup_s + 600.0)
-        before = self._last
         left_s = 0.0
-        for point in rest:
-            left_s += reading_s(self._campaign, point) + pace * setup_s(before.setup if before else None, point.setup)
-            before = point
+        for before, point in zip([self._last, *rest], rest, strict=False):
+            left_s += reading_s(self._campaign, point) + pace * setup_s(before, point)
         return f"about {duration(left_s)} left"
 
     def _screen(self, point: Point, watches: Mapping[str, PointWatch]) -> RenderableType:
@@ -295,18 +293,14 @@ def _fault_words(status: Status) -> str:
 
 def show_plan(console: Console, campaign: Campaign, points: Sequence[Point], done: Callable[[Point], bool]) -> None:
     """Print the points in order, what to change between them, and the time they may take."""
-    from msp_lab.campaigns.plan import changes
-
-    before: Point | None = None
     total_s = 0.0
     readings = 0
-    for number, point in enumerate(points, start=1):
+    for number, (before, point) in enumerate(zip([None, *points], points, strict=False), start=1):
         mark = "done" if done(point) else f"{point.readings} readings"
         console.print(f"{number:4d}  {point.name}   {mark}")
         for line in changes(before, point):
             console.print(f"        {line}", style="dim")
         if not done(point):
-            total_s += reading_s(campaign, point) + setup_s(before.setup if before else None, point.setup)
+            total_s += reading_s(campaign, point) + setup_s(before, point)
             readings += point.readings * len(point.setup.sensors)
-        before = point
     console.print(f"{readings} readings are left; estimated time {duration(total_s)}")

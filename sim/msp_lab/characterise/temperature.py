@@ -52,7 +52,7 @@ def _hot_box(
     reference: Sequence[PointResult],
     calibration_c: float,
 ) -> HotBox | None:
-    pairs = [(p, zero[round(p.true_range_cm, 1)]) for p in points if round(p.true_range_cm, 1) in zero]
+    pairs = [(p, zero[p.place_cm]) for p in points if p.place_cm in zero]
     if len(pairs) < 3:
         return None
     box_c = float(np.mean([p.air_temperature_c for p in points]))
@@ -153,7 +153,7 @@ def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], 
 
 
 def _by_range(points: Sequence[PointResult]) -> dict[float, PointResult]:
-    return {round(p.true_range_cm, 1): p for p in reversed(points)}
+    return {p.place_cm: p for p in reversed(points)}
 
 
 def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:

@@ -9,6 +9,7 @@ from rich.table import Column
 from rich.table import Table as Shown
 
 from msp_lab.filter_study.bands import WIDTH, Band
+from msp_lab.filter_study.changes import Changes
 from msp_lab.filter_study.explain import FilterResult
 from msp_lab.filter_study.goals import Goal
 from msp_lab.filter_study.scenarios import NAMES
@@ -103,8 +104,8 @@ def print_goals(console: Console, goals: Iterable[Goal]) -> None:
     console.print(table)
 
 
-def _words(changes: Iterable[object]) -> str:
-    return " and ".join(getattr(change, "text", "") for change in changes)
+def _words(changes: Changes) -> str:
+    return " and ".join(change.text for change in changes)
 
 
 def _cell(row: Row, band: Band, index: int) -> str:

@@ -16,7 +16,7 @@ from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import OTHERS, RECORDED, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
-from msp_lab.readings.dataset import origin, record_runs, write_tables
+from msp_lab.readings.dataset import check_new, record_runs, write_tables
 from msp_lab.readings.intake import sha256
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.runs import file_names
@@ -253,12 +253,7 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
             failed[path] = str(error)
     paths = [path for path in paths if path not in failed]
     names = file_names(paths)
-    known = origin(common.out)
-    taken = [name for name in names if name in known]
-    if taken:
-        raise RecordingError(
-            f"{common.out}: there is a run {taken[0]!r} already, of {known[taken[0]].get('file')}; use another --out"
-        )
+    check_new(common.out, names)
     logs = [NamedLog(path, run, (i, len(paths))) for i, (path, run) in enumerate(zip(paths, names, strict=True))]
     found: list[Imported] = []
     for outcome in where.map(import_log, logs, common, what="logs"):

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from msp_lab.logs.importing import FoundRanger, Imported
-from msp_range.terminal import console
+from msp_range.terminal import console, number_columns
 
 MANY_REPEATS = 0.3
 """With a larger share of repeats while the range changes, a line says so: a log with two rows a reading has half."""
@@ -35,9 +35,7 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
 
 def _show(shown: Console, found: Imported) -> None:
     shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading, side in (("found", "left"), ("in the log", "left"), ("rate", "right"), ("", "left")):
-        table.add_column(heading, justify="right" if side == "right" else "left")
+    table = Table("found", "in the log", *number_columns("rate"), "", box=box.SIMPLE_HEAD, pad_edge=False)
     for ranger in found.rangers:
         table.add_row(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger))
     for each in found.series:

@@ -82,6 +82,17 @@ def write_tables(folder: Path, run: str, tables: Mapping[str, MeasuredData]) -> 
                 pq.write_table(pa.table(columns), unfinished, compression="zstd")
 
 
+def check_new(folder: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return what a dataset says of its runs; RecordingError if it has one of these names already."""
+    runs = origin(folder)
+    for run in names:
+        if run in runs:
+            raise RecordingError(
+                f"{folder}: there is a run {run!r} already, of {runs[run].get('file')}; use another --out"
+            )
+    return runs
+
+
 def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) -> None:
     """List runs in a dataset, which is made where there is none; one after the other, as each rewrites the list.
 
@@ -99,11 +110,7 @@ def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) ->
     RecordingError
         There is such a run already, or the file cannot be written.
     """
-    runs = origin(folder)
-    for run in names:
-        if run in runs:
-            file = runs[run].get("file")
-            raise RecordingError(f"{folder}: there is a run {run!r} already, of {file}; use another --out")
+    runs = check_new(folder, names)
     with _writing(folder), making(folder / ORIGIN, replacing=True) as unfinished:
         listed = runs | {run: dict(about) for run in names}
         unfinished.write_text(json.dumps({"runs": listed}, indent=2), encoding="utf-8")

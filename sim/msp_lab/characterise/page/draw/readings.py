@@ -45,13 +45,11 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     axes = figure.subplots()
     number = np.arange(1.0, fixed.reading_cm.size + 1.0)
     echoes = ~fixed.missed & np.isfinite(fixed.reading_cm)
-    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": OURS}
-    if masked:
-        # Thousands of dots would be a bar of one colour: let the ground shine through.
-        alpha = min(1.0, max(0.08, 2000.0 / number.size))
-        axes.plot(number[echoes], fixed.reading_cm[echoes], markersize=2.2, alpha=alpha, zorder=3, **dots)
-    else:
-        axes.plot(number[echoes], fixed.reading_cm[echoes], markersize=1.8, zorder=3, **dots)
+    # Thousands of dots would be a bar of one colour: let the ground shine through.
+    alpha = min(1.0, max(0.08, 2000.0 / number.size)) if masked else 1.0
+    size = 2.2 if masked else 1.8
+    look: dict[str, Any] = {"markersize": size, "markeredgewidth": 0, "color": OURS, "alpha": alpha, "zorder": 3}
+    axes.plot(number[echoes], fixed.reading_cm[echoes], "o", **look)
     axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--", linewidth=1.1, zorder=4)
     handles = [
         axes.plot([], [], "o", color=OURS, markersize=4, label="reading")[0],
