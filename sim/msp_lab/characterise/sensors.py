@@ -5,9 +5,8 @@ table. Each sensor's readings are read where its model is made: the workers of a
 that they write to, under the same path.
 """
 
-import csv
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
@@ -23,7 +22,7 @@ from msp_lab.readings.dataset import is_dataset, sensors_of
 from msp_lab.readings.intake import load_readings, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.workers import Workers
+from msp_sim.workers import Workers, write_rows
 
 TABLE = "sensors.csv"
 
@@ -145,12 +144,5 @@ def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
 
 def characterise_sensors(common: EachSensor, sensors: Sequence[str], where: Workers) -> list[OfSensor]:
     """Make each sensor's model, and write the table."""
-    rows = [
-        outcome.value or OfSensor(sensors[outcome.index], error=outcome.error or "")
-        for outcome in where.map(characterise_sensor, sensors, common, what="sensors")
-    ]
-    with (common.out / TABLE).open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, [field.name for field in fields(OfSensor)])
-        table.writeheader()
-        table.writerows(map(asdict, rows))
-    return rows
+    outcomes = where.map(characterise_sensor, sensors, common, what="sensors")
+    return list(write_rows(common.out / TABLE, OfSensor, sensors, outcomes))

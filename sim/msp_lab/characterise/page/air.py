@@ -27,12 +27,6 @@ def entries() -> Iterator[Entry]:
     yield "hot_boxes", "Where the hot and the cold air was", _boxes
 
 
-def _compensated_cm(rows: PictureData) -> NDArray[np.float64]:
-    """Readings in the speed of sound of their air; NaN where the air's temperature is unknown."""
-    air_c = rows.data.column("air_temperature_c")
-    return 100.0 * compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c)
-
-
 def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
     """Draw range errors without or with (``after``) compensation."""
     found = rows.of("temperature_compensation")
@@ -40,14 +34,13 @@ def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
     known = found & np.isfinite(air_c)
     if after and not np.any(known):
         raise Absent("The readings have no air temperature (column air_temperature_c), and nothing can be compensated.")
-    before = rows.errors(found)
-    errors = rows.errors(known, reading_cm=_compensated_cm(rows)) if after else before
-    everything = [before, rows.errors(known, reading_cm=_compensated_cm(rows))] if np.any(known) else [before]
-    low, high = shared_limits_cm(everything)
-    marked = _reference_errors(rows, np.unique(before.true_range_cm), after)
-    for line in marked:
-        low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
-    figure = draw_errors([errors], ErrorAxes(limits_cm=(low, high), points=marked))
+    both = [rows.errors(found)]
+    if np.any(known):
+        compensated_cm = compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c) * 100.0
+        both.append(rows.errors(known, reading_cm=compensated_cm))
+    errors = both[int(after)]
+    marked = _reference_errors(rows, np.unique(both[0].true_range_cm), after)
+    figure = draw_errors([errors], ErrorAxes(limits_cm=shared_limits_cm(both, marked), points=marked))
     caption = summary(errors)
     if np.any(known):
         temperatures = air_c[known]

@@ -100,7 +100,7 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
         Limits and what to compare with.
     """
     axes = axes or ErrorAxes()
-    limits_cm = axes.limits_cm or shared_limits_cm(panels, axes)
+    limits_cm = axes.limits_cm or shared_limits_cm(panels, axes.points)
     figure = new_figure(3.5 if len(panels) == 1 else 6.1 if len(panels) == 2 else 1.1 + 1.7 * len(panels))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     # One axis of ranges for all panels, also where some have fewer of them.
@@ -120,7 +120,7 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
     return figure
 
 
-def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> tuple[float, float]:
+def shared_limits_cm(panels: Sequence[Errors], points: Sequence[Line] = ()) -> tuple[float, float]:
     """Limits of the error axis that show nearly all readings of all panels and every line [cm]."""
     errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
     low, high = -3.2, 3.2
@@ -128,7 +128,7 @@ def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) ->
         # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
         shown = np.quantile(errors, [0.0025, 0.9975])
         low, high = min(low, float(shown[0]) - 0.8), max(high, float(shown[1]) + 0.8)
-    for line in axes.points if axes else ():
+    for line in points:
         low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
     return low, high
 
