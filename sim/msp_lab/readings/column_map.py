@@ -171,7 +171,7 @@ def load_map(options: Sequence[str]) -> ColumnMap:
 
     Examples
     --------
-    >>> load_map(["reading_cm=dist*100", "true_range_cm=actual"]).places()["reading_cm"].factor
+    >>> load_map(["reading_cm=dist*100", "true_range_cm=actual"]).columns["reading_cm"].factor
     100.0
     """
     if len(options) == 1 and Path(options[0]).suffix in (".yaml", ".yml"):
