@@ -219,13 +219,12 @@ def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> 
     out = console()
     out.print(table)
     sent = ", ".join(f"{name} {count}" for name, count in sorted(outcome.sent.items()))
-    out.print(f"fused: {outcome.fused} distances; sent: {sent}", highlight=False)
+    out.print(f"fused: {outcome.fused} distances; sent: {sent}")
     if losses is not None and losses:
-        out.print(f"lost: {losses}", highlight=False)
+        out.print(f"lost: {losses}")
     if outcome.behind_s > LATE_S:
         out.print(
             f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late",
-            highlight=False,
         )
 
 

@@ -17,11 +17,11 @@ WIDTH = 120
 
 
 class PlainConsole(Console):
-    """A rich console that prints text literally, without markup, emoji codes and control characters; styles are
-    arguments."""
+    """A rich console that prints text literally, without markup, emoji codes, control characters and colours that it
+    finds for numbers and words itself; styles are arguments."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(markup=False, emoji=False, **options)
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
         """Convert a string that is printed or in a table to a literal text."""

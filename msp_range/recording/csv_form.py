@@ -81,9 +81,39 @@ class MeasuredData:
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 
+    def column(self, name: str) -> Column:
+        """Return a column; if the table lacks it, its values are unknown."""
+        if name in self.columns:
+            return self.columns[name]
+        return np.full(len(self), "" if name in WORD_COLUMNS else math.nan)
+
     def select(self, rows: NDArray[Any]) -> "MeasuredData":
         """Return the rows of a boolean mask or of an index array."""
         return MeasuredData({name: column[rows] for name, column in self.columns.items()})
+
+    def without(self, *names: str) -> "MeasuredData":
+        """Return the table without columns."""
+        return MeasuredData({name: column for name, column in self.columns.items() if name not in names})
+
+
+def join_tables(tables: Sequence[MeasuredData]) -> MeasuredData:
+    """The rows of several tables in one; a column that one of them lacks is unknown there.
+
+    Examples
+    --------
+    >>> first, second = ({"time_s": np.array([each])} for each in (1.0, 2.0))
+    >>> joined = join_tables([MeasuredData(first | {"target": np.array(["wood"])}), MeasuredData(second)])
+    >>> joined["time_s"].tolist(), joined["target"].tolist()
+    ([1.0, 2.0], ['wood', ''])
+    """
+    columns: dict[str, Column] = {}
+    for name in dict.fromkeys(name for table in tables for name in table.columns):
+        is_word = name in WORD_COLUMNS or any(name in table and table[name].dtype.kind == "U" for table in tables)
+        missing = "" if is_word else math.nan
+        pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
+        pieces = [piece.astype(str, copy=False) if is_word else piece for piece in pieces]
+        columns[name] = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    return MeasuredData(columns)
 
 
 def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> MeasuredData:

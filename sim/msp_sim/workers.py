@@ -9,6 +9,7 @@ that runs. It replaces a worker that died and does its items again. With one job
 `fleet` is not needed.
 """
 
+import csv
 import gc
 import hashlib
 import logging
@@ -16,9 +17,9 @@ import pickle
 import platform
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from itertools import count
 from math import inf
@@ -217,6 +218,37 @@ class Workers:
         message = event[1]
         if isinstance(message, dict) and message.get("action") == "remove-worker" and not message.get("expected"):
             self.died += 1
+
+
+def write_rows(
+    table: Path, kind: type[Any], names: Sequence[str], outcomes: Iterable[ItemOutcome[Any]]
+) -> Iterator[Any]:
+    """Write a CSV table with a row for each item, as they come.
+
+    Parameters
+    ----------
+    table
+        The file, which is replaced.
+    kind
+        Dataclass of a row; that of an item that failed is made of the item's name and ``error``.
+    names
+        Name of each item.
+    outcomes
+        Of `Workers.map`.
+
+    Yields
+    ------
+    dataclass
+        One row per item, in order.
+    """
+    with table.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, [each.name for each in fields(kind)])
+        writer.writeheader()
+        for outcome in outcomes:
+            row = outcome.value or kind(names[outcome.index], error=outcome.error or "")
+            writer.writerow(asdict(row))
+            file.flush()
+            yield row
 
 
 @contextmanager

@@ -114,7 +114,7 @@ def test_a_condition_begins_where_the_one_before_stopped(tmp_path: Path) -> None
     assert [point.setup.range_cm for point in points] == [40, 80, 120, 120, 80, 40, 40, 80, 120]
     assert [point.setup.target.material for point in points[3:]] == ["plywood"] * 3 + ["stone"] * 3
     assert changes(points[2], points[3]) == []
-    assert setup_s(points[2].setup, points[3].setup) == 0.0
+    assert setup_s(points[2], points[3]) == 0.0
 
 
 def test_the_operator_is_asked_to_change_what_differs_and_nothing_else(tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ from pydantic import Field, model_validator
 from rich.console import Console
 
 from msp_lab.campaigns.campaign import Reference
+from msp_lab.logs.log import between_samples
 from msp_range.config import NamedAirframe
 from msp_range.input_file import making, open_input
-from msp_range.recording.columns import BASE_COLUMNS, CONTEXT_COLUMNS
-from msp_range.recording.csv_form import Column, MeasuredData, read_csv, write_csv
+from msp_range.recording.csv_form import Column, MeasuredData, join_tables, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
@@ -173,14 +173,8 @@ class FlightArchive:
 
     def readings(self) -> MeasuredData:
         """Return the readings of every flight's last recording, in the order of the campaign."""
-        parts = [
-            self._of(flight, self.recordings(flight)[-1])
-            for flight in self._campaign.flights
-            if self.recordings(flight)
-        ]
-        found = dict.fromkeys(name for part in parts for name in part.columns)
-        names = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS) if name in found]
-        return MeasuredData({name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names})
+        recorded = [(flight, self.recordings(flight)) for flight in self._campaign.flights]
+        return join_tables([self._of(flight, paths[-1]) for flight, paths in recorded if paths])
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv``; return its path and its number of rows."""
@@ -233,20 +227,16 @@ def truth_at(time_s: Column, recording: Recording, reference: Path) -> Column:
             f"{reference}: found times that do not increase, or fewer than two; expected increasing times"
         )
     asked_s = time_s if TIME in table else time_s + recording.utc_s(0.0)
-    after = np.clip(np.searchsorted(their_s, asked_s), 1, their_s.size - 1)
-    inside = (asked_s >= their_s[0]) & (asked_s <= their_s[-1]) & (their_s[after] - their_s[after - 1] <= GAP_S)
-    return np.where(inside, np.interp(asked_s, their_s, table[TRUTH][known]), np.nan)
+    return between_samples(asked_s, their_s, table[TRUTH][known], GAP_S)
 
 
 def show_flights(campaign: FlightCampaign, archive: FlightArchive, console: Console) -> None:
     """Print the flights, and which are recorded."""
     for number, flight in enumerate(campaign.flights, start=1):
         mark = "   recorded" if archive.recordings(flight) else ""
-        console.print(f"{number:4d}  {flight.flight}{mark}", highlight=False)
-        console.print(
-            f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim", highlight=False
-        )
-    console.print(f"The reference: {campaign.reference.method}", highlight=False)
+        console.print(f"{number:4d}  {flight.flight}{mark}")
+        console.print(f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim")
+    console.print(f"The reference: {campaign.reference.method}")
 
 
 def collect_flights(
@@ -256,10 +246,10 @@ def collect_flights(
     for number, flight in enumerate(campaign.flights, start=1):
         if archive.recordings(flight):
             continue
-        console.print(f"\n{number} of {len(campaign.flights)}: {flight.flight}", style="bold", highlight=False)
-        console.print(f"{flight.question}\n  Over {flight.target}: {flight.how}", highlight=False)
-        console.print(f"  The reference: {campaign.reference.method}", highlight=False)
-        console.print("  Record it with: msp-range run AIRFRAME.yaml --record FOLDER", highlight=False)
+        console.print(f"\n{number} of {len(campaign.flights)}: {flight.flight}", style="bold")
+        console.print(f"{flight.question}\n  Over {flight.target}: {flight.how}")
+        console.print(f"  The reference: {campaign.reference.method}")
+        console.print("  Record it with: msp-range run AIRFRAME.yaml --record FOLDER")
         while True:
             answer = ask("  The recording (.mcap).  s: later.  q: stop > ").strip()
             if answer in ("s", "q"):
@@ -272,15 +262,9 @@ def collect_flights(
                 archive.keep(flight, Path(answer), Path(reference) if reference else None)
                 break
             except RecordingError as error:
-                console.print(f"  {error}", style="yellow", highlight=False)
+                console.print(f"  {error}", style="yellow")
         if answer == "q":
             return
-
-
-def _or_unknown(part: MeasuredData, name: str) -> Column:
-    if name in part:
-        return part[name]
-    return np.full(len(part), "") if name in ("run", "target", "condition") else np.full(len(part), np.nan)
 
 
 def _number(flight: Flight, path: Path) -> int:

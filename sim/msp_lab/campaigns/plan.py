@@ -10,7 +10,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 from msp_lab.campaigns.campaign import BenchAir, BenchTarget, Campaign, Experiment, External, Firing
@@ -150,10 +150,18 @@ def reading_s(campaign: Campaign, point: Point) -> float:
     return point.readings * reading_interval_s(campaign, point.setup.sensors, point.firing)
 
 
-def setup_s(before: Setup | None, after: Setup) -> float:
-    """Time that a person may need between two set-ups [s]."""
-    changed = SETUP_S if before is None else [key for key in SETUP_S if getattr(before, key) != getattr(after, key)]
-    return sum(SETUP_S[key] for key in changed)
+def setup_s(before: Point | None, after: Point) -> float:
+    """Time that a person may need from one point to the next [s]."""
+    changed = _changed(before, after)
+    return sum(seconds for key, seconds in SETUP_S.items() if key in changed)
+
+
+def _changed(before: Point | None, after: Point) -> set[str]:
+    """What of the set-up differs from the point before, by its name in `Setup`; without one all does."""
+    names = {each.name for each in fields(Setup)}
+    if before is None:
+        return names
+    return {name for name in names if getattr(before.setup, name) != getattr(after.setup, name)}
 
 
 def _points_of(campaign: Campaign, condition: Experiment, before: Setup | None) -> Iterator[Point]:
@@ -270,18 +278,19 @@ def changes(before: Point | None, after: Point) -> list[str]:
     """
     old, new = before.setup if before is not None else None, after.setup
     found = [after.note] if after.note and (before is None or before.note != after.note) else []
-    if old is None or old.sensors != new.sensors or old.apart_cm != new.apart_cm:
+    changed = _changed(before, after)
+    if changed & {"sensors", "apart_cm"}:
         found.append(_sensors_words(new))
-    if old is None or old.air != new.air:
+    if "air" in changed:
         found.extend(_air_words(old.air if old is not None else None, new.air))
-    if old is None or old.target != new.target:
+    if "target" in changed:
         found.append(_target_words(new.target))
     if new.vibration_hz != (old.vibration_hz if old is not None else 0.0):
         on = f"Vibrate the sensor's housing at {new.vibration_hz:g} Hz."
         found.append(on if new.vibration_hz else "Switch the vibration off.")
-    if old is None or old.range_cm != new.range_cm or old.target != new.target or old.movement is not None:
+    if changed & {"range_cm", "target"} or (old is not None and old.movement is not None):
         found.append(_range_words(old, new))
-    if old is None or old.angle_deg != new.angle_deg:
+    if "angle_deg" in changed:
         turned = "Face the target squarely" if new.angle_deg == 0.0 else f"Turn the sensor to {new.angle_deg:+g} deg"
         found.append(f"{turned}." if old is None else f"{turned} (it was at {old.angle_deg:+g} deg).")
     if new.source != (old.source if old is not None else None):

@@ -21,7 +21,7 @@ from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.bus import Bus
 from msp_range.clock import Clock, VirtualClock
 from msp_range.reading import Reading
-from msp_sim.device.bus import EmulatedBus
+from msp_sim.device.bus import Device, EmulatedBus
 from msp_sim.device.device import Fault
 from msp_sim.device.emulated import ranging_timing
 from msp_sim.device.table import emulated_kind
@@ -44,44 +44,34 @@ Draw = Callable[[Mapping[str, float | str]], int]
 """Draws a reading [cm] for the context of a ping."""
 
 
-class TimedBus:
+class TimedBus(EmulatedBus):
     """A bus on which transfers take time: two simultaneous pings are sent one after the other.
+
+    `busy_s` is not reported, because attempts take time.
 
     Parameters
     ----------
-    bus
-        The bus with the devices.
+    devices
+        Everything on the bus.
     clock
         Advanced by each transfer before the device receives it.
     """
 
-    def __init__(self, bus: EmulatedBus, clock: VirtualClock) -> None:
-        self._bus = bus
+    def __init__(self, devices: Sequence[Device], clock: VirtualClock) -> None:
+        super().__init__(devices, clock.now)
         self._clock = clock
 
     def write(self, address: int, data: bytes) -> None:
         """Send ``data``, address first."""
         self._pass(1 + len(data))
-        self._bus.write(address, data)
+        super().write(address, data)
 
     def read(self, address: int, count: int) -> bytes:
         """Read ``count`` bytes; a device that does not acknowledge its address ends the transfer there."""
         self._pass(1)
-        answer = self._bus.read(address, count)
+        answer = super().read(address, count)
         self._pass(count)
         return answer
-
-    def busy_s(self, address: int) -> float:
-        """Not reported, because attempts take time."""
-        return 0.0
-
-    def reopen(self) -> None:
-        """Open the bus again."""
-        self._bus.reopen()
-
-    def close(self) -> None:
-        """Release the bus."""
-        self._bus.close()
 
     def _pass(self, count: int) -> None:
         self._clock.sleep_until(self._clock.now() + (BITS_OVERHEAD + count * BITS_PER_BYTE) * BIT_S)
@@ -124,12 +114,11 @@ class SimulatedBench:
         self.clock: Clock = self._clock
         self.description = f"the simulator, {of}, seed {seed}"
         self.begins_s: dict[str, float] = {}
-        begin_s, before = 0.0, None
-        for point in points:
-            begin_s += setup_s(before, point.setup)
+        begin_s = 0.0
+        for before, point in zip([None, *points], points, strict=False):
+            begin_s += setup_s(before, point)
             self.begins_s[point.name] = begin_s
             begin_s += MARGIN * reading_s(campaign, point)
-            before = point.setup
         self._length_s = begin_s
 
     def begin(self, point: Point, attempt: int, columns: Columns, done: int) -> tuple[Bus, int]:
@@ -154,7 +143,7 @@ class SimulatedBench:
                     random.Random(int(for_faults.generate_state(1)[0])),
                 )
             )
-        return TimedBus(EmulatedBus(devices, self._clock.now), self._clock), done
+        return TimedBus(devices, self._clock), done
 
     def air_c(self, now_s: float) -> float | None:
         """Return None: there is no thermometer, and the air is as planned."""

@@ -111,8 +111,9 @@ def characterise(
 
     progress("mixture")
     fitted = fit_mixture(undisturbed, curve, sensor, rng)
+    mixture = None
     if isinstance(fitted, FittedMixture):
-        fitted = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
+        mixture = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
 
     progress("maximum range")
     longest = maximum_range(by.get("maximum_range", []), sensor)
@@ -135,7 +136,7 @@ def characterise(
     parts: list[tuple[str, object, str]] = [
         ("baseline", found_base, nothing_undisturbed),
         ("calibration", calibration, nothing_undisturbed),
-        ("mixture", isinstance(fitted, FittedMixture), str(fitted)),
+        ("mixture", mixture, str(fitted)),
         ("maximum_range", longest, NOT_MEASURED),
         ("field_of_view", view, "no range was tried at more than one angle (incidence_deg)"),
         ("sonar", sonar, no_sound or "needs breakaway angles at three ranges at least"),
@@ -156,7 +157,7 @@ def characterise(
         points=found_points,
         baseline=found_base,
         calibration=calibration,
-        mixture=fitted.found if isinstance(fitted, FittedMixture) else None,
+        mixture=mixture and mixture.found,
         maximum_range=longest,
         field_of_view=view,
         sonar=sonar,
@@ -167,7 +168,7 @@ def characterise(
         warnings=(
             *about_step,
             *_warnings(loaded, points, undisturbed, calibration, view.angles if view else (), rows),
-            *_quieter(sensor, fitted.parameters if isinstance(fitted, FittedMixture) else None),
+            *_quieter(sensor, mixture and mixture.parameters),
         ),
     )
     changes = Changes(
@@ -175,7 +176,7 @@ def characterise(
         breakaway=tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None,
         oblique_reading=None if view is None or view.oblique.verdict == "unknown" else view.oblique.verdict,
         heard_on_axis_cm=heard_cm,
-        reading_model=fitted.parameters if isinstance(fitted, FittedMixture) else None,
+        reading_model=mixture and mixture.parameters,
         effects=_with_set_up_offset(sensor, calibration),
     )
     if not asked and not table and changes == Changes():

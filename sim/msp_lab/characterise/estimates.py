@@ -205,7 +205,7 @@ class MeanAndSpread(NamedTuple):
     spread: IntervalEstimate
 
 
-def mean_and_spread(values: _Array, step: float, unit: str = "cm", usual_spread: float | None = None) -> MeanAndSpread:
+def mean_and_spread(values: _Array, step: float, usual_spread: float | None = None) -> MeanAndSpread:
     """Mean and standard deviation that a normal variable had before it was rounded.
 
     Parameters
@@ -213,9 +213,7 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm", usual_spread:
     values
         Rounded to `step`, or continuous (`step` 0); at least one.
     step
-        Of the rounding, in the values' unit.
-    unit
-        For the estimates.
+        Of the rounding, in the values' unit, which is the estimates' too [cm].
     usual_spread
         That of other such values, from `common_spread`: where these are all of two steps, a mean near the boundary with
         a small spread is as likely as one far from it with a large spread. None: not known.
@@ -235,16 +233,21 @@ def mean_and_spread(values: _Array, step: float, unit: str = "cm", usual_spread:
     99.5 to 100.5, spread up to 0.4
     """
     if _is_of_few_steps(values, step):
-        return _of_rounded(values, step, unit, None if usual_spread is None else usual_spread / step)
+        return _of_rounded(values, step, None if usual_spread is None else usual_spread / step)
     n = values.size
     average, std = float(values.mean()), float(values.std(ddof=1)) if n > 1 else 0.0
     if n < 2:
-        return MeanAndSpread(IntervalEstimate(average, None, None, unit, n), IntervalEstimate(0.0, None, None, unit, n))
+        return MeanAndSpread(IntervalEstimate(average, None, None, "cm", n), IntervalEstimate(0.0, None, None, "cm", n))
     half = student(std / math.sqrt(n), n - 1)
     ends = (n - 1) * std**2 / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
     low, value, high = (math.sqrt(max(each - step**2 / 12, 0.0)) for each in (ends[0], std**2, ends[1]))
-    mean = IntervalEstimate.about(average, half, unit, n)
-    return MeanAndSpread(mean, IntervalEstimate(value, low, high, unit, n))
+    mean = IntervalEstimate.about(average, half, "cm", n)
+    return MeanAndSpread(mean, IntervalEstimate(value, low, high, "cm", n))
+
+
+def half_of_mean(values: _Array, step: float) -> float:
+    """Half of the interval of the mean of values whose rounding to a step is an error of each."""
+    return Z * math.sqrt((float(values.var(ddof=1)) + step**2 / 12.0) / values.size)
 
 
 def common_spread(groups: Sequence[_Array], step: float) -> float | None:
@@ -274,7 +277,7 @@ def _is_of_few_steps(values: _Array, step: float) -> bool:
     return bool(near.size >= MOST_NEAR * values.size and near.std() < DITHERED * step)
 
 
-def _of_rounded(values: _Array, step: float, unit: str, usual: float | None) -> MeanAndSpread:
+def _of_rounded(values: _Array, step: float, usual: float | None) -> MeanAndSpread:
     steps, counts = np.unique(np.rint(values / step), return_counts=True)
     middle = float(np.median(values)) / step
     mean_ends, spread_ends = (middle - 1.0, middle + 1.0), _SPREADS
@@ -299,8 +302,8 @@ def _of_rounded(values: _Array, step: float, unit: str, usual: float | None) -> 
     spread, spread_low = (0.0, 0.0) if only_one else (spread, spread_low)
     n = values.size
     return MeanAndSpread(
-        IntervalEstimate(step * mean, step * mean_low, step * mean_high, unit, n),
-        IntervalEstimate(step * spread, step * spread_low, step * spread_high, unit, n),
+        IntervalEstimate(step * mean, step * mean_low, step * mean_high, "cm", n),
+        IntervalEstimate(step * spread, step * spread_low, step * spread_high, "cm", n),
     )
 
 
@@ -345,12 +348,12 @@ def holm(p_values: Sequence[float]) -> list[float]:
     return adjusted
 
 
-def detectable(standard_error: float, freedom: float, level: float, power: float = 0.8) -> float:
-    """Smallest effect that a two-sided t-test at `level` finds with probability `power`.
+def detectable(standard_error: float, freedom: float, level: float) -> float:
+    """Smallest effect that a two-sided t-test at `level` finds with a probability of 0.8.
 
     Examples
     --------
     >>> print(f"{detectable(standard_error=0.1, freedom=11, level=0.05):.2f}")
     0.31
     """
-    return standard_error * float(stats.t.ppf(1 - level / 2, freedom) + stats.t.ppf(power, freedom))
+    return standard_error * float(stats.t.ppf(1 - level / 2, freedom) + stats.t.ppf(0.8, freedom))

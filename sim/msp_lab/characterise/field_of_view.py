@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import xlogy
 
 from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
-from msp_lab.characterise.estimates import Z, share, student
+from msp_lab.characterise.estimates import half_of_mean, share, student
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
 from msp_range.acoustics.beam import BreakawayTable
@@ -143,7 +143,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     reliable = share(of_wall.size, point.reading_cm.size)
     reading = None
     if of_wall.size > 1:
-        half = Z * math.sqrt((float(of_wall.var(ddof=1)) + point.step_cm**2 / 12) / of_wall.size)
+        half = half_of_mean(of_wall, point.step_cm)
         reading = IntervalEstimate.about(float(of_wall.mean()), half, "cm", of_wall.size)
     return AnglePoint(
         range_cm=round(point.range_cm, 3),

@@ -4,17 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
-from msp_lab.characterise.analysis import characterise as analyse
 from msp_lab.characterise.findings import as_json
-from msp_lab.characterise.model_file import changed, write_model
-from msp_lab.readings.column_map import load_map
+from msp_lab.characterise.model_file import write_model
+from msp_lab.characterise.sensors import Characterisation, characterised
 from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
-from msp_lab.readings.intake import load_readings, without_impossible
 from msp_range.clock import SystemClock, date_of
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import config_path
 
 
@@ -53,6 +49,7 @@ def characterise(
 
     Examples
     --------
+    >>> import numpy as np
     >>> from tempfile import TemporaryDirectory
     >>> from msp_range.recording.csv_form import write_csv
     >>> rng = np.random.default_rng(1)
@@ -67,13 +64,16 @@ def characterise(
     1
     >>> folder.cleanup()
     """
-    started = load_sensor_model(sensor)
-    mapping = None if columns is None else load_map(map_options(columns))
-    loaded = without_impossible(load_readings(paths_of(files), started, mapping), started)
-    today = date_of(SystemClock().utc())
+    how = Characterisation(
+        tuple(paths_of(files)),
+        config_path(sensor, "sensors"),
+        () if columns is None else tuple(map_options(columns)),
+        "recorded",
+        date_of(SystemClock().utc()),
+        seed,
+    )
     with threadpool_limits(limits=1):
-        findings, changes = analyse(loaded, started, date=today, rng=np.random.default_rng(seed))
-    model = changed(started, findings, changes)
+        made = characterised(how)
     if out is not None:
-        write_model(Path(out), model, findings, changes, config_path(sensor, "sensors").name)
-    return {"findings": json.loads(as_json(findings)), "model": model.model_dump(mode="json")}
+        write_model(Path(out), made.model, made.findings, made.changes, how.start.name)
+    return {"findings": json.loads(as_json(made.findings)), "model": made.model.model_dump(mode="json")}

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 from pydantic import ValidationError
+from pydantic_core import to_jsonable_python
 
 from msp_lab.characterise.analysis import Changes, provenance
 from msp_lab.characterise.findings import Findings
@@ -38,7 +39,7 @@ def changed(sensor: SensorModel, findings: Findings, changes: Changes) -> Sensor
         heard_cm = fields.get("heard_on_axis_cm", sensor.heard_on_axis_cm)
         fields["heard_on_axis_cm"] = None if heard_cm is None else max(heard_cm, farthest_cm)
     content = sensor.model_dump(mode="json")
-    content |= {name: _plain(value) for name, value in fields.items()}
+    content |= to_jsonable_python(fields)
     # The means over a flight were those of the starting model.
     content |= {"in_flight": None, "evidence": [*content["evidence"], provenance(findings)]}
     try:
@@ -171,12 +172,6 @@ def _yaml(name: str, value: Any) -> str:
     flow = False if not isinstance(value, dict | list) or not value else None
     text: str = yaml.safe_dump({name: value}, sort_keys=False, allow_unicode=True, default_flow_style=flow, width=118)
     return text.rstrip()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return value.model_dump(mode="json") if hasattr(value, "model_dump") else value
 
 
 def _rounded(value: Any) -> Any:

@@ -86,3 +86,8 @@ class PointResult:
     spread: IntervalEstimate | None
     compensated_error: IntervalEstimate | None
     worst_error_cm: float | None
+
+    @property
+    def place_cm(self) -> float:
+        """The true range to a millimetre: points of the same one are compared."""
+        return round(self.true_range_cm, 1)

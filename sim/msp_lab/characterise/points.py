@@ -258,16 +258,15 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     known = data.select(rows)
     if not len(known):
         return []
-    size = len(known)
-    numbers = {name: _numbers(known, name) for name in ("air_temperature_c", "target_temperature_c", "incidence_deg")}
-    reference_std_cm = np.nan_to_num(_numbers(known, "true_range_std_cm"))
+    numbers = {name: known.column(name) for name in ("air_temperature_c", "target_temperature_c", "incidence_deg")}
+    reference_std_cm = np.nan_to_num(known.column("true_range_std_cm"))
     condition = conditions(known)
-    words = {name: known[name] if name in known else np.full(size, "") for name in ("sensor", "run", "target")}
+    words = {name: known.column(name) for name in ("sensor", "run", "target")}
     level = _levels(known, condition, words["target"], numbers["air_temperature_c"], sensor_model.frequency_hz)
     truth = known["true_range_cm"]
     place = _places(truth)
     incidence = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
-    settings = [np.nan_to_num(_numbers(known, name), nan=-1.0) for name in SETTINGS]
+    settings = [np.nan_to_num(known.column(name), nan=-1.0) for name in SETTINGS]
     different = (condition, words["sensor"], words["run"], words["target"], level, place, incidence, *settings)
     keys = np.column_stack([_codes(each) for each in different])
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -300,11 +299,11 @@ def conditions(data: MeasuredData) -> NDArray[np.str_]:
     """Return the experiment of each row: its column `condition`, or what is varied."""
     found = np.full(len(data), BASELINE, dtype="U32")
     for name, word in VARIED.items():
-        column = _numbers(data, name)
+        column = data.column(name)
         found[~np.isnan(column) & (column != 0.0)] = word
     if "incidence_deg" in data:
         # The rows straight ahead belong to the same experiment.
-        incidence = _numbers(data, "incidence_deg")
+        incidence = data.column("incidence_deg")
         if (found == "field_of_view").any():
             found[(incidence == 0.0) & (found == BASELINE)] = "field_of_view"
     if "condition" not in data:
@@ -323,7 +322,7 @@ def _levels(
     rows = condition == "temperature"
     level[rows] = _temperature_words(air_c[rows])
     rows = condition == "vibration"
-    level[rows] = [_word(each, "Hz") for each in _numbers(data, "vibration_hz")[rows]]
+    level[rows] = [_word(each, "Hz") for each in data.column("vibration_hz")[rows]]
     rows = condition == "external_interference"
     level[rows] = _external_words(data.select(rows), frequency_hz)
     return level
@@ -340,11 +339,11 @@ def _temperature_words(air_c: _Array) -> list[str]:
 
 def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:
     """Class of the sound level at the sensor: the source's, less 20 dB for each ten times its distance."""
-    source_db, duty = _numbers(data, "external_level_db"), _numbers(data, "external_duty")
-    distance_cm = np.nan_to_num(_numbers(data, "external_distance_cm"), nan=SOURCE_DISTANCE_CM)
+    source_db, duty = data.column("external_level_db"), data.column("external_duty")
+    distance_cm = np.nan_to_num(data.column("external_distance_cm"), nan=SOURCE_DISTANCE_CM)
     level_db = source_db - 20.0 * np.log10(np.maximum(distance_cm, 1.0) / SOURCE_DISTANCE_CM)
     lowest_db = CLASS_DB * np.floor((level_db + CLASS_DB / 2) / CLASS_DB) - CLASS_DB / 2
-    off_khz = np.abs(np.nan_to_num(_numbers(data, "external_frequency_khz") - frequency_hz / 1e3))
+    off_khz = np.abs(np.nan_to_num(data.column("external_frequency_khz") - frequency_hz / 1e3))
     return [
         "quiet"
         if math.isnan(low) or share == 0.0
@@ -364,10 +363,6 @@ def _places(truth_cm: _Array) -> _Array:
 def _codes(column: NDArray[np.str_] | _Array) -> NDArray[np.int64]:
     """A whole number for each different value."""
     return np.unique(column, return_inverse=True)[1].ravel().astype(np.int64)
-
-
-def _numbers(data: MeasuredData, name: str) -> _Array:
-    return data[name] if name in data else np.full(len(data), math.nan)
 
 
 def _mean(values: _Array) -> float:

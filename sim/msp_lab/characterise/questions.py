@@ -126,7 +126,7 @@ def _compared(
             reference_name, reference = _baseline(name, sensor, everything)
         for level in dict.fromkeys(p.level for p in here if p.level != reference_level):
             varied = [p for p in here if p.level == level]
-            ranges = {round(p.true_range_cm, 1) for p in varied} & {round(p.true_range_cm, 1) for p in reference}
+            ranges = {p.place_cm for p in varied} & {p.place_cm for p in reference}
             yield Question(
                 name=name,
                 question=topic.question,
@@ -138,7 +138,7 @@ def _compared(
                 verdict="cannot tell",
                 answer="",
                 points=tuple(varied),
-                reference_points=tuple(p for p in reference if round(p.true_range_cm, 1) in ranges),
+                reference_points=tuple(p for p in reference if p.place_cm in ranges),
             )
 
 
@@ -213,14 +213,14 @@ def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], floa
     for point in points:
         one = value(point)
         if one is not None:
-            found.setdefault(round(point.true_range_cm, 1), []).append(one)
+            found.setdefault(point.place_cm, []).append(one)
     return found
 
 
 def _odds(question: Question, count: Callable[[PointResult], int], of: Callable[[PointResult], int]) -> _Raw | None:
     """Logarithm of the odds ratio over all readings at equal ranges, with the variance between points."""
-    ranges = {round(p.true_range_cm, 1) for p in question.reference_points}
-    varied = [p for p in question.points if round(p.true_range_cm, 1) in ranges and of(p)]
+    ranges = {p.place_cm for p in question.reference_points}
+    varied = [p for p in question.points if p.place_cm in ranges and of(p)]
     reference = [p for p in question.reference_points if of(p)]
     if not varied or not reference:
         return None

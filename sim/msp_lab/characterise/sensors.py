@@ -5,9 +5,8 @@ table. Each sensor's readings are read where its model is made: the workers of a
 that they write to, under the same path.
 """
 
-import csv
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
@@ -23,7 +22,7 @@ from msp_lab.readings.dataset import is_dataset, sensors_of
 from msp_lab.readings.intake import load_readings, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.workers import Workers
+from msp_sim.workers import Workers, write_rows
 
 TABLE = "sensors.csv"
 
@@ -54,8 +53,8 @@ class Characterisation:
     truth: Literal["recorded", "others"]
     date: str
     seed: int
-    reference_std_cm: float | None
-    set_up_std_cm: float | None
+    reference_std_cm: float | None = None
+    set_up_std_cm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class SensorResult:
 
 
 def characterised(
-    how: Characterisation, sensors: Sequence[str], progress: Callable[[str], None] = lambda what: None
+    how: Characterisation, sensors: Sequence[str] = (), progress: Callable[[str], None] = lambda what: None
 ) -> SensorResult:
     """Make a model from the readings of these sensors (none: all).
 
@@ -79,7 +78,7 @@ def characterised(
         The readings cannot be used.
     """
     start = load_sensor_model(how.start)
-    column_map = load_map(list(how.column_map)) if how.column_map else None
+    column_map = load_map(how.column_map) if how.column_map else None
     loaded = without_impossible(load_readings(how.data, start, column_map, sensors=sensors, truth=how.truth), start)
     findings, changes = characterise(
         loaded,
@@ -123,7 +122,7 @@ def sensors_in(how: Characterisation) -> list[str]:
     """Names of the sensors in the readings."""
     if all(map(is_dataset, how.data)):
         return sorted({name for path in how.data for name in sensors_of(path)})
-    column_map = load_map(list(how.column_map)) if how.column_map else None
+    column_map = load_map(how.column_map) if how.column_map else None
     data = load_readings(how.data, load_sensor_model(how.start), column_map, truth=how.truth).data
     return sorted(set(data["sensor"].tolist()))
 
@@ -145,12 +144,5 @@ def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
 
 def characterise_sensors(common: EachSensor, sensors: Sequence[str], where: Workers) -> list[OfSensor]:
     """Make each sensor's model, and write the table."""
-    rows = [
-        outcome.value or OfSensor(sensors[outcome.index], error=outcome.error or "")
-        for outcome in where.map(characterise_sensor, sensors, common, what="sensors")
-    ]
-    with (common.out / TABLE).open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, [field.name for field in fields(OfSensor)])
-        table.writeheader()
-        table.writerows(map(asdict, rows))
-    return rows
+    outcomes = where.map(characterise_sensor, sensors, common, what="sensors")
+    return list(write_rows(common.out / TABLE, OfSensor, sensors, outcomes))

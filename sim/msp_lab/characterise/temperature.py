@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from msp_lab.characterise.estimates import CONFIDENCE, Z, standard_error, student
+from msp_lab.characterise.estimates import CONFIDENCE, Z, half_of_mean, standard_error, student
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
 from msp_lab.characterise.question_findings import AirBefore, CompensationRow, HotBox, HotBoxRow
@@ -52,7 +52,7 @@ def _hot_box(
     reference: Sequence[PointResult],
     calibration_c: float,
 ) -> HotBox | None:
-    pairs = [(p, zero[round(p.true_range_cm, 1)]) for p in points if round(p.true_range_cm, 1) in zero]
+    pairs = [(p, zero[p.place_cm]) for p in points if p.place_cm in zero]
     if len(pairs) < 3:
         return None
     box_c = float(np.mean([p.air_temperature_c for p in points]))
@@ -153,7 +153,7 @@ def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], 
 
 
 def _by_range(points: Sequence[PointResult]) -> dict[float, PointResult]:
-    return {round(p.true_range_cm, 1): p for p in reversed(points)}
+    return {p.place_cm: p for p in reversed(points)}
 
 
 def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:
@@ -177,7 +177,7 @@ def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibrat
     if hits.size < 3:
         return None
     air_c = np.concatenate([p.air_temperature_c[p.is_hit] for p in points])
-    mean, half = float(hits.mean()), _half(hits, points[0].step_cm)
+    mean, half = float(hits.mean()), half_of_mean(hits, points[0].step_cm)
     uncompensated = IntervalEstimate.about(mean - range_cm, half, "cm", hits.size)
     compensated, thermometer_c = None, None
     if not np.isnan(air_c).any():
@@ -193,10 +193,6 @@ def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibrat
         implied_c=IntervalEstimate(implied[0], implied[1], implied[2], "deg C", hits.size),
         note=_note(thermometer_c, calibration),
     )
-
-
-def _half(hits: _Array, step_cm: float) -> float:
-    return Z * math.sqrt((float(hits.var(ddof=1)) + step_cm**2 / 12.0) / hits.size)
 
 
 def _note(thermometer_c: float | None, calibration: Calibration) -> str:

@@ -117,8 +117,7 @@ class BenchSessions:
         campaign = check("campaign", Campaign, content, {"folder": self.model.parent})
         points = make_plan(campaign)
         seconds = sum(reading_s(campaign, point) for point in points)
-        before = [None, *(point.setup for point in points[:-1])]
-        setups_s = [setup_s(old, point.setup) for old, point in zip(before, points, strict=True)]
+        setups_s = [setup_s(before, point) for before, point in zip([None, *points], points, strict=False)]
         # A point that follows itself is placed anew too.
         seconds += sum(each or SETUP_S["range_cm"] for each in setups_s)
         words = {name: f"{', '.join(f'{each:g}' for each in levels[name])} {UNITS[name]}" for name in varied}

@@ -35,8 +35,8 @@ class Variant:
     delay
         Samples by which the estimate comes late, on top of the filter's own delay; negative: early. Before there is
         one, the output is the reading.
-    q_factor, r_factor
-        Kalman: factors of Q and R. P at the start is R.
+    q_factor
+        Kalman: factor of Q. P at the start is R.
     start_cm
         Kalman: estimate at the first sample [cm]; None: the first reading.
     """
@@ -47,7 +47,6 @@ class Variant:
     boundary: Boundary = "grow"
     delay: int = 0
     q_factor: float = 1.0
-    r_factor: float = 1.0
     start_cm: float | None = None
 
     @property
@@ -140,7 +139,7 @@ def _windowed(variant: Variant, reading_cm: Array) -> Array:
 
 def _kalman(variant: Variant, reading_cm: Array) -> Array:
     """Eq 15-19 with F = H = 1; the gain does not depend on the readings."""
-    q_cm2, r_cm2 = variant.parameter * variant.q_factor, NOISE_CM2 * variant.r_factor
+    q_cm2, r_cm2 = variant.parameter * variant.q_factor, NOISE_CM2
     estimate_cm = np.empty_like(reading_cm)
     p_cm2 = r_cm2
     start_cm = variant.start_cm

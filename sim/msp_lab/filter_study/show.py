@@ -9,6 +9,7 @@ from rich.table import Column
 from rich.table import Table as Shown
 
 from msp_lab.filter_study.bands import WIDTH, Band
+from msp_lab.filter_study.changes import Changes
 from msp_lab.filter_study.explain import FilterResult
 from msp_lab.filter_study.goals import Goal
 from msp_lab.filter_study.scenarios import NAMES
@@ -55,7 +56,6 @@ def print_tables(console: Console, verdicts: Sequence[FilterResult], delays: Map
         f"gap: largest distance of a value from the middle of its band, in spreads; a band is {WIDTH:g} spreads to "
         "either side. ! is outside.\n"
         "delay: samples, of the filter as stated; the medians look ahead by half a window.\n",
-        highlight=False,
     )
 
 
@@ -66,12 +66,11 @@ def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Filte
         console.print(
             f"The columns median and mean are swapped in {len(swapped)} of {sum(len(each.rows) for each in verdicts)} "
             "rows: RMS^2 = mean^2 + (N - 1)/N variance holds with the other one. Above they are exchanged back.",
-            highlight=False,
         )
-    console.print(f"Errors are {'truth less estimate' if reverse else 'estimate less truth'}.\n", highlight=False)
+    console.print(f"Errors are {'truth less estimate' if reverse else 'estimate less truth'}.\n")
     for verdict in verdicts:
         for line in _explanation(verdict):
-            console.print(line, highlight=False)
+            console.print(line)
 
 
 def _explanation(verdict: FilterResult) -> Iterable[str]:
@@ -105,8 +104,8 @@ def print_goals(console: Console, goals: Iterable[Goal]) -> None:
     console.print(table)
 
 
-def _words(changes: Iterable[object]) -> str:
-    return " and ".join(getattr(change, "text", "") for change in changes)
+def _words(changes: Changes) -> str:
+    return " and ".join(change.text for change in changes)
 
 
 def _cell(row: Row, band: Band, index: int) -> str:

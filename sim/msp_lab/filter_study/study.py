@@ -45,15 +45,12 @@ class FilterComparison:
         with outliers also windows counted in samples instead of readings, as '... in time'.
     delay
         Mean delay [samples] by filter; NaN where the truth does not change.
-    squared
-        Mean over all samples of the changepoint filter's squared error over the variance that it states.
     covered
         Share of samples with an error within 1.96 of its stated standard deviations.
     """
 
     rms_cm: Mapping[str, Array]
     delay: dict[str, float]
-    squared: float
     covered: float
 
     def mean(self, name: str) -> float:
@@ -101,7 +98,6 @@ def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: 
     return FilterComparison(
         {each: error_statistics(error)[0] for each, error in errors.items()},
         {each: float(delay_samples(cm, runs.true_cm).mean()) for each, cm in estimates.items()},
-        float(normalised.mean()),
         float((normalised < 1.96**2).mean()),
     )
 

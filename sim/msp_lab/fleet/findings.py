@@ -97,6 +97,11 @@ class FleetEffect:
     sessions: tuple[SessionEstimate, ...] = ()
 
     @property
+    def unit_label(self) -> str:
+        """The unit in brackets after a space; nothing for a plain number."""
+        return "" if self.unit in ("1", "") else f" [{self.unit}]"
+
+    @property
     def odd(self) -> tuple[UnitEstimate, ...]:
         """The odd ones out."""
         return tuple(each for each in self.estimates if each.odd)

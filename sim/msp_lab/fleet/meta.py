@@ -68,15 +68,13 @@ class Pooled:
         return float(np.log(2.0) + tail)
 
 
-def paule_mandel(values: _Array, errors: _Array, square: float | None = None) -> tuple[float, float, float]:
+def paule_mandel(values: _Array, errors: _Array) -> tuple[float, float, float]:
     """Mean, its standard error, and tau.
 
     Parameters
     ----------
     values, errors
         Estimates and their standard errors, two or more.
-    square
-        What the weighted sum of squares is to be; None: what is expected, one less than there are estimates.
 
     Examples
     --------
@@ -87,7 +85,8 @@ def paule_mandel(values: _Array, errors: _Array, square: float | None = None) ->
     2.000 2.000 7.000
     """
     everyone = np.ones((1, values.size), dtype=bool)
-    mean, error, tau = _random_effects(values, errors, everyone, values.size - 1 if square is None else square)
+    # What the weighted sum of squares is expected to be.
+    mean, error, tau = _random_effects(values, errors, everyone, values.size - 1)
     return float(mean[0]), float(error[0]), float(tau[0])
 
 

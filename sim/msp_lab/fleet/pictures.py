@@ -30,8 +30,7 @@ def draw_fleet(findings: FleetFindings) -> Figure:
         else:
             _draw_sensors(axes, each, findings.sensors > findings.vehicles)
         label = each.name if each.parameter == "value" else f"{each.name}, {each.parameter}"
-        unit = f" [{each.unit}]" if each.unit not in ("1", "") else ""
-        axes.set_xlabel(f"{name_of(label)}{unit}" if not each.sessions else "session")
+        axes.set_xlabel(f"{name_of(label)}{each.unit_label}" if not each.sessions else "session")
     return figure
 
 
@@ -60,5 +59,4 @@ def _draw_sessions(axes: Axes, effect: FleetEffect) -> None:
     if effect.since:
         first = [each.session for each in effect.sessions].index(effect.since)
         axes.axvline(first + 0.5, color=VERMILION, linewidth=1.0)
-    unit = f" [{effect.unit}]" if effect.unit not in ("1", "") else ""
-    axes.set_title(f"{one.vehicle}: {name_of(effect.name)}{unit}")
+    axes.set_title(f"{one.vehicle}: {name_of(effect.name)}{effect.unit_label}")

@@ -55,7 +55,7 @@ def _summary(findings: FleetFindings) -> PageTable:
         (
             each.kind,
             each.name.replace("_", " "),
-            f"{each.parameter} [{each.unit}]" if each.unit not in ("1", "") else each.parameter,
+            f"{each.parameter}{each.unit_label}",
             "" if each.mean is None else f"{each.mean:.3g} ({each.low:.3g} to {each.high:.3g})",
             f"{each.tau:.3g}" if each.mean is not None else "",
             f"{100.0 * each.i2:.0f} %" if each.mean is not None else "",
@@ -80,8 +80,7 @@ def _table(effect: FleetEffect, k: int) -> PageTable:
         )
         for one in effect.estimates
     ]
-    unit = f" [{effect.unit}]" if effect.unit not in ("1", "") else ""
     header = ("vehicle", "sensor", "", "own readings", "with the fleet's (95 %)", "p of deviation")
     shape = "".join(f", {name} {value:g}" for name, value in effect.shape)
-    title = f"{effect.name.replace('_', ' ')}: {effect.parameter}{unit}{shape}"
+    title = f"{effect.name.replace('_', ' ')}: {effect.parameter}{effect.unit_label}{shape}"
     return PageTable(f"number-{k + 1}", title, header, tuple(rows), words=3)

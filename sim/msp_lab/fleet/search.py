@@ -21,7 +21,6 @@ from msp_lab.fleet.statistics import Change, Number, changes_of, numbers_of
 from msp_lab.fleet.terms import FleetTerm, candidate_of, effect_of
 from msp_lab.fleet.unit import RefittedTerm, UnitScores, compare, examine
 from msp_lab.gap import rules
-from msp_lab.gap.problem import Progress
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 from msp_sim.workers import ItemOutcome
@@ -79,8 +78,8 @@ class Search:
         Of each unit that can be used.
     fdr
         False-discovery rate.
-    run, report
-        Calls functions for several units; reports progress.
+    run
+        Calls functions for several units.
     found, tests
         The findings, and the number of hypotheses.
     """
@@ -89,7 +88,6 @@ class Search:
     scores: list[UnitScores]
     fdr: float
     run: Map
-    report: Progress
     found: list[FleetFinding] = field(default_factory=list)
     tests: int = 0
 
@@ -109,8 +107,6 @@ class Search:
             self.tests = max(self.tests, tests)
             if not (self._shared(numbers) or self._of_units(numbers, changes) or self._of_base(numbers)):
                 break
-            last = self.found[-1] if self.found else None
-            self.report(f"{len(self.found)} found" + (f", last {last.term.effect}" if last else ""), 0.7)
 
     @property
     def _log_level(self) -> float:

@@ -19,7 +19,6 @@ from msp_lab.fleet.terms import FleetTerm, effect_of
 from msp_lab.fleet.unit import UnitScores, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
-from msp_lab.gap.problem import Progress
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model, load_model
 from msp_sim.workers import ItemOutcome, Workers
@@ -37,7 +36,6 @@ def find_in_fleet(
     seed: int,
     date: str,
     where: Workers,
-    report: Progress = lambda what, share: None,
 ) -> FleetFindings:
     """Find what a fleet shares, who is odd, and what changed.
 
@@ -53,8 +51,6 @@ def find_in_fleet(
         Random seed; date to record.
     where
         Where sensors are computed.
-    report
-        Reports progress.
 
     Raises
     ------
@@ -83,9 +79,8 @@ def find_in_fleet(
             f"{dataset}: readings of {usable} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
-    search = Search(units, scores, fdr, run, report)
+    search = Search(units, scores, fdr, run)
     search.search()
-    report("estimating", 0.9)
     effects = [_effect(search, each) for each in search.found]
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
     effects = sorted(_joined(effects), key=lambda each: order[each.kind])

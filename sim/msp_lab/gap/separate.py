@@ -5,9 +5,8 @@ each. Logs that cannot be used are named, and the others are compared. Files are
 is computed, so that the memory does not grow with their number: the workers of a cluster need them under the same path.
 """
 
-import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
@@ -23,7 +22,7 @@ from msp_lab.readings.runs import file_names
 from msp_range.clock import SystemClock
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.model.model import load_model
-from msp_sim.workers import Workers
+from msp_sim.workers import Workers, write_rows
 
 Each = Literal["log", "sensor"]
 Until = Literal["compare", "name", "add", "show"]
@@ -114,14 +113,8 @@ def separate_gap(common: Common, job: Job) -> SeparateGap:
 
 def separate_gaps(jobs: Sequence[Job], common: Common, where: Workers, out: Path) -> Iterator[SeparateGap]:
     """Compare each, and write the table row by row, in order."""
-    with (out / TABLE).open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, [field.name for field in fields(SeparateGap)])
-        table.writeheader()
-        for outcome in where.map(separate_gap, jobs, common, what="gaps"):
-            row = outcome.value or SeparateGap(jobs[outcome.index].name, error=outcome.error or "")
-            table.writerow(asdict(row))
-            file.flush()
-            yield row
+    outcomes = where.map(separate_gap, jobs, common, what="gaps")
+    return write_rows(out / TABLE, SeparateGap, [job.name for job in jobs], outcomes)
 
 
 def _row(name: str, findings: GapFindings) -> SeparateGap:

@@ -6,6 +6,7 @@ not used: it always is the range finder's, since EKF3's estimator of the terrain
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -171,8 +172,7 @@ def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthS
     receiver = float(gps["I"][with_fix].min()) if with_fix.any() and "I" in gps else 0.0
     altitude, status = (_first(found, "GPS", each, receiver) for each in ("Alt", "Status"))
     if with_fix.any() and altitude is not None and status is not None:
-        values = np.where(status.values == RTK_FIXED, altitude.values, np.nan)
-        fixed = Series(altitude.source, altitude.time_s, values)
+        fixed = replace(altitude, values=np.where(status.values == RTK_FIXED, altitude.values, np.nan))
         references.append(TruthSource("rtk", fixed, std=_first(found, "GPA", "VAcc", receiver)))
     if (seen := _up(found, "VISP", "PZ")) is not None:
         references.append(TruthSource("mocap", seen))
@@ -206,7 +206,7 @@ def _throttle(found: Messages) -> Series | None:
     throttle = _first(found, "CTUN", "ThO")
     if throttle is None or not _version(found).startswith("ArduPlane"):
         return throttle
-    return Series(throttle.source, throttle.time_s, throttle.values / 100.0)  # Plane logs per cent
+    return replace(throttle, values=throttle.values / 100.0)  # Plane logs per cent
 
 
 def _vibration(found: Messages) -> Series | None:

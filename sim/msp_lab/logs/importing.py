@@ -6,7 +6,6 @@ Paths enter; a dataset and an `Imported` for each log leave. The account is kept
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +16,13 @@ from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
 from msp_lab.logs.opening import kind_of, open_log
 from msp_lab.logs.truth import OTHERS, RECORDED, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
-from msp_lab.readings.dataset import origin, record_runs, write_tables
+from msp_lab.readings.dataset import check_new, record_runs, write_tables
 from msp_lab.readings.intake import sha256
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.runs import file_names
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_sim.effects import CATALOGUE
@@ -254,12 +253,7 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
             failed[path] = str(error)
     paths = [path for path in paths if path not in failed]
     names = file_names(paths)
-    known = origin(common.out)
-    taken = [name for name in names if name in known]
-    if taken:
-        raise RecordingError(
-            f"{common.out}: there is a run {taken[0]!r} already, of {known[taken[0]].get('file')}; use another --out"
-        )
+    check_new(common.out, names)
     logs = [NamedLog(path, run, (i, len(paths))) for i, (path, run) in enumerate(zip(paths, names, strict=True))]
     found: list[Imported] = []
     for outcome in where.map(import_log, logs, common, what="logs"):
@@ -350,7 +344,7 @@ def _by_run(name: str, joined: Sequence[Joined]) -> dict[str, dict[str, Measured
     """Tables by run and sensor: a CSV file or a recording of a bench may have several runs."""
     found: dict[str, dict[str, MeasuredData]] = {}
     for each in joined:
-        words = each.data["run"] if "run" in each.data else np.full(len(each.data), "")
+        words = each.data.column("run")
         for word in dict.fromkeys(words.tolist()):
             own = Path(name).name
             run = name if word in ("", own) else f"{name}/{word.removeprefix(f'{own}/')}"
@@ -363,10 +357,8 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     down = [each for each in joined if each.ranger.is_down]
     if not down:
         raise RecordingError(f"{path}: no range finder that looks down, to compare with others")
-    columns = dict.fromkeys(name for each in down for name in each.data.columns)
-    whole = MeasuredData({name: np.concatenate([_column(each.data, name) for each in down]) for name in columns})
     recording = Recording(path) if kind_of(path) == ".mcap" else None
-    whole, _ = in_code_of(sensor, whole)
+    whole, _ = in_code_of(sensor, join_tables([each.data for each in down]))
     data, runs = others_as_reference(path, whole, recording, Model.of(sensor), ())
     found = [
         replace(each, data=data.select(np.flatnonzero(data["sensor"] == each.ranger.name)), alignment=None, error=None)
@@ -374,10 +366,6 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     ]
     listed = ", ".join(f"{name} {value:+.1f} cm" for run in runs for name, value in run.offsets_cm.items())
     return found, [f"Each sensor reads more than the others by, and this is taken off: {listed}."]
-
-
-def _column(data: MeasuredData, name: str) -> Any:
-    return data[name] if name in data else np.full(len(data), np.nan)
 
 
 def _account(

@@ -112,6 +112,7 @@ def _join(
         columns["incidence_deg"] = np.where(is_overturned, np.nan, tilt_deg)
     columns |= ranger.columns
     alignment = error = None
+    is_shifted = False
     notes: list[str] = []
     if (overturned := int((is_overturned & np.isfinite(ranger.series.values)).sum())) > 0:
         notes.append(
@@ -122,9 +123,10 @@ def _join(
         answered = ranger.echoes_cm
         answered[is_overturned] = np.nan
         alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
-        lag_s = alignment.lag_s if alignment is not None and shift and alignment.has_lag else 0.0
+        is_shifted = shift and alignment is not None and alignment.has_lag
+        lag_s = alignment.lag_s if alignment is not None and is_shifted else 0.0
         error = _error(log, reference, time_s, answered, alignment, rng)
-        columns |= _true(log, reference, time_s - lag_s, alignment, error, shift, ~is_overturned)
+        columns |= _true(log, reference, time_s - lag_s, alignment, error, is_shifted, ~is_overturned)
         if alignment is None and not reference.has_datum:
             there = int(np.isfinite(answered * reference.series.at(time_s)).sum())
             notes.append(
@@ -145,7 +147,6 @@ def _join(
         columns["range_rate_cm_s"] = 100.0 * log.context[CLIMB].at(time_s)
     known = {name: column for name, column in columns.items() if column.dtype.kind != "f" or np.isfinite(column).any()}
     known.setdefault("reading_cm", columns["reading_cm"])
-    is_shifted = shift and alignment is not None and alignment.has_lag
     return Joined(ranger, MeasuredData(known), alignment, error, is_shifted, tuple(notes))
 
 
@@ -211,7 +212,7 @@ def _true(
     at_s: Array,
     alignment: Alignment | None,
     error: TruthAccuracy | None,
-    shift: bool,
+    is_shifted: bool,
     has_ground: NDArray[np.bool_],
 ) -> Mapping[str, Column]:
     """Columns of the true range at these times; empty where the beam does not meet the ground."""
@@ -222,7 +223,7 @@ def _true(
         _expected_cm(log, reference, at_s + RATE_STEP_S) - _expected_cm(log, reference, at_s - RATE_STEP_S)
     ) / (2.0 * RATE_STEP_S)
     std_cm = np.full(at_s.size, 0.0 if error is None else error.std_cm)
-    if shift and alignment is not None and alignment.has_lag:
+    if alignment is not None and is_shifted:
         std_cm = np.hypot(std_cm, np.nan_to_num(rate_cm_s) * alignment.lag_std_s)
     known = np.isfinite(true_cm)
     return {

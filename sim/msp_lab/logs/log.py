@@ -96,10 +96,7 @@ class Series:
         series = self.known()
         if len(series) < 2:
             return np.full(time_s.shape, np.nan)
-        gaps_s, longest_s = np.diff(series.time_s), series.longest_hole_s
-        after = np.clip(np.searchsorted(series.time_s, time_s), 1, len(series) - 1)
-        inside = (time_s >= series.time_s[0]) & (time_s <= series.time_s[-1]) & (gaps_s[after - 1] <= longest_s)
-        return np.where(inside, np.interp(time_s, series.time_s, series.values), np.nan)
+        return between_samples(time_s, series.time_s, series.values, series.longest_hole_s)
 
 
 @dataclass(frozen=True)
@@ -235,6 +232,13 @@ class VehicleLog:
             yield self
 
 
+def between_samples(at_s: Array, time_s: Array, values: Array, longest_s: float) -> Array:
+    """Values at other times, on straight lines between samples that are no farther apart; NaN elsewhere."""
+    after = np.clip(np.searchsorted(time_s, at_s), 1, time_s.size - 1)
+    inside = (at_s >= time_s[0]) & (at_s <= time_s[-1]) & (time_s[after] - time_s[after - 1] <= longest_s)
+    return np.where(inside, np.interp(at_s, time_s, values), np.nan)
+
+
 def series(source: str, time_s: Array, values: Array) -> Series:
     """A series in the order of time; samples of one time count once.
 
@@ -304,12 +308,17 @@ def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
 
 def negative(found: Series) -> Series:
     """What counts downwards, upwards."""
-    return Series(found.source, found.time_s, -found.values)
+    return replace(found, values=-found.values)
 
 
 def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
     """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
     return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))
+
+
+def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:
+    """The same angle from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
+    return np.asarray(np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x**2 + y**2), -1.0, 1.0))))
 
 
 def longest_m(maximum_m: Array) -> float:

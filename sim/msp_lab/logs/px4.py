@@ -12,6 +12,7 @@ import struct
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -36,6 +37,7 @@ from msp_lab.logs.log import (
     readings_cm,
     rounded_cm,
     series,
+    tilt_of_quaternion_deg,
 )
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.input_file import open_input
@@ -253,7 +255,7 @@ def _without_fused(height: Series, found: _Topics, parameters: Mapping[str, Any]
             height,
             f"{name} is set for {share:.0f} % of the time, so the range is fused into it from {first_s:.0f} s on",
         )
-    return Series(height.source, height.time_s, np.where(after, np.nan, height.values)), ""
+    return replace(height, values=np.where(after, np.nan, height.values)), ""
 
 
 def _range_height_bit(found: _Topics) -> Series | None:
@@ -279,14 +281,13 @@ def _tilt(found: _Topics) -> Series | None:
     data = found.get("vehicle_attitude", {})
     if "q[3]" not in data:
         return None
-    # The cosine of the tilt is the last element of the rotation matrix.
-    cosine = 1.0 - 2.0 * (data["q[1]"].astype(float) ** 2 + data["q[2]"].astype(float) ** 2)
-    return series("vehicle_attitude.q", _time_s(data), np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    tilt_deg = tilt_of_quaternion_deg(data["q[1]"].astype(float), data["q[2]"].astype(float))
+    return series("vehicle_attitude.q", _time_s(data), tilt_deg)
 
 
 def _throttle(found: _Topics) -> Series | None:
     thrust = _field(found, "vehicle_thrust_setpoint", "xyz[2]", -1.0) or _field(found, "actuator_controls_0", _THRUST)
-    return None if thrust is None else Series(thrust.source, thrust.time_s, np.clip(thrust.values, 0.0, 1.0))
+    return None if thrust is None else replace(thrust, values=np.clip(thrust.values, 0.0, 1.0))
 
 
 def _air_temperature(found: _Topics) -> Series | None:
@@ -297,8 +298,7 @@ def _air_temperature(found: _Topics) -> Series | None:
     found_c = _field(found, "vehicle_air_data", "ambient_temperature")
     if found_c is None:
         return None
-    values = np.where(source.values != _DEFAULT_TEMPERATURE, found_c.values, np.nan)
-    return Series(found_c.source, found_c.time_s, values)
+    return replace(found_c, values=np.where(source.values != _DEFAULT_TEMPERATURE, found_c.values, np.nan))
 
 
 def _field(found: _Topics, topic: str, field: str, factor: float = 1.0) -> Series | None:

@@ -27,6 +27,7 @@ from msp_lab.logs.log import (
     make_ranger,
     readings_cm,
     rounded_cm,
+    tilt_of_quaternion_deg,
 )
 from msp_range.recording.error import RecordingError
 
@@ -144,10 +145,9 @@ def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
     found: dict[str, Series] = {}
     for each in topics.values():
         if each.kind == "Imu" and (known := each["orientation_covariance.0"] != -1.0).any():
-            # The cosine of the tilt is the last element of the rotation matrix; -1 says that there is no orientation.
-            cosine = 1.0 - 2.0 * (each["orientation.x"] ** 2 + each["orientation.y"] ** 2)
-            tilt = np.where(known, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), np.nan)
-            found.setdefault(TILT, each.series("orientation", tilt))
+            # -1 says that there is no orientation.
+            tilt = tilt_of_quaternion_deg(each["orientation.x"], each["orientation.y"])
+            found.setdefault(TILT, each.series("orientation", np.where(known, tilt, np.nan)))
         elif each.kind == "TwistStamped" and each.source.endswith("velocity_local"):
             found[CLIMB] = each.series("twist.linear.z")
         elif each.kind == "Temperature":

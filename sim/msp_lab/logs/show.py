@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from msp_lab.logs.importing import FoundRanger, Imported
-from msp_range.terminal import console
+from msp_range.terminal import console, number_columns
 
 MANY_REPEATS = 0.3
 """With a larger share of repeats while the range changes, a line says so: a log with two rows a reading has half."""
@@ -30,21 +30,19 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
             then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
         else:
             then = "without a true range there is nothing that 'msp-lab gap' could compare them with"
-        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", highlight=False, soft_wrap=True)
+        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", soft_wrap=True)
 
 
 def _show(shown: Console, found: Imported) -> None:
-    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", highlight=False, soft_wrap=True)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading, side in (("found", "left"), ("in the log", "left"), ("rate", "right"), ("", "left")):
-        table.add_column(heading, justify="right" if side == "right" else "left")
+    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
+    table = Table("found", "in the log", *number_columns("rate"), "", box=box.SIMPLE_HEAD, pad_edge=False)
     for ranger in found.rangers:
         table.add_row(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger))
     for each in found.series:
         table.add_row(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples")
     shown.print(table)
     for line in _lines(found):
-        shown.print(line, highlight=False)
+        shown.print(line)
 
 
 def _lines(found: Imported) -> list[str]:

@@ -129,8 +129,7 @@ def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
         raise RecordingError(f"{log.path}: no {named} in this log. References that it has: {there}")
     found = usable[truth.kind]
     if truth.factor != 1.0:
-        series = found.series
-        found = replace(found, series=Series(series.source, series.time_s, truth.factor * series.values))
+        found = replace(found, series=replace(found.series, values=truth.factor * found.series.values))
     return found
 
 

@@ -149,8 +149,7 @@ def with_clock_runs(path: Path, table: MeasuredData, run_column: str = "run") ->
 
 
 def _stamps(table: MeasuredData, senders: list[NDArray[np.intp]], time_s: NDArray[np.float64]) -> list[Stamps]:
-    other_s = table["uptime_s"] if "uptime_s" in table else np.full(len(table), np.nan)
-    return [Stamps(rows, time_s[rows], other_s[rows]) for rows in senders]
+    return [Stamps(rows, time_s[rows], table.column("uptime_s")[rows]) for rows in senders]
 
 
 def _is_repeated(table: MeasuredData) -> NDArray[np.bool_]:

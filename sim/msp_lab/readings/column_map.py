@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -59,7 +59,7 @@ _OPTION = re.compile(r"\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*
 
 
 class MappedColumn(Section):
-    """Where a column of the CSV form is found in a table."""
+    """Where a column of the CSV form is found in a table; a name or a number alone is that of the column."""
 
     column: str | int | None = None
     """Its header, or its number from 1."""
@@ -76,6 +76,11 @@ class MappedColumn(Section):
     offset: float = Field(0.0)
     """Offset that is added after the factor, in the CSV form's unit."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _alone(cls, given: Any) -> Any:
+        return {"column": given} if isinstance(given, str | int) else given
+
 
 class Codes(Section):
     """Values in the file that are no distance."""
@@ -90,28 +95,21 @@ class Codes(Section):
 class Part(Section):
     """One table of a file."""
 
-    columns: dict[str, str | int | MappedColumn] = Field(min_length=1)
+    columns: dict[str, MappedColumn] = Field(min_length=1)
     """Column of the CSV form, or of one's own -> its place; a name or a number alone needs no other unit."""
 
     @field_validator("columns")
     @classmethod
-    def _are_known(cls, columns: dict[str, str | int | MappedColumn]) -> dict[str, str | int | MappedColumn]:
+    def _are_known(cls, columns: dict[str, MappedColumn]) -> dict[str, MappedColumn]:
         for name, place in columns.items():
-            check(name, place if isinstance(place, MappedColumn) else MappedColumn(column=place))
+            check(name, place)
         return columns
-
-    def places(self) -> dict[str, MappedColumn]:
-        """Where each column is."""
-        return {
-            name: place if isinstance(place, MappedColumn) else MappedColumn(column=place)
-            for name, place in self.columns.items()
-        }
 
 
 class ColumnMap(Part):
     """A map file."""
 
-    columns: dict[str, str | int | MappedColumn] = Field(default_factory=dict)
+    columns: dict[str, MappedColumn] = Field(default_factory=dict)
     """Column of the CSV form -> its place in every part."""
 
     parts: tuple[Part, ...] = ()
@@ -173,12 +171,12 @@ def load_map(options: Sequence[str]) -> ColumnMap:
 
     Examples
     --------
-    >>> load_map(["reading_cm=dist*100", "true_range_cm=actual"]).places()["reading_cm"].factor
+    >>> load_map(["reading_cm=dist*100", "true_range_cm=actual"]).columns["reading_cm"].factor
     100.0
     """
     if len(options) == 1 and Path(options[0]).suffix in (".yaml", ".yml"):
         return load(options[0], ColumnMap)
-    columns: dict[str, str | int | MappedColumn] = {}
+    columns: dict[str, MappedColumn] = {}
     for option in options:
         name, equals, place = option.partition("=")
         if not equals:
@@ -210,7 +208,7 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> M
             if "is missing. Found" not in str(error):
                 raise
             table = _with_times(path, dict(read_csv(path, ("reading_cm",)).columns))
-        return MeasuredData({name: column for name, column in table.columns.items() if name not in BRIDGE_COLUMNS})
+        return table.without(*BRIDGE_COLUMNS)
     except RecordingError as error:
         if "is missing" not in str(error):
             raise
@@ -246,8 +244,8 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
         raise RecordingError(f"{path}: empty, expected a header")
     # What already has a name of the CSV form keeps it.
     known = [name for name in header if name in KNOWN and header.count(name) == 1]
-    shared = {name: MappedColumn(column=name) for name in known} | column_map.places()
-    parts = [_Part(path, header, shared | part.places()) for part in column_map.parts]
+    shared = {name: MappedColumn(column=name) for name in known} | column_map.columns
+    parts = [_Part(path, header, shared | part.columns) for part in column_map.parts]
     parts = parts or [_Part(path, header, shared)]
     while block := list(itertools.islice(rows, BLOCK)):
         for part in parts:

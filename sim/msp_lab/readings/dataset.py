@@ -6,7 +6,6 @@ it is from and what was found there. Only the files and columns that are asked f
 """
 
 import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +16,7 @@ import numpy as np
 
 from msp_range.extras import require
 from msp_range.input_file import making, read_text
-from msp_range.recording.columns import WORD_COLUMNS
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.csv_form import Column, MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 
 ORIGIN = "dataset.json"
@@ -84,6 +82,17 @@ def write_tables(folder: Path, run: str, tables: Mapping[str, MeasuredData]) -> 
                 pq.write_table(pa.table(columns), unfinished, compression="zstd")
 
 
+def check_new(folder: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return what a dataset says of its runs; RecordingError if it has one of these names already."""
+    runs = origin(folder)
+    for run in names:
+        if run in runs:
+            raise RecordingError(
+                f"{folder}: there is a run {run!r} already, of {runs[run].get('file')}; use another --out"
+            )
+    return runs
+
+
 def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) -> None:
     """List runs in a dataset, which is made where there is none; one after the other, as each rewrites the list.
 
@@ -101,11 +110,7 @@ def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) ->
     RecordingError
         There is such a run already, or the file cannot be written.
     """
-    runs = origin(folder)
-    for run in names:
-        if run in runs:
-            file = runs[run].get("file")
-            raise RecordingError(f"{folder}: there is a run {run!r} already, of {file}; use another --out")
+    runs = check_new(folder, names)
     with _writing(folder), making(folder / ORIGIN, replacing=True) as unfinished:
         listed = runs | {run: dict(about) for run in names}
         unfinished.write_text(json.dumps({"runs": listed}, indent=2), encoding="utf-8")
@@ -121,17 +126,17 @@ def _writing(folder: Path) -> Iterator[None]:
 
 def sensors_of(folder: Path) -> list[str]:
     """Names of the sensors of a dataset."""
-    return sorted({unquote(path.parts[-2].partition("=")[2]) for path in _files(folder)})
+    return sorted({sensor for _, sensor, _ in _files(folder)})
 
 
-def read_dataset(folder: Path, sensors: Sequence[str] = (), runs: Sequence[str] = ()) -> MeasuredData:
+def read_dataset(folder: Path, runs: Sequence[str] = ()) -> MeasuredData:
     """The readings of a dataset, run by run and sensor by sensor.
 
     Parameters
     ----------
     folder
         The dataset.
-    sensors, runs
+    runs
         Those that are read; none: all.
 
     Raises
@@ -143,10 +148,9 @@ def read_dataset(folder: Path, sensors: Sequence[str] = (), runs: Sequence[str] 
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    tables: list[dict[str, Column]] = []
-    for path in _files(folder):
-        run, sensor = (unquote(part.partition("=")[2]) for part in path.parts[-3:-1])
-        if (sensors and sensor not in sensors) or (runs and run not in runs):
+    tables: list[MeasuredData] = []
+    for run, sensor, path in _files(folder):
+        if runs and run not in runs:
             continue
         try:
             read = pq.read_table(path, partitioning=None)
@@ -159,33 +163,22 @@ def read_dataset(folder: Path, sensors: Sequence[str] = (), runs: Sequence[str] 
             found[name] = values.astype(float) if values.dtype.kind in "fiub" else np.array(values.tolist(), dtype=str)
         if not {"time_s", "reading_cm"} <= set(found):
             raise RecordingError(f"{path}: no time_s and reading_cm; import the log again")
-        tables.append(found)
+        tables.append(MeasuredData(found))
     if not tables:
-        raise RecordingError(f"{folder}: no readings" + (f" of {', '.join(sensors)}" if sensors else ""))
-    names = dict.fromkeys(name for table in tables for name in table)
-    return MeasuredData({name: _joined(name, tables) for name in names})
+        raise RecordingError(f"{folder}: no readings")
+    return join_tables(tables)
 
 
 def sensors_by_run(folder: Path) -> dict[str, list[str]]:
     """The sensors of each run."""
     found: dict[str, list[str]] = {}
-    for path in _files(folder):
-        run, sensor = (unquote(part.partition("=")[2]) for part in path.parts[-3:-1])
+    for run, sensor, _ in _files(folder):
         found.setdefault(run, []).append(sensor)
     return found
 
 
-def _files(folder: Path) -> list[Path]:
-    """Files of the runs that are whole: an import that was interrupted leaves files without an entry."""
-    return sorted(
-        path for run in origin(folder) for path in (folder / f"run={quote(run, safe='')}").glob(f"sensor=*/{READINGS}")
-    )
-
-
-def _joined(name: str, tables: Sequence[Mapping[str, Column]]) -> Column:
-    is_word = name in WORD_COLUMNS or any(table[name].dtype.kind == "U" for table in tables if name in table)
-    missing = "" if is_word else math.nan
-    kind = str if is_word else float
-    return np.concatenate(
-        [table[name].astype(kind) if name in table else np.full(len(table["run"]), missing) for table in tables]
-    )
+def _files(folder: Path) -> Iterator[tuple[str, str, Path]]:
+    """Run, sensor and file of the runs that are whole: an interrupted import leaves files without an entry."""
+    runs = {f"run={quote(run, safe='')}": run for run in origin(folder)}
+    for path in sorted(path for place in runs for path in (folder / place).glob(f"sensor=*/{READINGS}")):
+        yield runs[path.parts[-3]], unquote(path.parts[-2].partition("=")[2]), path

@@ -24,9 +24,8 @@ from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.columns import WORD_COLUMNS
 from msp_range.recording.context_limits import check_contexts
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.csv_form import Column, MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
@@ -142,7 +141,7 @@ def load_readings(
             raise RecordingError(f"{path}: no readings, only a header")
         if NO_ECHO in table.columns:
             table, changed = in_code_of(sensor, table)
-            table = MeasuredData({name: column for name, column in table.columns.items() if name != NO_ECHO})
+            table = table.without(NO_ECHO)
             messages += changed
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
@@ -157,7 +156,7 @@ def load_readings(
         tables.append(table)
         sources.append(source)
     of_rows, renamed = runs_of(tables, paths, run_column)
-    columns = {**_joined(tables).columns, "run": np.concatenate(of_rows)}
+    columns = {**join_tables(tables).columns, "run": np.concatenate(of_rows)}
     # Time since power-up says more than time in the run.
     asked = DERIVED.keys() - ({"time_in_run_s"} if "uptime_s" in columns else set())
     if "time_in_run_s" in columns and np.isnan(columns["time_in_run_s"]).all():
@@ -185,9 +184,8 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
     and not set up; with a message about both."""
     angles = loaded.data.columns.get("incidence_deg", np.zeros(0))
     if np.unique(angles[~np.isnan(angles)]).size > FLOWN_SHARE * angles.size:
-        kept = {name: column for name, column in loaded.data.columns.items() if name != "incidence_deg"}
         text = "incidence_deg is another one in most readings, as in flight: no angle was set up, so it is not used."
-        loaded = replace(loaded, data=MeasuredData(kept), messages=(*loaded.messages, text))
+        loaded = replace(loaded, data=loaded.data.without("incidence_deg"), messages=(*loaded.messages, text))
     reading_cm = loaded.data["reading_cm"]
     outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
     if not outside.any() or outside.sum() > WRONG_UNIT_SHARE * (~np.isnan(reading_cm)).sum():
@@ -280,19 +278,6 @@ def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
         for name in names
     ]
     return set(zip(*(column.tolist() for column in columns), strict=True))
-
-
-def _joined(tables: Sequence[MeasuredData]) -> MeasuredData:
-    """Tables one after the other; a column that one lacks is unknown there."""
-    names = dict.fromkeys(name for table in tables for name in table.columns)
-    columns: dict[str, Column] = {}
-    for name in names:
-        is_word = name in WORD_COLUMNS or any(name in table and table[name].dtype.kind == "U" for table in tables)
-        missing = "" if is_word else math.nan
-        pieces = [table[name] if name in table else np.full(len(table), missing) for table in tables]
-        pieces = [piece.astype(str, copy=False) if is_word else piece for piece in pieces]
-        columns[name] = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-    return MeasuredData(columns)
 
 
 def _selected(name: str, data: MeasuredData, sensors: Sequence[str]) -> MeasuredData:

@@ -45,7 +45,7 @@ def in_code_of(sensor: SensorModel, data: MeasuredData) -> tuple[MeasuredData, l
     columns = {**data.columns, NO_ECHO: code}
     if not changed.any():
         return MeasuredData(columns), []
-    true_cm = data[TRUE_RANGE] if TRUE_RANGE in data else np.full(len(data), math.nan)
+    true_cm = data.column(TRUE_RANGE)
     hidden = changed & (true_cm > NEAR_MAXIMUM * log_cm) & (true_cm < sensor.maximum_cm)
     columns["reading_cm"] = np.where(hidden, math.nan, np.where(changed, float(sensor.maximum_cm), reading_cm))
     maxima = ", ".join(f"{value:g}" for value in np.unique(log_cm[changed]))

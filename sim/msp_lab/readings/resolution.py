@@ -27,11 +27,7 @@ def step_of(reading_cm: NDArray[np.float64], share: float = 1.0) -> float:
     1.0 0.01
     """
     known = reading_cm[~np.isnan(reading_cm)]
-    for step_cm in STEPS_CM:
-        steps = known / step_cm
-        if (np.abs(steps - np.rint(steps)) >= TOLERANCE).sum() <= (1.0 - share) * steps.size:
-            return step_cm
-    return 0.0
+    return next((step_cm for step_cm in STEPS_CM if _share_on(known, step_cm) >= share), 0.0)
 
 
 COMPARED_CM = (0.1, 0.2, 0.5, 1.0)
@@ -172,4 +168,4 @@ def _own_step(reading_cm: _Array, steps: list[float]) -> float:
 
 def _share_on(reading_cm: _Array, step_cm: float) -> float:
     steps = reading_cm / step_cm
-    return float((np.abs(steps - np.rint(steps)) < TOLERANCE).mean())
+    return float((np.abs(steps - np.rint(steps)) < TOLERANCE).mean()) if steps.size else 1.0

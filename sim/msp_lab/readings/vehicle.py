@@ -15,7 +15,7 @@ from msp_range.config import load_airframe_from
 from msp_range.fusion.attitude import RecordedAttitude
 from msp_range.fusion.mounting import DownwardSensor
 from msp_range.geometry import Matrix
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 from msp_range.recording.pings import recorded_attitudes
 from msp_range.recording.reader import Recording
@@ -75,7 +75,7 @@ def others_as_reference(
     mounting = None if recording is None else mounting_of(recording)
     if mounting is None:
         mounting = side_by_side(set(data["sensor"].tolist()))
-    run = data["run"] if "run" in data else np.full(len(data), "")
+    run = data.column("run")
     try:
         parts = [
             with_others_as_reference(data.select(np.flatnonzero(run == each)), model, mounting, without)
@@ -83,5 +83,4 @@ def others_as_reference(
         ]
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None
-    columns = {name: np.concatenate([part.data[name] for part in parts]) for name in parts[0].data.columns}
-    return MeasuredData(columns), parts
+    return join_tables([part.data for part in parts]), parts

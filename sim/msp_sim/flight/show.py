@@ -104,7 +104,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
         link.add_row(name, str(each["messages"]), f"{each['rate_hz']:.2f}", str(dropped.get(name, 0)))
     console.print(link)
     for text in summary["texts"]:
-        console.print(f"{text['time_s']:7.1f} s  {text['severity']}: {text['text']}", highlight=False)
+        console.print(f"{text['time_s']:7.1f} s  {text['severity']}: {text['text']}")
 
 
 def _table(first: str, *numbers: str, title: str | None = None) -> Table:

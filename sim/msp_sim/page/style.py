@@ -231,6 +231,11 @@ def edges_between(centres: list[float]) -> list[float]:
     return [2.0 * centres[0] - inner[0], *inner, 2.0 * centres[-1] - inner[-1]]
 
 
+def signed(tick: float, _: float) -> str:
+    """Label of a tick of an axis of differences: with its sign, and 0 without one."""
+    return f"{tick:+g}".replace("-", "−") if tick else "0"
+
+
 def p_text(p_value: float) -> str:
     """A p-value as text with two digits, never zero.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, summary
 from msp_lab.characterise.page.text import interval, number, sentence
 from msp_lab.characterise.question_findings import CompensationRow
 from msp_range.acoustics.air import compensate_range
@@ -27,27 +27,20 @@ def entries() -> Iterator[Entry]:
     yield "hot_boxes", "Where the hot and the cold air was", _boxes
 
 
-def _compensated_cm(rows: PictureData) -> NDArray[np.float64]:
-    """Readings in the speed of sound of their air; NaN where the air's temperature is unknown."""
-    air_c = rows.number("air_temperature_c")
-    return 100.0 * compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c)
-
-
 def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
     """Draw range errors without or with (``after``) compensation."""
     found = rows.of("temperature_compensation")
-    air_c = rows.number("air_temperature_c")
+    air_c = rows.data.column("air_temperature_c")
     known = found & np.isfinite(air_c)
     if after and not np.any(known):
         raise Absent("The readings have no air temperature (column air_temperature_c), and nothing can be compensated.")
-    before = rows.errors(found)
-    errors = rows.errors(known, reading_cm=_compensated_cm(rows)) if after else before
-    everything = [before, rows.errors(known, reading_cm=_compensated_cm(rows))] if np.any(known) else [before]
-    low, high = shared_limits_cm(everything)
-    marked = _reference_errors(rows, np.unique(before.true_range_cm), after)
-    for line in marked:
-        low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
-    figure = draw_errors([errors], ErrorAxes(limits_cm=(low, high), points=marked))
+    both = [rows.errors(found)]
+    if np.any(known):
+        compensated_cm = compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c) * 100.0
+        both.append(rows.errors(known, reading_cm=compensated_cm))
+    errors = both[int(after)]
+    marked = _reference_errors(rows, np.unique(both[0].true_range_cm), after)
+    figure = draw_errors([errors], ErrorAxes(limits_cm=shared_limits_cm(both, marked), points=marked))
     caption = summary(errors)
     if np.any(known):
         temperatures = air_c[known]
@@ -72,12 +65,7 @@ def _reference_errors(rows: PictureData, tested_cm: NDArray[np.float64], after: 
 
 def compensation(findings: Findings, rows: PictureData) -> Drawn:
     """Draw the mean errors by range, without and with compensation."""
-    table = findings.temperature_compensation
-    if not table:
-        raise Absent(
-            findings.absent.get("temperature_compensation", "No readings of temperature compensation are in the data.")
-        )
-
+    table = needed(findings.temperature_compensation, findings, "temperature_compensation")
     before_cm = np.array([row.uncompensated.value for row in table])
     after_cm = np.array([row.compensated.value for row in table if row.compensated is not None])
     caption = f"Mean size of the error of the ranges: {np.mean(np.abs(before_cm)):.2f} cm without compensation"
@@ -117,13 +105,9 @@ def compensation_table(findings: Findings) -> PageTable | None:
 
 
 def _boxes(findings: Findings, rows: PictureData) -> Drawn:
-    if not findings.hot_boxes:
-        raise Absent(
-            sentence(findings.absent.get("hot_boxes", "there are no readings with hot or cold air at the sensor only"))
-        )
-    caption = " ".join(sentence(box.answer) for box in findings.hot_boxes)
+    boxes = needed(findings.hot_boxes, findings, "hot_boxes")
     return Drawn(
-        draw_boxes(findings.hot_boxes[:MAX_BOXES]),
-        caption,
+        draw_boxes(boxes[:MAX_BOXES]),
+        " ".join(sentence(box.answer) for box in boxes),
         "Shift of the mean error with hot or cold air at the sensor, by range.",
     )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.beam import Sweep, draw_beam, draw_sweep
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed
 from msp_lab.characterise.page.text import half_interval, sentence
 
 MAX_SWEEPS = 8
@@ -33,7 +33,7 @@ def measured_ranges_cm(rows: PictureData) -> list[float]:
 
 def _sweep_ranges(rows: PictureData) -> NDArray[np.float64]:
     found = rows.of("field_of_view")
-    incidence = rows.number("incidence_deg")
+    incidence = rows.data.column("incidence_deg")
     if not np.any(np.isfinite(incidence[found])):
         raise Absent("The readings of the field of view have no angle (column incidence_deg).")
     return np.unique(rows.true_cm[found])
@@ -45,25 +45,22 @@ def sweep(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
     if range_cm not in ranges:
         there = ", ".join(f"{each:g}" for each in ranges[:12])
         raise Absent(f"The field of view was not measured at {range_cm:g} cm, but at {there} cm.")
-    incidence, found = rows.number("incidence_deg"), rows.of("field_of_view")
+    incidence, found = rows.data.column("incidence_deg"), rows.of("field_of_view")
     chosen = found & (rows.true_cm == range_cm) & np.isfinite(incidence)
     if np.unique(incidence[chosen]).size < 2:
         raise Absent(f"At {range_cm:g} cm only one angle was measured.")
-    view = findings.field_of_view
-    points = [point for point in view.points if point.range_cm == range_cm] if view is not None else []
-    angle = next((each for each in view.angles if each.range_cm == range_cm), None) if view is not None else None
-    if not points:
-        raise Absent(sentence(findings.absent.get("field_of_view", f"the readings at {range_cm:g} cm were not judged")))
-    half_deg = angle.half_angle.value if angle is not None else 0.0
+    view = needed(findings.field_of_view, findings, "field_of_view")
+    points = [point for point in view.points if point.range_cm == range_cm]
+    angle = next((each for each in view.angles if each.range_cm == range_cm), None)
     shown = Sweep(range_cm, incidence[chosen], rows.reading_cm[chosen], rows.missed[chosen])
     caption = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. "
-    if angle is not None:
-        none = "not found: no angle is reliable to both sides"
-        caption += f"Breakaway {'at ' + half_interval(angle.half_angle) if half_deg else none}."
-    else:
+    if angle is None:
         caption += "No breakaway angle could be found."
-    if view is not None:
-        caption += f" Reliable: {view.criterion.rstrip('.')}."
+    elif angle.half_angle.value:
+        caption += f"Breakaway at {half_interval(angle.half_angle)}."
+    else:
+        caption += "Breakaway not found: no angle is reliable to both sides."
+    caption += f" Reliable: {view.criterion}."
     return Drawn(
         draw_sweep(shown, points, angle, rows.reference),
         caption,
@@ -72,11 +69,7 @@ def sweep(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
 
 
 def _sonar(findings: Findings, rows: PictureData) -> Drawn:
-    found = findings.sonar
-    if found is None:
-        raise Absent(
-            sentence(findings.absent.get("sonar", "there are too few breakaway angles for the three parameters"))
-        )
+    found = needed(findings.sonar, findings, "sonar")
     angles = findings.field_of_view.angles if findings.field_of_view is not None else ()
     fitted = [abs(row.fitted_deg - row.measured_deg) for row in found.rows if row.fitted_deg is not None]
     left_out = [abs(row.left_out_deg - row.measured_deg) for row in found.rows if row.left_out_deg is not None]

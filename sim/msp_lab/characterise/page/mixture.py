@@ -19,7 +19,7 @@ from msp_lab.characterise.page.draw.mixture import (
     draw_random,
     draw_short,
 )
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, placement_error_cm
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, placement_error_cm
 from msp_lab.characterise.page.text import interval, sentence
 from msp_lab.readings.resolution import to_step
 from msp_range.reading_model.mixture import ReadingModel
@@ -60,15 +60,7 @@ def entries() -> Iterator[Entry]:
 
 
 def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray[np.float64]]:
-    """The fitted mixture at one range, and the probability of each reading by all of it.
-
-    Raises
-    ------
-    Absent
-        Nothing was fitted.
-    """
-    if findings.mixture is None:
-        raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
+    """The fitted mixture at one range, and the probability of each reading by all of it."""
     condition, true_cm = _one_range(rows)
     chosen = rows.of(condition) & (rows.true_cm == true_cm)
     minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
@@ -122,9 +114,8 @@ def _one_range(rows: PictureData) -> tuple[str, float]:
 
 def density(findings: Findings, rows: PictureData, kind: str) -> Drawn:
     """Draw the density of a kind of reading."""
+    caption = _parameters(needed(findings.mixture, findings, "mixture"), kind)
     fitted, total = densities(findings, rows)
-    assert findings.mixture is not None
-    caption = _parameters(findings.mixture, kind)
     if kind == "hit":
         figure = draw_hit(fitted)
         caption += " The probability of a reading is the integral over its centimetre."
@@ -149,11 +140,11 @@ def _codes(rows: PictureData) -> list[float]:
 
 def _whole_mixture(findings: Findings, rows: PictureData) -> Drawn:
     """All four densities together."""
+    found = needed(findings.mixture, findings, "mixture")
     fitted, total = densities(findings, rows)
-    assert findings.mixture is not None
     caption = (
         f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
-        f"{findings.mixture.readings:,} readings. {sentence(findings.mixture.conditional)}"
+        f"{found.readings:,} readings. {sentence(found.conditional)}"
     )
     return Drawn(
         draw_mixture(fitted, total, _codes(rows)), caption, "Probability of each centimetre by the fitted mixture."
@@ -161,9 +152,7 @@ def _whole_mixture(findings: Findings, rows: PictureData) -> Drawn:
 
 
 def _pit(findings: Findings, rows: PictureData) -> Drawn:
-    found = findings.mixture
-    if found is None:
-        raise Absent(sentence(findings.absent.get("mixture", "the mixture was not fitted")))
+    found = needed(findings.mixture, findings, "mixture")
     if found.pit_p_value is None:
         raise Absent("There are too few readings for a goodness of fit.")
     caption = (

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.errors import Errors
-from msp_lab.characterise.page.text import plus
+from msp_lab.characterise.page.text import plus, sentence
 from msp_lab.characterise.points import PointReadings, conditions, sort_into_points
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.reading_model.sensor_model import SensorModel
@@ -22,6 +23,7 @@ from msp_range.recording.csv_form import MeasuredData
 
 _Array = NDArray[np.float64]
 _Mask = NDArray[np.bool_]
+Part = TypeVar("Part")
 
 CONDITIONS = {
     "baseline": "the baseline (nothing varied)",
@@ -40,6 +42,19 @@ CONDITIONS = {
 
 class Absent(Exception):
     """The data do not allow this picture; the message gives the reason and what is needed."""
+
+
+def needed(part: Part | None, findings: Findings, name: str) -> Part:
+    """Return a part of the findings.
+
+    Raises
+    ------
+    Absent
+        These data do not give it, with the reason that the findings have.
+    """
+    if not part:
+        raise Absent(sentence(findings.absent.get(name, f"the findings have no {name.replace('_', ' ')}")))
+    return part
 
 
 @dataclass(frozen=True)
@@ -69,32 +84,20 @@ class PictureData:
     model: SensorModel
     reference: ReferenceNumbers | None = None
 
-    def number(self, name: str) -> _Array:
-        """A column of numbers; NaN where it is absent, unknown, or holds words."""
-        if name in self.data and self.data[name].dtype.kind in "fiub":
-            return np.asarray(self.data[name], dtype=np.float64)
-        return np.full(len(self.data), np.nan)
-
-    def word(self, name: str) -> NDArray[np.str_]:
-        """A column of words; "" where it is absent."""
-        if name in self.data:
-            return np.asarray(self.data[name]).astype(str)
-        return np.full(len(self.data), "", dtype="<U1")
-
     @cached_property
     def true_cm(self) -> _Array:
         """True ranges [cm]."""
-        return self.number("true_range_cm")
+        return self.data.column("true_range_cm")
 
     @cached_property
     def reading_cm(self) -> _Array:
         """Readings [cm]."""
-        return self.number("reading_cm")
+        return self.data.column("reading_cm")
 
     @cached_property
     def sensor(self) -> NDArray[np.str_]:
         """Names of the sensors."""
-        return self.word("sensor")
+        return self.data.column("sensor")
 
     @cached_property
     def _points(self) -> list[PointReadings]:

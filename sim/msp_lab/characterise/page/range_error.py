@@ -9,7 +9,7 @@ import numpy as np
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.accuracy import draw_linearity
 from msp_lab.characterise.page.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, summary
 from msp_lab.characterise.page.text import file_word, interval, plus, sentence, span
 from msp_lab.characterise.temperature import ROOM_C
 
@@ -35,9 +35,7 @@ def entries(rows: PictureData) -> Iterator[Entry]:
 
 def calibration(findings: Findings, rows: PictureData) -> Drawn:
     """Draw the calibration and its linearity."""
-    found = findings.calibration
-    if found is None or not found.true_cm:
-        raise Absent(sentence(findings.absent.get("calibration", "the readings were not compared with a reference")))
+    found = needed(findings.calibration, findings, "calibration")
     caption = f"Mean error {interval(found.bias)}"
     if found.offset is not None and found.scale is not None:
         caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"
@@ -70,7 +68,7 @@ def materials(rows: PictureData) -> list[str]:
         found = rows.of("material")
     except Absent:
         return []
-    return [str(each) for each in np.unique(rows.word("target")[found]) if each]
+    return [str(each) for each in np.unique(rows.data.column("target")[found]) if each]
 
 
 def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
@@ -79,7 +77,7 @@ def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
     there = materials(rows)
     if name not in there:
         raise Absent(f"No readings of {name}; the targets are {', '.join(there) or 'not named (column target)'}.")
-    target = rows.word("target")
+    target = rows.data.column("target")
     errors = rows.errors(found & (target == name))
     limits = shared_limits_cm([rows.errors(found & (target == each)) for each in there])
     caption = summary(errors) + _answers(findings, "material", name)
@@ -93,7 +91,7 @@ def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
 def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
     """Draw the range error in room, hot or cold air."""
     found = rows.of("temperature")
-    air_c = rows.number("air_temperature_c")
+    air_c = rows.data.column("air_temperature_c")
     if not np.any(np.isfinite(air_c[found])):
         raise Absent("The readings of the temperature have no air temperature (column air_temperature_c).")
     kinds = {
@@ -107,7 +105,7 @@ def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
     errors = rows.errors(kinds[kind])
     limits = shared_limits_cm([rows.errors(each) for each in kinds.values() if np.any(each)])
     caption = f"Air at the sensor {span(air_c[kinds[kind]])} °C"
-    far_c = rows.number("target_temperature_c")[kinds[kind]]
+    far_c = rows.data.column("target_temperature_c")[kinds[kind]]
     caption += f", at the target {span(far_c)} °C. " if np.any(np.isfinite(far_c)) else ". "
     caption += summary(errors)
     for box in findings.hot_boxes:
@@ -123,7 +121,7 @@ def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
 def vibration(findings: Findings, rows: PictureData) -> Drawn:
     """Draw the range error at each frequency of vibration."""
     found = rows.of("vibration")
-    vibration_hz = rows.number("vibration_hz")
+    vibration_hz = rows.data.column("vibration_hz")
     shaken = found & (vibration_hz > 0.0)
     if not np.any(shaken):
         raise Absent("No readings with vibration (column vibration_hz above 0).")

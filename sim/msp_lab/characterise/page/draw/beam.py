@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, SonarFit
@@ -83,7 +83,9 @@ def draw_sweep(
     nearest_cm = base_cm / np.cos(beyond)
     low, high = min(base_cm, sweep.range_cm) - 4.0, max(float(np.max(slant_cm)), sweep.range_cm) + 5.0
 
-    _shares(top, sweep, angle_deg, low, high)
+    edges = edges_between(angle_deg.tolist())
+    width = 0.86 * float(np.min(np.diff(edges)))
+    _shares(top, sweep, angle_deg, width, low, high)
     top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ", zorder=4)
     if half_deg > 0.0:
         label = f"nearest point in a beam of ±{half_deg:.1f}°"
@@ -92,8 +94,6 @@ def draw_sweep(
     top.set_ylabel("reading [cm]")
     top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
 
-    edges = edges_between(angle_deg.tolist())
-    width = 0.86 * float(np.min(np.diff(edges)))
     bottom.bar(angle_deg, reliable, width=width, color=OURS, alpha=0.75, zorder=2)
     bottom.bar(angle_deg, 100.0 - reliable, width=width, bottom=reliable, color=PALE, zorder=2)
     bottom.set_ylim(0.0, 100.0)
@@ -111,7 +111,7 @@ def draw_sweep(
     if ticks.size > 15:
         ticks = ticks[np.abs(np.rint(ticks / 3.6) * 3.6 - ticks) < 0.05] if np.any(ticks % 1.0) else ticks[::2]
     bottom.set_xticks(ticks if ticks.size else angle_deg)
-    bottom.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
+    bottom.xaxis.set_major_formatter("{x:g}")
     bottom.set_xlim(edges[0], edges[-1])
     top.grid(axis="x", visible=False)
     bottom.grid(axis="x", visible=False)
@@ -119,10 +119,8 @@ def draw_sweep(
     return figure
 
 
-def _shares(top: Axes, sweep: Sweep, angle_deg: _Array, low: float, high: float) -> None:
+def _shares(top: Axes, sweep: Sweep, angle_deg: _Array, room: float, low: float, high: float) -> None:
     """Each angle's readings as a histogram on its side, whole centimetres."""
-    edges = edges_between(angle_deg.tolist())
-    room = 0.86 * float(np.min(np.diff(edges)))
     lefts, read_cm, widths = [], [], []
     for angle in angle_deg.tolist():
         here = np.isclose(sweep.incidence_deg, angle, atol=1e-6)

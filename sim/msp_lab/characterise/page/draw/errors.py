@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure
+from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure, signed
 
 _Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
         Limits and what to compare with.
     """
     axes = axes or ErrorAxes()
-    limits_cm = axes.limits_cm or shared_limits_cm(panels, axes)
+    limits_cm = axes.limits_cm or shared_limits_cm(panels, axes.points)
     figure = new_figure(3.5 if len(panels) == 1 else 6.1 if len(panels) == 2 else 1.1 + 1.7 * len(panels))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     # One axis of ranges for all panels, also where some have fewer of them.
@@ -120,7 +120,7 @@ def draw_errors(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> Figu
     return figure
 
 
-def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) -> tuple[float, float]:
+def shared_limits_cm(panels: Sequence[Errors], points: Sequence[Line] = ()) -> tuple[float, float]:
     """Limits of the error axis that show nearly all readings of all panels and every line [cm]."""
     errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
     low, high = -3.2, 3.2
@@ -128,7 +128,7 @@ def shared_limits_cm(panels: Sequence[Errors], axes: ErrorAxes | None = None) ->
         # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
         shown = np.quantile(errors, [0.0025, 0.9975])
         low, high = min(low, float(shown[0]) - 0.8), max(high, float(shown[1]) + 0.8)
-    for line in axes.points if axes else ():
+    for line in points:
         low, high = min(low, float(np.min(line.error_cm)) - 0.8), max(high, float(np.max(line.error_cm)) + 0.8)
     return low, high
 
@@ -141,7 +141,7 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
         ticks = (-500, -200, -100, -50, -20, -10, -5, 0, 5, 10, 20, 50, 100, 200, 500)
         row.yaxis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
         row.yaxis.set_minor_locator(NullLocator())
-    row.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
+    row.yaxis.set_major_formatter(signed)
     row.set_ylim(low, high)
     row.axhline(0.0, color=GREY, linewidth=0.9, zorder=1)
     if axes.band_cm is not None:
@@ -222,7 +222,7 @@ def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, fl
     row.set_xlim(edges[0], edges[-1])
     if ranges_cm.size <= 16:
         row.set_xticks(ranges_cm)
-        row.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+        row.xaxis.set_major_formatter("{x:g}")
     row.grid(axis="x", visible=False)
 
 

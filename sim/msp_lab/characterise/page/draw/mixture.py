@@ -6,12 +6,25 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
-from msp_sim.page.style import DOTS, GREEN, INK, ORANGE, OURS, PURPLE, REFERENCE, legend_below, new_figure, note, p_text
+from msp_sim.page.style import (
+    DOTS,
+    GREEN,
+    INK,
+    ORANGE,
+    OURS,
+    PURPLE,
+    REFERENCE,
+    legend_below,
+    new_figure,
+    note,
+    p_text,
+    signed,
+)
 
 _Array = NDArray[np.float64]
 
@@ -60,9 +73,8 @@ def draw_hit(densities: Densities) -> Figure:
     if densities.counts is not None:
         near = densities.counts[shown]
         _dots(axes, k[shown], near, float(np.sum(near)), "share read, and its 95 % interval", omits_none=True)
-    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return _finish(figure, axes, "probability of a centimetre")
+    return _finish(figure, axes, densities)
 
 
 def draw_short(densities: Densities) -> Figure:
@@ -70,16 +82,14 @@ def draw_short(densities: Densities) -> Figure:
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["short"]
     inside = k <= densities.true_range_cm + 0.5
-    axes.fill_between(k[inside], 0.0, p[inside], step="mid", color=ORANGE, alpha=0.35, linewidth=0)
-    axes.step(k[inside], p[inside], where="mid", color=ORANGE, label="fitted, if a reading is of this kind")
+    _curve(axes, k[inside], p[inside], ORANGE, 0.35)
     # Nothing else can be distinguished from the hits where they begin.
     hits = _bulk(densities.density["hit"], 1e-7)
     _binned(axes, densities, (k < k[hits][0]) & (k > k[0]), "short")
     if densities.weight["short"] < NO_WEIGHT:
         note(axes, "weight 0: no reading was found to be of this kind,\nand its rate is the starting model's")
-    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlim(0.0, (0.5 + densities.true_range_cm) * 1.06)
-    return _finish(figure, axes, "probability of a centimetre")
+    return _finish(figure, axes, densities)
 
 
 def draw_missed(densities: Densities, codes: dict[float, float]) -> Figure:
@@ -116,18 +126,16 @@ def draw_missed(densities: Densities, codes: dict[float, float]) -> Figure:
             va="bottom",
             ha="right" if side < 0 else "left",
         )
-    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlim(0.0, float(k[-1]) * 1.06)
     axes.margins(y=0.3)
-    return _finish(figure, axes, "share of all readings [%]")
+    return _finish(figure, axes, densities, "share of all readings [%]")
 
 
 def draw_random(densities: Densities) -> Figure:
     """Random readings: the same for each centimetre that the sensor can report, from its minimum and not 0."""
     figure, axes = _axes()
     k, p = densities.reading_cm, densities.density["random"]
-    axes.fill_between(k, 0.0, p, step="mid", color=GREEN, alpha=0.3, linewidth=0)
-    axes.step(k, p, where="mid", color=GREEN, label="fitted, if a reading is of this kind")
+    _curve(axes, k, p, GREEN, 0.3)
     # Beyond the hits only random readings and codes are left.
     hits = _bulk(densities.density["hit"], 1e-7)
     _binned(axes, densities, (k > k[hits][-1]) & (k < k[-1]), "random")
@@ -142,10 +150,9 @@ def draw_random(densities: Densities) -> Figure:
             ha=side,
             fontsize=8,
         )
-    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
     axes.margins(y=0.25)
-    return _finish(figure, axes, "probability of a centimetre")
+    return _finish(figure, axes, densities)
 
 
 def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) -> Figure:
@@ -218,7 +225,7 @@ def draw_pit(counts: _Array, p_value: float) -> Figure:
     )
     reach = max(float(np.max(np.abs(excess))), high) * 1.3
     axes.set_ylim(-reach, reach)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:+g}".replace("-", "−") if tick else "0"))
+    axes.yaxis.set_major_formatter(signed)
     axes.set_xlim(0.0, 1.0)
     axes.set_xlabel("probability that the fitted model gives to a smaller reading (randomised within a centimetre)")
     axes.set_ylabel("readings more than expected [%]")
@@ -233,14 +240,21 @@ def _axes() -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def _finish(figure: Figure, axes: Axes, label: str) -> Figure:
+def _finish(figure: Figure, axes: Axes, densities: Densities, label: str = "probability of a centimetre") -> Figure:
+    axes.axvline(densities.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_xlabel("reading [cm]")
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:.3g}"))
+    axes.yaxis.set_major_formatter("{x:.3g}")
     axes.grid(axis="x", visible=False)
     legend_below(figure)
     return figure
+
+
+def _curve(axes: Axes, reading_cm: _Array, p: _Array, colour: str, alpha: float) -> None:
+    """Probabilities of centimetres as a line with the ground below it."""
+    axes.fill_between(reading_cm, 0.0, p, step="mid", color=colour, alpha=alpha, linewidth=0)
+    axes.step(reading_cm, p, where="mid", color=colour, label="fitted, if a reading is of this kind")
 
 
 def _bulk(p: _Array, share_of_peak: float) -> NDArray[np.bool_]:

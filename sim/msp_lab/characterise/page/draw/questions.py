@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.question_findings import FactorEffect
@@ -85,7 +85,7 @@ def _panel(axes: Axes, metric: str, effects: Sequence[tuple[float, Estimated]], 
         step = next((each for each in (100.0, 10.0, 2.0) if each <= reach), 1.2)
         axes.xaxis.set_major_locator(FixedLocator([1.0 / step, 1.0, step]))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
+        axes.xaxis.set_major_formatter("{x:g}")
     else:
         far = 6.0 * max([effect.bound for _, (effect, _) in effects])
         if reach > 2.0 * far:
@@ -97,7 +97,7 @@ def _panel(axes: Axes, metric: str, effects: Sequence[tuple[float, Estimated]], 
             axes.xaxis.set_major_locator(FixedLocator(ticks))
             axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xlim(-reach, reach)
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}".replace("-", "−")))
+        axes.xaxis.set_major_formatter("{x:g}")
     left, right = axes.get_xlim()
     axes.axvline(none, color=GREY, linewidth=1.0, zorder=1)
     for y, (effect, size) in effects:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
@@ -45,13 +45,11 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     axes = figure.subplots()
     number = np.arange(1.0, fixed.reading_cm.size + 1.0)
     echoes = ~fixed.missed & np.isfinite(fixed.reading_cm)
-    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": OURS}
-    if masked:
-        # Thousands of dots would be a bar of one colour: let the ground shine through.
-        alpha = min(1.0, max(0.08, 2000.0 / number.size))
-        axes.plot(number[echoes], fixed.reading_cm[echoes], markersize=2.2, alpha=alpha, zorder=3, **dots)
-    else:
-        axes.plot(number[echoes], fixed.reading_cm[echoes], markersize=1.8, zorder=3, **dots)
+    # Thousands of dots would be a bar of one colour: let the ground shine through.
+    alpha = min(1.0, max(0.08, 2000.0 / number.size)) if masked else 1.0
+    size = 2.2 if masked else 1.8
+    look: dict[str, Any] = {"markersize": size, "markeredgewidth": 0, "color": OURS, "alpha": alpha, "zorder": 3}
+    axes.plot(number[echoes], fixed.reading_cm[echoes], "o", **look)
     axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--", linewidth=1.1, zorder=4)
     handles = [
         axes.plot([], [], "o", color=OURS, markersize=4, label="reading")[0],
@@ -86,7 +84,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
     axes.set_xlim(0, number.size + 1)
     axes.set_xlabel("reading, in order")
     axes.set_ylabel("reading [cm]")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}"))
+    axes.xaxis.set_major_formatter("{x:,.0f}")
     legend_below(figure, handles)
     return figure
 
@@ -135,7 +133,7 @@ def draw_histogram(
         axes.set_xlim(0.0, 1.06 * max(float(np.max(values)), fixed.true_range_cm))
         axes.set_yscale("log")
         axes.set_ylim(0.7, float(np.max(counts)) * 4.0)
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else ""))
+        axes.yaxis.set_major_formatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else "")
         for value, count in zip(values[is_code].tolist(), counts[is_code].tolist(), strict=True):
             axes.annotate(
                 f"{value:g} cm\n{count} ({100.0 * count / readings.size:.2g} %)",
