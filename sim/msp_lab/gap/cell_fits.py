@@ -151,7 +151,7 @@ def one_step(
     inverse = np.asarray(np.linalg.inv(information + PRIOR), dtype=np.float64)
     step = np.einsum("kij,kj->ki", inverse, total)
     variance, determined = _of_units(inverse, information, by_unit)
-    scale = _scale(stack, sigma_cm)
+    scale = scale_of(stack, sigma_cm)
     gain = 0.5 * np.einsum("ki,ki->k", step, total)
     return CellFits(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
@@ -212,7 +212,7 @@ def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack:
     # What is borrowed from other cells may fit badly: no cell is noisier than those that speak for themselves.
     if not few.all():
         determined = np.where(few, np.minimum(determined, determined[~few].max()), determined)
-    scale = _scale(stack, rows.sigma_cm)
+    scale = scale_of(stack, rows.sigma_cm)
     gain = best.posterior + prior - base
     return CellFits(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
@@ -293,7 +293,7 @@ def _quantiles(values: _Array, cell: NDArray[np.intp], cells: int, shares: tuple
     return np.where(counts > 0, found, 0.0)
 
 
-def _scale(stack: Stack, sigma_cm: _Array) -> _Array:
+def scale_of(stack: Stack, sigma_cm: _Array) -> _Array:
     """From standard deviations of a hit to centimetres, (K, 5)."""
     scale = np.ones((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)

@@ -73,6 +73,18 @@ class Gap:
     spread_ratio: Measure
     odds: OddsMeasures
 
+    @property
+    def measures(self) -> Mapping[str, Measure]:
+        """Nats, bias, spread and the odds of each class of outlier by name, as in model files."""
+        return {
+            "nats_per_reading": self.nats_per_reading,
+            "bias_cm": self.bias_cm,
+            "spread_ratio": self.spread_ratio,
+            "odds_short": self.odds.short,
+            "odds_missed": self.odds.missed,
+            "odds_random": self.odds.random,
+        }
+
 
 @dataclass(frozen=True)
 class FittedValue:
@@ -302,6 +314,11 @@ class Slice:
     z: float | None
     p_value: float | None
     after: Mapping[str, float | None] = field(default_factory=dict)
+
+
+def error_name(number: str) -> str:
+    """Field of a `Slice` with the standard error of a number, whose field is given."""
+    return "bias_se_cm" if number == "bias_cm" else f"{number}_se"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.autocorrelation import places
 from msp_lab.gap.cells import Partition, partitions
-from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect
+from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect, error_name
 from msp_lab.gap.labels import axis_label, step_name
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.tables import shown_slices, slice_with_count
@@ -175,9 +175,10 @@ def draw_slices(findings: GapFindings) -> Figure:
     ):
         for column, marker in zip(names, "o" if axes is left else "sD^v", strict=False):
             what = column.removeprefix("log_").removeprefix("odds_").removesuffix("_cm")
-            values = np.array([_or_nan(getattr(each, column)) for each in slices])
-            errors = np.array([_or_nan(getattr(each, _error_name(column))) for each in slices])
-            later = np.array([_or_nan(each.after.get(column)) for each in slices])
+            # None, for what is not known, becomes NaN.
+            values = np.array([getattr(each, column) for each in slices], dtype=float)
+            errors = np.array([getattr(each, error_name(column)) for each in slices], dtype=float)
+            later = np.array([each.after.get(column) for each in slices], dtype=float)
             ends = np.array([values - 1.96 * errors, values + 1.96 * errors])
             if column != "bias_cm":
                 with np.errstate(over="ignore"):
@@ -379,11 +380,3 @@ def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:
         if any(each.channel == channel for each in slices):
             found.append(f"log_odds_{channel}")
     return tuple(found)
-
-
-def _error_name(column: str) -> str:
-    return "bias_se_cm" if column == "bias_cm" else f"{column}_se"
-
-
-def _or_nan(value: Any) -> float:
-    return np.nan if value is None else float(value)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice
+from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, error_name
 from msp_lab.gap.labels import slice_label, step_name
 from msp_lab.gap.verdict import bounds
 from msp_range.descriptions import descriptions
@@ -164,7 +164,7 @@ def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
     cells = [slice_with_count(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
     later = ["after", _signed(each.after.get("bias_cm"), 2)]
     for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
-        value, error, left = getattr(each, name), getattr(each, f"{name}_se"), each.after.get(name)
+        value, error, left = getattr(each, name), getattr(each, error_name(name)), each.after.get(name)
         if value is None or error is None or error > 1.0:
             cells.append("few")
             later.append("")
