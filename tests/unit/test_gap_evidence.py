@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
-from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offset_nats, share_between, wander_inflation
+from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offset_nats, shift_between, wander_inflation
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.run_offsets import p_beyond_wander
 
@@ -52,7 +52,7 @@ def test_a_gain_inside_runs_counts_whole_whatever_the_runs_share() -> None:
     inside = 0.4 * np.tile(np.sin(np.arange(ROWS)), RUNS)
     offset = np.repeat(2.0 * np.random.default_rng(3).standard_normal(RUNS), ROWS)
     larger, smaller = fit(noise(4) + offset), fit(noise(4) + offset + inside)
-    assert share_between(smaller, larger, UNIT) < 0.05
+    assert shift_between(smaller, larger, UNIT) < 0.05
     plain = larger.log_likelihood - smaller.log_likelihood
     assert evidence_nats(smaller, larger, None) == pytest.approx(plain)
     assert evidence_nats(smaller, larger, UNIT) > plain
@@ -62,7 +62,7 @@ def test_a_gain_between_runs_counts_by_the_runs() -> None:
     """It halves offsets that runs have anyway: thousands of readings, and eight numbers."""
     offset = np.repeat(2.0 * np.random.default_rng(5).standard_normal(RUNS), ROWS)
     smaller, larger = fit(noise(6) + offset), fit(noise(6) + 0.5 * offset)
-    assert share_between(smaller, larger, UNIT) == pytest.approx(1.0)
+    assert shift_between(smaller, larger, UNIT) == pytest.approx(1.0)
     assert larger.log_likelihood - smaller.log_likelihood > 200.0
     assert 0.0 < evidence_nats(smaller, larger, UNIT) < 6.0
 

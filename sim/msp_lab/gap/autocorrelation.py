@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from msp_lab.gap.measures import HeldOutReadings
-from msp_sim.model.history import History
+from msp_lab.gap.runs import reading_before
 from msp_sim.model.model import Model
 from msp_sim.page.style import BLUE, INK, PALE, VERMILION, legend_below, new_figure
 
@@ -54,7 +54,7 @@ def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.ra
     residual = np.clip(ndtri(places(model, readings, rng)), -FARTHEST, FARTHEST)
     residual -= residual.mean()
     variance = max(float(np.mean(residual**2)), 1e-12)
-    before, _ = History.of(readings.contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    before, _ = reading_before(readings.contexts, n)
     time_s = np.asarray(readings.contexts["time_s"], dtype=float) if "time_s" in readings.contexts else None
     apart, value, pairs = [], [], []
     back = np.arange(n)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
+from msp_lab.gap.prepared import ODDS_CHANNELS, ChannelSlopes, templates
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
-from msp_sim.effects.curve import FIELDS, Ripple
+from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
 from msp_sim.model.rows import ModelRows, score_of_component, score_of_fault
 
@@ -224,11 +224,8 @@ def score_of(
         return score
     change = active.change(scene)
     step = active.values[parameter.name] - candidate.neutral
-    for i, channel in enumerate(CHANNELS):
-        moved = getattr(change, FIELDS[channel])
-        if moved is not None:
-            template = np.nan_to_num(np.where(known, moved, 0.0)) / step**parameter.power
-            score += here.score(i, template)
+    for i, template in templates(known, change).items():
+        score += here.score(i, template / step**parameter.power)
     if change.component is not None:
         share = np.broadcast_to(np.nan_to_num(np.where(known, change.share, 0.0)), reading_cm.shape)
         share = np.clip(share, 0.0, LARGEST_SHARE)

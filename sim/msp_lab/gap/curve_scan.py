@@ -17,6 +17,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, KnotWeights, Variables
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
+from msp_lab.gap.runs import share_between
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple
 
@@ -78,22 +79,12 @@ def variables_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = No
                 found[name] = [tuple(words)]
         elif values.dtype.kind == "f":
             sizes = [knots for count in rules.KNOTS if len(knots := _knots(values, count)) >= 2]
-            if unit is not None and _share_between(values, unit) > rules.BETWEEN_RUNS_SHARE:
+            known = np.isfinite(values)
+            if sizes and unit is not None and share_between(values[known], unit[known]) > rules.BETWEEN_RUNS_SHARE:
                 sizes = [knots for knots in sizes if len(knots) - 1 <= max(runs // rules.CURVE_RUNS_PER_DEGREE, 1)]
             if sizes:
                 found[name] = list(dict.fromkeys(sizes))
     return found
-
-
-def _share_between(values: _Array, unit: NDArray[np.intp]) -> float:
-    """Share of a column's variance that lies between runs."""
-    known = np.isfinite(values)
-    values, unit = values[known], unit[known]
-    if not values.size:
-        return 0.0
-    counts = np.maximum(np.bincount(unit), 1)
-    inside = values - (np.bincount(unit, values) / counts)[unit]
-    return 1.0 - float(inside.var()) / max(float(values.var()), 1e-300)
 
 
 def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[float, float]]:

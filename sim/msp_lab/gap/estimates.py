@@ -159,7 +159,7 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
     for each in grid:
         changed = replace(active, values={**active.values, parameter.name: float(each)})
         effects = [*final.fit.effects[:k], changed, *final.fit.effects[k + 1 :]]
-        heights.append(float(final.readings.log_prob(final.fit.base, effects).sum()))
+        heights.append(final.readings.log_likelihood(final.fit.base, effects))
     inside = grid[np.array(heights) > max(heights) - 0.5 * final.width**2]
     return FittedValue(value, float(min(inside.min(), value)), float(max(inside.max(), value)), parameter.unit)
 

@@ -38,7 +38,7 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
         if start_cm is None:
             continue
         term = replace(make_curve_term("bias", variables, knots, start_cm), is_added=True)
-        gain = float(problem.readings.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
+        gain = problem.readings.log_likelihood(state.fit.base, [*state.fit.effects, term]) - now
         if gain > 0.0:
             log_p = log_p_of(2.0 * gain, len(start_cm))
             found.append(CandidateCurve("bias", variables, knots, gain, len(start_cm), log_p, start=start_cm))

@@ -18,7 +18,7 @@ from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
-from msp_lab.gap.runs import sample
+from msp_lab.gap.runs import numbered, places_in, sample, taken
 from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
@@ -169,7 +169,7 @@ class Comparison:
         parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
         rows = np.flatnonzero(parts.held_out)
         rows = sample(data, rows, rules.MAX_MEASURED, np.random.default_rng([settings.seed, 3]))
-        contexts = {name: column[rows] for name, column in data.items()}
+        contexts = taken(data, rows)
         held_out = HeldOutReadings(data["reading_cm"][rows], contexts, _units(parts.runs[rows]))
         can = usable(model, held_out)
         held_out = held_out.take(can)
@@ -362,7 +362,7 @@ def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
     if runs >= rules.MIN_RUNS:
         return []
     what = "1 run" if runs == 1 else f"{runs} runs"
-    order = np.lexsort((time_s, np.unique(run, return_inverse=True)[1]))
+    order = np.lexsort((time_s, numbered(run)))
     pauses = int(np.sum((np.diff(time_s[order]) > rules.PAUSE_S) & (run[order][1:] == run[order][:-1])))
     hint = (
         f" There are {pauses} pauses of over {rules.PAUSE_S:g} s: if flights lie between them, number them in a column"
@@ -376,13 +376,8 @@ def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
 
 def _units(runs: NDArray[np.str_]) -> NDArray[np.intp]:
     """Runs, or where they are few, blocks of consecutive readings of them."""
-    names, unit, counts = np.unique(runs, return_inverse=True, return_counts=True)
-    if names.size >= rules.UNITS_FROM_RUNS:
-        return np.asarray(unit, dtype=np.intp)
+    unit = numbered(runs)
+    if int(unit.max()) + 1 >= rules.UNITS_FROM_RUNS:
+        return unit
     length = max(int(np.ceil(runs.size / rules.UNIT_BLOCKS)), rules.MIN_BLOCK_READINGS)
-    place = np.zeros(runs.size, dtype=np.intp)
-    for i in range(names.size):
-        rows = np.flatnonzero(unit == i)
-        place[rows] = np.arange(rows.size) // length
-    _, blocks = np.unique(unit * (int(counts.max()) // length + 1) + place, return_inverse=True)
-    return np.asarray(blocks, dtype=np.intp)
+    return numbered(unit * runs.size + places_in(unit) // length)

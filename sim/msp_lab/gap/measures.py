@@ -16,7 +16,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import drawn_sums, unit_sums, unit_variance
 from msp_lab.gap.cell_fits import CellFits, apart, free_fit, one_step, products, scores_of
 from msp_lab.gap.cells import Partition, Stack
-from msp_lab.gap.runs import dependence
+from msp_lab.gap.runs import dependence, taken
 from msp_sim.model.model import Model
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows
 from msp_sim.model.streams import RandomStreams
@@ -47,9 +47,7 @@ class HeldOutReadings:
 
     def take(self, rows: NDArray[Any]) -> "HeldOutReadings":
         """Some of the readings."""
-        return HeldOutReadings(
-            self.reading_cm[rows], {name: column[rows] for name, column in self.contexts.items()}, self.unit[rows]
-        )
+        return HeldOutReadings(self.reading_cm[rows], taken(self.contexts, rows), self.unit[rows])
 
 
 def usable(model: Model, readings: HeldOutReadings) -> NDArray[np.bool_]:

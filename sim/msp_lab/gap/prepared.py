@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.gap.runs import taken
 from msp_range.reading_model.rows import FREE
-from msp_sim.effects.base import Parameter, Scene
+from msp_sim.effects.base import Contribution, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
 from msp_sim.model.history import MAX_CORRELATION, History
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of
@@ -82,6 +83,10 @@ class Prepared:
         """log probability of each reading, (n,), bounded below."""
         return log_prob(self.at(base, effects), self.reading_cm)
 
+    def log_likelihood(self, base: _Array, effects: Sequence[Term]) -> float:
+        """Sum of those of all readings."""
+        return float(self.log_prob(base, effects).sum())
+
     def slopes(self, base: _Array, effects: Sequence[Term]) -> "ChannelSlopes":
         """Derivatives of the log probabilities by the channels and by the base's other numbers."""
         return channel_slopes(self.at(base, effects), self.reading_cm)
@@ -137,6 +142,12 @@ class Prepared:
                 own = rows.of_readings(self.reading_cm, ModelRows.last_added)[0]
                 odds, total = odds + sign * each.odds, total + sign * each.odds * own
         return np.asarray(np.log(np.maximum(total / odds, MIN_PROBABILITY)))
+
+
+def templates(known: Any, change: Contribution) -> dict[int, _Array]:
+    """What a change adds to each channel that it moves, by the channel's place; 0 where it is not known."""
+    moved = {i: getattr(change, FIELDS[channel]) for i, channel in enumerate(CHANNELS)}
+    return {i: np.nan_to_num(np.where(known, each, 0.0)) for i, each in moved.items() if each is not None}
 
 
 def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> _Array:
@@ -254,6 +265,5 @@ class ReadingsAtFit:
         """Which readings, prepared, and their slopes."""
         for start in range(0, self.reading_cm.size, CHUNK):
             part = slice(start, start + CHUNK)
-            columns = {name: np.asarray(column)[part] for name, column in self.contexts.items()}
-            prepared = Prepared.of(self.model, columns, self.reading_cm[part], self.spacing_s)
+            prepared = Prepared.of(self.model, taken(self.contexts, part), self.reading_cm[part], self.spacing_s)
             yield part, prepared, prepared.slopes(self.base, self.effects)

@@ -20,9 +20,9 @@ from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats, of_one_run
-from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit, templates
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s
+from msp_lab.gap.runs import Dependence, dependence, numbered, previous, sample, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
@@ -105,7 +105,7 @@ class Problem:
     ) -> "Problem":
         """Prepare a sample of these readings; the parameters are as the attributes."""
         rows = sample(contexts, np.arange(reading_cm.size), rules.READINGS, rng)
-        whole, contexts = contexts, {name: np.asarray(column)[rows] for name, column in contexts.items()}
+        whole, contexts = contexts, taken(contexts, rows)
         reading_cm, unit = reading_cm[rows], unit[rows]
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)
@@ -205,7 +205,7 @@ class Problem:
             if np.array_equal(fault.arrives(received), received):
                 alike = received
         run = self.contexts["run"] if "run" in self.contexts else np.zeros(len(self.readings))
-        return clumping(slope, np.unique(run, return_inverse=True)[1], alike)
+        return clumping(slope, numbered(run), alike)
 
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
@@ -434,8 +434,8 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
     bases = (state.fit.base, problem.base.base)
     key = (state.fit.base.tobytes(), *((each.stream, each.shape, *each.values.values()) for each in active))
     if key not in problem.kept:
-        heights = [float(problem.readings.log_prob(each, active).sum()) for each in bases]
-        problem.kept[key] = problem.refit(active, bases[int(np.argmax(heights))])
+        start = max(bases, key=lambda base: problem.readings.log_likelihood(base, active))
+        problem.kept[key] = problem.refit(active, start)
     return state.having(problem.kept[key], terms)
 
 
@@ -447,8 +447,7 @@ def loss(problem: Problem, smaller: JointFit, state: State) -> float:
 def bias_cm(problem: Problem, term: Term) -> _Array:
     """What a term adds to the hit of each reading that is refitted [cm], (n,)."""
     scene = problem.readings.scene
-    added_cm = np.nan_to_num(np.where(applies(scene, term), term.change(scene).bias_cm, 0.0))
-    return np.broadcast_to(added_cm, (len(problem.readings),))
+    return np.broadcast_to(templates(applies(scene, term), term.change(scene))[0], (len(problem.readings),))
 
 
 def free_curves(

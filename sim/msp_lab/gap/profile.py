@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap.candidates import CandidateEffect, score_of
-from msp_lab.gap.prepared import BASE, ChannelSlopes, ReadingsAtFit
+from msp_lab.gap.prepared import BASE, ChannelSlopes, ReadingsAtFit, templates
 from msp_sim.effects.base import Scene
 from msp_sim.model.model import Model, applies
 
@@ -86,13 +86,12 @@ def _log_gain(change: _Array) -> _Array:
 def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
     """Change of the log odds by a number of 1, (n,)."""
     active = candidate.at(candidate.neutral + candidate.parameter.step)
-    known = applies(scene, active)
-    n = int(np.shape(scene.range_cm)[0])
+    known, shape = applies(scene, active), np.shape(scene.range_cm)
     if known is False:
-        return np.zeros(n)
-    change = active.change(scene)
-    moved = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)[(candidate.odds or 1) - 1]
-    return np.broadcast_to(np.nan_to_num(np.where(known, moved, 0.0)) / candidate.parameter.step, (n,))
+        return np.zeros(shape)
+    # It is the only channel that the candidate moves.
+    (template,) = templates(known, active.change(scene)).values()
+    return np.broadcast_to(template / candidate.parameter.step, shape)
 
 
 def _odds_scales(

@@ -17,7 +17,7 @@ from msp_lab.gap.candidates import CandidateEffect, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
-from msp_lab.gap.runs import sample
+from msp_lab.gap.runs import sample, taken
 from msp_sim.effects.base import Scene
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
@@ -113,7 +113,7 @@ def replicate(
     at = np.tile(np.arange(n), -(-rows // n))
     if n >= rows:
         at = sample(contexts, np.arange(n), rows, rng, rules.STRETCH if spacing_s is None else BLOCK_ROWS)
-    drawn = {name: np.asarray(column)[at] for name, column in contexts.items()}
+    drawn = taken(contexts, at)
     prepared = Prepared.of(model, drawn, np.zeros(at.size), spacing_s)
     if prepared.rows.history is not None and at.size > n and "time_s" in drawn:
         # Each copy of the contexts is a series of its own.
