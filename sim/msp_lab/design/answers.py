@@ -18,7 +18,6 @@ from msp_lab.gap.extended_model import extended
 from msp_lab.gap.intake import Comparison
 from msp_lab.gap.named_file import read_named
 from msp_lab.gap.prepared import Prepared
-from msp_lab.gap.problem import Progress
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.runs import sample, taken
 from msp_lab.gap.steps import Steps
@@ -140,18 +139,12 @@ class OldReadings:
         )[0]
 
 
-def fit_answers(
-    old: OldReadings, question: OpenQuestion, report: Progress = lambda what, share: None
-) -> list[FittedAnswer]:
+def fit_answers(old: OldReadings, question: OpenQuestion) -> list[FittedAnswer]:
     """Each answer of a question, fitted to the old readings with all else that was found."""
     own = {(each.name, each.of) for each in question.answers}
     others = [each for each in old.terms if (each.effect.name, each.of) not in own]
     without = refit(old.prepared, others)
-    found = []
-    for answer in question.answers:
-        report(f"fitting {answer.label}", 0.0)
-        found.append(_fitted(old, answer, others, without))
-    return found
+    return [_fitted(old, answer, others, without) for answer in question.answers]
 
 
 def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: JointFit) -> FittedAnswer:

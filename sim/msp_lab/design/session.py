@@ -13,6 +13,11 @@ Columns: TypeAlias = Mapping[str, NDArray[Any]]
 Kind: TypeAlias = Literal["bench", "flight"]
 
 
+def chosen(levels: tuple[float, ...], ends_only: bool) -> tuple[float, ...]:
+    """All levels of what is varied, or the first and the last."""
+    return (levels[0], levels[-1]) if ends_only else levels
+
+
 @dataclass(frozen=True)
 class PlannedSession:
     """A session of a kind, as long as it is.

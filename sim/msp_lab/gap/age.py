@@ -33,9 +33,7 @@ def reading_age(findings: GapFindings, model: Model, readings: HeldOutReadings) 
         With times, on which the hold is measured.
     """
     found: Mapping[str, float] = {
-        each.name: next(iter(each.parameters.values())).value
-        for each in findings.effects
-        if each.verdict != "suggested" and each.parameters
+        each.name: next(iter(each.parameters.values())).value for each in findings.confirmed if each.parameters
     }
     if not {LATENCY.name, STALE.name} <= found.keys() or "time_s" not in readings.contexts:
         return None

@@ -5,6 +5,7 @@ before it, as a normal deviate: where the model is right these are independent, 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -97,6 +98,11 @@ def draw_autocorrelation(before: Autocorrelation, after: Autocorrelation, added:
     left.set_ylabel("correlation of the errors")
     low, high = left.get_ylim()
     left.set_ylim(min(low, -0.2), max(high, 0.5))
-    handles = {str(each.get_label()): each for axes in (left, right) for each in axes.get_legend_handles_labels()[0]}
-    legend_below(figure, list(handles.values()))
+    legend_below(figure, labelled(figure))
     return figure
+
+
+def labelled(figure: Figure) -> list[Any]:
+    """What a figure's legend lists: of all axes, one of each label."""
+    drawn = [each for axes in figure.axes for each in axes.get_legend_handles_labels()[0]]
+    return list({str(each.get_label()): each for each in drawn}.values())

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import ODDS_CHANNELS, ChannelSlopes, templates
+from msp_lab.gap.prepared import ODDS_CHANNELS, ChannelSlopes, Prepared, templates
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
-from msp_sim.model.rows import ModelRows, score_of_component, score_of_fault
+from msp_sim.model.rows import score_of_component, score_of_fault
 
 _Array = NDArray[np.float64]
 Key = tuple[str, str | None]
@@ -212,12 +212,11 @@ def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
     return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
 
 
-def score_of(
-    candidate: CandidateEffect, rows: ModelRows, scene: Scene, reading_cm: _Array, here: ChannelSlopes
-) -> _Array:
+def score_of(candidate: CandidateEffect, prepared: Prepared, here: ChannelSlopes) -> _Array:
     """Score of a candidate where it is absent, (n,)."""
     parameter = candidate.parameter
     active = candidate.at(candidate.neutral + parameter.step)
+    scene, reading_cm, rows = prepared.scene, prepared.reading_cm, here.rows
     known = applies(scene, active)
     score = np.zeros(reading_cm.size)
     if known is False:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
-from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, KnotWeights, Variables
+from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, Variables
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
 from msp_lab.gap.runs import share_between
@@ -231,7 +231,7 @@ def scan(
         most = min(rules.MAX_KNOTS[channel], events / rules.MIN_EVENTS_PER_KNOT)
         wanted = [k for k, size in sizes.items() if size <= most]
         of_pairs = any(len(asked.curves[k][0]) > 1 for k in wanted)
-        weights = (asked.columns, asked.pairs) if of_pairs else (asked.columns,)
+        weights: list[KnotsOfColumns | KnotsOfPairs] = [asked.columns, *([asked.pairs] if of_pairs else [])]
         sums = _Sums.of(weights, here, channel, own, unit)
         of_channel: dict[int, tuple[float, int]] = {}
         for size in dict.fromkeys(sizes[k] for k in wanted):
@@ -285,7 +285,7 @@ class _Sums:
     @classmethod
     def of(
         cls,
-        weights: Sequence[KnotWeights],
+        weights: Sequence[KnotsOfColumns | KnotsOfPairs],
         here: ChannelSlopes,
         channel: CurveChannel,
         fitted: _Array,

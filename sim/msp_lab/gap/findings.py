@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 
 Verdict: TypeAlias = Literal["nothing missing", "absorbed", "explained", "improved", "partly explained", "unexplained"]
 Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
+LastStep: TypeAlias = Literal["compare", "name", "add", "show"]
 
 
 @dataclass(frozen=True)
@@ -426,3 +427,8 @@ class GapFindings:
     date: str = ""
     model_sha256: str = ""
     version: str = ""
+
+    @property
+    def confirmed(self) -> tuple[FoundEffect, ...]:
+        """The effects that are findings; what is only suggested is none."""
+        return tuple(each for each in self.effects if each.verdict != "suggested")

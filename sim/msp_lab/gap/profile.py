@@ -55,8 +55,7 @@ def largest_gains(
     gains = np.zeros((len(candidates), 2 * ODDS_STEPS.size))
     along = np.zeros(steps.shape)
     for _, prepared, here in readings.parts():
-        scene, reading_cm = prepared.scene, prepared.reading_cm
-        scores = np.stack([score_of(each, here.rows, scene, reading_cm, here) for each in candidates])
+        scores = np.stack([score_of(each, prepared, here) for each in candidates])
         efficient = scores - cross @ here.by[:, ODDS].T
         for i, step in enumerate(steps):
             along[i] += _log_gain(efficient * step[:, None]).sum(axis=1)
@@ -65,7 +64,7 @@ def largest_gains(
                 slope = np.maximum(scores[j], -1.0 / 0.31)
                 gains[j, : SHARES.size] += np.log1p(SHARES[:, None] * slope[None, :]).sum(axis=1)
             else:
-                gains[j] += _odds_gains(candidate, scene, here, sizes[j], means[j])
+                gains[j] += _odds_gains(candidate, prepared.scene, here, sizes[j], means[j])
     linear = np.array([each.linear for each in candidates], dtype=bool)
     numbers = np.concatenate([ODDS_STEPS, -ODDS_STEPS]) * sizes[:, None]
     numbers[linear] = 0.0

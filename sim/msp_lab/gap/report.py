@@ -3,21 +3,19 @@
 Findings, the models before and after and the held-out readings enter, files leave. Needs the extra ``lab``.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.autocorrelation import draw_autocorrelation, residual_autocorrelation
-from msp_lab.gap.findings import FoundEffect, GapFindings
+from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.labels import agreement, capitalised, effect_label, extension_label, headline, listed, name_of
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.pictures import draw_curve, draw_path, draw_pit, draw_residuals, draw_slices, subjects
 from msp_lab.gap.tables import measures_table, model_table, parameters_table, shown_slices, slices_table, steps_table
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import Effect
 from msp_sim.model.model import Model, Term
 from msp_sim.page.page import Omitted, Picture, render, write_page
 from msp_sim.page.style import files_of, style
@@ -29,34 +27,21 @@ RESIDUALS_CAPTION = (
 )
 
 
-@dataclass(frozen=True)
-class ReportModels:
-    """The model of each stage.
-
-    Attributes
-    ----------
-    given
-        That the readings were compared with.
-    training_fit
-        With what was added, with the values of the training runs.
-    final_fit
-        The same with the values of all runs: what ``model.yaml`` holds.
-    """
-
-    given: Model
-    training_fit: Model
-    final_fit: Model
-
-
-def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutReadings, folder: Path) -> Path:
+def write_report(
+    findings: GapFindings, before: Model, after: Model, final_fit: Model, readings: HeldOutReadings, folder: Path
+) -> Path:
     """Draw what there is to show and write the page; older files of these names are replaced.
 
     Parameters
     ----------
     findings
         All of them, or those of the first step.
-    models
-        Before and after; the given one three times where nothing has been added yet.
+    before
+        The model that the readings were compared with.
+    after
+        With what was added, with the values of the training runs; the given model where nothing has been added yet.
+    final_fit
+        The same with the values of all runs: what ``model.yaml`` holds.
     readings
         The held-out readings.
     folder
@@ -72,12 +57,12 @@ def write_report(findings: GapFindings, models: ReportModels, readings: HeldOutR
     ConfigError
         A file cannot be written.
     """
-    before, after = models.given, models.training_fit
     with style():
         pictures = _pictures(findings, before, after, readings)
     measures, steps = measures_table(findings, before), steps_table(findings)
-    slices, numbers = slices_table(findings), model_table(findings, before, models.final_fit)
-    effects = [(each, effect, parameters_table(each, effect)) for each, effect in _with_catalogue(findings)]
+    slices, numbers = slices_table(findings), model_table(findings, before, final_fit)
+    known = [(each, CATALOGUE.get(each.name)) for each in findings.effects]
+    effects = [(each, effect, parameters_table(each, effect)) for each, effect in known]
     html = render(
         __package__ or "msp_lab.gap",
         "gap.html",
@@ -179,10 +164,6 @@ def _pictures(findings: GapFindings, before: Model, after: Model, readings: Held
                 )
             )
     return found
-
-
-def _with_catalogue(findings: GapFindings) -> list[tuple[FoundEffect, Effect | None]]:
-    return [(each, CATALOGUE.get(each.name)) for each in findings.effects]
 
 
 def _with_values(each: Term) -> str:

@@ -18,7 +18,6 @@ from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.runs import sample, taken
-from msp_sim.effects.base import Scene
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
 from msp_sim.model.streams import RandomStreams
@@ -69,7 +68,7 @@ def score_sums(
     total = np.zeros((units, len(BASE) + len(candidates)))
     products = np.zeros((total.shape[1], total.shape[1]))
     for part, prepared, here in readings.parts():
-        scores = _matrix(prepared.scene, prepared.reading_cm, here, candidates)
+        scores = _matrix(prepared, here, candidates)
         total += sums_by(unit[part], scores, units)
         products += scores.T @ scores
     total[:, : len(BASE)] -= prior * readings.base * rows / units
@@ -86,16 +85,15 @@ def score_matrix(
     prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> _Array:
     """Scores of base and candidates, (n, 8 + candidates)."""
-    here = prepared.slopes(base, effects)
-    return _matrix(prepared.scene, prepared.reading_cm, here, candidates)
+    return _matrix(prepared, prepared.slopes(base, effects), candidates)
 
 
-def _matrix(scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> _Array:
+def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> _Array:
     # By columns, as they are filled.
-    matrix = np.empty((reading_cm.size, len(BASE) + len(candidates)), order="F")
+    matrix = np.empty((len(prepared), len(BASE) + len(candidates)), order="F")
     matrix[:, : len(BASE)] = here.by
     for j, candidate in enumerate(candidates):
-        matrix[:, len(BASE) + j] = score_of(candidate, here.rows, scene, reading_cm, here)
+        matrix[:, len(BASE) + j] = score_of(candidate, prepared, here)
     return matrix
 
 
@@ -275,7 +273,7 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
     A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
     """
     here, parameter = fit.here, placed[0].parameter
-    scores = [score_of(each, here.rows, prepared.scene, prepared.reading_cm, here) for each in placed]
+    scores = [score_of(each, prepared, here) for each in placed]
     own, others = fit.scores[:, ~fit.held], np.column_stack(scores)
     left = others - own @ np.linalg.lstsq(own, others, rcond=1e-8)[0]
     information = np.maximum((left**2).sum(axis=0), 1e-12)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
-from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, slice_label, unit_of
+from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, short, slice_label, unit_of
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.plain import digits, plain_finding
 
@@ -43,8 +43,7 @@ def with_words(findings: GapFindings) -> GapFindings:
 
 def found_parts(findings: GapFindings) -> list[FoundEffect | UnknownEffect]:
     """All that is a finding, that with the largest gain first; what is only suggested is none."""
-    sure: list[FoundEffect | UnknownEffect] = [each for each in findings.effects if each.verdict != "suggested"]
-    return sorted([*sure, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
+    return sorted([*findings.confirmed, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
 
 
 def gain_percent(findings: GapFindings) -> float | None:
@@ -239,6 +238,4 @@ def _floor(measure: Measure, unit: str) -> str:
 
 
 def _short(value: float | None) -> str:
-    if value is None:
-        return "?"
-    return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
+    return short(value) or "?"
