@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import ODDS_CHANNELS, ChannelSlopes, Prepared, templates
+from msp_lab.gap.runs import known_values
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
+from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
@@ -113,6 +114,15 @@ class CandidateEffect:
         assert isinstance(component, Normal)
         return replace(self, shape=((self.effect.moves, moved_cm / float(np.mean(component.location_cm))),))
 
+    def from_neutral(self, change: float) -> float:
+        """The value that is so far from the neutral one, within the parameter's bounds."""
+        return float(np.clip(self.neutral + change, self.parameter.low, self.parameter.high))
+
+    def from_score(self, change: float) -> float:
+        """The value at which its template is by so much larger, at least by that of a step."""
+        size = max(abs(change), self.parameter.step) ** (1.0 / self.parameter.power)
+        return self.from_neutral(float(np.sign(change)) * size)
+
     def at(self, value: float) -> Term:
         """The effect with this value of its number."""
         values = {**self.effect.neutral_values(), **dict(self.shape), self.parameter.name: value}
@@ -155,6 +165,11 @@ class SelectedTerm:
     def cost_nats(self) -> float:
         """What the search over its shapes gains by random variation [nat]."""
         return 0.0 if self.candidate is None else self.candidate.cost_nats
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a candidate has: its strength and its shape."""
+        return 1 if self.candidate is None else 1 + len(self.candidate.shape)
 
     @property
     def is_base(self) -> bool:
@@ -206,10 +221,7 @@ def candidates_of(
 
 
 def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
-    if name not in contexts:
-        return False
-    column = np.asarray(contexts[name])
-    return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
+    return name in contexts and known_values(np.asarray(contexts[name])).size > 0
 
 
 def score_of(candidate: CandidateEffect, prepared: Prepared, here: ChannelSlopes) -> _Array:

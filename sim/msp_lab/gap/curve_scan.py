@@ -17,7 +17,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, Variables
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
-from msp_lab.gap.runs import share_between
+from msp_lab.gap.runs import known_values, share_between
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple
 
@@ -92,7 +92,7 @@ def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[
 
     They are at even shares of the readings, between two shares.
     """
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if np.unique(known).size < 2 * rules.STEPS:
         return []
     places = np.unique(np.quantile(known, np.linspace(low, high, rules.STEPS + 2)[1:-1]))
@@ -111,7 +111,7 @@ def is_step(form: CandidateCurve, values: _Array) -> bool:
 
 def _knots(values: _Array, count: int) -> tuple[float, ...]:
     """Knots between quantiles and even steps, so that rare ends have one too."""
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if known.size < max(20, values.size // 2):
         return ()
     distinct = np.unique(known)

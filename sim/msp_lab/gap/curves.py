@@ -137,7 +137,7 @@ def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveCha
     there = _with_curve(problem, less, form)
     if loss(problem, less.fit, state) > rules.FORM_SHARE * loss(problem, less.fit, there):
         return state
-    numbers = sum(1 + len(each.candidate.shape) for each in named if each.candidate is not None)
+    numbers = sum(each.numbers for each in named)
     p_value = rules.FORM_P_FACTOR * rules.CURVE_P / len(forms)
     least = 0.5 * float(chdtri(max(form.degrees - numbers, 1), p_value)) - 0.5 * max(len(named) - 1, 0)
     better = loss(problem, state.fit, there) > form.cost_nats + least

@@ -16,7 +16,7 @@ from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.formula import formula
-from msp_lab.gap.labels import unit_of
+from msp_lab.gap.labels import unit_after, unit_of
 from msp_lab.gap.prepared import BASE, Prepared, knot_weights
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -293,8 +293,7 @@ def calibrated(problem: Problem, final: FinalFit, training: JointFit) -> list[Ca
 
 
 def _calibration(name: str, before: float, after: float, low: float, high: float, unit: str) -> CalibrationFinding:
-    of = "" if unit == "1" else f" {unit}"
-    text = f"{name} is {after:.4g}{of} ({low:.4g} to {high:.4g}) and not {before:.4g}"
+    text = f"{name} is {after:.4g}{unit_after(unit)} ({low:.4g} to {high:.4g}) and not {before:.4g}"
     return CalibrationFinding(name, text, before, after, low, high, unit)
 
 
@@ -307,7 +306,4 @@ def detectable(problem: Problem, first: Screen) -> str:
         key = candidate.effect.name, parameter.name
         if smallest < parameter.high - parameter.low and (key not in least or smallest < least[key][0]):
             least[key] = smallest, parameter.unit
-    return "; ".join(
-        f"{effect} above {size:.2g} {'' if unit == '1' else unit}".rstrip()
-        for (effect, _), (size, unit) in least.items()
-    )
+    return "; ".join(f"{effect} above {size:.2g}{unit_after(unit)}" for (effect, _), (size, unit) in least.items())

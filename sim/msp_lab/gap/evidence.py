@@ -47,7 +47,7 @@ class _Offsets:
 
 
 def _offsets(fit: JointFit, unit: NDArray[np.intp]) -> _Offsets:
-    slope = fit.here.by[:, 0]
+    slope = fit.offset_slope
     counts = np.bincount(unit).astype(float)
     mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
     between = counts * mean**2
@@ -70,7 +70,7 @@ def offset_nats(fit: JointFit, unit: NDArray[np.intp]) -> float:
 
 def _log_p_beside_offsets(fit: JointFit, unit: NDArray[np.intp], offsets: _Offsets) -> _Array:
     """Log-likelihood of each reading with its run's offset taken off, by a quadratic in that offset, (n,)."""
-    slope, removed = fit.here.by[:, 0], offsets.slope_removed[unit]
+    slope, removed = fit.offset_slope, offsets.slope_removed[unit]
     log_p: _Array = fit.here.log_p + removed * (slope - 0.5 * removed) / max(float((slope**2).mean()), 1e-12)
     return log_p
 
@@ -82,7 +82,7 @@ def shift_between(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -
 
 def _residual(fit: JointFit) -> _Array:
     """Residuals of normal readings from their slopes by an offset, which are the residuals over their variance."""
-    slope = fit.here.by[:, 0]
+    slope = fit.offset_slope
     residual: _Array = slope / max(float((slope**2).mean()), 1e-12)
     return residual
 
@@ -102,7 +102,7 @@ def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
     their run's mean beyond random variation.
     """
     blocks = blocks_of(unit)
-    slope = fit.here.by[:, 0]
+    slope = fit.offset_slope
     counts = np.maximum(np.bincount(unit), 1)
     centred = slope - (np.bincount(unit, slope) / counts)[unit]
     size = np.bincount(blocks)
@@ -198,7 +198,7 @@ def of_one_run(nats: float, fit: JointFit, unit: NDArray[np.intp], run: NDArray[
     run
         Readings that are of the run with the offset.
     """
-    slope, others = fit.here.by[:, 0], np.unique(unit[~run])
+    slope, others = fit.offset_slope, np.unique(unit[~run])
     sums, squares = (np.bincount(unit, each)[others] for each in (slope, slope**2))
     own, freedom = rules.RUN_SCATTER_FREEDOM, others.size - 1
     if nats <= 0.0 or freedom < 1:

@@ -112,6 +112,11 @@ def effect_label(name: str, of: str | None) -> str:
     return name.replace("_", " ") + (f" of {of}" if of else "")
 
 
+def unit_after(unit: str) -> str:
+    """A unit as it follows a number; nothing for a number without one."""
+    return "" if unit in ("1", "") else f" {unit}"
+
+
 def parameter_words(name: str, value: FittedValue) -> str:
     """A parameter with its value, unit and interval.
 
@@ -122,13 +127,12 @@ def parameter_words(name: str, value: FittedValue) -> str:
     >>> parameter_words("share", FittedValue(1.0, 0.99965, 1.0, "1"))
     'share 1 (0.99965 to 1)'
     """
-    unit = "" if value.unit in ("1", "") else f" {value.unit}"
     interval = ""
     if value.low is not None and value.high is not None:
         ends = [(f"{value.low:.{digits}g}", f"{value.high:.{digits}g}") for digits in (3, 6)]
         low, high = next((each for each in ends if each[0] != each[1]), ends[-1])
         interval = f" ({low} to {high})"
-    return f"{name} {value.value:.3g}{unit}{interval}"
+    return f"{name} {value.value:.3g}{unit_after(value.unit)}{interval}"
 
 
 def extension_label(findings: GapFindings) -> str:

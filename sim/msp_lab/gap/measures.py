@@ -87,6 +87,8 @@ class Measures:
         Free fits of the partitions that differ most, by their variables.
     numbers
         The measures by name, as in `findings.Gap`; each is that of the partition in which it is largest.
+    noise_floor
+        Of each measure.
     log_score
         Mean log probability of a reading [nat].
     """
@@ -98,6 +100,7 @@ class Measures:
     step: CellFits
     fits: Mapping[tuple[str, ...], CellFits]
     numbers: Mapping[str, Interval]
+    noise_floor: Mapping[str, float]
     log_score: float
 
 
@@ -218,7 +221,9 @@ def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition],
     step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
     kept = set(_kept(_by_variables(step, stack)))
     fits = free_fits(rows, readings, [each for each in parts if each.variables in kept])
-    return Measures(readings, rows, stack, scores, step, fits, _measures(fits), log_score(model, readings))
+    return Measures(
+        readings, rows, stack, scores, step, fits, _measures(fits), drawn.noise_floor, log_score(model, readings)
+    )
 
 
 def log_score(model: Model, readings: HeldOutReadings) -> float:

@@ -253,20 +253,18 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     gained = gain(after, before, splits.unit[held_out_rows])
     path = _path(problem, selection, kept.state)
     calibration = [*calibrated(problem, final, of_training), *calibration]
-    parts = {"training": (of_training.base, of_training.effects), "final": (fit.base, fit.effects)}
+    of_runs, of_all = (of_training.base, of_training.effects), (fit.base, fit.effects)
     # Blocks of one run are no runs: what they differ by is a drift.
     if selection.run_offset_cm > 0.0 and not splits.of_blocks:
         offsets = validated_run_offsets(selection.run_offset_cm, fit, readings, unit, splits)
         if offsets is not None:
             effects.append(offsets[0])
-            parts = {
-                "training": with_run_offsets(of_training, offsets[1], training),
-                "final": with_run_offsets(fit, offsets[1], readings),
-            }
+            of_runs = with_run_offsets(of_training, offsets[1], training)
+            of_all = with_run_offsets(fit, offsets[1], readings)
     return NamedModel(
         ExtendedModels(
-            extended(model, *parts["training"], problem.readings.spacing_s),
-            extended(model, *parts["final"], problem.readings.spacing_s),
+            extended(model, *of_runs, problem.readings.spacing_s),
+            extended(model, *of_all, problem.readings.spacing_s),
             path,
         ),
         tuple(effects),

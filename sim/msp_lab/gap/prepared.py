@@ -5,7 +5,7 @@ and the derivatives of each reading's log probability by the base's numbers, the
 through which effects act.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -120,13 +120,10 @@ class Prepared:
             if each.shape[0] == "bias" and each.is_added:
                 weights = self.scene.about_run_mean(weights)
             return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
-        one, other = each.change(self.scene), there.change(self.scene)
+        before, after = (templates(known, term.change(self.scene)) for term in (each, there))
         slope = np.zeros(len(self))
-        for i, channel in enumerate(CHANNELS):
-            after = getattr(other, FIELDS[channel])
-            if after is not None:
-                template = np.where(known, after - getattr(one, FIELDS[channel]), 0.0) / step
-                slope += here.score(i, np.nan_to_num(template))
+        for i, template in after.items():
+            slope += here.score(i, (template - before[i]) / step)
         return slope
 
     def _with_component(self, one: Term, other: Term, here: "ChannelSlopes") -> _Array:
@@ -159,16 +156,25 @@ def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, .
     return weights
 
 
+def moved(rows: ModelRows, numbers: Iterable[Any]) -> ModelRows:
+    """Rows with a number added in each of the `CHANNELS`, one for all rows or (n,)."""
+    shift_cm, log_spread, short, missed, random = numbers
+    logs = rows.log_weights
+    return replace(
+        rows.wider(np.exp(log_spread)),
+        centre_cm=rows.centre_cm + shift_cm,
+        log_weights=(logs[0], logs[1] + short, logs[2] + missed, logs[3] + random),
+    )
+
+
 def shifted(rows: ModelRows, base: _Array) -> ModelRows:
     """Rows with the base's numbers changed, in the order of `BASE`."""
-    hit, short, missed, random = rows.log_weights
+    *by_channel, log_rate, saturated, correlation = base
     return replace(
-        rows.wider(np.exp(base[1])),
-        centre_cm=rows.centre_cm + base[0],
-        log_weights=(hit, short + base[2], missed + base[3], random + base[4]),
-        rate_per_m=rows.rate_per_m * float(np.exp(base[5])),
-        saturated_fraction=float(np.clip(rows.saturated_fraction + base[6], 0.0, 1.0)),
-        history=None if rows.history is None else _correlated(rows.history, base[7]),
+        moved(rows, by_channel),
+        rate_per_m=rows.rate_per_m * float(np.exp(log_rate)),
+        saturated_fraction=float(np.clip(rows.saturated_fraction + saturated, 0.0, 1.0)),
+        history=None if rows.history is None else _correlated(rows.history, correlation),
     )
 
 

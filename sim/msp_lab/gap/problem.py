@@ -110,7 +110,7 @@ class Problem:
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)
         if readings.spacing_s is None:
-            neighbours = dependence(base.here.by[:, 0], unit, _time_s(contexts))
+            neighbours = dependence(base.offset_slope, unit, _time_s(contexts))
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in contexts:
                 readings = Prepared.of(model, contexts, reading_cm, spacing_s(whole))
@@ -147,7 +147,7 @@ class Problem:
 
     def dependence(self, fit: JointFit) -> Dependence:
         """Dependence of the readings inside runs at a fit."""
-        return dependence(fit.here.by[:, 0], self.unit, _time_s(self.contexts))
+        return dependence(fit.offset_slope, self.unit, _time_s(self.contexts))
 
     def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
         """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
@@ -393,11 +393,9 @@ def _correlation(one: _Array, other: _Array) -> float:
 
 def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
     """The value at which a candidate's refit starts."""
-    parameter, neutral = candidate.parameter, candidate.neutral
     if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
-        return float(np.clip(neutral + seen.best[j], parameter.low, parameter.high))
-    size = max(abs(seen.z[j] * seen.deviation[j]), parameter.step) ** (1.0 / parameter.power)
-    return float(np.clip(neutral + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
+        return candidate.from_neutral(seen.best[j])
+    return candidate.from_score(seen.z[j] * seen.deviation[j])
 
 
 def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, start: float) -> JointFit:

@@ -39,6 +39,12 @@ def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(column)[rows] for name, column in columns.items()}
 
 
+def known_values(column: NDArray[Any]) -> NDArray[Any]:
+    """The numbers or words of a column that are known."""
+    known: NDArray[np.bool_] = column != "" if column.dtype.kind == "U" else np.isfinite(column)
+    return np.asarray(column[known])
+
+
 def share_between(values: _Array, unit: NDArray[np.intp]) -> float:
     """Share of the values' variance that lies between units; 0 where all are the same."""
     off = values - values.mean()

@@ -272,8 +272,7 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
 
     A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
     """
-    here, parameter = fit.here, placed[0].parameter
-    scores = [score_of(each, prepared, here) for each in placed]
+    scores = [score_of(each, prepared, fit.here) for each in placed]
     own, others = fit.scores[:, ~fit.held], np.column_stack(scores)
     left = others - own @ np.linalg.lstsq(own, others, rcond=1e-8)[0]
     information = np.maximum((left**2).sum(axis=0), 1e-12)
@@ -281,5 +280,4 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
     if placed[0].one_sided:
         steps = np.maximum(steps, 0.0)
     best = int(np.argmax(steps**2 * information))
-    size = np.sign(steps[best]) * max(abs(float(steps[best])), parameter.step) ** (1.0 / parameter.power)
-    return placed[best].at(float(np.clip(placed[best].neutral + size, parameter.low, parameter.high)))
+    return placed[best].at(placed[best].from_score(float(steps[best])))

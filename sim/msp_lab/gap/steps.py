@@ -94,7 +94,7 @@ class Steps:
     def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
         findings = with_words(read_findings(self.folder))
-        self._draw(findings, self._comparison([Path(each.path) for each in findings.sources], findings.settings))
+        self._draw(findings, self._comparison_of(findings))
         return findings
 
     def _compare(self, comparison: Comparison) -> GapFindings:
@@ -163,9 +163,12 @@ class Steps:
         readings = read_readings(paths, model, column_map, settings.run_column, settings.of)
         return Comparison.of(readings, model, settings)
 
+    def _comparison_of(self, findings: GapFindings) -> Comparison:
+        return self._comparison([Path(each.path) for each in findings.sources], findings.settings)
+
     def same_comparison(self, findings: GapFindings, step: str) -> Comparison:
         """The comparison of earlier findings; an error where its files have changed since that step."""
-        comparison = self._comparison([Path(each.path) for each in findings.sources], findings.settings)
+        comparison = self._comparison_of(findings)
         pairs = zip(findings.sources, comparison.readings.sources, strict=True)
         changed = [old.path for old, new in pairs if old.sha256 != new.sha256]
         if findings.model_sha256 != sha256(Path(findings.settings.model)):

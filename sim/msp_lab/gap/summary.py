@@ -11,7 +11,17 @@ from dataclasses import replace
 
 from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
-from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, short, slice_label, unit_of
+from msp_lab.gap.labels import (
+    and_list,
+    capitalised,
+    effect_label,
+    name_of,
+    number_label,
+    short,
+    slice_label,
+    unit_after,
+    unit_of,
+)
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.plain import digits, plain_finding
 
@@ -61,7 +71,7 @@ def _sentence(findings: GapFindings) -> str:
         more = len(parts) - MOST_IN_SENTENCE
         if more > 0:
             text += f", and there {'is 1 more finding' if more == 1 else f'are {more} more findings'}"
-        text = text[:1].upper() + text[1:] + _share_of_gap(findings)
+        text = capitalised(text) + _share_of_gap(findings)
     elif findings.verdict == "nothing missing":
         text = "Nothing is missing: readings and model agree as far as these data can tell"
         text += f"; suggested, and no finding: {and_list([each.plain for each in findings.effects])}" * bool(
@@ -149,8 +159,8 @@ def _refitted(findings: GapFindings) -> Iterator[str]:
     numbers = []
     for each in findings.calibration:
         if each.before is not None and each.after is not None and each.name not in ("resolution", "code"):
-            unit = "" if each.unit == "1" else f" {each.unit}"
-            numbers.append(f"{number_label(each.name)} {_short(each.before)} to {_short(each.after)}{unit}")
+            ends = f"{_short(each.before)} to {_short(each.after)}{unit_after(each.unit)}"
+            numbers.append(f"{number_label(each.name)} {ends}")
     if numbers:
         why = "" if findings.verdict == "absorbed" else _why_open(findings)
         more = f" and {len(numbers) - MOST_REFITTED} more" if len(numbers) > MOST_REFITTED else ""

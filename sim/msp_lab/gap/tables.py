@@ -10,7 +10,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, error_name
-from msp_lab.gap.labels import interval, short, slice_label, step_name
+from msp_lab.gap.labels import interval, short, slice_label, step_name, unit_after
 from msp_lab.gap.verdict import bounds
 from msp_range.descriptions import descriptions
 from msp_range.reading_model.sensor_model import MixtureParameters, Weights
@@ -90,7 +90,7 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
         (
             name,
             meanings.get(name, ""),
-            f"{value.value:.4g}" + ("" if value.unit in ("1", "") else f" {value.unit}"),
+            f"{value.value:.4g}{unit_after(value.unit)}",
             interval(value.low, value.high, 4),
         )
         for name, value in found.parameters.items()

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import GapFindings
-from msp_lab.gap.labels import agreement, and_list, effect_label, interval, parameter_words, slice_label
+from msp_lab.gap.labels import agreement, and_list, effect_label, interval, parameter_words, slice_label, unit_after
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
 from msp_lab.gap.separate import TABLE, SeparateGap
@@ -59,7 +59,7 @@ def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     numbers = number_columns("hidden", "found")
     table = Table("hidden effect", "number", *numbers, "95 % interval", "holds it", box=box.SIMPLE_HEAD)
     for each in found:
-        unit = "" if each.unit == "1" else f" {each.unit}"
+        unit = unit_after(each.unit)
         ends = interval(each.low, each.high, 3)
         value = "not named" if each.found is None else f"{each.found:.3g}"
         table.add_row(
