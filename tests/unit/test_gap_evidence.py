@@ -21,11 +21,11 @@ UNIT = np.repeat(np.arange(RUNS), ROWS)
 def fit(residual: np.ndarray) -> JointFit:
     """Of normal readings, with their spread fitted: log-likelihood, and slopes by an offset."""
     variance = float((residual**2).mean())
-    by = np.zeros((residual.size, 8))
-    by[:, 0] = residual / variance
     log_likelihood = -0.5 * residual.size * (np.log(variance) + 1.0)
     log_p = -0.5 * (np.log(variance) + residual**2 / variance)
-    made: Any = SimpleNamespace(log_likelihood=log_likelihood, here=SimpleNamespace(by=by, log_p=log_p))
+    made: Any = SimpleNamespace(
+        log_likelihood=log_likelihood, offset_slope=residual / variance, here=SimpleNamespace(log_p=log_p)
+    )
     return cast(JointFit, made)
 
 
@@ -158,7 +158,6 @@ def test_offsets_of_runs_do_not_hide_by_how_much_one_of_two_names_is_ahead() -> 
 
 def test_an_offset_of_one_run_counts_by_what_the_others_scatter() -> None:
     """With runs that differ as slow noise makes them, one of them is always the farthest off."""
-    scores = np.zeros((12 * ROWS, 8))
     unit = np.repeat(np.arange(12), ROWS)
     alike, apart = (
         np.random.default_rng(1).standard_normal(12 * ROWS) + size * np.repeat(np.resize([1.0, -1.0], 12), ROWS)
@@ -166,8 +165,7 @@ def test_an_offset_of_one_run_counts_by_what_the_others_scatter() -> None:
     )
     nats = {}
     for name, slope in (("alike", alike), ("apart", apart)):
-        scores[:, 0] = slope
-        made: Any = SimpleNamespace(here=SimpleNamespace(by=scores.copy()))
+        made: Any = SimpleNamespace(offset_slope=slope)
         nats[name] = of_one_run(12.0, cast(JointFit, made), unit, unit == 3)
     # Student's t of 14 degrees of freedom: of the ten other runs and of four more by the model.
     expected = 0.5 * norm.isf(student.sf(np.sqrt(24.0), 14)) ** 2
