@@ -34,7 +34,7 @@ def answer(name: str, values: dict[str, float]) -> FittedAnswer:
 
 
 def nats(first: FittedAnswer, second: FittedAnswer, *varied: str) -> float:
-    session = BENCH.session(varied, True, 200, RECORD)
+    session = BENCH.session(varied, True, RECORD, 200)
     found = separation(GIVEN, (first, second), (0, 1), session.sampled(400), 0.0, np.random.default_rng(1))
     return found.nats(800, session.runs)
 
@@ -66,7 +66,7 @@ def test_the_new_readings_have_to_outweigh_what_the_old_ones_say_against_the_rig
 
 
 def test_placements_limit_what_differs_between_runs() -> None:
-    session = BENCH.session(("true_range_cm", "air_temperature_c"), True, 200, RECORD)
+    session = BENCH.session(("true_range_cm", "air_temperature_c"), True, RECORD, 200)
     of = [
         separation(GIVEN, (SCALE, AIR), (0, 1), session.sampled(400), offset_cm, np.random.default_rng(1))
         for offset_cm in (0.0, 1.0)
@@ -123,17 +123,17 @@ def test_what_is_like_the_same_third_answer_is_alike() -> None:
 
 
 def test_a_bench_session_is_the_plan_of_a_campaign() -> None:
-    session = BENCH.session(("true_range_cm", "vibration_hz"), False, 30, RECORD)
+    session = BENCH.session(("true_range_cm", "vibration_hz"), False, RECORD, 30)
     assert (session.runs, session.readings) == (15, 450)
     assert set(session.contexts["vibration_hz"]) == {0.0, 50.0, 100.0}
-    longer = BENCH.session(("true_range_cm", "vibration_hz"), False, 60, RECORD)
+    longer = BENCH.session(("true_range_cm", "vibration_hz"), False, RECORD, 60)
     assert longer.minutes - session.minutes == pytest.approx(450 * 0.1 / 60.0)
 
 
 def test_a_flight_session_varies_throttle_and_climb_independently() -> None:
     file = ROOT / "configs/quad_pallet.yaml"
     pilot = Pilot(file, load_airframe(file))
-    session = pilot.session(("throttle", "range_rate_cm_s"), False, 40, RECORD)
+    session = pilot.session(("throttle", "range_rate_cm_s"), False, RECORD, 40)
     throttle, rate = session.contexts["throttle"], session.contexts["range_rate_cm_s"]
     assert np.ptp(np.quantile(throttle, [0.02, 0.98])) > 0.5
     assert abs(np.corrcoef(throttle, rate)[0, 1]) < 0.2
@@ -165,7 +165,7 @@ def test_the_interval_of_a_power_that_never_failed() -> None:
 
 def test_a_session_is_as_long_as_its_own_readings_need_and_never_longer_than_gap_fits() -> None:
     """A flight's climbs come on top of the readings that were asked for: their number is that of the session made."""
-    session = BENCH.session(("true_range_cm",), True, 20, RECORD)
+    session = BENCH.session(("true_range_cm",), True, RECORD, 20)
     contexts = {name: np.tile(column, 5) for name, column in session.contexts.items()}
 
     def make(readings: int, visits: int) -> PlannedSession:
@@ -227,7 +227,7 @@ def test_the_cheapest_session_decides_what_can_be_decided(monkeypatch: pytest.Mo
 
 
 def test_repeated_placements_make_what_differs_between_runs_certain() -> None:
-    once, twice = (BENCH.session(("true_range_cm", "air_temperature_c"), True, 50, RECORD, n) for n in (1, 2))
+    once, twice = (BENCH.session(("true_range_cm", "air_temperature_c"), True, RECORD, 50, n) for n in (1, 2))
     assert (once.runs, twice.runs) == (4, 8)
     assert set(twice.contexts["true_range_cm"]) == {60.0, 400.0}
     # The air, which is slow to change, is changed once in both; each point takes a minute to place.
@@ -256,7 +256,7 @@ def test_a_neighbour_is_heard_together_or_in_turn() -> None:
     record = frozenset({"neighbour_lag_ms", "neighbour_range_cm", "true_range_cm"})
     assert bench.can_record(record)
     assert bench.factors(record) == ("true_range_cm", "neighbour_lag_ms")
-    session = bench.session(("neighbour_lag_ms",), True, 30, record)
+    session = bench.session(("neighbour_lag_ms",), True, record, 30)
     lag_ms, name = session.contexts["neighbour_lag_ms"], session.contexts["sensor"]
     assert set(lag_ms[name == "right"]) == {0.4, 100.0}
     assert session.campaign["conditions"][0]["firing"] == ["simultaneous", "sequential"]
@@ -334,6 +334,6 @@ def test_a_strength_that_is_hardly_known_is_planned_as_strong_as_it_explains_the
 def test_flights_at_the_ends_of_the_throttle_do_not_hover_between_them() -> None:
     file = ROOT / "configs/quad_pallet.yaml"
     pilot = Pilot(file, load_airframe(file))
-    some, ends = (pilot.session(("throttle",), ends_only, 40, RECORD) for ends_only in (False, True))
+    some, ends = (pilot.session(("throttle",), ends_only, RECORD, 40) for ends_only in (False, True))
     assert np.var(ends.contexts["throttle"]) > 1.4 * np.var(some.contexts["throttle"])
     assert len(pilot.flown) == 2

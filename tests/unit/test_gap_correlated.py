@@ -91,7 +91,7 @@ def test_an_offset_is_measured_in_centimetres_also_where_noise_is_correlated(cor
     parts = partitions(contexts, pairs=False)
     drawn = replicates(model(correlation), table, parts, 4, np.random.default_rng(6))
     found = measure(model(correlation), table, parts, drawn)
-    assert found.bias_cm.value == pytest.approx(4.0, abs=0.5)
+    assert found.numbers["bias_cm"].value == pytest.approx(4.0, abs=0.5)
 
 
 def test_the_noise_floor_is_that_of_correlated_readings() -> None:
@@ -104,7 +104,7 @@ def test_the_noise_floor_is_that_of_correlated_readings() -> None:
         reading_cm = model(0.9).sample(contexts, np.random.default_rng(seed))
         table = HeldOutReadings(reading_cm, contexts, unit)
         drawn = replicates(model(0.9), table, parts, 10, np.random.default_rng(6))
-        found.append(measure(model(0.9), table, parts, drawn).bias_cm.value)
+        found.append(measure(model(0.9), table, parts, drawn).numbers["bias_cm"].value)
         # The mean of 4,000 such readings has a standard error of 0.2 cm, and that of a tenth of them 0.5 cm.
         assert 0.4 < drawn.noise_floor["bias_cm"] < 1.0
     assert np.median(found) < 0.8

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
-from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offset_nats, share_between, wander_inflation
+from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offset_nats, shift_between, wander_inflation
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.run_offsets import p_beyond_wander
 
@@ -21,11 +21,11 @@ UNIT = np.repeat(np.arange(RUNS), ROWS)
 def fit(residual: np.ndarray) -> JointFit:
     """Of normal readings, with their spread fitted: log-likelihood, and slopes by an offset."""
     variance = float((residual**2).mean())
-    by = np.zeros((residual.size, 8))
-    by[:, 0] = residual / variance
     log_likelihood = -0.5 * residual.size * (np.log(variance) + 1.0)
     log_p = -0.5 * (np.log(variance) + residual**2 / variance)
-    made: Any = SimpleNamespace(log_likelihood=log_likelihood, here=SimpleNamespace(by=by, log_p=log_p))
+    made: Any = SimpleNamespace(
+        log_likelihood=log_likelihood, offset_slope=residual / variance, here=SimpleNamespace(log_p=log_p)
+    )
     return cast(JointFit, made)
 
 
@@ -52,7 +52,7 @@ def test_a_gain_inside_runs_counts_whole_whatever_the_runs_share() -> None:
     inside = 0.4 * np.tile(np.sin(np.arange(ROWS)), RUNS)
     offset = np.repeat(2.0 * np.random.default_rng(3).standard_normal(RUNS), ROWS)
     larger, smaller = fit(noise(4) + offset), fit(noise(4) + offset + inside)
-    assert share_between(smaller, larger, UNIT) < 0.05
+    assert shift_between(smaller, larger, UNIT) < 0.05
     plain = larger.log_likelihood - smaller.log_likelihood
     assert evidence_nats(smaller, larger, None) == pytest.approx(plain)
     assert evidence_nats(smaller, larger, UNIT) > plain
@@ -62,7 +62,7 @@ def test_a_gain_between_runs_counts_by_the_runs() -> None:
     """It halves offsets that runs have anyway: thousands of readings, and eight numbers."""
     offset = np.repeat(2.0 * np.random.default_rng(5).standard_normal(RUNS), ROWS)
     smaller, larger = fit(noise(6) + offset), fit(noise(6) + 0.5 * offset)
-    assert share_between(smaller, larger, UNIT) == pytest.approx(1.0)
+    assert shift_between(smaller, larger, UNIT) == pytest.approx(1.0)
     assert larger.log_likelihood - smaller.log_likelihood > 200.0
     assert 0.0 < evidence_nats(smaller, larger, UNIT) < 6.0
 
@@ -158,7 +158,6 @@ def test_offsets_of_runs_do_not_hide_by_how_much_one_of_two_names_is_ahead() -> 
 
 def test_an_offset_of_one_run_counts_by_what_the_others_scatter() -> None:
     """With runs that differ as slow noise makes them, one of them is always the farthest off."""
-    scores = np.zeros((12 * ROWS, 8))
     unit = np.repeat(np.arange(12), ROWS)
     alike, apart = (
         np.random.default_rng(1).standard_normal(12 * ROWS) + size * np.repeat(np.resize([1.0, -1.0], 12), ROWS)
@@ -166,8 +165,7 @@ def test_an_offset_of_one_run_counts_by_what_the_others_scatter() -> None:
     )
     nats = {}
     for name, slope in (("alike", alike), ("apart", apart)):
-        scores[:, 0] = slope
-        made: Any = SimpleNamespace(here=SimpleNamespace(by=scores.copy()))
+        made: Any = SimpleNamespace(offset_slope=slope)
         nats[name] = of_one_run(12.0, cast(JointFit, made), unit, unit == 3)
     # Student's t of 14 degrees of freedom: of the ten other runs and of four more by the model.
     expected = 0.5 * norm.isf(student.sf(np.sqrt(24.0), 14)) ** 2

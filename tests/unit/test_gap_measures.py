@@ -30,28 +30,28 @@ def measured(columns: dict[str, Any]) -> tuple[Measures, dict[str, float]]:
 
 def test_nothing_missing_is_within_the_floor() -> None:
     found, floor = measured(readings(4000))
-    for name, number in found.numbers().items():
+    for name, number in found.numbers.items():
         assert number.value <= 1.5 * floor[name] + 0.002, name
-    assert found.nats.low == 0.0
+    assert found.numbers["nats_per_reading"].low == 0.0
 
 
 @pytest.mark.parametrize("bias_cm", [-1.0, 12.0])
 def test_an_offset_is_measured_in_centimetres_also_where_it_is_many_sigma(bias_cm: float) -> None:
     found, _ = measured(readings(4000, bias=lambda _: bias_cm))
-    assert found.bias_cm.value == pytest.approx(abs(bias_cm), abs=0.12)
-    assert found.bias_cm.low < abs(bias_cm) < found.bias_cm.high
-    assert found.spread_ratio.value < 1.1
+    assert found.numbers["bias_cm"].value == pytest.approx(abs(bias_cm), abs=0.12)
+    assert found.numbers["bias_cm"].low < abs(bias_cm) < found.numbers["bias_cm"].high
+    assert found.numbers["spread_ratio"].value < 1.1
 
 
 def test_a_bias_that_cancels_over_all_is_seen_in_its_slices() -> None:
     found, _ = measured(readings(6000, bias=lambda c: np.where(c["throttle"] > 0.5, 1.5, -1.5)))
-    assert found.bias_cm.value == pytest.approx(1.5, abs=0.15)
+    assert found.numbers["bias_cm"].value == pytest.approx(1.5, abs=0.15)
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.5])
 def test_the_spread_is_a_ratio_either_way(factor: float) -> None:
     found, _ = measured(readings(4000, sigma_cm=1.9445 * factor))
-    assert found.spread_ratio.value == pytest.approx(max(factor, 1.0 / factor), rel=0.06)
+    assert found.numbers["spread_ratio"].value == pytest.approx(max(factor, 1.0 / factor), rel=0.06)
 
 
 @pytest.mark.parametrize("name", ["short", "missed", "random"])
@@ -61,13 +61,13 @@ def test_odds_of_each_class(name: str) -> None:
     hit = 1.0 - sum(shares.values())
     found, _ = measured(readings(6000, hit=hit, **shares))
     truth = (shares[name] / hit) / (usual[name] / 0.96)
-    assert getattr(found, name).value == pytest.approx(truth, rel=0.25)
+    assert found.numbers[f"odds_{name}"].value == pytest.approx(truth, rel=0.25)
 
 
 def test_nats_are_the_gain_of_the_right_model() -> None:
     """For a bias of the hits: half its square over the variance, times the share of hits."""
     found, _ = measured(readings(8000, bias=lambda _: 1.0))
-    assert found.nats.value == pytest.approx(0.96 * 0.5 * (1.0 / 1.9445) ** 2, rel=0.15)
+    assert found.numbers["nats_per_reading"].value == pytest.approx(0.96 * 0.5 * (1.0 / 1.9445) ** 2, rel=0.15)
 
 
 def test_what_the_model_cannot_give_is_separated() -> None:
@@ -81,7 +81,7 @@ def test_slices_say_where_and_are_corrected_for_their_number() -> None:
     table = table_of(readings(4000, bias=lambda c: np.where(c["throttle"] > 0.9, 2.0, 0.0)))
     parts = partitions(table.contexts)
     drawn = replicates(MODEL_GIVEN, table, parts, 5, rng)
-    slices = ranked(MODEL_GIVEN, table, parts, drawn, {}, rng)
+    slices = ranked(measure(MODEL_GIVEN, table, parts, drawn), rng)
     assert slices[0].variables == ()
     first = slices[1]
     assert "throttle" in first.variables
@@ -95,7 +95,7 @@ def test_slices_say_where_and_are_corrected_for_their_number() -> None:
         null = table_of(readings(1500, seed=10 + seed))
         null_parts = partitions(null.contexts, pairs=False)
         few = replicates(MODEL_GIVEN, null, null_parts, 3, rng)
-        assert min(each.p_value or 1.0 for each in ranked(MODEL_GIVEN, null, null_parts, few, {}, rng, 3)) > 0.01
+        assert min(each.p_value or 1.0 for each in ranked(measure(MODEL_GIVEN, null, null_parts, few), rng, 3)) > 0.01
 
 
 def test_errors_are_those_of_units_that_share_an_offset() -> None:
@@ -134,8 +134,8 @@ def test_the_floor_of_readings_that_depend_on_each_other_is_that_of_their_runs()
         parts = partitions(contexts)
         drawn = replicates(MODEL_GIVEN, table, parts, 10, np.random.default_rng(7))
         found = measure(MODEL_GIVEN, table, parts, drawn)
-        assert found.bias_cm.value < 1.3 * drawn.noise_floor["bias_cm"]
-        assert found.nats.value < 1.3 * drawn.noise_floor["nats"] + 0.002
+        assert found.numbers["bias_cm"].value < 1.3 * drawn.noise_floor["bias_cm"]
+        assert found.numbers["nats_per_reading"].value < 1.3 * drawn.noise_floor["nats_per_reading"] + 0.002
 
 
 def test_what_noise_adds_to_a_mean_square_is_subtracted() -> None:
@@ -158,7 +158,7 @@ def test_of_three_runs_no_slice_is_sure() -> None:
     rng = np.random.default_rng(7)
     table = table_of(readings(900, seed=7, bias=lambda c: np.where(c["throttle"] > 0.5, 1.0, 0.0)), units=3)
     parts = partitions(table.contexts, pairs=False)
-    slices = ranked(MODEL_GIVEN, table, parts, replicates(MODEL_GIVEN, table, parts, 3, rng), {}, rng)
+    slices = ranked(measure(MODEL_GIVEN, table, parts, replicates(MODEL_GIVEN, table, parts, 3, rng)), rng)
     assert min(each.p_value or 1.0 for each in slices) > 0.05
 
 
@@ -176,7 +176,7 @@ def test_what_few_runs_say_of_a_cell_is_not_noise_without_bounds() -> None:
     table = HeldOutReadings(reading_cm, columns, unit)
     parts = partitions(table.contexts)
     drawn = replicates(MODEL_GIVEN, table, parts, 5, np.random.default_rng(1))
-    slices = ranked(MODEL_GIVEN, table, parts, drawn, {}, np.random.default_rng(1))
+    slices = ranked(measure(MODEL_GIVEN, table, parts, drawn), np.random.default_rng(1))
     (full,) = [each for each in slices if each.where == "throttle 1"]
     assert full.nats is not None
     assert 1.0 < full.nats < 10.0

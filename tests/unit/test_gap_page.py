@@ -24,7 +24,7 @@ from msp_lab.gap.findings import (
 from msp_lab.gap.labels import headline
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.pictures import _apart, subjects
-from msp_lab.gap.report import ReportModels, write_report
+from msp_lab.gap.report import write_report
 from msp_lab.gap.summary import with_words
 from msp_range import __version__
 from msp_range.recording.csv_form import write_csv
@@ -65,7 +65,7 @@ def page_of(findings: GapFindings, folder: Path) -> str:
     columns = readings(400, 3)
     contexts = {name: column for name, column in columns.items() if name != "reading_cm"}
     table = HeldOutReadings(columns["reading_cm"], contexts, np.unique(columns["run"], return_inverse=True)[1])
-    page = write_report(findings, ReportModels(given, given, given), table, folder).read_text(encoding="utf-8")
+    page = write_report(findings, given, given, given, table, folder).read_text(encoding="utf-8")
     words = html.unescape(re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL))
     return re.sub(r"\s+", " ", words)
 

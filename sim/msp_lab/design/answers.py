@@ -18,9 +18,8 @@ from msp_lab.gap.extended_model import extended
 from msp_lab.gap.intake import Comparison
 from msp_lab.gap.named_file import read_named
 from msp_lab.gap.prepared import Prepared
-from msp_lab.gap.problem import Progress
 from msp_lab.gap.refit import JointFit, refit
-from msp_lab.gap.runs import sample
+from msp_lab.gap.runs import sample, taken
 from msp_lab.gap.steps import Steps
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
@@ -129,7 +128,7 @@ class OldReadings:
         """A sample of the readings."""
         rng = np.random.default_rng(self.comparison.settings.seed)
         some = sample(self.columns, np.arange(self.columns["reading_cm"].size), FITTED_ROWS, rng)
-        columns = {name: np.asarray(column)[some] for name, column in self.columns.items()}
+        columns = taken(self.columns, some)
         return Prepared.of(self.model, columns, columns.pop("reading_cm"))
 
     @cached_property
@@ -140,18 +139,12 @@ class OldReadings:
         )[0]
 
 
-def fit_answers(
-    old: OldReadings, question: OpenQuestion, report: Progress = lambda what, share: None
-) -> list[FittedAnswer]:
+def fit_answers(old: OldReadings, question: OpenQuestion) -> list[FittedAnswer]:
     """Each answer of a question, fitted to the old readings with all else that was found."""
     own = {(each.name, each.of) for each in question.answers}
     others = [each for each in old.terms if (each.effect.name, each.of) not in own]
     without = refit(old.prepared, others)
-    found = []
-    for answer in question.answers:
-        report(f"fitting {answer.label}", 0.0)
-        found.append(_fitted(old, answer, others, without))
-    return found
+    return [_fitted(old, answer, others, without) for answer in question.answers]
 
 
 def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: JointFit) -> FittedAnswer:
@@ -174,7 +167,7 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
     # The model's own numbers do as well. Then it may be the effect that has changed them: without it they are as given.
     given = np.zeros_like(without.base)
     instead = _best_fit(old, without.effects, starts, given)
-    unexplained = float(old.prepared.log_prob(given, without.effects).sum())
+    unexplained = old.prepared.log_likelihood(given, without.effects)
     if instead.log_likelihood - max(without.log_likelihood - SHOWN_NATS, unexplained + SHOWN_NATS) >= 0.0:
         return as_answer([*instead.effects[:-1], _cautious(instead, alone=True)], instead.base, instead)
     if is_shown:
@@ -183,8 +176,8 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
 
 
 def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: _Array) -> JointFit:
-    heights = [float(old.prepared.log_prob(base, [*others, each]).sum()) for each in starts]
-    return refit(old.prepared, [*others, starts[int(np.argmax(heights))]], base)
+    start = max(starts, key=lambda term: old.prepared.log_likelihood(base, [*others, term]))
+    return refit(old.prepared, [*others, start], base)
 
 
 def _starts(parameter: Parameter) -> _Array:

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.plan import SETUP_S, Point, make_plan, reading_interval_s, reading_s, setup_s
-from msp_lab.design.session import Columns, PlannedSession
+from msp_lab.design.session import Columns, PlannedSession, chosen
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import check
 
@@ -78,14 +78,10 @@ class BenchSessions:
         Names of the sensors to read.
     """
 
+    instead: ClassVar[Mapping[str, str]] = INSTEAD
     model: Path
     sensor: SensorModel
     sensors: tuple[str, ...]
-
-    @property
-    def instead(self) -> Mapping[str, str]:
-        """What cannot be varied: why not, and what to do."""
-        return INSTEAD
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a bench can vary."""
@@ -103,7 +99,7 @@ class BenchSessions:
         return columns <= {*LEVELS, *here, *of_source}
 
     def session(
-        self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str], visits: int = 1
+        self, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int, visits: int = 1
     ) -> PlannedSession:
         """As `SessionPlace.session`: at each point so many readings, and the target is placed there so often.
 
@@ -130,7 +126,7 @@ class BenchSessions:
         levels = LEVELS[name]
         if name == "true_range_cm":
             levels = tuple(each for each in levels if each <= FARTHEST_SHARE * self.sensor.maximum_cm)
-        return (levels[0], levels[-1]) if ends_only else levels
+        return chosen(levels, ends_only)
 
     def _campaign(
         self, levels: Mapping[str, tuple[float, ...]], readings: int, record: frozenset[str], visits: int

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, permutations, product
-from math import ceil
+from math import ceil, inf
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -70,7 +70,7 @@ class SessionPlace(Protocol):
         """Whether these columns can be known."""
 
     def session(
-        self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str], visits: int
+        self, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int, visits: int
     ) -> PlannedSession:
         """A session that varies some columns.
 
@@ -214,7 +214,7 @@ def cheapest(
     record = question.columns
     # What is largest at the ends of its range is seen best without the middle.
     richest = [
-        each.session(each.factors(record)[:MOST_VARIED], ends_only, TRIED_READINGS, record, VISITS[0])
+        each.session(each.factors(record)[:MOST_VARIED], ends_only, record, TRIED_READINGS, VISITS[0])
         for each, ends_only in product(usable, (False, True))
     ]
     answers = tuple(with_strength(each, given, richest[0].sampled(DRAWN_ROWS), rng) for each in answers)
@@ -248,9 +248,9 @@ def cheapest(
         left = [pair for pair in pairs if not any({*pair} <= each for each in classes)]
         if not left:
             return Design(question, answers, None, same=tuple(same), classes=classes, why=why)
-        best: Design | None = None
+        best, quickest = None, inf
         for number, (make, shortest) in enumerate(trials):
-            if best is not None and best.session is not None and shortest.minutes >= best.session.minutes:
+            if shortest.minutes >= quickest:
                 break
             if shortest.minutes > max_minutes and best is None and number:
                 why = f"no session of {max_minutes:.0f} minutes tells them apart; allow longer ones with --max-minutes"
@@ -260,16 +260,16 @@ def cheapest(
                 known[number] = separations(shortest, left)
             found = [each for each in known[number] if (each.truth, each.alternative) in left]
             session = _long_enough(make, shortest, found, needed)
-            if session is not None and (best is None or best.session is None or session.minutes < best.session.minutes):
-                own_power = _power(session, found, answers)
+            if session is not None and session.minutes < quickest:
+                quickest, own_power = session.minutes, _power(session, found, answers)
                 best = Design(
                     question, answers, session, tuple(found), tuple(same), classes, own_power, wanted=power, make=make
                 )
-        if best is not None and best.session is not None:
+        if best is not None:
             best = _checked(best, needed, separations)
-        if best is not None and best.session is not None and best.session.minutes <= max_minutes:
-            return best
         if best is not None and best.session is not None:
+            if best.session.minutes <= max_minutes:
+                return best
             why = f"the shortest session takes {best.session.minutes:.0f} minutes; allow it with --max-minutes"
         # What is hardest to tell apart is given up first: the rest may be decided by a shorter session.
         hardest = min(left, key=lambda pair: reach[pair] / needed(*pair))
@@ -293,14 +293,8 @@ def _trials(record: frozenset[str], places: Sequence[SessionPlace]) -> Iterator[
         factors = place.factors(record)
         for count in range(1, min(len(factors), MOST_VARIED) + 1):
             for varied, ends_only in product(combinations(factors, count), (True, False)):
-                make = partial(_session, place, varied, ends_only, record)
+                make = partial(place.session, varied, ends_only, record)
                 yield make, make(1, VISITS[0])
-
-
-def _session(
-    place: SessionPlace, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int, visits: int
-) -> PlannedSession:
-    return place.session(varied, ends_only, readings, record, visits)
 
 
 def _classes(answers: int, same: Sequence[Same]) -> tuple[frozenset[int], ...]:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from msp_lab.gap.cli import Seed
 from msp_range.extras import require
 from msp_sim.cli import OwnEffects
 
@@ -43,7 +44,7 @@ def _design(
     ] = 0.95,
     sessions: Annotated[int, typer.Option(min=0, max=10_000, help="sessions to simulate per question; 0: none")] = 20,
     airframe: Annotated[str, typer.Option(metavar="AIRFRAME.yaml", help="vehicle that flies")] = "quad_pallet",
-    seed: Annotated[int, typer.Option(min=0, help="random seed; the same seed gives the same answer")] = 1,
+    seed: Seed = 1,
     force: Annotated[bool, typer.Option("--force", help="replace an earlier design in --out")] = False,
     effects: OwnEffects = None,
 ) -> None:

@@ -8,11 +8,11 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from msp_lab.design.session import Columns, PlannedSession
+from msp_lab.design.session import Columns, PlannedSession, chosen
 from msp_range.config import Airframe
 from msp_range.yaml_file import check
 from msp_sim.flight.scenario import Scenario
@@ -78,14 +78,10 @@ class Pilot:
         Contexts of flights that were simulated, by what they do: flights of a session differ only in their air.
     """
 
+    instead: ClassVar[Mapping[str, str]] = INSTEAD
     airframe_file: Path
     airframe: Airframe
     flown: dict[str, Columns] = field(default_factory=dict, compare=False, repr=False)
-
-    @property
-    def instead(self) -> Mapping[str, str]:
-        """What cannot be varied: why not, and what to do."""
-        return INSTEAD
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a pilot can vary."""
@@ -96,7 +92,7 @@ class Pilot:
         return columns <= RECORDED
 
     def session(
-        self, varied: Sequence[str], ends_only: bool, readings: int, record: frozenset[str], visits: int = 1
+        self, varied: Sequence[str], ends_only: bool, record: frozenset[str], readings: int, visits: int = 1
     ) -> PlannedSession:
         """As `SessionPlace.session`: in each of `FLIGHTS` so many readings, flown so often.
 
@@ -108,8 +104,7 @@ class Pilot:
             each.sensor_model.timing.ping_interval_s for each in sensors
         )
         seconds = min(max(readings * interval_s * len(sensors), 20.0), LONGEST_S)
-        air_c: tuple[float, ...] = TEMPERATURES_C if "air_temperature_c" in varied else (20.0,)
-        air_c = (air_c[0], air_c[-1]) if ends_only and len(air_c) > 1 else air_c
+        air_c = chosen(TEMPERATURES_C, ends_only) if "air_temperature_c" in varied else (20.0,)
         scenarios, parts = {}, []
         flights = visits * FLIGHTS
         for number in range(flights):
@@ -138,8 +133,7 @@ class Pilot:
         self, name: str, varied: Sequence[str], ends_only: bool, seconds: float, air_c: float
     ) -> dict[str, Any]:
         climb = {"kind": "climb", "speed_m_s": 2.0, "acceleration_m_s2": 2.0}
-        heights: tuple[float, ...] = HEIGHTS_M if "true_range_cm" in varied else (USUAL_HEIGHT_M,)
-        heights = (heights[0], heights[-1]) if ends_only and len(heights) > 1 else heights
+        heights = chosen(HEIGHTS_M, ends_only) if "true_range_cm" in varied else (USUAL_HEIGHT_M,)
         periods_s = [
             *([GENTLE_S] if "range_rate_cm_s" in varied else []),
             *([BRISK_S] if "throttle" in varied else []),
@@ -195,9 +189,8 @@ class Pilot:
 
 
 def _words(varied: Sequence[str], ends_only: bool, air_c: Sequence[float]) -> dict[str, str]:
-    heights = (HEIGHTS_M[0], HEIGHTS_M[-1]) if ends_only else HEIGHTS_M
     words = {
-        "true_range_cm": f"hover at {', '.join(f'{each:g}' for each in heights)} m",
+        "true_range_cm": f"hover at {', '.join(f'{each:g}' for each in chosen(HEIGHTS_M, ends_only))} m",
         "range_rate_cm_s": f"climb and descend by {SWING_M:g} m every {GENTLE_S:g} s",
         "throttle": f"climb and descend by {SWING_M:g} m every {BRISK_S:g} s",
         "incidence_deg": f"dash forwards and back, {DASH_S:g} s each, with {DASH_M_S2:g} m/s^2",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.stats import binomtest
 
 from msp_lab.design.answers import FittedAnswer, OldReadings
 from msp_lab.design.choose import Design
@@ -18,6 +18,7 @@ from msp_lab.gap import naming, rules
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.intake import Comparison, Readings
 from msp_lab.gap.problem import Progress
+from msp_lab.gap.runs import numbered
 from msp_range.recording.columns import WORD_COLUMNS
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.derived import sample_in_order
@@ -49,9 +50,8 @@ class Proof:
         >>> print("{:.2f} {:.2f}".format(*Proof(20, 20).interval))
         0.83 1.00
         """
-        low = float(beta.ppf(0.025, self.right, self.held - self.right + 1)) if self.right else 0.0
-        high = float(beta.ppf(0.975, self.right + 1, self.held - self.right)) if self.right < self.held else 1.0
-        return low, high
+        found = binomtest(self.right, self.held).proportion_ci()
+        return float(found.low), float(found.high)
 
 
 def with_old(old: OldReadings, answers: Sequence[FittedAnswer], new_rows: int) -> bool:
@@ -110,7 +110,7 @@ _EMPTY = GapFindings(None, rows=0, runs=0)
 def held(session: PlannedSession, model: Model, rng: np.random.Generator) -> Columns:
     """A session with readings drawn from a model; the table's true ranges err by an offset of each run."""
     contexts = dict(session.contexts)
-    _, unit = np.unique(contexts["run"], return_inverse=True)
+    unit = numbered(contexts["run"])
     offset_cm = session.offset_cm * rng.standard_normal(int(unit.max()) + 1)
     shifted = {**contexts, "true_range_cm": contexts["true_range_cm"] + offset_cm[unit]}
     contexts["reading_cm"] = sample_in_order(model, shifted, int(rng.integers(2**31)))

@@ -129,9 +129,7 @@ def separation(
     columns[PREVIOUS] = previous(columns, reading_cm)
     prepared = Prepared.of(given, columns, reading_cm)
     right = refit(prepared, truth.terms, truth.base)
-    start = max(
-        (alternative.base, right.base), key=lambda base: float(prepared.log_prob(base, alternative.terms).sum())
-    )
+    start = max((alternative.base, right.base), key=lambda base: prepared.log_likelihood(base, alternative.terms))
     wrong = refit(prepared, alternative.terms, start)
     nats = max(right.log_likelihood - wrong.log_likelihood, 0.0) / reading_cm.size
     right_rows, wrong_rows = prepared.at(right.base, right.effects), prepared.at(wrong.base, wrong.effects)

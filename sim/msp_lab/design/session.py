@@ -7,8 +7,15 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.gap.runs import taken
+
 Columns: TypeAlias = Mapping[str, NDArray[Any]]
 Kind: TypeAlias = Literal["bench", "flight"]
+
+
+def chosen(levels: tuple[float, ...], ends_only: bool) -> tuple[float, ...]:
+    """All levels of what is varied, or the first and the last."""
+    return (levels[0], levels[-1]) if ends_only else levels
 
 
 @dataclass(frozen=True)
@@ -61,4 +68,4 @@ class PlannedSession:
         """The contexts of so many of its readings, evenly over the session; of a short session several times."""
         place = (np.arange(rows) + 0.5) * self.readings / rows
         # Steps that are no whole number, so that of sensors that ping in turn all are taken.
-        return {name: column[place.astype(np.intp)] for name, column in self.contexts.items()}
+        return taken(self.contexts, place.astype(np.intp))

@@ -146,7 +146,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         """Of all fitted numbers, then of the candidates."""
         at = refit(prepared, fit.effects, fit.base, rounds=0)
         here = at.here
-        of_candidates = [score_of(each, here.rows, prepared.scene, prepared.reading_cm, here) for each in candidates]
+        of_candidates = [score_of(each, prepared, here) for each in candidates]
         return np.column_stack([at.scores, *of_candidates])
 
     rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode()), 1])

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.findings import GapFindings, ReadingAge
 from msp_lab.gap.measures import HeldOutReadings
+from msp_lab.gap.runs import reading_before
 from msp_sim.effects.latency import LATENCY
 from msp_sim.effects.stale import STALE
-from msp_sim.model.history import History
 from msp_sim.model.model import Model
 
 _Array = NDArray[np.float64]
@@ -33,9 +33,7 @@ def reading_age(findings: GapFindings, model: Model, readings: HeldOutReadings) 
         With times, on which the hold is measured.
     """
     found: Mapping[str, float] = {
-        each.name: next(iter(each.parameters.values())).value
-        for each in findings.effects
-        if each.verdict != "suggested" and each.parameters
+        each.name: next(iter(each.parameters.values())).value for each in findings.confirmed if each.parameters
     }
     if not {LATENCY.name, STALE.name} <= found.keys() or "time_s" not in readings.contexts:
         return None
@@ -59,7 +57,7 @@ def mean_hold_s(model: Model, readings: HeldOutReadings) -> float:
     log_share = np.log1p(-_share(model)) + fresh.log_prob(readings.reading_cm, readings.contexts)
     repeat = -np.expm1(np.minimum(log_share - model.log_prob(readings.reading_cm, readings.contexts), 0.0))
     n = len(readings)
-    before, elapsed_s = History.of(readings.contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    before, elapsed_s = reading_before(readings.contexts, n)
     hold_s = np.zeros(n)
     for i in np.argsort(np.asarray(readings.contexts["time_s"], dtype=float), kind="stable").tolist():
         j = int(before[i])

@@ -5,6 +5,7 @@ before it, as a normal deviate: where the model is right these are independent, 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from msp_lab.gap.measures import HeldOutReadings
-from msp_sim.model.history import History
+from msp_lab.gap.runs import reading_before
 from msp_sim.model.model import Model
 from msp_sim.page.style import BLUE, INK, PALE, VERMILION, legend_below, new_figure
 
@@ -54,7 +55,7 @@ def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.ra
     residual = np.clip(ndtri(places(model, readings, rng)), -FARTHEST, FARTHEST)
     residual -= residual.mean()
     variance = max(float(np.mean(residual**2)), 1e-12)
-    before, _ = History.of(readings.contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    before, _ = reading_before(readings.contexts, n)
     time_s = np.asarray(readings.contexts["time_s"], dtype=float) if "time_s" in readings.contexts else None
     apart, value, pairs = [], [], []
     back = np.arange(n)
@@ -97,6 +98,11 @@ def draw_autocorrelation(before: Autocorrelation, after: Autocorrelation, added:
     left.set_ylabel("correlation of the errors")
     low, high = left.get_ylim()
     left.set_ylim(min(low, -0.2), max(high, 0.5))
-    handles = {str(each.get_label()): each for axes in (left, right) for each in axes.get_legend_handles_labels()[0]}
-    legend_below(figure, list(handles.values()))
+    legend_below(figure, labelled(figure))
     return figure
+
+
+def labelled(figure: Figure) -> list[Any]:
+    """What a figure's legend lists: of all axes, one of each label."""
+    drawn = [each for axes in figure.axes for each in axes.get_legend_handles_labels()[0]]
+    return list({str(each.get_label()): each for each in drawn}.values())

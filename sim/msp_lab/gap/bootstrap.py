@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.cells import Stack
+from msp_lab.gap.runs import numbered
 
 _Array = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ def unit_variance(
     found *= (there / np.maximum(there - 1, 1))[:, None, None]
     few = there < rules.MIN_CELL_UNITS
     if few.all():
-        number = np.unique(unit, return_inverse=True)[1]
+        number = numbered(unit)
         units = int(number.max()) + 1
         sums = np.stack([np.bincount(number, column, units) for column in (given - given.mean(axis=0)).T], axis=1)
         usual = sums.T @ sums * (units / max(units - 1, 1) / len(given))
@@ -111,6 +112,6 @@ def drawn_sums(
 
 
 def _pooled(unit: NDArray[np.intp]) -> NDArray[np.intp]:
-    index = np.unique(unit, return_inverse=True)[1].astype(np.intp)
+    index = numbered(unit)
     count = int(index.max()) + 1
     return index if count <= rules.MAX_UNITS else index * rules.MAX_UNITS // count

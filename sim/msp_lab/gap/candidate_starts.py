@@ -75,7 +75,7 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
 
 def _height(prepared: Prepared, fit: JointFit, term: Term, base: _Array) -> float:
     """Log likelihood of a fit with one more effect and another base, before any refit."""
-    return float(prepared.log_prob(base, [*fit.effects, term]).sum())
+    return prepared.log_likelihood(base, [*fit.effects, term])
 
 
 def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float, base: _Array) -> Term:

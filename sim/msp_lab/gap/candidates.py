@@ -14,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
+from msp_lab.gap.prepared import ODDS_CHANNELS, ChannelSlopes, Prepared, templates
+from msp_lab.gap.runs import known_values
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, WORD_COLUMNS, Effect, Parameter, Scene
+from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
-from msp_sim.effects.curve import FIELDS, Ripple
+from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
-from msp_sim.model.rows import ModelRows, score_of_component, score_of_fault
+from msp_sim.model.rows import score_of_component, score_of_fault
 
 _Array = NDArray[np.float64]
 Key = tuple[str, str | None]
@@ -113,6 +114,15 @@ class CandidateEffect:
         assert isinstance(component, Normal)
         return replace(self, shape=((self.effect.moves, moved_cm / float(np.mean(component.location_cm))),))
 
+    def from_neutral(self, change: float) -> float:
+        """The value that is so far from the neutral one, within the parameter's bounds."""
+        return float(np.clip(self.neutral + change, self.parameter.low, self.parameter.high))
+
+    def from_score(self, change: float) -> float:
+        """The value at which its template is by so much larger, at least by that of a step."""
+        size = max(abs(change), self.parameter.step) ** (1.0 / self.parameter.power)
+        return self.from_neutral(float(np.sign(change)) * size)
+
     def at(self, value: float) -> Term:
         """The effect with this value of its number."""
         values = {**self.effect.neutral_values(), **dict(self.shape), self.parameter.name: value}
@@ -155,6 +165,11 @@ class SelectedTerm:
     def cost_nats(self) -> float:
         """What the search over its shapes gains by random variation [nat]."""
         return 0.0 if self.candidate is None else self.candidate.cost_nats
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers a candidate has: its strength and its shape."""
+        return 1 if self.candidate is None else 1 + len(self.candidate.shape)
 
     @property
     def is_base(self) -> bool:
@@ -206,29 +221,22 @@ def candidates_of(
 
 
 def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
-    if name not in contexts:
-        return False
-    column = np.asarray(contexts[name])
-    return bool((column != "").any() if name in WORD_COLUMNS else np.isfinite(column).any())
+    return name in contexts and known_values(np.asarray(contexts[name])).size > 0
 
 
-def score_of(
-    candidate: CandidateEffect, rows: ModelRows, scene: Scene, reading_cm: _Array, here: ChannelSlopes
-) -> _Array:
+def score_of(candidate: CandidateEffect, prepared: Prepared, here: ChannelSlopes) -> _Array:
     """Score of a candidate where it is absent, (n,)."""
     parameter = candidate.parameter
     active = candidate.at(candidate.neutral + parameter.step)
+    scene, reading_cm, rows = prepared.scene, prepared.reading_cm, here.rows
     known = applies(scene, active)
     score = np.zeros(reading_cm.size)
     if known is False:
         return score
     change = active.change(scene)
     step = active.values[parameter.name] - candidate.neutral
-    for i, channel in enumerate(CHANNELS):
-        moved = getattr(change, FIELDS[channel])
-        if moved is not None:
-            template = np.nan_to_num(np.where(known, moved, 0.0)) / step**parameter.power
-            score += here.score(i, template)
+    for i, template in templates(known, change).items():
+        score += here.score(i, template / step**parameter.power)
     if change.component is not None:
         share = np.broadcast_to(np.nan_to_num(np.where(known, change.share, 0.0)), reading_cm.shape)
         share = np.clip(share, 0.0, LARGEST_SHARE)

@@ -12,6 +12,7 @@ import numpy as np
 
 from msp_lab.gap.experiment import SPANS
 from msp_lab.gap.findings import CalibrationFinding, PossibleCause
+from msp_lab.gap.runs import known_values
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect
 from msp_sim.model.model import Model
@@ -69,8 +70,7 @@ def _special(effect: Effect) -> list[str]:
 def _varied(column: str, contexts: Mapping[str, Any]) -> bool:
     if column not in contexts:
         return False
-    values = np.asarray(contexts[column], dtype=float)
-    values = values[np.isfinite(values)]
+    values = known_values(np.asarray(contexts[column], dtype=float))
     if not values.size:
         return False
     spread = float(np.ptp(np.quantile(values, [0.05, 0.95])))

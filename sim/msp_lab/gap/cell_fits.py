@@ -5,8 +5,9 @@ and odds of short, missed and random readings leave, fitted by maximum likelihoo
 that is random variation. The errors are those of the units: the runs or blocks of readings that depend on each other.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
-from msp_lab.gap.prepared import CHANNELS
+from msp_lab.gap.prepared import CHANNELS, moved
 from msp_sim.model.rows import ModelRows, slopes
 
 _Array = NDArray[np.float64]
@@ -96,20 +97,14 @@ def scores_of(rows: ModelRows, reading_cm: _Array, numbers: _Array | None = None
     numbers
         The five numbers of each reading (n, 5), the bias in standard deviations of a hit; None: all 0.
     """
-    log_p, by = slopes(rows if numbers is None else _moved(rows, numbers), reading_cm)
+    there = rows
+    if numbers is not None:
+        shift, *others = numbers.T
+        there = moved(rows, (shift * rows.sigma_cm, *others))
+    log_p, by = slopes(there, reading_cm)
     scores = by[:, : len(CHANNELS)]
     scores[:, 0] *= rows.sigma_cm
     return log_p, scores
-
-
-def _moved(rows: ModelRows, numbers: _Array) -> ModelRows:
-    shift, spread, short, missed, random = numbers.T
-    logs = rows.log_weights
-    return replace(
-        rows.wider(np.exp(spread)),
-        centre_cm=rows.centre_cm + shift * rows.sigma_cm,
-        log_weights=(logs[0], logs[1] + short, logs[2] + missed, logs[3] + random),
-    )
 
 
 def products(scores: _Array) -> _Array:
@@ -151,7 +146,7 @@ def one_step(
     inverse = np.asarray(np.linalg.inv(information + PRIOR), dtype=np.float64)
     step = np.einsum("kij,kj->ki", inverse, total)
     variance, determined = _of_units(inverse, information, by_unit)
-    scale = _scale(stack, sigma_cm)
+    scale = scale_of(stack, sigma_cm)
     gain = 0.5 * np.einsum("ki,ki->k", step, total)
     return CellFits(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
@@ -196,7 +191,8 @@ def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack:
             value = cells.some(left).at(tried)
             better = value.posterior > best.posterior[left]
             numbers[left[better]] = tried[better]
-            best.put(left[better], value, better)
+            for own, new in zip(best, value, strict=True):
+                own[left[better]] = new[better]
             left, todo = left[~better], todo[~better]
             if not left.size:
                 break
@@ -212,23 +208,17 @@ def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack:
     # What is borrowed from other cells may fit badly: no cell is noisier than those that speak for themselves.
     if not few.all():
         determined = np.where(few, np.minimum(determined, determined[~few].max()), determined)
-    scale = _scale(stack, rows.sigma_cm)
+    scale = scale_of(stack, rows.sigma_cm)
     gain = best.posterior + prior - base
     return CellFits(stack.counts, numbers * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
 
-@dataclass(frozen=True)
-class _Posterior:
+class _Posterior(NamedTuple):
     """The logarithm of each cell's posterior, and its first and second derivatives by the five numbers."""
 
     posterior: _Array
     slope: _Array
     information: _Array
-
-    def put(self, cells: NDArray[np.intp], other: "_Posterior", rows: NDArray[np.bool_]) -> None:
-        self.posterior[cells] = other.posterior[rows]
-        self.slope[cells] = other.slope[rows]
-        self.information[cells] = other.information[rows]
 
 
 @dataclass(frozen=True)
@@ -270,10 +260,11 @@ def _robust_start(cells: _Cells) -> _Array:
     usual = (cells.reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
     off = (cells.reading_cm - rows.centre_cm)[usual] / rows.sigma_cm[usual]
     cell = np.repeat(np.arange(cells.counts.size), cells.counts)
-    low, middle, high = _quantiles(off, cell[usual], cells.counts.size, (0.25, 0.5, 0.75))
-    (usual_cm,) = _quantiles(rows.centre_cm[usual], cell[usual], cells.counts.size, (0.5,))
+    hits = np.bincount(cell[usual], minlength=cells.counts.size)
+    low, middle, high = _quantiles(off, hits, (0.25, 0.5, 0.75))
+    (usual_cm,) = _quantiles(rows.centre_cm[usual], hits, (0.5,))
     sigma_cm = np.bincount(cell, rows.sigma_cm, cells.counts.size) / np.maximum(cells.counts, 1)
-    known = np.bincount(cell[usual], minlength=cells.counts.size) >= rules.CELL_MIN_HITS
+    known = hits >= rules.CELL_MIN_HITS
     known &= np.abs(middle) * sigma_cm <= rules.CELL_MAX_BIAS_CM + rules.CELL_MAX_BIAS_SHARE * usual_cm
     numbers = np.zeros((cells.counts.size, len(CHANNELS)))
     numbers[known, 0] = middle[known]
@@ -282,18 +273,13 @@ def _robust_start(cells: _Cells) -> _Array:
     return numbers
 
 
-def _quantiles(values: _Array, cell: NDArray[np.intp], cells: int, shares: tuple[float, ...]) -> _Array:
-    """Quantiles of the values in each cell, 0 in a cell without any, (len(shares), cells)."""
-    ordered = np.append(values[np.lexsort((values, cell))], 0.0)
-    counts = np.bincount(cell, minlength=cells)
-    place = np.multiply.outer(shares, np.maximum(counts - 1, 0))
-    below = np.floor(place).astype(np.intp)
-    first = np.cumsum(counts) - counts + below
-    found = ordered[first] + (place - below) * (ordered[np.minimum(first + 1, values.size)] - ordered[first])
-    return np.where(counts > 0, found, 0.0)
+def _quantiles(values: _Array, counts: NDArray[np.intp], shares: tuple[float, ...]) -> _Array:
+    """Quantiles of the values cell by cell, of which each has so many, 0 in one without any, (len(shares), cells)."""
+    of_cells = np.split(values, np.cumsum(counts)[:-1])
+    return np.transpose([np.quantile(each, shares) if each.size else np.zeros(len(shares)) for each in of_cells])
 
 
-def _scale(stack: Stack, sigma_cm: _Array) -> _Array:
+def scale_of(stack: Stack, sigma_cm: _Array) -> _Array:
     """From standard deviations of a hit to centimetres, (K, 5)."""
     scale = np.ones((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from msp_lab.gap import rules
+from msp_lab.gap.runs import known_values
 from msp_range.recording.columns import WORD_COLUMNS
 
 NOT_CONTEXT = frozenset({"reading_cm"})
@@ -140,15 +141,12 @@ def partitions(
 
 def varying(contexts: Mapping[str, Any]) -> list[str]:
     """Columns that have more than one known value and are a context."""
-    return [name for name, column in contexts.items() if name not in NOT_CONTEXT and _varies(name, column)]
+    return [name for name, column in contexts.items() if name not in NOT_CONTEXT and _varies(column)]
 
 
-def _varies(name: str, column: NDArray[Any]) -> bool:
-    if column.dtype.kind in "fiub":
-        known = column[np.isfinite(column)]
-        return known.size > 0 and float(known.min()) < float(known.max())
-    first = column[column != ""]
-    return first.size > 0 and bool((column != first[0]).any())
+def _varies(column: NDArray[Any]) -> bool:
+    known = known_values(column)
+    return bool((known != known[:1]).any())
 
 
 def _split(name: str, column: NDArray[Any], bins: int) -> Partition | None:

@@ -4,20 +4,22 @@ Options enter, lines on the terminal and files leave. `gap` and `compare` start 
 `name`, `add` and `show` continue in a folder.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from msp_lab.gap.findings import GapFindings, LastStep, Settings
 from msp_range.extras import require
 from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.cli import Jobs, OwnEffects, Scheduler
 
 if TYPE_CHECKING:
-    from msp_lab.gap.findings import GapFindings, Settings
     from msp_lab.gap.separate import Each
     from msp_lab.gap.steps import Steps
+    from msp_lab.gap.terminal import ProgressBar
 
 app = typer.Typer()
 
@@ -61,12 +63,11 @@ TruthOption = Annotated[
         "with the vehicle's other ones; of a flight log also what 'msp-lab import --help' names",
     ),
 ]
-Last: TypeAlias = Literal["compare", "name", "add", "show"]
 EachOption = Annotated[
     Literal["log", "sensor"] | None,
     typer.Option(help="a separate gap for each MEASURED, or for each sensor; with --jobs on several processors"),
 ]
-Until = Annotated[Last, typer.Option(help="last step to do; 'show' draws the pictures")]
+Until = Annotated[LastStep, typer.Option(help="last step to do; 'show' draws the pictures")]
 
 GAP = """Find where readings and a model disagree, name what is missing, add it, and show whether the gap closes.
 
@@ -86,7 +87,7 @@ model to which they are compared), gap/ as of 'msp-lab gap', and flight-8.mcap, 
 SHOW = "Step 4 of gap: draw the gap before and after, and write the page."
 
 
-def _from_readings(last: Last) -> Callable[..., None]:
+def _from_readings(last: LastStep) -> Callable[..., None]:
     """A command that takes readings and a model, and works up to this step."""
 
     def command(
@@ -106,7 +107,6 @@ def _from_readings(last: Last) -> Callable[..., None]:
         scheduler: Scheduler = None,
         effects: OwnEffects = None,
     ) -> None:
-        from msp_lab.gap.findings import Settings
         from msp_lab.logs.cli import with_logs_imported
 
         file = str(config_path(model, "sensors"))
@@ -136,27 +136,36 @@ def _in_folder(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
     return command
 
 
-def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFindings]") -> None:
-    """Do a step with its progress on the terminal, and print what it found."""
+@contextmanager
+def _progress(effects: list[Path] | None = None) -> Iterator["ProgressBar"]:
+    """The progress of a command on the terminal, once the user's own effects are known."""
     require("lab", "The gap workflow")
-    from msp_lab.gap.steps import Steps
-    from msp_lab.gap.terminal import ProgressBar, print_findings
+    from msp_lab.gap.terminal import ProgressBar
     from msp_sim.effects.own import add_own_effects
 
     add_own_effects(effects or ())
     with ProgressBar() as progress:
+        yield progress
+
+
+def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFindings]") -> None:
+    """Do a step with its progress on the terminal, and print what it found."""
+    with _progress(effects) as progress:
+        from msp_lab.gap.steps import Steps
+        from msp_lab.gap.terminal import print_findings
+
         findings = step(Steps(out, progress.clock, progress.report))
     print_findings(findings, out)
 
 
 def _run_separately(
     measured: list[Path],
-    settings: "Settings",
+    settings: Settings,
     out: Path,
     effects: list[Path] | None,
     each: "Each",
     truth: str,
-    until: Last,
+    until: LastStep,
     jobs: int,
     scheduler: str | None,
 ) -> None:
@@ -180,16 +189,12 @@ def _run_separately(
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-def _run_sensors(measured: list[Path], settings: "Settings", out: Path, effects: list[Path] | None, draw: bool) -> None:
+def _run_sensors(measured: list[Path], settings: Settings, out: Path, effects: list[Path] | None, draw: bool) -> None:
     """Compare each sensor with the others, and print what was found at each."""
-    require("lab", "The gap workflow")
-    from msp_lab.gap.sensors import compare_sensors
-    from msp_lab.gap.steps import Steps
-    from msp_lab.gap.terminal import ProgressBar, print_sensors
-    from msp_sim.effects.own import add_own_effects
-
-    add_own_effects(effects or ())
-    with ProgressBar() as progress:
+    with _progress(effects) as progress:
+        from msp_lab.gap.sensors import compare_sensors
+        from msp_lab.gap.steps import Steps
+        from msp_lab.gap.terminal import print_sensors
 
         def steps(folder: Path) -> Steps:
             return Steps(folder, progress.clock, lambda what, share: progress.report(f"{folder.name}: {what}", share))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
+from msp_lab.gap.runs import numbered, places_in
 
 _Array = NDArray[np.float64]
 
@@ -32,17 +33,13 @@ def clumping(slope: _Array, run: NDArray[np.intp], alike: _Array | None = None) 
     """
     clusters = list(_blocks(run))
     if alike is not None:
-        clusters.append(np.unique(alike, return_inverse=True)[1])
+        clusters.append(numbered(alike))
     return max([1.0, *(_ratio(slope, each) for each in clusters)])
 
 
 def _blocks(run: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     """Blocks of 2, 4, 8 ... neighbours of a run, as long as there are enough of them."""
-    order = np.argsort(run, kind="stable")
-    counts = np.bincount(run)
-    place = np.empty(run.size, dtype=np.intp)
-    place[order] = np.arange(run.size) - np.repeat(np.cumsum(counts) - counts, counts)
-    length = 2
+    counts, place, length = np.bincount(run), places_in(run), 2
     while (-(-counts // length)).sum() >= rules.CLUMP_BLOCKS and length <= counts.max():
         of_run = -(-int(counts.max()) // length)
         yield run * of_run + place // length

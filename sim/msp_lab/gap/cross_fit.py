@@ -17,6 +17,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit, free_numbers, inverse, refit, with_values
+from msp_lab.gap.runs import taken
 from msp_lab.gap.splits import Splits
 
 _Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class Parts:
         """Readings of a part, or those that are fitted without it."""
         if (split, part, fitted) not in self.prepared:
             mask, some = (self.runs(split, part) ^ fitted)[self.problem.unit], self.problem.readings
-            contexts = {name: np.asarray(column)[mask] for name, column in self.problem.contexts.items()}
+            contexts = taken(self.problem.contexts, mask)
             prepared = Prepared.of(self.problem.model, contexts, some.reading_cm[mask], some.spacing_s)
             self.prepared[split, part, fitted] = prepared
         return self.prepared[split, part, fitted]
@@ -243,7 +244,7 @@ class SumsByRun:
             values = self.fit.values.copy()
             values[self.free] += share * step
             moved = with_values(self.fit.effects, numbers, values[len(BASE) :])
-            if float(fitted.log_prob(values[: len(BASE)], moved).sum()) >= least:
+            if fitted.log_likelihood(values[: len(BASE)], moved) >= least:
                 base, effects = values[: len(BASE)], moved
                 break
         # One step is no fit where the likelihood is far from a quadratic.

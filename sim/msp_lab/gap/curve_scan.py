@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
-from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, KnotWeights, Variables
+from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, Variables
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
+from msp_lab.gap.runs import known_values, share_between
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple
 
@@ -78,22 +79,12 @@ def variables_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = No
                 found[name] = [tuple(words)]
         elif values.dtype.kind == "f":
             sizes = [knots for count in rules.KNOTS if len(knots := _knots(values, count)) >= 2]
-            if unit is not None and _share_between(values, unit) > rules.BETWEEN_RUNS_SHARE:
+            known = np.isfinite(values)
+            if sizes and unit is not None and share_between(values[known], unit[known]) > rules.BETWEEN_RUNS_SHARE:
                 sizes = [knots for knots in sizes if len(knots) - 1 <= max(runs // rules.CURVE_RUNS_PER_DEGREE, 1)]
             if sizes:
                 found[name] = list(dict.fromkeys(sizes))
     return found
-
-
-def _share_between(values: _Array, unit: NDArray[np.intp]) -> float:
-    """Share of a column's variance that lies between runs."""
-    known = np.isfinite(values)
-    values, unit = values[known], unit[known]
-    if not values.size:
-        return 0.0
-    counts = np.maximum(np.bincount(unit), 1)
-    inside = values - (np.bincount(unit, values) / counts)[unit]
-    return 1.0 - float(inside.var()) / max(float(values.var()), 1e-300)
 
 
 def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[float, float]]:
@@ -101,7 +92,7 @@ def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[
 
     They are at even shares of the readings, between two shares.
     """
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if np.unique(known).size < 2 * rules.STEPS:
         return []
     places = np.unique(np.quantile(known, np.linspace(low, high, rules.STEPS + 2)[1:-1]))
@@ -120,7 +111,7 @@ def is_step(form: CandidateCurve, values: _Array) -> bool:
 
 def _knots(values: _Array, count: int) -> tuple[float, ...]:
     """Knots between quantiles and even steps, so that rare ends have one too."""
-    known = values[np.isfinite(values)]
+    known = known_values(values)
     if known.size < max(20, values.size // 2):
         return ()
     distinct = np.unique(known)
@@ -240,7 +231,7 @@ def scan(
         most = min(rules.MAX_KNOTS[channel], events / rules.MIN_EVENTS_PER_KNOT)
         wanted = [k for k, size in sizes.items() if size <= most]
         of_pairs = any(len(asked.curves[k][0]) > 1 for k in wanted)
-        weights = (asked.columns, asked.pairs) if of_pairs else (asked.columns,)
+        weights: list[KnotsOfColumns | KnotsOfPairs] = [asked.columns, *([asked.pairs] if of_pairs else [])]
         sums = _Sums.of(weights, here, channel, own, unit)
         of_channel: dict[int, tuple[float, int]] = {}
         for size in dict.fromkeys(sizes[k] for k in wanted):
@@ -294,7 +285,7 @@ class _Sums:
     @classmethod
     def of(
         cls,
-        weights: Sequence[KnotWeights],
+        weights: Sequence[KnotsOfColumns | KnotsOfPairs],
         here: ChannelSlopes,
         channel: CurveChannel,
         fitted: _Array,

@@ -7,13 +7,13 @@ is linear between all knots of its column too, so the sums are made once for all
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from msp_sim.effects.curve import between, hats
+from msp_sim.effects.curve import hats
 
 _Array = NDArray[np.float64]
 Variables: TypeAlias = tuple[str, ...]
@@ -27,51 +27,24 @@ class ColumnWeights:
     ----------
     knots
         Numbers or words, in order.
-    left, right
-        Places of the knots next to each reading, (n,).
-    low, high
-        Their weights, (n,); 0 where the column is unknown.
     matrix
-        The same as a matrix, (knots, n).
+        Their weights for each reading, (knots, n); 0 where the column is unknown.
     """
 
     knots: NDArray[Any]
-    left: NDArray[np.intp]
-    right: NDArray[np.intp]
-    low: _Array
-    high: _Array
     matrix: csr_matrix
 
     @classmethod
     def of(cls, column: NDArray[Any], asked: Iterable[tuple[Any, ...]]) -> "ColumnWeights":
         """A column with all of these knots."""
         knots = np.unique([place for each in asked for place in each])
-        if column.dtype.kind == "U":
-            left = np.minimum(np.searchsorted(knots, column), knots.size - 1).astype(np.intp)
-            right, share, known = left, np.zeros(column.size), knots[left] == column
-        else:
-            left, share = between(column, knots)
-            right, known = left + 1, np.isfinite(column)
-        low, high, readings = (1.0 - share) * known, share * known, np.arange(column.size)
-        at = np.append(left, right), np.append(readings, readings)
-        return cls(knots, left, right, low, high, csr_matrix((np.append(low, high), at), (knots.size, column.size)))
+        known = column != "" if column.dtype.kind == "U" else np.isfinite(column)
+        weights = hats({"column": column}, ["column"], [tuple(knots)])
+        return cls(knots, csr_matrix((weights * known[:, None]).T))
 
     def curve(self, knots: tuple[Any, ...]) -> _Array:
         """Weights of a curve's knots at all knots of the column."""
         return hats({"knots": self.knots}, ["knots"], [knots])
-
-
-class KnotWeights(Protocol):
-    """Weights of the knots over columns or over pairs of them; sums are by those variables."""
-
-    def sums(self, values: _Array) -> Mapping[Variables, _Array]:
-        """Sums of values (n, m) times weights, (knots, m)."""
-
-    def products(self, values: _Array, there: Any = ...) -> Mapping[Variables, _Array]:
-        """Sums of values (n,) times two weights, the second one of the reading there, (knots, knots)."""
-
-    def by_unit(self, values: _Array, unit: NDArray[np.intp]) -> Mapping[Variables, _Array]:
-        """Sums of values (n,) times weights over units, (units, knots)."""
 
 
 @dataclass(frozen=True)
@@ -81,32 +54,25 @@ class KnotsOfColumns:
     columns: Mapping[str, ColumnWeights]
 
     def sums(self, values: _Array) -> dict[Variables, _Array]:
+        """Sums of values (n, m) times weights, (knots, m)."""
         return {(name,): np.asarray(each.matrix @ values) for name, each in self.columns.items()}
 
     def products(self, values: _Array, there: Any = slice(None)) -> dict[Variables, _Array]:
-        found: dict[Variables, _Array] = {}
-        for name, each in self.columns.items():
-            k, total = each.knots.size, np.zeros(1)
-            for place, weight in ((each.left, values * each.low), (each.right, values * each.high)):
-                for other, weight_there in ((each.left, each.low), (each.right, each.high)):
-                    total = total + np.bincount(place * k + other[there], weight * weight_there[there], k * k)
-            found[name,] = total.reshape(k, k)
-        return found
+        """Sums of values (n,) times two weights, the second one of the reading there, (knots, knots)."""
+        return {
+            (name,): (each.matrix.multiply(values) @ each.matrix[:, there].T).toarray()
+            for name, each in self.columns.items()
+        }
 
     def by_unit(self, values: _Array, unit: NDArray[np.intp]) -> dict[Variables, _Array]:
-        units = int(unit.max()) + 1
-        found: dict[Variables, _Array] = {}
-        for name, each in self.columns.items():
-            k = each.knots.size
-            low = np.bincount(unit * k + each.left, values * each.low, units * k)
-            high = np.bincount(unit * k + each.right, values * each.high, units * k)
-            found[name,] = np.reshape(low + high, (units, k))
-        return found
+        """Sums of values (n,) times weights over units, (units, knots)."""
+        of_units = csr_matrix((values, (unit, np.arange(unit.size))))
+        return {(name,): (of_units @ each.matrix.T).toarray() for name, each in self.columns.items()}
 
 
 @dataclass(frozen=True)
 class KnotsOfPairs:
-    """Weights of the knots over columns of which curves over two are asked, the columns next to each other.
+    """As `KnotsOfColumns`, over columns of which curves over two are asked, the columns next to each other.
 
     They have single precision, as a sum takes as long as it takes to read them: sums of 20,000 are then off by less
     than a thousandth of their standard error.

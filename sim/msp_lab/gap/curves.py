@@ -13,12 +13,13 @@ from scipy.special import chdtri, fdtrc
 from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
-from msp_lab.gap.evidence import share_between, wanders
+from msp_lab.gap.evidence import shift_between, wanders
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, bias_cm, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
+from msp_lab.gap.runs import numbered
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import make_curve_term
@@ -102,7 +103,7 @@ def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | N
 
 def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
     """Whether a curve moves whole runs more than readings inside them."""
-    return share_between(state.fit, there.fit, problem.unit) > rules.CURVE_OF_RUNS_SHARE
+    return shift_between(state.fit, there.fit, problem.unit) > rules.CURVE_OF_RUNS_SHARE
 
 
 def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
@@ -116,7 +117,7 @@ def _places(problem: Problem, form: CandidateCurve) -> int:
     places = []
     for name in form.variables:
         column = np.asarray(problem.contexts[name])
-        values = np.unique(column, return_inverse=True)[1] if column.dtype.kind == "U" else np.nan_to_num(column)
+        values = numbered(column) if column.dtype.kind == "U" else np.nan_to_num(column)
         means = np.bincount(problem.unit, values) / counts
         places.append(np.rint(means / max(rules.ONE_PLACE * float(np.ptp(means)), 1e-12)))
     return int(np.unique(np.column_stack(places), axis=0).shape[0])
@@ -136,7 +137,7 @@ def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveCha
     there = _with_curve(problem, less, form)
     if loss(problem, less.fit, state) > rules.FORM_SHARE * loss(problem, less.fit, there):
         return state
-    numbers = sum(1 + len(each.candidate.shape) for each in named if each.candidate is not None)
+    numbers = sum(each.numbers for each in named)
     p_value = rules.FORM_P_FACTOR * rules.CURVE_P / len(forms)
     least = 0.5 * float(chdtri(max(form.degrees - numbers, 1), p_value)) - 0.5 * max(len(named) - 1, 0)
     better = loss(problem, state.fit, there) > form.cost_nats + least

@@ -4,9 +4,8 @@ Validated terms and the fit of all runs enter, records leave.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.formula import formula
-from msp_lab.gap.labels import unit_of
+from msp_lab.gap.labels import unit_after, unit_of
 from msp_lab.gap.prepared import BASE, Prepared, knot_weights
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -159,7 +158,7 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
     for each in grid:
         changed = replace(active, values={**active.values, parameter.name: float(each)})
         effects = [*final.fit.effects[:k], changed, *final.fit.effects[k + 1 :]]
-        heights.append(float(final.readings.log_prob(final.fit.base, effects).sum()))
+        heights.append(final.readings.log_likelihood(final.fit.base, effects))
     inside = grid[np.array(heights) > max(heights) - 0.5 * final.width**2]
     return FittedValue(value, float(min(inside.min(), value)), float(max(inside.max(), value)), parameter.unit)
 
@@ -226,44 +225,36 @@ def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepa
     about_mean = np.eye(weights.size) - weights / max(weights.sum(), 1e-12)
     values = about_mean @ np.array(list(active.values.values()))
     half = np.sqrt(np.maximum(np.diag(about_mean @ widened @ about_mean.T), 0.0))
+    at, period, (first, *_) = np.zeros(0), None, knots
     if len(variables) > 1:
         text = (
             f"a table of {len(values)} values over {' and '.join(variables)}, {values.min():.3g} to {values.max():.3g}"
         )
-        return UnknownEffect(channel, variables, text, gained.nats_per_reading)
-    if isinstance(knots[0], Ripple):
-        return _ripple(active, knots[0].period, widened, gained, readings)
-    if isinstance(knots[0][0], str):
-        text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(knots[0], values, strict=True))
-        return UnknownEffect(channel, variables, text, gained.nats_per_reading)
-    at = np.array(knots[0], dtype=float)
-    place = np.asarray(readings.scene[variables[0]], dtype=float)
-    low, high = float(np.nanmin(place)), float(np.nanmax(place))
-    if at.size == 2 and at[1] - at[0] < STEP_SHARE * (high - low):
-        text = f"{values[0]:.3g} + {values[1] - values[0]:.3g} [{variables[0]} > {at.mean():.4g}]".replace("+ -", "- ")
-        at, values, half = np.array([low, *at, high]), np.repeat(values, 2), np.repeat(half, 2)
+    elif isinstance(first, Ripple):
+        period = first.period
+        values = np.array(list(active.values.values()))
+        text = (
+            f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {np.hypot(*values):.2g} cm"
+        )
+        # Some periods of it in the middle of the readings, where its phase is known best.
+        middle = float(np.nanmedian(readings.scene[variables[0]]))
+        at = middle + period * np.linspace(-0.5 * RIPPLE_DRAWN, 0.5 * RIPPLE_DRAWN, RIPPLE_POINTS)
+        waves = hats({variables[0]: at}, variables, knots)
+        values, half = waves @ values, np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", waves, widened, waves), 0.0))
+    elif isinstance(first[0], str):
+        text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(first, values, strict=True))
     else:
-        text = formula(variables[0], at, values, half / 2.0)
-    points = np.column_stack([at, values, values - half, values + half]).tolist()
-    return UnknownEffect(
-        channel, variables, text, gained.nats_per_reading, tuple((x, y, low, high) for x, y, low, high in points)
-    )
-
-
-def _ripple(active: Term, period: float, widened: _Array, gained: Gain, readings: Prepared) -> UnknownEffect:
-    """A ripple in words, and some periods of it in the middle of the readings, where its phase is known best."""
-    assert active.shape is not None
-    channel, (variable,), _ = active.shape
-    values = np.array(list(active.values.values()))
-    middle = float(np.nanmedian(readings.scene[variable]))
-    at = middle + period * np.linspace(-0.5 * RIPPLE_DRAWN, 0.5 * RIPPLE_DRAWN, RIPPLE_POINTS)
-    weights = hats({variable: at}, [variable], [Ripple(period)])
-    curve = weights @ values
-    half = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", weights, widened, weights), 0.0))
-    points = np.column_stack([at, curve, curve - half, curve + half]).tolist()
-    text = f"ripple of {period:.3g} {unit_of(variable)} over {variable}, amplitude {np.hypot(*values):.2g} cm"
-    drawn = tuple((x, y, low, high) for x, y, low, high in points)
-    return UnknownEffect(channel, (variable,), text, gained.nats_per_reading, drawn, period=period)
+        at = np.array(first, dtype=float)
+        place = np.asarray(readings.scene[variables[0]], dtype=float)
+        low, high = float(np.nanmin(place)), float(np.nanmax(place))
+        if at.size == 2 and at[1] - at[0] < STEP_SHARE * (high - low):
+            rise = values[1] - values[0]
+            text = f"{values[0]:.3g} + {rise:.3g} [{variables[0]} > {at.mean():.4g}]".replace("+ -", "- ")
+            at, values, half = np.array([low, *at, high]), np.repeat(values, 2), np.repeat(half, 2)
+        else:
+            text = formula(variables[0], at, values, half / 2.0)
+    points = zip(at.tolist(), values.tolist(), (values - half).tolist(), (values + half).tolist(), strict=False)
+    return UnknownEffect(channel, variables, text, gained.nats_per_reading, tuple(points), period=period)
 
 
 def calibrated(problem: Problem, final: FinalFit, training: JointFit) -> list[CalibrationFinding]:
@@ -288,30 +279,21 @@ def calibrated(problem: Problem, final: FinalFit, training: JointFit) -> list[Ca
         z = float(base[k] * final.width / half) if half > 0.0 else 0.0
         if abs(z) < rules.CALIBRATION_Z or np.sign(training.base[k]) != np.sign(base[k]):
             continue
-        number: Callable[[float], float] = _times(before / total if name.startswith("weights") else before)
+        change = base[k] + half * np.array([0.0, -1.0, 1.0])
         if name in ("offset_cm", "saturated_fraction", "correlation"):
-            number = partial(_plus, before)
-        value, low, high = (number(float(each)) for each in (base[k], base[k] - half, base[k] + half))
+            numbers = before + change
+        else:
+            given_share = before / total if name.startswith("weights") else before
+            numbers = max(given_share, 1e-6) * np.exp(np.minimum(change, 30.0))
+        value, low, high = numbers.tolist()
         # What rounds to the given value is that value.
         if not low <= before <= high and f"{value:.2g}" != f"{before:.2g}":
             found.append(_calibration(name, before, value, low, high, UNITS.get(name, "1")))
     return found
 
 
-def _plus(before: float, change: float) -> float:
-    return before + change
-
-
-def _times(before: float) -> Callable[[float], float]:
-    def times(log_factor: float) -> float:
-        return max(before, 1e-6) * float(np.exp(min(log_factor, 30.0)))
-
-    return times
-
-
 def _calibration(name: str, before: float, after: float, low: float, high: float, unit: str) -> CalibrationFinding:
-    of = "" if unit == "1" else f" {unit}"
-    text = f"{name} is {after:.4g}{of} ({low:.4g} to {high:.4g}) and not {before:.4g}"
+    text = f"{name} is {after:.4g}{unit_after(unit)} ({low:.4g} to {high:.4g}) and not {before:.4g}"
     return CalibrationFinding(name, text, before, after, low, high, unit)
 
 
@@ -324,7 +306,4 @@ def detectable(problem: Problem, first: Screen) -> str:
         key = candidate.effect.name, parameter.name
         if smallest < parameter.high - parameter.low and (key not in least or smallest < least[key][0]):
             least[key] = smallest, parameter.unit
-    return "; ".join(
-        f"{effect} above {size:.2g} {'' if unit == '1' else unit}".rstrip()
-        for (effect, _), (size, unit) in least.items()
-    )
+    return "; ".join(f"{effect} above {size:.2g}{unit_after(unit)}" for (effect, _), (size, unit) in least.items())

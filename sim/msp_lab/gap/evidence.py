@@ -22,7 +22,7 @@ from scipy.special import chdtrc, ndtri, stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.refit import JointFit
-from msp_lab.gap.runs import Dependence
+from msp_lab.gap.runs import Dependence, places_in, share_between
 
 _Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class _Offsets:
 
 
 def _offsets(fit: JointFit, unit: NDArray[np.intp]) -> _Offsets:
-    slope = fit.here.by[:, 0]
+    slope = fit.offset_slope
     counts = np.bincount(unit).astype(float)
     mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
     between = counts * mean**2
@@ -70,23 +70,19 @@ def offset_nats(fit: JointFit, unit: NDArray[np.intp]) -> float:
 
 def _log_p_beside_offsets(fit: JointFit, unit: NDArray[np.intp], offsets: _Offsets) -> _Array:
     """Log-likelihood of each reading with its run's offset taken off, by a quadratic in that offset, (n,)."""
-    slope, removed = fit.here.by[:, 0], offsets.slope_removed[unit]
+    slope, removed = fit.offset_slope, offsets.slope_removed[unit]
     log_p: _Array = fit.here.log_p + removed * (slope - 0.5 * removed) / max(float((slope**2).mean()), 1e-12)
     return log_p
 
 
-def share_between(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
+def shift_between(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
     """Share of the variance of the shift from one fit to the other that lies between runs."""
-    shift = _residual(larger) - _residual(smaller)
-    shift = shift - shift.mean()
-    counts = np.maximum(np.bincount(unit), 1)
-    whole = float((shift**2).sum())
-    return float((np.bincount(unit, shift) ** 2 / counts).sum()) / whole if whole > 0.0 else 0.0
+    return share_between(_residual(larger) - _residual(smaller), unit)
 
 
 def _residual(fit: JointFit) -> _Array:
     """Residuals of normal readings from their slopes by an offset, which are the residuals over their variance."""
-    slope = fit.here.by[:, 0]
+    slope = fit.offset_slope
     residual: _Array = slope / max(float((slope**2).mean()), 1e-12)
     return residual
 
@@ -96,7 +92,7 @@ def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]
 
     Where readings wander, the gain counts by the scatter of its own sums over blocks of consecutive readings.
     """
-    return _inflation(smaller, larger, blocks_of(unit)) if wanders(larger, unit) else 1.0
+    return _inflation(larger.here.log_p - smaller.here.log_p, blocks_of(unit)) if wanders(larger, unit) else 1.0
 
 
 def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
@@ -106,7 +102,7 @@ def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
     their run's mean beyond random variation.
     """
     blocks = blocks_of(unit)
-    slope = fit.here.by[:, 0]
+    slope = fit.offset_slope
     counts = np.maximum(np.bincount(unit), 1)
     centred = slope - (np.bincount(unit, slope) / counts)[unit]
     size = np.bincount(blocks)
@@ -119,12 +115,8 @@ def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
     return float(chdtrc(freedom, scatter)) <= rules.WANDER_P
 
 
-def _inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
-    """Variance of the gain's sums over units against that of as many independent readings, at least 1."""
-    return _inflation_of(larger.here.log_p - smaller.here.log_p, unit)
-
-
-def _inflation_of(gain: _Array, unit: NDArray[np.intp]) -> float:
+def _inflation(gain: _Array, unit: NDArray[np.intp]) -> float:
+    """Variance of a gain's sums over units against that of as many independent readings, at least 1."""
     gain = gain - gain.mean()
     whole = float((gain**2).sum())
     return max(float((np.bincount(unit, gain) ** 2).sum()) / whole, 1.0) if whole > 0.0 else 1.0
@@ -140,12 +132,7 @@ def _by_scatter(nats: float, runs: int) -> float:
 
 def blocks_of(unit: NDArray[np.intp], parts: int = rules.WANDER_BLOCKS) -> NDArray[np.intp]:
     """Number of each reading's block: its run's readings in their order, in so many parts."""
-    order = np.argsort(unit, kind="stable")
-    counts = np.bincount(unit)
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    place = np.empty(unit.size, dtype=np.intp)
-    place[order] = np.arange(unit.size) - starts[unit[order]]
-    return unit * parts + place * parts // counts[unit]
+    return unit * parts + places_in(unit) * parts // np.bincount(unit)[unit]
 
 
 def evidence_nats(
@@ -168,9 +155,9 @@ def evidence_nats(
     runs = int(np.unique(unit).size)
     gained = plain + offset_nats(larger, unit) - offset_nats(smaller, unit)
     if gained > 0.0:
-        inside = min((1.0 - share_between(smaller, larger, unit)) * plain, gained)
+        inside = min((1.0 - shift_between(smaller, larger, unit)) * plain, gained)
         gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
-    gained = max(gained, _by_scatter(plain / _inflation(smaller, larger, unit), runs))
+    gained = max(gained, _by_scatter(plain / _inflation(larger.here.log_p - smaller.here.log_p, unit), runs))
     if left is not None and left.lag_z > rules.INDEPENDENT_LAG_Z:
         gained *= (1.0 - left.lag_correlation) / (1.0 + left.lag_correlation)
     return gained
@@ -190,7 +177,7 @@ def lead_nats(one: JointFit, other: JointFit, unit: NDArray[np.intp] | None) -> 
     nats = plain + of_one.nats - of_other.nats
     gain = _log_p_beside_offsets(one, unit, of_one) - _log_p_beside_offsets(other, unit, of_other)
     runs = int(np.unique(unit).size)
-    return float(np.copysign(_by_scatter(abs(nats) / _inflation_of(gain, unit), runs), nats))
+    return float(np.copysign(_by_scatter(abs(nats) / _inflation(gain, unit), runs), nats))
 
 
 def of_one_run(nats: float, fit: JointFit, unit: NDArray[np.intp], run: NDArray[np.bool_]) -> float:
@@ -211,7 +198,7 @@ def of_one_run(nats: float, fit: JointFit, unit: NDArray[np.intp], run: NDArray[
     run
         Readings that are of the run with the offset.
     """
-    slope, others = fit.here.by[:, 0], np.unique(unit[~run])
+    slope, others = fit.offset_slope, np.unique(unit[~run])
     sums, squares = (np.bincount(unit, each)[others] for each in (slope, slope**2))
     own, freedom = rules.RUN_SCATTER_FREEDOM, others.size - 1
     if nats <= 0.0 or freedom < 1:

@@ -29,14 +29,13 @@ class AlternativeTerm:
         With its own fitted values.
     loss_nats
         How much less it gains, on the readings that are refitted [nat].
-    correlation, separation
-        Of both effects' scores, and by how many standard errors they differ.
+    correlation
+        Of both effects' scores.
     """
 
     active: Term
     loss_nats: float
     correlation: float
-    separation: float
 
 
 def eliminate(problem: Problem, state: State, needed_nats: float) -> State:
@@ -124,7 +123,6 @@ def _in_its_place(
     others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
     last = len(less.terms)
     correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
-    separations = [float(np.sqrt(2.0 * max(own, 0.0)) * np.sqrt(max(1.0 - each**2, 0.0))) for each in correlations]
     # On the readings that are refitted: more readings make two that are alike no more certain than they are.
     unit = problem.unit if state.by_run else None
     ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
@@ -143,7 +141,7 @@ def _in_its_place(
             return -np.inf
         nats += term.cost_nats - other.term.cost_nats
         if abs(correlation) > rules.SAME_FORM:
-            nats += rules.SIMPLER_NATS * (_numbers(term) - _numbers(other.term))
+            nats += rules.SIMPLER_NATS * (term.numbers - other.term.numbers)
         return nats + rules.BASE_PREFERENCE_NATS * other.term.is_base
 
     leads = [lead(*each) for each in zip(others, ahead, correlations, strict=True)]
@@ -163,8 +161,8 @@ def _in_its_place(
         for each, nats in zip(others, ahead, strict=True)
     ]
     return None, tuple(
-        AlternativeTerm(other.term.active, nats, correlation, separation)
-        for other, nats, correlation, separation in zip(others, lost, correlations, separations, strict=True)
+        AlternativeTerm(other.term.active, nats, correlation)
+        for other, nats, correlation in zip(others, lost, correlations, strict=True)
         if nats <= rules.ALTERNATIVE_NATS
         and abs(correlation) >= rules.RELATED
         and other.term.active.effect.name != term.active.effect.name
@@ -185,12 +183,7 @@ def _at_others(problem: Problem, state: State, k: int, less: State, tried: Candi
 def _imitates(other: SelectedTerm, term: SelectedTerm, correlation: float) -> bool:
     """Whether another effect says the same with more numbers, and over no other column."""
     same = set(other.active.effect.requires) <= set(term.active.effect.requires)
-    return same and _numbers(other) > _numbers(term) and abs(correlation) > rules.IMITATES
-
-
-def _numbers(term: SelectedTerm) -> int:
-    """How many numbers a candidate has: its strength and its shape."""
-    return 1 if term.candidate is None else 1 + len(term.candidate.shape)
+    return same and other.numbers > term.numbers and abs(correlation) > rules.IMITATES
 
 
 def _next_to_base(problem: Problem, state: State, others: Sequence[CandidateFit], needed_nats: float) -> State | None:

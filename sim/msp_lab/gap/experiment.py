@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
-from msp_lab.gap.prepared import CHANNELS
+from msp_lab.gap.prepared import CHANNELS, templates
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_sim.effects.base import WORD_COLUMNS, Scene
-from msp_sim.effects.curve import FIELDS
 from msp_sim.model.model import Term, applies
 
 _Array = NDArray[np.float64]
@@ -82,14 +81,10 @@ def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contex
 
 def _templates(scene: Scene, each: Term, weights: _Array) -> _Array:
     known = applies(scene, each)
-    n = int(np.shape(scene.range_cm)[0])
-    templates = np.zeros((n, len(CHANNELS) + 1))
+    found = np.zeros((np.shape(scene.range_cm)[0], len(CHANNELS)))
     if known is False:
-        return templates
-    change = each.change(scene)
-    for i, channel in enumerate(CHANNELS):
-        moved = getattr(change, FIELDS[channel])
-        if moved is not None:
-            templates[:, i] = weights[i] * np.nan_to_num(np.where(known, moved, 0.0))
-    templates -= templates.mean(axis=0)
-    return templates
+        return found
+    for i, template in templates(known, each.change(scene)).items():
+        found[:, i] = weights[i] * template
+    found -= found.mean(axis=0)
+    return found

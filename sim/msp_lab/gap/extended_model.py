@@ -25,24 +25,27 @@ def extended(model: Model, base: _Array, effects: Sequence[Term], spacing_s: flo
     sensor = model.sensor
     mixture = sensor.reading_model
     weights = mixture.weights
-    factors = {"hit": 1.0, "short": np.exp(base[2]), "missed": np.exp(base[3]), "random": np.exp(base[4])}
-    least = dict(zip(factors, (0.0, *np.where(base[2:5] != 0.0, LEAST_SHARE, 0.0)), strict=True))
-    odds = {name: max(getattr(weights, name), least[name]) * float(factor) for name, factor in factors.items()}
+    offset_cm, log_sigma, short, missed, random, log_rate, saturated, correlation = base.tolist()
+    changes = {"hit": 0.0, "short": short, "missed": missed, "random": random}
+    odds = {
+        name: max(getattr(weights, name), LEAST_SHARE if change else 0.0) * float(np.exp(change))
+        for name, change in changes.items()
+    }
     total = sum(odds.values())
-    factor = float(np.exp(base[1]))
+    factor = float(np.exp(log_sigma))
     update: dict[str, Any] = {
         "weights": weights.model_copy(update={name: value / total for name, value in odds.items()}).model_dump(),
         "sigma_cm": float(np.clip(mixture.sigma_cm * factor, 0.01, 100.0)),
         "sigma_growth_cm_per_m": min(mixture.sigma_growth_cm_per_m * factor, 100.0),
-        "short_rate_per_m": min(mixture.short_rate_per_m * float(np.exp(base[5])), 1000.0),
-        "saturated_fraction": float(np.clip(mixture.saturated_fraction + base[6], 0.0, 1.0)),
-        "correlation": float(np.clip(mixture.correlation + base[7], 0.0, MAX_CORRELATION)),
+        "short_rate_per_m": min(mixture.short_rate_per_m * float(np.exp(log_rate)), 1000.0),
+        "saturated_fraction": float(np.clip(mixture.saturated_fraction + saturated, 0.0, 1.0)),
+        "correlation": float(np.clip(mixture.correlation + correlation, 0.0, MAX_CORRELATION)),
         "correlation_spacing_s": mixture.correlation_spacing_s if spacing_s is None else spacing_s,
     }
     sensor = SensorModel.model_validate(
         {
             **sensor.model_dump(),
-            "calibration": [knot.model_dump() for knot in _shifted_knots(sensor, float(base[0]))],
+            "calibration": [knot.model_dump() for knot in _shifted_knots(sensor, offset_cm)],
             "reading_model": {**mixture.model_dump(), **update},
         }
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.problem import Problem, State
+from msp_lab.gap.refit import has_range
 from msp_sim.effects.curve import MAX_VALUE, Knots, hats
 from msp_sim.model.model import make_curve_term
 
@@ -22,8 +23,7 @@ _Array = NDArray[np.float64]
 def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
     """Curves over one column with a knot whose readings are far off, the least likely by random variation first."""
     rows, reading_cm = problem.readings.at(state.fit.base, state.fit.effects), problem.readings.reading_cm
-    with np.errstate(invalid="ignore"):
-        usual = (reading_cm > rows.minimum_cm) & (reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
+    usual = has_range(rows, reading_cm)
     off_cm = (reading_cm - rows.centre_cm)[usual]
     far = np.abs(off_cm) > rules.FAR_SIGMAS * np.broadcast_to(rows.sigma_cm, reading_cm.shape)[usual]
     if far.sum() < rules.CELL_MIN_HITS:
@@ -38,7 +38,7 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
         if start_cm is None:
             continue
         term = replace(make_curve_term("bias", variables, knots, start_cm), is_added=True)
-        gain = float(problem.readings.log_prob(state.fit.base, [*state.fit.effects, term]).sum()) - now
+        gain = problem.readings.log_likelihood(state.fit.base, [*state.fit.effects, term]) - now
         if gain > 0.0:
             log_p = log_p_of(2.0 * gain, len(start_cm))
             found.append(CandidateCurve("bias", variables, knots, gain, len(start_cm), log_p, start=start_cm))

@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 
 Verdict: TypeAlias = Literal["nothing missing", "absorbed", "explained", "improved", "partly explained", "unexplained"]
 Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
+LastStep: TypeAlias = Literal["compare", "name", "add", "show"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,18 @@ class Gap:
     bias_cm: Measure
     spread_ratio: Measure
     odds: OddsMeasures
+
+    @property
+    def measures(self) -> Mapping[str, Measure]:
+        """Nats, bias, spread and the odds of each class of outlier by name, as in model files."""
+        return {
+            "nats_per_reading": self.nats_per_reading,
+            "bias_cm": self.bias_cm,
+            "spread_ratio": self.spread_ratio,
+            "odds_short": self.odds.short,
+            "odds_missed": self.odds.missed,
+            "odds_random": self.odds.random,
+        }
 
 
 @dataclass(frozen=True)
@@ -304,6 +317,11 @@ class Slice:
     after: Mapping[str, float | None] = field(default_factory=dict)
 
 
+def error_name(number: str) -> str:
+    """Field of a `Slice` with the standard error of a number, whose field is given."""
+    return "bias_se_cm" if number == "bias_cm" else f"{number}_se"
+
+
 @dataclass(frozen=True)
 class PathStep:
     """A step of the selection path: the gap on the held-out readings after one more change.
@@ -409,3 +427,8 @@ class GapFindings:
     date: str = ""
     model_sha256: str = ""
     version: str = ""
+
+    @property
+    def confirmed(self) -> tuple[FoundEffect, ...]:
+        """The effects that are findings; what is only suggested is none."""
+        return tuple(each for each in self.effects if each.verdict != "suggested")

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from msp_lab.gap.findings import GapFindings
 from msp_range.input_file import read_text
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 
 NUMBERS = "gap.json"
 LARGEST_BYTES = 64 * 2**20
@@ -59,11 +59,9 @@ def write_findings(findings: GapFindings, folder: Path) -> Path:
         It cannot be written.
     """
     path = folder / NUMBERS
-    try:
+    with writing(path):
         folder.mkdir(parents=True, exist_ok=True)
         path.write_text(as_json(findings), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
     return path
 
 

@@ -3,6 +3,8 @@
 Knots, values and their standard errors enter; text leaves.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,35 +35,28 @@ def formula(variable: str, at: _Array, values: _Array, deviation: _Array) -> str
     return best[1].replace("+ -", "- ") if best else ""
 
 
-def _grammar(variable: str, at: _Array, span: float) -> list[tuple[str, list[_Array], int]]:
-    forms: list[tuple[str, list[_Array], int]] = [(f"{{0}} + {{1}} {variable}", [at], 0)]
-    forms.append((f"{{0}} + {{1}} {variable} + {{2}} {variable}^2", [at, at**2], 0))
+def _grammar(variable: str, at: _Array, span: float) -> Iterator[tuple[str, list[_Array], int]]:
+    yield f"{{0}} + {{1}} {variable}", [at], 0
+    yield f"{{0}} + {{1}} {variable} + {{2}} {variable}^2", [at, at**2], 0
     for cycles in (0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0):
         wave = 2.0 * np.pi * cycles / span
-        forms.append(
-            (
-                f"{{0}} + {{1}} sin({wave:.3g} {variable}) + {{2}} cos({wave:.3g} {variable})",
-                [np.sin(wave * at), np.cos(wave * at)],
-                1,
-            )
+        yield (
+            f"{{0}} + {{1}} sin({wave:.3g} {variable}) + {{2}} cos({wave:.3g} {variable})",
+            [np.sin(wave * at), np.cos(wave * at)],
+            1,
         )
     for middle in (at[:-1] + at[1:]) / 2.0:
-        forms.append((f"{{0}} + {{1}} [{variable} > {middle:.3g}]", [(at > middle).astype(float)], 1))
-        forms.append(
-            (
-                f"{{0}} + {{1}} tanh(({variable} - {middle:.3g}) / {span / 8:.3g})",
-                [np.tanh((at - middle) / (span / 8))],
-                2,
-            )
+        yield f"{{0}} + {{1}} [{variable} > {middle:.3g}]", [(at > middle).astype(float)], 1
+        yield (
+            f"{{0}} + {{1}} tanh(({variable} - {middle:.3g}) / {span / 8:.3g})",
+            [np.tanh((at - middle) / (span / 8))],
+            2,
         )
     for length in (span / 8, span / 4, span / 2):
-        forms.append(
-            (
-                f"{{0}} + {{1}} exp(-{variable} / {length:.3g})",
-                [np.exp(-(at - at[0]) / length) * np.exp(-at[0] / length)],
-                1,
-            )
+        yield (
+            f"{{0}} + {{1}} exp(-{variable} / {length:.3g})",
+            [np.exp(-(at - at[0]) / length) * np.exp(-at[0] / length)],
+            1,
         )
     if variable.endswith("_deg") and np.all(np.abs(at) < 80.0):
-        forms.append((f"{{0}} + {{1}} / cos({variable})", [1.0 / np.cos(np.radians(at))], 0))
-    return forms
+        yield f"{{0}} + {{1}} / cos({variable})", [1.0 / np.cos(np.radians(at))], 0

@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from msp_lab.gap.findings import Settings
+from msp_lab.gap.findings import LastStep, Settings
 from msp_lab.gap.findings_file import as_json
 from msp_lab.gap.steps import Steps
 from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
@@ -21,7 +21,7 @@ def find_gap(
     *,
     columns: Columns | None = None,
     out: Path | str | None = None,
-    until: Literal["compare", "name", "add", "show"] = "add",
+    until: LastStep = "add",
     seed: int = 1,
 ) -> dict[str, Any]:
     """Find where readings and a sensor model disagree and what the model is missing, as ``msp-lab gap`` does.

@@ -5,7 +5,7 @@ out, readings and model are put onto the grid of the readings, and point masses 
 aside as calibration. Runs are split before anything is looked at.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
-from msp_lab.gap.runs import sample
+from msp_lab.gap.runs import known_values, numbered, places_in, sample, taken
 from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
@@ -50,8 +50,6 @@ class Readings:
         What belongs to the model's grid and codes.
     messages
         What was left out or noticed, a sentence each.
-    constant
-        Context columns that never change, with their value.
     step_cm
         The readings are compared in this step; None: in that of the model.
     """
@@ -60,7 +58,6 @@ class Readings:
     sources: tuple[ReadingsFile, ...]
     calibration: tuple[CalibrationFinding, ...] = ()
     messages: tuple[str, ...] = ()
-    constant: tuple[tuple[str, str], ...] = ()
     step_cm: float | None = None
 
     def in_step(self, model: Model) -> Model:
@@ -111,10 +108,9 @@ def read_readings(
     step_cm = step_with(data, model)
     data, calibration = _on_grid(data, model, step_cm)
     data, codes = _without_codes(data, model.with_step(step_cm))
-    constant = _constant(data)
     messages = (*loaded.messages, *left_out, *copies, *suspicious(loaded.data))
-    messages = (*messages, *_about_contexts(constant), *_about_runs(data["run"], data["time_s"]))
-    return Readings(data, sources, (*calibration, *codes), messages, constant, step_cm)
+    messages = (*messages, *_about_contexts(data), *_about_runs(data["run"], data["time_s"]))
+    return Readings(data, sources, (*calibration, *codes), messages, step_cm)
 
 
 @dataclass(frozen=True)
@@ -169,7 +165,7 @@ class Comparison:
         parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
         rows = np.flatnonzero(parts.held_out)
         rows = sample(data, rows, rules.MAX_MEASURED, np.random.default_rng([settings.seed, 3]))
-        contexts = {name: column[rows] for name, column in data.items()}
+        contexts = taken(data, rows)
         held_out = HeldOutReadings(data["reading_cm"][rows], contexts, _units(parts.runs[rows]))
         can = usable(model, held_out)
         held_out = held_out.take(can)
@@ -301,7 +297,7 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
     far = np.abs(reading_cm - centre) > sigmas * sensor.reading_model.sigma_cm + share * centre + far_cm
     values, counts = np.unique(reading_cm[far], return_counts=True)
     declared = {float(sensor.minimum_cm), float(sensor.maximum_cm), float(SATURATED_CM)}
-    codes = []
+    is_code, found = np.zeros(len(data), dtype=bool), []
     for value, count in zip(values.tolist(), counts.tolist(), strict=True):
         # What an effect explains comes at one range; a code comes at ranges that differ.
         if value in declared or count < max(rules.CODE_MIN_READINGS, rules.CODE_SHARE * reading_cm.size):
@@ -309,52 +305,34 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
         steps = np.rint(np.abs(values - value) / sensor.resolution_cm)
         near = counts[(steps <= 3.0) & (steps > 0.0)].sum() / 6.0
         next_to = counts[steps == 1.0].max(initial=0)
-        here = data["true_range_cm"][reading_cm == value]
+        same = reading_cm == value
+        here = data["true_range_cm"][same]
         alone = count > max(rules.CODE_TIMES_NEIGHBOURS * (near + 1.0), rules.CODE_TIMES_NEXT * next_to)
         if alone and np.ptp(here) > rules.CODE_SPAN * max(np.ptp(data["true_range_cm"]), 1.0):
-            codes.append(value)
-    if not codes:
+            is_code |= same
+            text = (
+                f"{value:g} cm comes in {100.0 * same.mean():.3g} % of the readings, at true ranges of "
+                f"{here.min():.0f} to {here.max():.0f} cm: a code that the model does not declare; these readings are "
+                "set aside"
+            )
+            found.append(CalibrationFinding("code", text, before=0.0, after=float(same.mean()), unit="1"))
+    if not 0.0 < is_code.mean() <= rules.CODE_MAX_SHARE:
         return data, []
-    is_code = np.isin(reading_cm, codes)
-    if is_code.mean() > rules.CODE_MAX_SHARE:
-        return data, []
-    found = [
-        CalibrationFinding(
-            "code",
-            f"{value:g} cm comes in {100.0 * np.mean(reading_cm == value):.3g} % of the readings, at true ranges of "
-            f"{data['true_range_cm'][reading_cm == value].min():.0f} to "
-            f"{data['true_range_cm'][reading_cm == value].max():.0f} cm: a code that the model does not declare; "
-            "these readings are set aside",
-            before=0.0,
-            after=float(np.mean(reading_cm == value)),
-            unit="1",
-        )
-        for value in codes
-    ]
     return data.select(~is_code), found
 
 
-def _constant(data: MeasuredData) -> tuple[tuple[str, str], ...]:
-    found = []
+def _about_contexts(data: MeasuredData) -> Iterator[str]:
+    """A sentence on each column that never changes."""
     for name, column in data.columns.items():
         if name in ("reading_cm", "time_s", PREVIOUS, "run", "sensor", REFERENCE_STD, REFERENCE):
             continue
-        known = column[~np.isnan(column)] if column.dtype.kind == "f" else column[column != ""]
+        known = known_values(column)
         if known.size and (known == known[0]).all():
-            found.append((name, f"{known[0]:g}" if column.dtype.kind == "f" else str(known[0])))
-    return tuple(found)
-
-
-def _about_contexts(constant: Sequence[tuple[str, str]]) -> list[str]:
-    found = []
-    for name, value in constant:
-        if name == "true_range_cm":
-            found.append(
-                f"All readings are at one true range ({value} cm), so what grows with range is not identifiable."
-            )
-        else:
-            found.append(f"{name} is constant ({value}), so its effects are not identifiable.")
-    return found
+            value = f"{known[0]:g}" if column.dtype.kind == "f" else known[0]
+            if name == "true_range_cm":
+                yield f"All readings are at one true range ({value} cm), so what grows with range is not identifiable."
+            else:
+                yield f"{name} is constant ({value}), so its effects are not identifiable."
 
 
 def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
@@ -362,7 +340,7 @@ def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
     if runs >= rules.MIN_RUNS:
         return []
     what = "1 run" if runs == 1 else f"{runs} runs"
-    order = np.lexsort((time_s, np.unique(run, return_inverse=True)[1]))
+    order = np.lexsort((time_s, numbered(run)))
     pauses = int(np.sum((np.diff(time_s[order]) > rules.PAUSE_S) & (run[order][1:] == run[order][:-1])))
     hint = (
         f" There are {pauses} pauses of over {rules.PAUSE_S:g} s: if flights lie between them, number them in a column"
@@ -376,13 +354,8 @@ def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
 
 def _units(runs: NDArray[np.str_]) -> NDArray[np.intp]:
     """Runs, or where they are few, blocks of consecutive readings of them."""
-    names, unit, counts = np.unique(runs, return_inverse=True, return_counts=True)
-    if names.size >= rules.UNITS_FROM_RUNS:
-        return np.asarray(unit, dtype=np.intp)
+    unit = numbered(runs)
+    if int(unit.max()) + 1 >= rules.UNITS_FROM_RUNS:
+        return unit
     length = max(int(np.ceil(runs.size / rules.UNIT_BLOCKS)), rules.MIN_BLOCK_READINGS)
-    place = np.zeros(runs.size, dtype=np.intp)
-    for i in range(names.size):
-        rows = np.flatnonzero(unit == i)
-        place[rows] = np.arange(rows.size) // length
-    _, blocks = np.unique(unit * (int(counts.max()) // length + 1) + place, return_inverse=True)
-    return np.asarray(blocks, dtype=np.intp)
+    return numbered(unit * runs.size + places_in(unit) // length)

@@ -50,10 +50,7 @@ def agreement(each: FoundEffect | UnknownEffect) -> str:
 
 def unit_of(column: str) -> str:
     """The unit that a column's name ends with; empty where there is none."""
-    for ending in sorted(_UNITS, key=len, reverse=True):
-        if column.endswith(ending):
-            return _UNITS[ending]
-    return ""
+    return _UNITS.get(_ending(column), "")
 
 
 def name_of(column: str) -> str:
@@ -66,10 +63,7 @@ def name_of(column: str) -> str:
     """
     if column in _SPECIAL:
         return _SPECIAL[column]
-    for ending in sorted(_UNITS, key=len, reverse=True):
-        if column.endswith(ending):
-            return column.removesuffix(ending).replace("_", " ")
-    return column.replace("_", " ")
+    return column.removesuffix(_ending(column)).replace("_", " ")
 
 
 def axis_label(column: str) -> str:
@@ -104,8 +98,7 @@ def headline(findings: GapFindings) -> str:
     }.get(findings.verdict, f"The gap is {findings.verdict}")
     named = [
         " or ".join([effect_label(each.name, each.of), *(effect_label(one.name, one.of) for one in each.alternatives)])
-        for each in findings.effects
-        if each.verdict != "suggested"
+        for each in findings.confirmed
     ]
     named += [
         f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"
@@ -119,6 +112,11 @@ def effect_label(name: str, of: str | None) -> str:
     return name.replace("_", " ") + (f" of {of}" if of else "")
 
 
+def unit_after(unit: str) -> str:
+    """A unit as it follows a number; nothing for a number without one."""
+    return "" if unit in ("1", "") else f" {unit}"
+
+
 def parameter_words(name: str, value: FittedValue) -> str:
     """A parameter with its value, unit and interval.
 
@@ -129,13 +127,12 @@ def parameter_words(name: str, value: FittedValue) -> str:
     >>> parameter_words("share", FittedValue(1.0, 0.99965, 1.0, "1"))
     'share 1 (0.99965 to 1)'
     """
-    unit = "" if value.unit in ("1", "") else f" {value.unit}"
     interval = ""
     if value.low is not None and value.high is not None:
         ends = [(f"{value.low:.{digits}g}", f"{value.high:.{digits}g}") for digits in (3, 6)]
         low, high = next((each for each in ends if each[0] != each[1]), ends[-1])
         interval = f" ({low} to {high})"
-    return f"{name} {value.value:.3g}{unit}{interval}"
+    return f"{name} {value.value:.3g}{unit_after(value.unit)}{interval}"
 
 
 def extension_label(findings: GapFindings) -> str:
@@ -207,6 +204,23 @@ def listed(names: Sequence[str], most: int = 12) -> str:
     """
     more = len(names) - most
     return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
+
+
+def short(value: float | None) -> str:
+    """A number with few digits; nothing where it is not known."""
+    if value is None:
+        return ""
+    return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
+
+
+def interval(low: float | None, high: float | None, digits: int) -> str:
+    """From one number to another; nothing where they are not known."""
+    return "" if low is None or high is None else f"{low:.{digits}g} to {high:.{digits}g}"
+
+
+def _ending(column: str) -> str:
+    """The longest unit that a column's name ends with."""
+    return max((each for each in _UNITS if column.endswith(each)), key=len, default="")
 
 
 def _label_of_one(where: str) -> str:

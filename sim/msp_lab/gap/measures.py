@@ -16,7 +16,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import drawn_sums, unit_sums, unit_variance
 from msp_lab.gap.cell_fits import CellFits, apart, free_fit, one_step, products, scores_of
 from msp_lab.gap.cells import Partition, Stack
-from msp_lab.gap.runs import dependence
+from msp_lab.gap.runs import dependence, taken
 from msp_sim.model.model import Model
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows
 from msp_sim.model.streams import RandomStreams
@@ -47,9 +47,7 @@ class HeldOutReadings:
 
     def take(self, rows: NDArray[Any]) -> "HeldOutReadings":
         """Some of the readings."""
-        return HeldOutReadings(
-            self.reading_cm[rows], {name: column[rows] for name, column in self.contexts.items()}, self.unit[rows]
-        )
+        return HeldOutReadings(self.reading_cm[rows], taken(self.contexts, rows), self.unit[rows])
 
 
 def usable(model: Model, readings: HeldOutReadings) -> NDArray[np.bool_]:
@@ -71,31 +69,49 @@ class Interval:
 
 @dataclass(frozen=True)
 class Measures:
-    """The measures; each is that of the partition in which it is largest.
+    """What readings show of a model.
 
     Attributes
     ----------
-    nats, bias_cm, spread_ratio, short, missed, random
-        As in `findings.Gap`.
+    readings
+        The readings.
+    rows
+        Their distributions by the model.
+    stack
+        The cells of all partitions.
+    scores
+        Derivatives of each reading's log probability by the five numbers, (n, 5).
+    step
+        Free fits of all cells by one step from the model.
     fits
-        Free fits, by the partition's variables.
+        Free fits of the partitions that differ most, by their variables.
+    numbers
+        The measures by name, as in `findings.Gap`; each is that of the partition in which it is largest.
+    noise_floor
+        Of each measure.
     log_score
         Mean log probability of a reading [nat].
     """
 
-    nats: Interval
-    bias_cm: Interval
-    spread_ratio: Interval
-    short: Interval
-    missed: Interval
-    random: Interval
+    readings: HeldOutReadings
+    rows: ModelRows
+    stack: Stack
+    scores: _Array
+    step: CellFits
     fits: Mapping[tuple[str, ...], CellFits]
+    numbers: Mapping[str, Interval]
+    noise_floor: Mapping[str, float]
     log_score: float
 
-    def numbers(self) -> dict[str, Interval]:
-        """The measures by name."""
-        names = ("nats", "bias_cm", "spread_ratio", "short", "missed", "random")
-        return {name: getattr(self, name) for name in names}
+
+CHANNEL_OF = {
+    "bias_cm": "bias",
+    "spread_ratio": "spread",
+    "odds_short": "short",
+    "odds_missed": "missed",
+    "odds_random": "random",
+}
+"""The channel of each measure but the nats per reading."""
 
 
 BOOTSTRAPS_PER_REPLICATE = 2
@@ -168,7 +184,7 @@ def replicates(
 
 def _widened(name: str, plain: float, dependent: float) -> float:
     """The noise floor of dependent readings: at most so many times that of replicates."""
-    nothing = 0.0 if name in ("nats", "bias_cm") else 1.0
+    nothing = 0.0 if name in ("nats_per_reading", "bias_cm") else 1.0
     return float(np.fmax(plain, np.fmin(dependent, nothing + rules.NOISE_FLOOR_MAX_WIDENING * (plain - nothing))))
 
 
@@ -178,7 +194,7 @@ def _noise_floor(fits: Sequence[CellFits], stack: Stack) -> dict[str, float]:
     for fit in fits:
         by_variables = _by_variables(fit, stack)
         kept = {key: by_variables[key] for key in _kept(by_variables)}
-        for name, number in _measures(kept, 0.0).numbers().items():
+        for name, number in _measures(kept).items():
             shown.setdefault(name, []).append(number.value)
     return {name: _quantile(values, rules.NOISE_FLOOR_SHARE) for name, values in shown.items()}
 
@@ -202,11 +218,18 @@ def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition],
     """
     rows, stack = model.rows(readings.contexts).marginal, Stack.of(parts)
     _, scores = scores_of(rows, readings.reading_cm)
-    log_p = np.maximum(model.log_prob(readings.reading_cm, readings.contexts), np.log(MIN_PROBABILITY))
     step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
     kept = set(_kept(_by_variables(step, stack)))
     fits = free_fits(rows, readings, [each for each in parts if each.variables in kept])
-    return _measures(fits, float(log_p.mean()))
+    return Measures(
+        readings, rows, stack, scores, step, fits, _measures(fits), drawn.noise_floor, log_score(model, readings)
+    )
+
+
+def log_score(model: Model, readings: HeldOutReadings) -> float:
+    """Mean log probability of a reading, each bounded below [nat]."""
+    log_p = model.log_prob(readings.reading_cm, readings.contexts)
+    return float(np.maximum(log_p, np.log(MIN_PROBABILITY)).mean())
 
 
 def free_fits(
@@ -227,19 +250,14 @@ def _kept(fits: Mapping[tuple[str, ...], CellFits]) -> list[tuple[str, ...]]:
     return [whole, *sorted(others, key=lambda key: -fits[key].nats)[: rules.ITERATED_PARTITIONS]]
 
 
-def _measures(fits: Mapping[tuple[str, ...], CellFits], log_score: float) -> Measures:
+def _measures(fits: Mapping[tuple[str, ...], CellFits]) -> dict[str, Interval]:
     nats = max(fits.values(), key=lambda fit: fit.nats)
     error = 1.96 * nats.nats_error
-    return Measures(
-        nats=Interval(max(nats.nats, 0.0), max(nats.nats - error, 0.0), max(nats.nats + error, 0.0)),
-        bias_cm=_largest(fits, "bias"),
-        spread_ratio=_largest(fits, "spread"),
-        short=_largest(fits, "short"),
-        missed=_largest(fits, "missed"),
-        random=_largest(fits, "random"),
-        fits=fits,
-        log_score=log_score,
-    )
+    ends = (max(each, 0.0) for each in (nats.nats, nats.nats - error, nats.nats + error))
+    return {
+        "nats_per_reading": Interval(*ends),
+        **{name: _largest(fits, channel) for name, channel in CHANNEL_OF.items()},
+    }
 
 
 def _largest(fits: Mapping[tuple[str, ...], CellFits], channel: str) -> Interval:

@@ -4,7 +4,7 @@ An extended model and findings enter, YAML leaves. The text is read back as a mo
 disk loads, and flies.
 """
 
-from collections.abc import Mapping
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ import yaml
 from pydantic import ValidationError
 
 from msp_lab.gap.extended_model import to_sensor
-from msp_lab.gap.findings import FoundEffect, Gap, GapFindings, Measure, UnknownEffect
+from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
 from msp_range.reading_model.sensor_model import InFlight, SensorModel
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 from msp_range.yaml_loader import load_yaml
 from msp_sim.model.model import Model
 
 MODEL = "model.yaml"
 TRAINING_FIT = "model_training_fit.yaml"
+WIDTH = 118
 _DIGITS = 6
 
 
@@ -47,9 +48,13 @@ def model_text(model: Model, findings: GapFindings, heading: str, flown: InFligh
     content["effects"] = _with_evidence(content["effects"], findings)
     content["evidence"] = [*content["evidence"], _calibrated(findings)]
     content = _rounded(content)
-    lines = [f"# {line}" for line in (heading, findings.sentence) if line]
-    text = "\n".join(_wrapped(lines)) + "\n"
-    text += yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=118, default_flow_style=None)
+    lines = [
+        textwrap.fill(f"# {line}", WIDTH, subsequent_indent="# ", break_long_words=False, break_on_hyphens=False)
+        for line in (heading, findings.sentence)
+        if line
+    ]
+    text = "\n".join(lines) + "\n"
+    text += yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=WIDTH, default_flow_style=None)
     try:
         Model.of(SensorModel.model_validate(load_yaml(text)))
     except (ValidationError, ConfigError) as error:
@@ -66,10 +71,8 @@ def write_model(path: Path, model: Model, findings: GapFindings, heading: str, f
         It cannot be written, or what was added does not go with the rest.
     """
     text = model_text(model, findings, heading, flown)
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list[dict[str, Any]]:
@@ -128,21 +131,9 @@ def _provenance(findings: GapFindings) -> dict[str, Any]:
         "data": [{"name": Path(each.path).name, "sha256": each.sha256, "rows": each.rows} for each in findings.sources],
     }
     if findings.gap is not None:
-        found["gap_before"] = _side(findings.gap, "before")
-        found["gap_after"] = _side(findings.gap, "after")
+        for side in ("before", "after"):
+            found[f"gap_{side}"] = {name: getattr(each, side) for name, each in findings.gap.measures.items()}
     return found
-
-
-def _side(gap: Gap, side: str) -> dict[str, float | None]:
-    measures: Mapping[str, Measure] = {
-        "nats_per_reading": gap.nats_per_reading,
-        "bias_cm": gap.bias_cm,
-        "spread_ratio": gap.spread_ratio,
-        "odds_short": gap.odds.short,
-        "odds_missed": gap.odds.missed,
-        "odds_random": gap.odds.random,
-    }
-    return {name: getattr(measure, side) for name, measure in measures.items()}
 
 
 def _calibrated(findings: GapFindings) -> dict[str, Any]:
@@ -154,19 +145,6 @@ def _calibrated(findings: GapFindings) -> dict[str, Any]:
         "verdict": findings.verdict,
         "calibration": [each.finding for each in findings.calibration],
     }
-
-
-def _wrapped(lines: list[str], width: int = 118) -> list[str]:
-    out = []
-    for line in lines:
-        words, row = line.split(), ""
-        for word in words:
-            if row and len(row) + 1 + len(word) > width:
-                out.append(row)
-                row = "#"
-            row = f"{row} {word}".strip()
-        out.append(row)
-    return out
 
 
 def _rounded(value: Any) -> Any:

@@ -16,7 +16,7 @@ from msp_lab.gap.findings_file import LARGEST_BYTES, findings_form
 from msp_lab.gap.naming import ExtendedModels, ModelStep
 from msp_range.input_file import read_text
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, writing
 from msp_sim.model.model import Model
 
 NAMED = "named.json"
@@ -40,10 +40,8 @@ def write_named(models: ExtendedModels, findings: GapFindings, folder: Path) -> 
         "findings": findings_form().dump_python(findings, mode="json"),
     }
     path = folder / NAMED
-    try:
+    with writing(path):
         path.write_text(json.dumps(content, ensure_ascii=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def read_named(folder: Path) -> tuple[ExtendedModels, GapFindings]:

@@ -21,7 +21,7 @@ from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
-from msp_lab.gap.runs import previous, sample
+from msp_lab.gap.runs import previous, sample, taken
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
@@ -223,7 +223,7 @@ class AllReadings:
 
     def prepared(self, problem: Problem, rows: NDArray[np.intp]) -> Prepared:
         """Some of them."""
-        contexts = {key: np.asarray(column)[rows] for key, column in self.contexts.items()}
+        contexts = taken(self.contexts, rows)
         return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s)
 
 
@@ -236,11 +236,12 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     held_out = whole.prepared(problem, held_out_rows)
     of_training = refit(training, fit.effects, fit.base)
     found = kept.state.terms or selection.run_offset_cm > 0.0
-    as_given = not found and _score(held_out, of_training.base) <= _score(held_out, np.zeros(len(BASE)))
+    nothing = np.zeros(len(BASE))
+    as_given = not found and held_out.log_likelihood(of_training.base, []) <= held_out.log_likelihood(nothing, [])
     readings, unit = problem.readings, problem.unit
     if as_given:
         # No fit starts with the numbers of the model itself: those of correlated readings start off 0.
-        base = np.zeros(len(BASE))
+        base = nothing
         fit, of_training = refit(readings, [], base, rounds=0), refit(training, [], base, rounds=0)
     elif len(readings) < whole.reading_cm.size:
         rows = sample(whole.contexts, np.arange(whole.reading_cm.size), rules.FINAL_ROWS, problem.rng)
@@ -252,20 +253,18 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     gained = gain(after, before, splits.unit[held_out_rows])
     path = _path(problem, selection, kept.state)
     calibration = [*calibrated(problem, final, of_training), *calibration]
-    parts = {"training": (of_training.base, of_training.effects), "final": (fit.base, fit.effects)}
+    of_runs, of_all = (of_training.base, of_training.effects), (fit.base, fit.effects)
     # Blocks of one run are no runs: what they differ by is a drift.
     if selection.run_offset_cm > 0.0 and not splits.of_blocks:
         offsets = validated_run_offsets(selection.run_offset_cm, fit, readings, unit, splits)
         if offsets is not None:
             effects.append(offsets[0])
-            parts = {
-                "training": with_run_offsets(of_training, offsets[1], training),
-                "final": with_run_offsets(fit, offsets[1], readings),
-            }
+            of_runs = with_run_offsets(of_training, offsets[1], training)
+            of_all = with_run_offsets(fit, offsets[1], readings)
     return NamedModel(
         ExtendedModels(
-            extended(model, *parts["training"], problem.readings.spacing_s),
-            extended(model, *parts["final"], problem.readings.spacing_s),
+            extended(model, *of_runs, problem.readings.spacing_s),
+            extended(model, *of_all, problem.readings.spacing_s),
             path,
         ),
         tuple(effects),
@@ -285,10 +284,6 @@ def _not_testable(effect: str, absent: Sequence[str]) -> NotTestable:
     """With the columns to record: the reading before each is known where the times are."""
     columns = tuple("time_s" if each == PREVIOUS else each for each in absent)
     return NotTestable(effect, columns, f"{' and '.join(columns)} not recorded")
-
-
-def _score(prepared: Prepared, base: _Array) -> float:
-    return float(prepared.log_prob(base, []).sum())
 
 
 def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelStep, ...]:

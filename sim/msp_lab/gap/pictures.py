@@ -5,7 +5,6 @@ Findings, both models and the held-out readings enter, figures leave. Nothing is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from msp_lab.gap.autocorrelation import places
+from msp_lab.gap.autocorrelation import labelled, places
 from msp_lab.gap.cells import Partition, partitions
-from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect
+from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect, error_name
 from msp_lab.gap.labels import axis_label, step_name
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.tables import shown_slices, slice_with_count
@@ -86,21 +85,22 @@ def draw_residuals(
     for subject, (left, right) in zip(wanted, rows, strict=True):
         part = _apart(partitions(readings.contexts, [subject.column], pairs=False)[1])
         drawn = _draw_share if subject.of_outliers else _draw_residual
-        limits = [
-            drawn(axes, model, readings, part, subject.column, colour, rng)
-            for axes, model, colour in ((left, before, BEFORE), (right, after, AFTER))
-        ]
+        limits = []
+        for axes, model, colour in ((left, before, BEFORE), (right, after, AFTER)):
+            middle, error, ends = drawn(axes, model, readings, part, rng)
+            label = "measured, before" if colour == BEFORE else "measured, after"
+            at = _bin_places(part)
+            axes.errorbar(at, middle, error, fmt="o", color=colour, markersize=4.5, label=label, zorder=5)
+            if part.centres is None:
+                names = [label.split(" ", 1)[-1] for label in part.labels]
+                axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
+            axes.set_xlabel(axis_label(subject.column))
+            limits.append(ends)
         left.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
         left.set_ylabel("outliers [%]" if subject.of_outliers else "reading − expected [cm]")
-        for axes in (left, right):
-            axes.set_xlabel(axis_label(subject.column))
     rows[0][0].set_title("before: given model")
     rows[0][1].set_title(f"after: {added}")
-    handles: dict[str, Any] = {}
-    for row in rows:
-        for axes in row:
-            handles |= {str(each.get_label()): each for each in axes.get_legend_handles_labels()[0]}
-    legend_below(figure, list(handles.values()))
+    legend_below(figure, labelled(figure))
     return figure
 
 
@@ -175,9 +175,10 @@ def draw_slices(findings: GapFindings) -> Figure:
     ):
         for column, marker in zip(names, "o" if axes is left else "sD^v", strict=False):
             what = column.removeprefix("log_").removeprefix("odds_").removesuffix("_cm")
-            values = np.array([_or_nan(getattr(each, column)) for each in slices])
-            errors = np.array([_or_nan(getattr(each, _error_name(column))) for each in slices])
-            later = np.array([_or_nan(each.after.get(column)) for each in slices])
+            # None, for what is not known, becomes NaN.
+            values = np.array([getattr(each, column) for each in slices], dtype=float)
+            errors = np.array([getattr(each, error_name(column)) for each in slices], dtype=float)
+            later = np.array([each.after.get(column) for each in slices], dtype=float)
             ends = np.array([values - 1.96 * errors, values + 1.96 * errors])
             if column != "bias_cm":
                 with np.errstate(over="ignore"):
@@ -196,8 +197,7 @@ def draw_slices(findings: GapFindings) -> Figure:
     _plain_decades(right)
     left.set_yticks(places, [slice_with_count(each) for each in slices])
     left.invert_yaxis()
-    handles = {str(each.get_label()): each for axes in (left, right) for each in axes.get_legend_handles_labels()[0]}
-    legend_below(figure, list(handles.values()))
+    legend_below(figure, labelled(figure))
     return figure
 
 
@@ -225,18 +225,13 @@ def draw_curve(each: UnknownEffect) -> Figure:
 
 
 def _draw_residual(
-    axes: Axes,
-    model: Model,
-    readings: HeldOutReadings,
-    part: Partition,
-    column: str,
-    colour: str,
-    rng: np.random.Generator,
-) -> tuple[float, float]:
-    """Residuals as dots, medians of bins with their errors, and the band where the model expects two of three."""
+    axes: Axes, model: Model, readings: HeldOutReadings, part: Partition, rng: np.random.Generator
+) -> tuple[_Array, _Array, tuple[float, float]]:
+    """Residuals as dots, and the band where the model expects two of three; medians of bins with errors, and limits."""
     centre = _centre(model, readings)
     residual = readings.reading_cm - centre
-    x = _places(readings, part, column)
+    numbers = part.centres is not None
+    x = np.asarray(readings.contexts[part.variables[0]] if numbers else part.cell, dtype=float)
     low, middle, high, error = _of_bins(residual, part)
     expected = np.stack(
         [_of_bins(model.sample(readings.contexts, rng) - centre, part)[:3] for _ in range(REPLICATES)]
@@ -246,37 +241,19 @@ def _draw_residual(
     # One bin of outliers must not flatten all others to a line.
     reach = float(far[far <= 8.0 * np.median(far) + 2.0 * wide].max()) + wide + 1.0
     shown = rng.permutation(len(readings))[:DOTS]
-    jitter = 0.0 if part.centres is not None else rng.uniform(-0.25, 0.25, shown.size)
+    jitter = 0.0 if numbers else rng.uniform(-0.25, 0.25, shown.size)
     axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
-    at = _bin_places(part)
     _draw_expected(axes, part, expected[0], expected[1], expected[2], "expected, two of three readings")
-    axes.errorbar(
-        at,
-        middle,
-        1.96 * error,
-        fmt="o",
-        color=colour,
-        markersize=4.5,
-        label="measured, before" if colour == BEFORE else "measured, after",
-        zorder=5,
-    )
     outside = float(np.mean(np.abs(residual) > reach))
     if outside > 0.0:
         note(axes, f"{100.0 * outside:.2g} % outside of the picture", y=0.03)
-    _label_words(axes, part)
-    return -reach, reach
+    return middle, 1.96 * error, (-reach, reach)
 
 
 def _draw_share(
-    axes: Axes,
-    model: Model,
-    readings: HeldOutReadings,
-    part: Partition,
-    column: str,
-    colour: str,
-    rng: np.random.Generator,
-) -> tuple[float, float]:
-    """Share of readings that are no hit, measured and expected."""
+    axes: Axes, model: Model, readings: HeldOutReadings, part: Partition, rng: np.random.Generator
+) -> tuple[_Array, _Array, tuple[float, float]]:
+    """The share of readings that are no hit as expected; as measured, its errors, and limits of both."""
     centre = _centre(model, readings)
     sigma_cm = np.concatenate([rows.sigma_cm for _, rows in model.chunks(readings.contexts)])
 
@@ -289,21 +266,11 @@ def _draw_share(
     measured = share(readings.reading_cm)
     counts = np.maximum(part.counts, 1)
     error = 1.96 * np.sqrt(np.maximum(measured * (1.0 - measured), 0.5 / counts) / counts)
-    at = _bin_places(part)
-    drawn = np.isfinite(at)
+    drawn = np.isfinite(_bin_places(part))
     low, high = np.quantile(shares, [0.025, 0.975], axis=0)
     _draw_expected(axes, part, 100.0 * low, 100.0 * shares.mean(axis=0), 100.0 * high, "expected share (95 %)")
-    axes.errorbar(
-        at,
-        100.0 * measured,
-        100.0 * error,
-        fmt="o",
-        color=colour,
-        markersize=4.5,
-        label="measured, before" if colour == BEFORE else "measured, after",
-    )
-    _label_words(axes, part)
-    return 0.0, 1.15 * 100.0 * float(max((measured + error)[drawn].max(), high[drawn].max()))
+    most = 1.15 * 100.0 * float(max((measured + error)[drawn].max(), high[drawn].max()))
+    return 100.0 * measured, 100.0 * error, (0.0, most)
 
 
 def _draw_expected(axes: Axes, part: Partition, low: _Array, middle: _Array, high: _Array, label: str) -> None:
@@ -339,10 +306,6 @@ def _centre(model: Model, readings: HeldOutReadings) -> _Array:
     return np.asarray(np.clip(centre_cm, model.sensor.minimum_cm, model.sensor.maximum_cm), dtype=np.float64)
 
 
-def _places(readings: HeldOutReadings, part: Partition, column: str) -> _Array:
-    return np.asarray(readings.contexts[column], dtype=float) if part.centres is not None else part.cell.astype(float)
-
-
 def _apart(part: Partition) -> Partition:
     """A partition whose cells lie so far apart that their points do not cover each other."""
     if part.centres is None or np.isfinite(part.centres).sum() < 2:
@@ -366,12 +329,6 @@ def _bin_places(part: Partition) -> _Array:
     return np.arange(len(part.labels), dtype=float) if part.centres is None else part.centres
 
 
-def _label_words(axes: Axes, part: Partition) -> None:
-    if part.centres is None:
-        names = [label.split(" ", 1)[-1] for label in part.labels]
-        axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
-
-
 def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:
     """The spread, and those odds in which some slice differs most."""
     found = ["log_spread"]
@@ -379,11 +336,3 @@ def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:
         if any(each.channel == channel for each in slices):
             found.append(f"log_odds_{channel}")
     return tuple(found)
-
-
-def _error_name(column: str) -> str:
-    return "bias_se_cm" if column == "bias_cm" else f"{column}_se"
-
-
-def _or_nan(value: Any) -> float:
-    return np.nan if value is None else float(value)

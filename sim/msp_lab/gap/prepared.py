@@ -5,15 +5,16 @@ and the derivatives of each reading's log probability by the base's numbers, the
 through which effects act.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_lab.gap.runs import taken
 from msp_range.reading_model.rows import FREE
-from msp_sim.effects.base import Parameter, Scene
+from msp_sim.effects.base import Contribution, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
 from msp_sim.model.history import MAX_CORRELATION, History
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of
@@ -82,6 +83,10 @@ class Prepared:
         """log probability of each reading, (n,), bounded below."""
         return log_prob(self.at(base, effects), self.reading_cm)
 
+    def log_likelihood(self, base: _Array, effects: Sequence[Term]) -> float:
+        """Sum of those of all readings."""
+        return float(self.log_prob(base, effects).sum())
+
     def slopes(self, base: _Array, effects: Sequence[Term]) -> "ChannelSlopes":
         """Derivatives of the log probabilities by the channels and by the base's other numbers."""
         return channel_slopes(self.at(base, effects), self.reading_cm)
@@ -115,13 +120,10 @@ class Prepared:
             if each.shape[0] == "bias" and each.is_added:
                 weights = self.scene.about_run_mean(weights)
             return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
-        one, other = each.change(self.scene), there.change(self.scene)
+        before, after = (templates(known, term.change(self.scene)) for term in (each, there))
         slope = np.zeros(len(self))
-        for i, channel in enumerate(CHANNELS):
-            after = getattr(other, FIELDS[channel])
-            if after is not None:
-                template = np.where(known, after - getattr(one, FIELDS[channel]), 0.0) / step
-                slope += here.score(i, np.nan_to_num(template))
+        for i, template in after.items():
+            slope += here.score(i, (template - before[i]) / step)
         return slope
 
     def _with_component(self, one: Term, other: Term, here: "ChannelSlopes") -> _Array:
@@ -139,6 +141,12 @@ class Prepared:
         return np.asarray(np.log(np.maximum(total / odds, MIN_PROBABILITY)))
 
 
+def templates(known: Any, change: Contribution) -> dict[int, _Array]:
+    """What a change adds to each channel that it moves, by the channel's place; 0 where it is not known."""
+    moved = {i: getattr(change, FIELDS[channel]) for i, channel in enumerate(CHANNELS)}
+    return {i: np.nan_to_num(np.where(known, each, 0.0)) for i, each in moved.items() if each is not None}
+
+
 def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> _Array:
     """Weights of a curve's knots, worked out once for a scene."""
     key = shape[1:]
@@ -148,16 +156,25 @@ def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, .
     return weights
 
 
+def moved(rows: ModelRows, numbers: Iterable[Any]) -> ModelRows:
+    """Rows with a number added in each of the `CHANNELS`, one for all rows or (n,)."""
+    shift_cm, log_spread, short, missed, random = numbers
+    logs = rows.log_weights
+    return replace(
+        rows.wider(np.exp(log_spread)),
+        centre_cm=rows.centre_cm + shift_cm,
+        log_weights=(logs[0], logs[1] + short, logs[2] + missed, logs[3] + random),
+    )
+
+
 def shifted(rows: ModelRows, base: _Array) -> ModelRows:
     """Rows with the base's numbers changed, in the order of `BASE`."""
-    hit, short, missed, random = rows.log_weights
+    *by_channel, log_rate, saturated, correlation = base
     return replace(
-        rows.wider(np.exp(base[1])),
-        centre_cm=rows.centre_cm + base[0],
-        log_weights=(hit, short + base[2], missed + base[3], random + base[4]),
-        rate_per_m=rows.rate_per_m * float(np.exp(base[5])),
-        saturated_fraction=float(np.clip(rows.saturated_fraction + base[6], 0.0, 1.0)),
-        history=None if rows.history is None else _correlated(rows.history, base[7]),
+        moved(rows, by_channel),
+        rate_per_m=rows.rate_per_m * float(np.exp(log_rate)),
+        saturated_fraction=float(np.clip(rows.saturated_fraction + saturated, 0.0, 1.0)),
+        history=None if rows.history is None else _correlated(rows.history, correlation),
     )
 
 
@@ -254,6 +271,5 @@ class ReadingsAtFit:
         """Which readings, prepared, and their slopes."""
         for start in range(0, self.reading_cm.size, CHUNK):
             part = slice(start, start + CHUNK)
-            columns = {name: np.asarray(column)[part] for name, column in self.contexts.items()}
-            prepared = Prepared.of(self.model, columns, self.reading_cm[part], self.spacing_s)
+            prepared = Prepared.of(self.model, taken(self.contexts, part), self.reading_cm[part], self.spacing_s)
             yield part, prepared, prepared.slopes(self.base, self.effects)

@@ -20,9 +20,9 @@ from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats, of_one_run
-from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit, templates
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s
+from msp_lab.gap.runs import Dependence, dependence, numbered, previous, sample, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
@@ -105,12 +105,12 @@ class Problem:
     ) -> "Problem":
         """Prepare a sample of these readings; the parameters are as the attributes."""
         rows = sample(contexts, np.arange(reading_cm.size), rules.READINGS, rng)
-        whole, contexts = contexts, {name: np.asarray(column)[rows] for name, column in contexts.items()}
+        whole, contexts = contexts, taken(contexts, rows)
         reading_cm, unit = reading_cm[rows], unit[rows]
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)
         if readings.spacing_s is None:
-            neighbours = dependence(base.here.by[:, 0], unit, _time_s(contexts))
+            neighbours = dependence(base.offset_slope, unit, _time_s(contexts))
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in contexts:
                 readings = Prepared.of(model, contexts, reading_cm, spacing_s(whole))
@@ -147,7 +147,7 @@ class Problem:
 
     def dependence(self, fit: JointFit) -> Dependence:
         """Dependence of the readings inside runs at a fit."""
-        return dependence(fit.here.by[:, 0], self.unit, _time_s(self.contexts))
+        return dependence(fit.offset_slope, self.unit, _time_s(self.contexts))
 
     def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
         """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
@@ -205,7 +205,7 @@ class Problem:
             if np.array_equal(fault.arrives(received), received):
                 alike = received
         run = self.contexts["run"] if "run" in self.contexts else np.zeros(len(self.readings))
-        return clumping(slope, np.unique(run, return_inverse=True)[1], alike)
+        return clumping(slope, numbered(run), alike)
 
     def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
         """A joint fit of these terms."""
@@ -393,11 +393,9 @@ def _correlation(one: _Array, other: _Array) -> float:
 
 def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
     """The value at which a candidate's refit starts."""
-    parameter, neutral = candidate.parameter, candidate.neutral
     if np.isfinite(seen.best[j]) and seen.best[j] != 0.0:
-        return float(np.clip(neutral + seen.best[j], parameter.low, parameter.high))
-    size = max(abs(seen.z[j] * seen.deviation[j]), parameter.step) ** (1.0 / parameter.power)
-    return float(np.clip(neutral + np.sign(seen.z[j]) * size, parameter.low, parameter.high))
+        return candidate.from_neutral(seen.best[j])
+    return candidate.from_score(seen.z[j] * seen.deviation[j])
 
 
 def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, start: float) -> JointFit:
@@ -434,8 +432,8 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
     bases = (state.fit.base, problem.base.base)
     key = (state.fit.base.tobytes(), *((each.stream, each.shape, *each.values.values()) for each in active))
     if key not in problem.kept:
-        heights = [float(problem.readings.log_prob(each, active).sum()) for each in bases]
-        problem.kept[key] = problem.refit(active, bases[int(np.argmax(heights))])
+        start = max(bases, key=lambda base: problem.readings.log_likelihood(base, active))
+        problem.kept[key] = problem.refit(active, start)
     return state.having(problem.kept[key], terms)
 
 
@@ -447,8 +445,7 @@ def loss(problem: Problem, smaller: JointFit, state: State) -> float:
 def bias_cm(problem: Problem, term: Term) -> _Array:
     """What a term adds to the hit of each reading that is refitted [cm], (n,)."""
     scene = problem.readings.scene
-    added_cm = np.nan_to_num(np.where(applies(scene, term), term.change(scene).bias_cm, 0.0))
-    return np.broadcast_to(added_cm, (len(problem.readings),))
+    return np.broadcast_to(templates(applies(scene, term), term.change(scene))[0], (len(problem.readings),))
 
 
 def free_curves(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msp_lab.gap.candidates import CandidateEffect, score_of
-from msp_lab.gap.prepared import BASE, ChannelSlopes, ReadingsAtFit
+from msp_lab.gap.prepared import BASE, ChannelSlopes, ReadingsAtFit, templates
 from msp_sim.effects.base import Scene
 from msp_sim.model.model import Model, applies
 
@@ -55,8 +55,7 @@ def largest_gains(
     gains = np.zeros((len(candidates), 2 * ODDS_STEPS.size))
     along = np.zeros(steps.shape)
     for _, prepared, here in readings.parts():
-        scene, reading_cm = prepared.scene, prepared.reading_cm
-        scores = np.stack([score_of(each, here.rows, scene, reading_cm, here) for each in candidates])
+        scores = np.stack([score_of(each, prepared, here) for each in candidates])
         efficient = scores - cross @ here.by[:, ODDS].T
         for i, step in enumerate(steps):
             along[i] += _log_gain(efficient * step[:, None]).sum(axis=1)
@@ -65,7 +64,7 @@ def largest_gains(
                 slope = np.maximum(scores[j], -1.0 / 0.31)
                 gains[j, : SHARES.size] += np.log1p(SHARES[:, None] * slope[None, :]).sum(axis=1)
             else:
-                gains[j] += _odds_gains(candidate, scene, here, sizes[j], means[j])
+                gains[j] += _odds_gains(candidate, prepared.scene, here, sizes[j], means[j])
     linear = np.array([each.linear for each in candidates], dtype=bool)
     numbers = np.concatenate([ODDS_STEPS, -ODDS_STEPS]) * sizes[:, None]
     numbers[linear] = 0.0
@@ -86,13 +85,12 @@ def _log_gain(change: _Array) -> _Array:
 def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
     """Change of the log odds by a number of 1, (n,)."""
     active = candidate.at(candidate.neutral + candidate.parameter.step)
-    known = applies(scene, active)
-    n = int(np.shape(scene.range_cm)[0])
+    known, shape = applies(scene, active), np.shape(scene.range_cm)
     if known is False:
-        return np.zeros(n)
-    change = active.change(scene)
-    moved = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)[(candidate.odds or 1) - 1]
-    return np.broadcast_to(np.nan_to_num(np.where(known, moved, 0.0)) / candidate.parameter.step, (n,))
+        return np.zeros(shape)
+    # It is the only channel that the candidate moves.
+    (template,) = templates(known, active.change(scene)).values()
+    return np.broadcast_to(template / candidate.parameter.step, shape)
 
 
 def _odds_scales(

@@ -17,6 +17,7 @@ from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
 from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term
+from msp_sim.model.rows import ModelRows
 
 _Array = NDArray[np.float64]
 ROUNDS = 12
@@ -63,6 +64,11 @@ class JointFit:
     def at(self) -> "NumberSlopes":
         """Slopes by the numbers at the fit."""
         return self.slopes()
+
+    @property
+    def offset_slope(self) -> _Array:
+        """Derivative of each reading's log probability by the base's offset, (n,)."""
+        return self.here.by[:, 0]
 
     @property
     def scores(self) -> _Array:
@@ -148,7 +154,7 @@ def _own_spread(prepared: Prepared) -> _Array | None:
     rows, reading = prepared.rows, prepared.reading_cm
     window_cm, window_share = rules.FIRST_WINDOW
     with np.errstate(invalid="ignore"):
-        usual = (reading > rows.minimum_cm) & (reading < rows.maximum_cm) & np.isfinite(rows.centre_cm)
+        usual = has_range(rows, reading)
         usual &= np.abs(reading - rows.centre_cm) < window_cm + window_share * rows.centre_cm
     if usual.sum() < rules.MIN_HIT_SHARE * reading.size:
         return None
@@ -163,6 +169,11 @@ def _own_spread(prepared: Prepared) -> _Array | None:
     start = np.zeros(len(BASE))
     start[0], start[1] = middle_cm, max(log_spread, 0.0)
     return start
+
+
+def has_range(rows: ModelRows, reading_cm: _Array) -> NDArray[np.bool_]:
+    """Readings within the sensor's limits that have a hit to be compared with, (n,)."""
+    return (reading_cm > rows.minimum_cm) & (reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
 
 
 def refit(

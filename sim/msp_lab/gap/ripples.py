@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from msp_lab.gap import rules
 from msp_lab.gap.curve_scan import CandidateCurve
 from msp_lab.gap.prepared import ChannelSlopes
-from msp_lab.gap.runs import spacing_s
+from msp_lab.gap.runs import known_values, spacing_s
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import Ripple
 
@@ -89,7 +89,7 @@ def _ripple(name: str, at: _Array, score: _Array, shortest: float) -> CandidateC
 
 def _spacing(at: _Array) -> float:
     """Mean distance of the places at which there are readings; those of a cell are one."""
-    known = at[np.isfinite(at)]
+    known = known_values(at)
     cell = SHORTEST_CM / CELLS_PER_PERIOD
     return float(np.ptp(known)) / max(np.unique(np.rint(known / cell)).size - 1, 1) if known.size else np.inf
 

@@ -34,7 +34,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     left = problem.dependence(fit)
     if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
         return 0.0
-    if p_beyond_wander(fit.here.by[:, 0], problem.unit) > rules.BEYOND_WANDER_P:
+    if p_beyond_wander(fit.offset_slope, problem.unit) > rules.BEYOND_WANDER_P:
         return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
     rows = problem.readings.at(fit.base, fit.effects)
@@ -107,7 +107,7 @@ def validated_run_offsets(
         Of the runs.
     """
     runs = splits.names.size
-    slope = fit.here.by[:, 0] - fit.here.by[:, 0].mean()
+    slope = fit.offset_slope - fit.offset_slope.mean()
     sums, information = np.bincount(unit, slope, runs), np.bincount(unit, slope**2, runs)
     rows = readings.at(fit.base, fit.effects)
     known_cm2 = float(np.median(rows.between_cm2)) if rows.run_offsets else 0.0

@@ -21,9 +21,36 @@ NO_PARTS = frozenset({"time_s", "reading_cm", PREVIOUS})
 """Columns that do not say where one part of a run ends and another begins."""
 
 
-def numbered(runs: NDArray[np.str_]) -> NDArray[np.intp]:
-    """Runs as numbers from 0."""
+def numbered(runs: NDArray[Any]) -> NDArray[np.intp]:
+    """Runs, or other values, as numbers from 0 in their order."""
     return np.unique(runs, return_inverse=True)[1].astype(np.intp)
+
+
+def places_in(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Place of each reading among those of its unit, from 0, (n,)."""
+    counts = np.bincount(unit)
+    place = np.empty(unit.size, dtype=np.intp)
+    place[np.argsort(unit, kind="stable")] = np.arange(unit.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    return place
+
+
+def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, NDArray[Any]]:
+    """Some rows of all columns."""
+    return {name: np.asarray(column)[rows] for name, column in columns.items()}
+
+
+def known_values(column: NDArray[Any]) -> NDArray[Any]:
+    """The numbers or words of a column that are known."""
+    known: NDArray[np.bool_] = column != "" if column.dtype.kind == "U" else np.isfinite(column)
+    return np.asarray(column[known])
+
+
+def share_between(values: _Array, unit: NDArray[np.intp]) -> float:
+    """Share of the values' variance that lies between units; 0 where all are the same."""
+    off = values - values.mean()
+    whole = float((off**2).sum())
+    counts = np.maximum(np.bincount(unit), 1)
+    return float((np.bincount(unit, off) ** 2 / counts).sum()) / whole if whole > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -94,9 +121,14 @@ def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None =
     return Dependence(lag, share, n / max(mean_square, 1.0), p_between, lag_z)
 
 
+def reading_before(contexts: Mapping[str, Any], n: int) -> tuple[NDArray[np.intp], _Array]:
+    """Place of the reading before each of n, of the same sensor in the same run, and how long before, as `History`."""
+    return History.of(contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+
+
 def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:
     """The reading before each, of the same sensor in the same run; NaN for the first [cm]."""
-    before, _ = History.of(contexts, reading_cm.size, 0.0, 1.0).before(np.ones(reading_cm.size, dtype=bool))
+    before, _ = reading_before(contexts, reading_cm.size)
     return np.where(before >= 0, reading_cm[before], np.nan)
 
 
@@ -116,7 +148,7 @@ def sample(
     n = rows.size
     if n <= most:
         return rows
-    columns = {name: np.asarray(column)[rows] for name, column in contexts.items()}
+    columns = taken(contexts, rows)
     history = History.of(columns, n, 0.0, 1.0)
     starts = np.diff(history.series, prepend=-1) != 0
     starts[np.linspace(0, n, most // stretch, endpoint=False).astype(np.intp)] = True
@@ -136,7 +168,6 @@ def sample(
 
 def spacing_s(contexts: Mapping[str, Any]) -> float:
     """Median time between neighbouring readings of a sensor in a run [s]."""
-    n = np.shape(contexts["true_range_cm"])[0]
-    _, age_s = History.of(contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
+    _, age_s = reading_before(contexts, np.shape(contexts["true_range_cm"])[0])
     steps_s = age_s[np.isfinite(age_s) & (age_s > 0.0)]
     return float(np.median(steps_s)) if steps_s.size else 1.0

@@ -17,8 +17,7 @@ from msp_lab.gap.candidates import CandidateEffect, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
-from msp_lab.gap.runs import sample
-from msp_sim.effects.base import Scene
+from msp_lab.gap.runs import sample, taken
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
 from msp_sim.model.streams import RandomStreams
@@ -69,7 +68,7 @@ def score_sums(
     total = np.zeros((units, len(BASE) + len(candidates)))
     products = np.zeros((total.shape[1], total.shape[1]))
     for part, prepared, here in readings.parts():
-        scores = _matrix(prepared.scene, prepared.reading_cm, here, candidates)
+        scores = _matrix(prepared, here, candidates)
         total += sums_by(unit[part], scores, units)
         products += scores.T @ scores
     total[:, : len(BASE)] -= prior * readings.base * rows / units
@@ -86,16 +85,15 @@ def score_matrix(
     prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> _Array:
     """Scores of base and candidates, (n, 8 + candidates)."""
-    here = prepared.slopes(base, effects)
-    return _matrix(prepared.scene, prepared.reading_cm, here, candidates)
+    return _matrix(prepared, prepared.slopes(base, effects), candidates)
 
 
-def _matrix(scene: Scene, reading_cm: _Array, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> _Array:
+def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> _Array:
     # By columns, as they are filled.
-    matrix = np.empty((reading_cm.size, len(BASE) + len(candidates)), order="F")
+    matrix = np.empty((len(prepared), len(BASE) + len(candidates)), order="F")
     matrix[:, : len(BASE)] = here.by
     for j, candidate in enumerate(candidates):
-        matrix[:, len(BASE) + j] = score_of(candidate, here.rows, scene, reading_cm, here)
+        matrix[:, len(BASE) + j] = score_of(candidate, prepared, here)
     return matrix
 
 
@@ -113,7 +111,7 @@ def replicate(
     at = np.tile(np.arange(n), -(-rows // n))
     if n >= rows:
         at = sample(contexts, np.arange(n), rows, rng, rules.STRETCH if spacing_s is None else BLOCK_ROWS)
-    drawn = {name: np.asarray(column)[at] for name, column in contexts.items()}
+    drawn = taken(contexts, at)
     prepared = Prepared.of(model, drawn, np.zeros(at.size), spacing_s)
     if prepared.rows.history is not None and at.size > n and "time_s" in drawn:
         # Each copy of the contexts is a series of its own.
@@ -274,8 +272,7 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
 
     A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
     """
-    here, parameter = fit.here, placed[0].parameter
-    scores = [score_of(each, here.rows, prepared.scene, prepared.reading_cm, here) for each in placed]
+    scores = [score_of(each, prepared, fit.here) for each in placed]
     own, others = fit.scores[:, ~fit.held], np.column_stack(scores)
     left = others - own @ np.linalg.lstsq(own, others, rcond=1e-8)[0]
     information = np.maximum((left**2).sum(axis=0), 1e-12)
@@ -283,5 +280,4 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
     if placed[0].one_sided:
         steps = np.maximum(steps, 0.0)
     best = int(np.argmax(steps**2 * information))
-    size = np.sign(steps[best]) * max(abs(float(steps[best])), parameter.step) ** (1.0 / parameter.power)
-    return placed[best].at(float(np.clip(placed[best].neutral + size, parameter.low, parameter.high)))
+    return placed[best].at(placed[best].from_score(float(steps[best])))

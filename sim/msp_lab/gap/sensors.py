@@ -12,6 +12,7 @@ from pathlib import Path
 
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.steps import Steps
+from msp_lab.gap.summary import found_parts
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.intake import PREVIOUS, load_readings
 from msp_lab.readings.others import MIN_OTHERS
@@ -49,22 +50,21 @@ class SensorGap:
     @property
     def named(self) -> tuple[str, ...]:
         """Effects of the catalogue that were named, and unknown ones by their channel and variables."""
-        effects = [each.name for each in self.findings.effects if each.verdict != "suggested"]
+        effects = [each.name for each in self.findings.confirmed]
         unknown = [f"unknown {each.channel} of {' and '.join(each.variables)}" for each in self.findings.unknown]
         return (*effects, *unknown)
 
     @property
     def words(self) -> frozenset[str]:
         """What was named, and what the readings cannot tell from it."""
-        said = [each for each in self.findings.effects if each.verdict != "suggested"]
-        return frozenset({*self.named, *(other.name for each in said for other in each.alternatives)})
+        return frozenset(
+            {*self.named, *(other.name for each in self.findings.confirmed for other in each.alternatives)}
+        )
 
     @property
     def evidence_nats(self) -> float:
         """Gain of what was named, over all readings [nat]."""
-        effects = [each.gain_nats or 0.0 for each in self.findings.effects if each.verdict != "suggested"]
-        unknown = [each.gain_nats or 0.0 for each in self.findings.unknown]
-        return self.findings.rows * sum([*effects, *unknown])
+        return self.findings.rows * sum(each.gain_nats or 0.0 for each in found_parts(self.findings))
 
 
 def compare_sensors(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
 
-from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.findings import GapFindings, LastStep, Measure, Settings
 from msp_lab.gap.labels import effect_label
 from msp_lab.gap.steps import Steps
 from msp_lab.logs.cli import with_logs_imported
@@ -25,7 +25,6 @@ from msp_sim.model.model import load_model
 from msp_sim.workers import Workers, write_rows
 
 Each = Literal["log", "sensor"]
-Until = Literal["compare", "name", "add", "show"]
 TABLE = "gaps.csv"
 
 
@@ -45,7 +44,7 @@ class Common:
 
     settings: Settings
     truth: str
-    until: Until
+    until: LastStep
     effects: tuple[Path, ...] = ()
 
 
@@ -118,16 +117,16 @@ def separate_gaps(jobs: Sequence[Job], common: Common, where: Workers, out: Path
 
 
 def _row(name: str, findings: GapFindings) -> SeparateGap:
-    effects = [effect_label(each.name, each.of) for each in findings.effects if each.verdict != "suggested"]
+    effects = [effect_label(each.name, each.of) for each in findings.confirmed]
     unknown = [f"unknown {each.channel} over {' and '.join(each.variables)}" for each in findings.unknown]
-    nats = findings.gap.nats_per_reading if findings.gap is not None else None
+    nats = findings.gap.nats_per_reading if findings.gap is not None else Measure(None)
     return SeparateGap(
         name,
         findings.rows,
         findings.verdict or "",
         ", ".join([*effects, *unknown]),
-        nats.before if nats else None,
-        nats.after if nats else None,
-        nats.noise_floor if nats else None,
+        nats.before,
+        nats.after,
+        nats.noise_floor,
         findings.sentence,
     )

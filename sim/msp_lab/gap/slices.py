@@ -6,9 +6,9 @@ bootstrap over units (Westfall and Young 1993; Chernozhukov, Chetverikov & Kato 
 finds less than a catalogue of effects does, and says where to look.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,11 @@ from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import inflation_of_units, unit_sums
-from msp_lab.gap.cell_fits import CellFits, one_step, scores_of
-from msp_lab.gap.cells import Partition, Stack
-from msp_lab.gap.findings import Slice
-from msp_lab.gap.measures import HeldOutReadings, Replicates, free_fits
+from msp_lab.gap.cell_fits import CellFits, scale_of
+from msp_lab.gap.cells import Partition
+from msp_lab.gap.findings import Slice, error_name
+from msp_lab.gap.measures import Measures, free_fits
 from msp_lab.gap.prepared import CHANNELS
-from msp_sim.model.model import Model
-from msp_sim.model.rows import ModelRows
 
 _Array = NDArray[np.float64]
 
@@ -30,39 +28,27 @@ SHOWN = 40
 """Slices that are listed at most; the page shows fewer."""
 PAIRS_SHOWN = 2
 """Pairs of variables of which slices are listed: more repeat the same."""
-Fits: TypeAlias = Mapping[tuple[str, ...], CellFits]
+NUMBERS = ("bias_cm", "log_spread", "log_odds_short", "log_odds_missed", "log_odds_random")
+"""Fields of a `Slice` with its five numbers."""
 
 
-def ranked(
-    model: Model,
-    readings: HeldOutReadings,
-    parts: Sequence[Partition],
-    drawn: Replicates,
-    known: Fits,
-    rng: np.random.Generator,
-    shown: int = SHOWN,
-) -> tuple[Slice, ...]:
+def ranked(measured: Measures, rng: np.random.Generator, shown: int = SHOWN) -> tuple[Slice, ...]:
     """The whole, and then the slices that differ most, the surest first.
 
     Parameters
     ----------
-    model, readings, parts, drawn
-        As for `measures.measure`.
-    known
-        Free fits that there are already, by the partition's variables.
+    measured
+        What the readings show of the model.
     rng
         Random generator of the bootstrap's multipliers.
     shown
         At most so many slices.
     """
-    rows, stack = model.rows(readings.contexts).marginal, Stack.of(parts)
-    _, scores = scores_of(rows, readings.reading_cm)
-    step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
-    z, shares = _contributions(scores, readings.unit, stack, step, rows.sigma_cm)
+    z, shares = _contributions(measured)
     p_value = _step_down(np.abs(z).ravel(), shares.reshape(z.size, -1), rng).reshape(z.shape)
     channel = np.abs(z).argmax(axis=1)
     largest = np.abs(z).max(axis=1)
-    places = [(part, k) for part in parts for k in range(len(part.labels))]
+    places = [(part, k) for part in measured.stack.parts for k in range(len(part.labels))]
     pairs: list[tuple[str, ...]] = []
     # The whole comes first.
     first = [0]
@@ -75,16 +61,15 @@ def ranked(
         if len(first) < shown and number != 0:
             first.append(number)
     # A slice is listed with its own fit, not with the one step that only ranks it.
-    wanted = {places[number][0].variables for number in first}
-    fits = _fits(rows, readings, [part for part in parts if part.variables in wanted], known)
-    units_of_all = int(np.unique(readings.unit).size)
+    fits = _fits(measured, {places[number][0].variables for number in first})
+    units_of_all = int(np.unique(measured.readings.unit).size)
     found = []
     for number in first:
         part, k = places[number]
         j = int(channel[number])
         fit = fits[part.variables]
         p = float(p_value[number, j])
-        promised, gained = float(step.gain_nats[number]), float(fit.gain_nats[k])
+        promised, gained = float(measured.step.gain_nats[number]), float(fit.gain_nats[k])
         if units_of_all >= rules.MIN_CELL_UNITS and not _within_factor(gained, promised, rules.EXPANSION_FACTOR):
             p = min(p, _p_of_likelihood(fit, k, len(places)))
         found.append(_slice(part, k, fit, CHANNELS[j], float(z[number, j]), p))
@@ -103,35 +88,33 @@ def _p_of_likelihood(fit: CellFits, k: int, slices: int) -> float:
     return max(p, 1.0 / (rules.SLICE_DRAWS + 1.0))
 
 
-def remeasured(
-    slices: Sequence[Slice], model: Model, readings: HeldOutReadings, parts: Sequence[Partition], known: Fits
-) -> tuple[Slice, ...]:
+def remeasured(slices: Sequence[Slice], measured: Measures) -> tuple[Slice, ...]:
     """The same slices with what they show of another model in `after`."""
     wanted = {each.variables for each in slices}
-    asked = [part for part in parts if part.variables in wanted]
-    fits = _fits(model.rows(readings.contexts).marginal, readings, asked, known)
-    numbers: dict[str, dict[str, float | None]] = {}
-    for part in asked:
-        numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}
+    fits = _fits(measured, wanted)
+    numbers: dict[str, dict[str, Any]] = {}
+    for part in measured.stack.parts:
+        if part.variables in wanted:
+            numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}
     return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
 
 
-def _fits(rows: ModelRows, readings: HeldOutReadings, parts: Sequence[Partition], known: Fits) -> Fits:
-    """Free fits of these partitions: those that are known, and the others."""
-    others = [part for part in parts if part.variables not in known]
-    return {**known, **(free_fits(rows, readings, others) if others else {})}
+def _fits(measured: Measures, wanted: Set[tuple[str, ...]]) -> Mapping[tuple[str, ...], CellFits]:
+    """Free fits of the partitions by these variables: those that are known, and the others."""
+    known = measured.fits
+    others = [part for part in measured.stack.parts if part.variables in wanted and part.variables not in known]
+    return {**known, **(free_fits(measured.rows, measured.readings, others) if others else {})}
 
 
-def _contributions(
-    scores: _Array, unit: NDArray[np.intp], stack: Stack, fit: CellFits, sigma_cm: _Array
-) -> tuple[_Array, _Array]:
+def _contributions(measured: Measures) -> tuple[_Array, _Array]:
     """The statistic of each slice and number (K, 5), and the units' shares in it (K, 5, U)."""
-    per_cell, about_mean, there = unit_sums(scores[stack.readings], unit, stack)
+    scores, stack = measured.scores, measured.stack
+    per_cell, about_mean, there = unit_sums(scores[stack.readings], measured.readings.unit, stack)
     # One number at a time: its own score over its own error, so that a rare class does not blur the others.
     deviation = np.sqrt((about_mean**2).sum(axis=1))
-    scale = np.zeros((len(stack), len(CHANNELS)))
-    scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
-    expected = np.sqrt(np.maximum(_information(fit, scale), 1e-12))
+    # About the variance of a score that the model expects, from the errors of the one step.
+    errors = measured.step.errors / np.maximum(scale_of(stack, measured.rows.sigma_cm), 1e-12)
+    expected = np.sqrt(np.maximum(1.0 / np.maximum(errors, 1e-12) ** 2, 1e-12))
     # Units show no spread of a class that never came, so at least what the model expects.
     deviation = np.maximum(deviation, expected)
     # A slice of few units: its single readings, with the dependence that the others show, as one unit.
@@ -143,14 +126,6 @@ def _contributions(
     shares[few] = 0.0
     shares[few, few % shares.shape[1]] = 1.0
     return per_cell.sum(axis=1) / deviation, np.moveaxis(shares, 1, 2)
-
-
-def _information(fit: CellFits, scale: _Array) -> _Array:
-    """About the variance of a score that the model expects, from the errors of the one step."""
-    errors = fit.errors.copy()
-    errors[:, 0] /= np.maximum(scale[:, 0], 1e-12)
-    found: _Array = 1.0 / np.maximum(errors, 1e-12) ** 2
-    return found
 
 
 def _step_down(statistic: _Array, shares: _Array, rng: np.random.Generator) -> _Array:
@@ -169,35 +144,19 @@ def _step_down(statistic: _Array, shares: _Array, rng: np.random.Generator) -> _
     return p_value
 
 
-def _numbers(fit: CellFits, k: int) -> dict[str, float | None]:
-    names = ("bias_cm", "log_spread", "log_odds_short", "log_odds_missed", "log_odds_random")
-    found: dict[str, float | None] = {name: float(value) for name, value in zip(names, fit.values[k], strict=True)}
-    found["nats"] = _nats(fit, k)
-    return found
-
-
-def _nats(fit: CellFits, k: int) -> float:
-    return float((fit.gain_nats[k] - fit.noise_nats[k]) / max(int(fit.counts[k]), 1))
+def _numbers(fit: CellFits, k: int) -> dict[str, Any]:
+    nats = float((fit.gain_nats[k] - fit.noise_nats[k]) / max(int(fit.counts[k]), 1))
+    return {**dict(zip(NUMBERS, fit.values[k].tolist(), strict=True)), "nats": nats}
 
 
 def _slice(partition: Partition, k: int, fit: CellFits, channel: str, z: float, p_value: float) -> Slice:
-    (bias, spread, short, missed, random) = fit.values[k].tolist()
-    (bias_se, spread_se, short_se, missed_se, random_se) = fit.errors[k].tolist()
+    errors: dict[str, Any] = dict(zip(map(error_name, NUMBERS), fit.errors[k].tolist(), strict=True))
     return Slice(
         where=partition.labels[k],
         variables=partition.variables,
         readings=int(fit.counts[k]),
-        bias_cm=bias,
-        bias_se_cm=bias_se,
-        log_spread=spread,
-        log_spread_se=spread_se,
-        log_odds_short=short,
-        log_odds_short_se=short_se,
-        log_odds_missed=missed,
-        log_odds_missed_se=missed_se,
-        log_odds_random=random,
-        log_odds_random_se=random_se,
-        nats=_nats(fit, k),
+        **_numbers(fit, k),
+        **errors,
         channel=channel,
         z=z,
         p_value=p_value,

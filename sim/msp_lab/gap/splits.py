@@ -81,7 +81,7 @@ class Splits:
         return tuple(str(name) for name in self.names[self.measured])
 
 
-def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator, run_column: str = "run") -> Splits:
+def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator) -> Splits:
     """Draw splits of whole runs into parts that are alike.
 
     Parameters
@@ -90,12 +90,10 @@ def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator, run_colum
         Columns; without runs, or with too few, consecutive readings are cut into blocks of equal length.
     rng
         Random generator.
-    run_column
-        Which column names the runs.
     """
     n = np.shape(contexts["true_range_cm"])[0]
     messages: list[str] = []
-    runs = np.asarray(contexts[run_column]).astype(str) if run_column in contexts else np.full(n, "")
+    runs = np.asarray(contexts["run"]).astype(str) if "run" in contexts else np.full(n, "")
     names, unit = np.unique(runs, return_inverse=True)
     of_blocks = names.size < rules.MIN_RUNS
     if of_blocks:
@@ -105,7 +103,7 @@ def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator, run_colum
             "readings are split instead, so what is constant within a run cannot be judged. Record four runs or more."
         )
         names, unit = np.unique(runs, return_inverse=True)
-    means = _means_of_runs(contexts, unit, names.size, run_column)
+    means = _means_of_runs(contexts, unit, names.size)
     part = np.array(list(_different(_alike(means, rules.PARTS), names.size, rng)))
     (half,) = _different(_alike(means, 2), names.size, rng, most=1)
     if names.size < rules.WARN_RUNS and not of_blocks:
@@ -131,7 +129,7 @@ def _blocks(contexts: Mapping[str, Any], unit: NDArray[np.intp], names: NDArray[
     return np.array([f"{names[u] or 'all'}#{b:02d}" for u, b in zip(unit.tolist(), block.tolist(), strict=True)])
 
 
-def _means_of_runs(contexts: Mapping[str, Any], unit: NDArray[np.intp], runs: int, run_column: str) -> _Array:
+def _means_of_runs(contexts: Mapping[str, Any], unit: NDArray[np.intp], runs: int) -> _Array:
     """Mean of each column in each run in standard deviations of its readings, and the logarithm of their number.
 
     What varies inside runs has nearly the same mean in each, so that what differs between runs decides who is alike.
@@ -139,7 +137,7 @@ def _means_of_runs(contexts: Mapping[str, Any], unit: NDArray[np.intp], runs: in
     counts = np.bincount(unit, minlength=runs).astype(float)
     columns = [np.log(counts)]
     for name, column in contexts.items():
-        if name in NO_STRATA or name == run_column:
+        if name in NO_STRATA:
             continue
         values = np.asarray(column)
         if name in WORD_COLUMNS:

@@ -7,12 +7,11 @@ as soon as it is known.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 from numpy.random import default_rng
 
 from msp_lab.gap import before_after, naming
-from msp_lab.gap.findings import GapFindings, Settings
+from msp_lab.gap.findings import GapFindings, LastStep, Settings
 from msp_lab.gap.findings_file import NUMBERS, read_findings, write_findings
 from msp_lab.gap.intake import Comparison, read_readings
 from msp_lab.gap.model_file import MODEL, TRAINING_FIT, write_model
@@ -63,7 +62,7 @@ class Steps:
         self,
         paths: Sequence[Path],
         settings: Settings,
-        until: Literal["compare", "name", "add", "show"] = "show",
+        until: LastStep = "show",
     ) -> GapFindings:
         """Read the data, compare, name, add and show, or only so far."""
         started_s = self.clock.now()
@@ -95,7 +94,7 @@ class Steps:
     def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
         findings = with_words(read_findings(self.folder))
-        self._draw(findings, self._comparison([Path(each.path) for each in findings.sources], findings.settings))
+        self._draw(findings, self._comparison_of(findings))
         return findings
 
     def _compare(self, comparison: Comparison) -> GapFindings:
@@ -133,7 +132,7 @@ class Steps:
         write_model(self.folder / TRAINING_FIT, models.training_fit, findings, heading)
 
     def _draw(self, findings: GapFindings, comparison: Comparison) -> None:
-        from msp_lab.gap.report import ReportModels, write_report
+        from msp_lab.gap.report import write_report
 
         training_fit, final_fit = (
             load_model(path) if path.exists() else comparison.model
@@ -141,8 +140,8 @@ class Steps:
         )
         self.report("drawing", 0.97)
         given = len(comparison.model.effects)
-        models = ReportModels(comparison.model, training_fit.added_from(given), final_fit.added_from(given))
-        write_report(findings, models, comparison.held_out, self.folder)
+        fitted = training_fit.added_from(given), final_fit.added_from(given)
+        write_report(findings, comparison.model, *fitted, comparison.held_out, self.folder)
 
     def _written(self, findings: GapFindings, started_s: float) -> GapFindings:
         """The findings with their words and how long they took, in ``gap.json`` too."""
@@ -164,9 +163,12 @@ class Steps:
         readings = read_readings(paths, model, column_map, settings.run_column, settings.of)
         return Comparison.of(readings, model, settings)
 
+    def _comparison_of(self, findings: GapFindings) -> Comparison:
+        return self._comparison([Path(each.path) for each in findings.sources], findings.settings)
+
     def same_comparison(self, findings: GapFindings, step: str) -> Comparison:
         """The comparison of earlier findings; an error where its files have changed since that step."""
-        comparison = self._comparison([Path(each.path) for each in findings.sources], findings.settings)
+        comparison = self._comparison_of(findings)
         pairs = zip(findings.sources, comparison.readings.sources, strict=True)
         changed = [old.path for old, new in pairs if old.sha256 != new.sha256]
         if findings.model_sha256 != sha256(Path(findings.settings.model)):

@@ -11,7 +11,17 @@ from dataclasses import replace
 
 from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
-from msp_lab.gap.labels import and_list, effect_label, name_of, number_label, slice_label, unit_of
+from msp_lab.gap.labels import (
+    and_list,
+    capitalised,
+    effect_label,
+    name_of,
+    number_label,
+    short,
+    slice_label,
+    unit_after,
+    unit_of,
+)
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.plain import digits, plain_finding
 
@@ -43,8 +53,7 @@ def with_words(findings: GapFindings) -> GapFindings:
 
 def found_parts(findings: GapFindings) -> list[FoundEffect | UnknownEffect]:
     """All that is a finding, that with the largest gain first; what is only suggested is none."""
-    sure: list[FoundEffect | UnknownEffect] = [each for each in findings.effects if each.verdict != "suggested"]
-    return sorted([*sure, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
+    return sorted([*findings.confirmed, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
 
 
 def gain_percent(findings: GapFindings) -> float | None:
@@ -62,7 +71,7 @@ def _sentence(findings: GapFindings) -> str:
         more = len(parts) - MOST_IN_SENTENCE
         if more > 0:
             text += f", and there {'is 1 more finding' if more == 1 else f'are {more} more findings'}"
-        text = text[:1].upper() + text[1:] + _share_of_gap(findings)
+        text = capitalised(text) + _share_of_gap(findings)
     elif findings.verdict == "nothing missing":
         text = "Nothing is missing: readings and model agree as far as these data can tell"
         text += f"; suggested, and no finding: {and_list([each.plain for each in findings.effects])}" * bool(
@@ -150,8 +159,8 @@ def _refitted(findings: GapFindings) -> Iterator[str]:
     numbers = []
     for each in findings.calibration:
         if each.before is not None and each.after is not None and each.name not in ("resolution", "code"):
-            unit = "" if each.unit == "1" else f" {each.unit}"
-            numbers.append(f"{number_label(each.name)} {_short(each.before)} to {_short(each.after)}{unit}")
+            ends = f"{_short(each.before)} to {_short(each.after)}{unit_after(each.unit)}"
+            numbers.append(f"{number_label(each.name)} {ends}")
     if numbers:
         why = "" if findings.verdict == "absorbed" else _why_open(findings)
         more = f" and {len(numbers) - MOST_REFITTED} more" if len(numbers) > MOST_REFITTED else ""
@@ -239,6 +248,4 @@ def _floor(measure: Measure, unit: str) -> str:
 
 
 def _short(value: float | None) -> str:
-    if value is None:
-        return "?"
-    return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
+    return short(value) or "?"

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice
-from msp_lab.gap.labels import slice_label, step_name
+from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, error_name
+from msp_lab.gap.labels import interval, short, slice_label, step_name, unit_after
 from msp_lab.gap.verdict import bounds
 from msp_range.descriptions import descriptions
 from msp_range.reading_model.sensor_model import MixtureParameters, Weights
@@ -90,8 +90,8 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
         (
             name,
             meanings.get(name, ""),
-            f"{value.value:.4g}" + ("" if value.unit in ("1", "") else f" {value.unit}"),
-            "" if value.low is None or value.high is None else f"{value.low:.4g} to {value.high:.4g}",
+            f"{value.value:.4g}{unit_after(value.unit)}",
+            interval(value.low, value.high, 4),
         )
         for name, value in found.parameters.items()
     )
@@ -113,10 +113,9 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTab
             if not isinstance(old, float | int):
                 continue
             found = calibrated.get(part + name)
-            known = found is not None and found.low is not None and found.high is not None
-            interval = f"{found.low:.4g} to {found.high:.4g}" if found is not None and known else ""
+            ends = "" if found is None else interval(found.low, found.high, 4)
             meaning = description.split("\n")[0].rstrip(".").replace("`", "")
-            rows.append((part + name, meaning, f"{old:.4g}", f"{new:.4g}" if new != old else "same", interval))
+            rows.append((part + name, meaning, f"{old:.4g}", f"{new:.4g}" if new != old else "same", ends))
     return PageTable(
         "model-numbers",
         "The model's own numbers",
@@ -146,17 +145,10 @@ def slice_with_count(each: Slice) -> str:
     return f"{slice_label(each.where)} ({each.readings:,})"
 
 
-def short(value: float | None) -> str:
-    """A number with few digits; nothing where it is not known."""
-    if value is None:
-        return ""
-    return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
-
-
 def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
     low, high = short(measure.low), short(measure.high)
-    interval = f"{low} to {high}" if low and high else ""
-    return (short(measure.before), short(measure.after), interval, short(measure.noise_floor), short(limit))
+    ends = f"{low} to {high}" if low and high else ""
+    return (short(measure.before), short(measure.after), ends, short(measure.noise_floor), short(limit))
 
 
 def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
@@ -164,7 +156,7 @@ def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
     cells = [slice_with_count(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
     later = ["after", _signed(each.after.get("bias_cm"), 2)]
     for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
-        value, error, left = getattr(each, name), getattr(each, f"{name}_se"), each.after.get(name)
+        value, error, left = getattr(each, name), getattr(each, error_name(name)), each.after.get(name)
         if value is None or error is None or error > 1.0:
             cells.append("few")
             later.append("")

@@ -10,13 +10,13 @@ from rich.table import Table
 from rich.text import Text
 
 from msp_lab.gap.demo import HiddenNumber
-from msp_lab.gap.findings import GapFindings, Measure
-from msp_lab.gap.labels import agreement, and_list, effect_label, parameter_words, slice_label
+from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.labels import agreement, and_list, effect_label, interval, parameter_words, slice_label, unit_after
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
 from msp_lab.gap.separate import TABLE, SeparateGap
 from msp_range.clock import Clock, SystemClock
-from msp_range.terminal import PlainConsole, console
+from msp_range.terminal import PlainConsole, console, number_columns
 from msp_sim.terminal import Bar
 
 COLOURS = {
@@ -56,27 +56,30 @@ class ProgressBar(Bar):
 
 def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     """What was hidden, and what was found of it."""
-    table = Table(box=box.SIMPLE_HEAD)
-    for heading in ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it"):
-        table.add_column(heading, justify="right" if heading in ("hidden", "found") else "left")
+    numbers = number_columns("hidden", "found")
+    table = Table("hidden effect", "number", *numbers, "95 % interval", "holds it", box=box.SIMPLE_HEAD)
     for each in found:
-        unit = "" if each.unit == "1" else f" {each.unit}"
-        interval = "" if each.low is None or each.high is None else f"{each.low:.3g} to {each.high:.3g}{unit}"
+        unit = unit_after(each.unit)
+        ends = interval(each.low, each.high, 3)
         value = "not named" if each.found is None else f"{each.found:.3g}"
-        table.add_row(each.effect, each.parameter, f"{each.hidden:g}", value, interval, "yes" if each.holds else "no")
+        table.add_row(
+            each.effect,
+            each.parameter,
+            f"{each.hidden:g}",
+            value,
+            ends + unit * bool(ends),
+            "yes" if each.holds else "no",
+        )
     console().print(table)
 
 
 def print_separate_gaps(gaps: Sequence[SeparateGap], died: int, folder: Path) -> None:
     """What was found at each of many logs or sensors, and which could not be compared."""
     out = console()
-    table = Table(box=box.SIMPLE_HEAD)
-    for heading, side in (("", "left"), ("readings", "right"), ("verdict", "left"), ("named", "left")):
-        table.add_column(heading, justify="right" if side == "right" else "left")
-    for heading in ("nats before", "after"):
-        table.add_column(heading, justify="right")
+    numbers = number_columns("nats before", "after")
+    table = Table("", *number_columns("readings"), "verdict", "named", *numbers, box=box.SIMPLE_HEAD)
     for each in gaps:
-        nats = ("-" if value is None else f"{value:.3g}" for value in (each.before_nats, each.after_nats))
+        nats = map(_number, (each.before_nats, each.after_nats))
         table.add_row(each.name, f"{each.readings:,}", each.verdict, each.named, *nats)
     out.print(table)
     for each in gaps:
@@ -153,25 +156,14 @@ def _found_table(findings: GapFindings) -> Table:
 def _gap_table(findings: GapFindings) -> Table:
     gap = findings.gap
     assert gap is not None
-    table = Table(show_edge=False, pad_edge=False)
-    table.add_column("on held-out runs")
-    for heading in ("before", "after", "95 %", "noise floor"):
-        table.add_column(heading, justify="right")
-    for label, measure in (
-        ("gap [nats per reading]", gap.nats_per_reading),
-        ("bias [cm]", gap.bias_cm),
-        ("spread, factor", gap.spread_ratio),
-        ("odds of short, factor", gap.odds.short),
-        ("odds of missed, factor", gap.odds.missed),
-        ("odds of random, factor", gap.odds.random),
-    ):
-        table.add_row(Text(label), *_cells(measure))
+    numbers = number_columns("before", "after", "95 %", "noise floor")
+    table = Table("on held-out runs", *numbers, show_edge=False, pad_edge=False)
+    odds = (f"odds of {each}, factor" for each in ("short", "missed", "random"))
+    labels = ("gap [nats per reading]", "bias [cm]", "spread, factor", *odds)
+    for label, each in zip(labels, gap.measures.values(), strict=True):
+        ends = interval(each.low, each.high, 3)
+        table.add_row(Text(label), _number(each.before), _number(each.after), ends, _number(each.noise_floor))
     return table
-
-
-def _cells(measure: Measure) -> tuple[str, ...]:
-    interval = "" if measure.low is None or measure.high is None else f"{measure.low:.3g} to {measure.high:.3g}"
-    return (_number(measure.before), _number(measure.after), interval, _number(measure.noise_floor))
 
 
 def _number(value: float | None) -> str:

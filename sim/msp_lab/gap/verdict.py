@@ -80,7 +80,7 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
             return "nothing missing" if _is_noise(findings) else "unexplained"
         # What the base's own numbers close was there all the same.
         return "nothing missing" if _was_closed(findings, model) else "absorbed"
-    sure = findings.unknown or any(each.verdict != "suggested" for each in findings.effects)
+    sure = findings.unknown or findings.confirmed
     if closed and _was_closed(findings, model):
         return "improved" if sure else "nothing missing"
     if closed and sure:
