@@ -21,7 +21,7 @@ def show(airframe: Airframe, console: PlainConsole) -> None:
     """Print all of it."""
     console.print(_table(airframe))
     for line in lines(airframe):
-        console.print(line, highlight=False)
+        console.print(line)
 
 
 def lines(airframe: Airframe) -> Iterator[str]:

@@ -4,18 +4,14 @@ The readings are played through a bus whose sensors answer with them, at their o
 change to a filter or a gate is tried on what really happened.
 """
 
-import sys
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-from rich import box
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, TimeRemainingColumn
 
 from msp_range.acoustics.air import FIXED, Air
 from msp_range.assembly import polled_sensors
@@ -31,7 +27,7 @@ from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
-from msp_range.terminal import PlainConsole, console, number_columns
+from msp_range.terminal import Bar, PlainConsole, console, plain_table
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
@@ -177,7 +173,7 @@ def replay(
     start_s = clock.now()
     filtered: Counter[str] = Counter()
     taken = fused = 0
-    with _track(expected, f"replaying {source.name}") as advance:
+    with Bar(BarColumn(), TimeRemainingColumn(), total=expected, on=PlainConsole(stderr=True)) as bar:
         while taken < expected:
             steps = bridge.step()
             taken += len(steps)
@@ -185,7 +181,7 @@ def replay(
                 filtered[step.corrected.sensor] += step.filtered.rejected is None
                 fused += step.fused is not None
             if steps:
-                advance(len(steps))
+                bar.show(f"replaying {source.name}", taken)
     # What waits for its turn still goes out.
     end_s = clock.now() + 0.1
     while clock.now() < end_s:
@@ -199,33 +195,23 @@ def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | 
     return lambda received_s, each: recorder.write(topic, received_s, each._asdict())
 
 
-@contextmanager
-def _track(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    """A progress bar on a terminal; elsewhere nothing."""
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-    on = PlainConsole(stderr=True)
-    with Progress(*columns, transient=True, disable=not sys.stderr.isatty(), console=on) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda count: progress.advance(task, count)
-
-
 def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:
     """Print the outcome as a table, and what of a damaged recording was left out."""
     title = f"{source}: {outcome.duration_s:.1f} s"
-    table = Table("sensor", *number_columns("readings", "used"), "rejected, why", title=title, box=box.SIMPLE_HEAD)
+    table = plain_table("sensor", "readings", "used", title=title)
+    table.add_column("rejected, why")
     for name, counts in outcome.counts.items():
         why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
         table.add_row(name, str(counts.readings), str(outcome.filtered.get(name, 0)), why)
     out = console()
     out.print(table)
     sent = ", ".join(f"{name} {count}" for name, count in sorted(outcome.sent.items()))
-    out.print(f"fused: {outcome.fused} distances; sent: {sent}", highlight=False)
+    out.print(f"fused: {outcome.fused} distances; sent: {sent}")
     if losses is not None and losses:
-        out.print(f"lost: {losses}", highlight=False)
+        out.print(f"lost: {losses}")
     if outcome.behind_s > LATE_S:
         out.print(
-            f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late",
-            highlight=False,
+            f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late"
         )
 
 

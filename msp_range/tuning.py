@@ -81,7 +81,7 @@ def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:
 
 def show(tuned: Tuned) -> None:
     """Print values, intervals, likelihoods, and the lines for the airframe file."""
-    console = PlainConsole(width=120, highlight=False)
+    console = PlainConsole(width=120)
     console.print(
         f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.outliers} outliers removed\n"
     )

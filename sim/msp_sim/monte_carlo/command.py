@@ -141,7 +141,7 @@ def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> No
     found = console()
     shown = found if found.is_terminal and found.width <= WIDTH else PlainConsole(width=WIDTH)
     for line in _lines(summary, where):
-        shown.print(line, highlight=False)
+        shown.print(line)
     if summary.shares:
         table = _table(f"share of {summary.flights} flights with", "flights", "%", "95 % interval")
         for share in summary.shares:

@@ -75,7 +75,7 @@ def fly_sitl(
             start_m=scenario.flight.track.start_m if scenario is not None else (0.0, 0.0),
             faults=faults,
             recorder=recorder,
-            report=lambda severity, text: out_to.print(f"{severity.name.lower()}: {text}", highlight=False),
+            report=lambda severity, text: out_to.print(f"{severity.name.lower()}: {text}"),
         )
         status = opened.enter_context(out_to.status("")) if out_to.is_terminal else None
         next_status_s = 0.0
@@ -85,10 +85,10 @@ def fly_sitl(
             simulation.step()
             if simulation.vehicle.source != source:
                 source = simulation.vehicle.source
-                out_to.print(f"pose from {source}", highlight=False)
+                out_to.print(f"pose from {source}")
             if start_line(simulation.vehicle) != start:
                 start = start_line(simulation.vehicle)
-                out_to.print(start, highlight=False, soft_wrap=True)
+                out_to.print(start, soft_wrap=True)
             if simulation.now_s() < next_status_s:
                 continue
             if status is not None:
@@ -96,7 +96,7 @@ def fly_sitl(
                 status.update(status_line(simulation))
             else:
                 next_status_s = simulation.now_s() + LOG_PERIOD_S
-                out_to.print(status_line(simulation), highlight=False, soft_wrap=True)
+                out_to.print(status_line(simulation), soft_wrap=True)
     flight = simulation.finish()
     summary = summarise(flight, airframe.vehicle, seed)
     summary["poses"] = dict(simulation.vehicle.poses_received)
