@@ -242,11 +242,9 @@ def show_flights(campaign: FlightCampaign, archive: FlightArchive, console: Cons
     """Print the flights, and which are recorded."""
     for number, flight in enumerate(campaign.flights, start=1):
         mark = "   recorded" if archive.recordings(flight) else ""
-        console.print(f"{number:4d}  {flight.flight}{mark}", highlight=False)
-        console.print(
-            f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim", highlight=False
-        )
-    console.print(f"The reference: {campaign.reference.method}", highlight=False)
+        console.print(f"{number:4d}  {flight.flight}{mark}")
+        console.print(f"        {flight.question}\n        Over {flight.target}: {flight.how}", style="dim")
+    console.print(f"The reference: {campaign.reference.method}")
 
 
 def collect_flights(
@@ -256,10 +254,10 @@ def collect_flights(
     for number, flight in enumerate(campaign.flights, start=1):
         if archive.recordings(flight):
             continue
-        console.print(f"\n{number} of {len(campaign.flights)}: {flight.flight}", style="bold", highlight=False)
-        console.print(f"{flight.question}\n  Over {flight.target}: {flight.how}", highlight=False)
-        console.print(f"  The reference: {campaign.reference.method}", highlight=False)
-        console.print("  Record it with: msp-range run AIRFRAME.yaml --record FOLDER", highlight=False)
+        console.print(f"\n{number} of {len(campaign.flights)}: {flight.flight}", style="bold")
+        console.print(f"{flight.question}\n  Over {flight.target}: {flight.how}")
+        console.print(f"  The reference: {campaign.reference.method}")
+        console.print("  Record it with: msp-range run AIRFRAME.yaml --record FOLDER")
         while True:
             answer = ask("  The recording (.mcap).  s: later.  q: stop > ").strip()
             if answer in ("s", "q"):
@@ -272,7 +270,7 @@ def collect_flights(
                 archive.keep(flight, Path(answer), Path(reference) if reference else None)
                 break
             except RecordingError as error:
-                console.print(f"  {error}", style="yellow", highlight=False)
+                console.print(f"  {error}", style="yellow")
         if answer == "q":
             return
 

@@ -84,14 +84,14 @@ class Terminal:
         """Show what to change, and wait until it is done."""
         show = self._console.print
         show()
-        show(f"{place.number} of {place.of}: {point.name}   {self._left(place)}", style="bold", highlight=False)
+        show(f"{place.number} of {place.of}: {point.name}   {self._left(place)}", style="bold")
         if point.question and point.question != self._question:
-            show(point.question, style="italic", highlight=False)
+            show(point.question, style="italic")
         self._question = point.question
         if place.had:
             show(f"{place.had} of its {point.readings} readings are recorded already; set it up in the same way.")
         for number, line in enumerate(to_change, start=1):
-            show(f"  {number}. {line}", highlight=False)
+            show(f"  {number}. {line}")
         began_s = self._clock.now()
         arranged = self._wait(point, to_change)
         self._planned_setup_s += setup_s(self._last.setup if self._last else None, point.setup)
@@ -128,14 +128,14 @@ class Terminal:
         if not warnings:
             return Decision.GO
         for warning in warnings:
-            self._console.print(f"  ! {warning}", style="yellow", highlight=False)
+            self._console.print(f"  ! {warning}", style="yellow")
         answer = self._ask("Enter: keep it.  r: read this point again.  q: stop > ").strip().lower()
         return {"r": Decision.AGAIN, "q": Decision.STOP}.get(answer, Decision.GO)
 
     def on_trouble(self, text: str) -> Decision:
         """Report a silent sensor, and wait for an answer."""
         self._end_live()
-        self._console.print(f"  ! {text}", style="red", highlight=False)
+        self._console.print(f"  ! {text}", style="red")
         self._console.print("    Check power, the two bus wires and the address (msp-range scan).")
         answer = self._ask("Enter: try again.  s: leave this point for later.  q: stop > ").strip().lower()
         return {"s": Decision.SKIP, "q": Decision.STOP}.get(answer, Decision.GO)
@@ -162,7 +162,7 @@ class Terminal:
             wrong = self._store_measured(point, answer)
             if wrong is None:
                 return Arranged(Decision.GO, self._differing(point))
-            self._console.print(f"  {wrong}", style="yellow", highlight=False)
+            self._console.print(f"  {wrong}", style="yellow")
 
     def _ask_air(self, point: Point) -> Decision:
         """Ask for the air temperature if there is no thermometer and the planned one has changed."""
@@ -182,7 +182,7 @@ class Terminal:
             wrong = self._store_measured(point, f"air={answer}") if answer else None
             if wrong is None:
                 return Decision.GO
-            self._console.print(f"  {wrong}", style="yellow", highlight=False)
+            self._console.print(f"  {wrong}", style="yellow")
 
     def _store_measured(self, point: Point, answer: str) -> str | None:
         """Store ``key=number`` pairs; return what is wrong with them, or None."""
@@ -302,9 +302,9 @@ def show_plan(console: Console, campaign: Campaign, points: Sequence[Point], don
     readings = 0
     for number, point in enumerate(points, start=1):
         mark = "done" if done(point) else f"{point.readings} readings"
-        console.print(f"{number:4d}  {point.name}   {mark}", highlight=False)
+        console.print(f"{number:4d}  {point.name}   {mark}")
         for line in changes(before, point):
-            console.print(f"        {line}", style="dim", highlight=False)
+            console.print(f"        {line}", style="dim")
         if not done(point):
             total_s += reading_s(campaign, point) + setup_s(before.setup if before else None, point.setup)
             readings += point.readings * len(point.setup.sensors)

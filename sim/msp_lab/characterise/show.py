@@ -22,7 +22,7 @@ STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}
 
 def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
-    console.print(summarise(findings), highlight=False)
+    console.print(summarise(findings))
     rows = sum(each.readings for each in findings.points)
     columns = [Column(heading, overflow="fold") for heading in ("what", "found (95 % interval)", "verdict")]
     title = f"{findings.sensor}: {rows} readings at {len(findings.points)} points"
@@ -31,12 +31,12 @@ def show_findings(findings: Findings, console: Console) -> None:
         table.add_row(each.subject, each.answer, Text(each.mark, style=STYLES[each.kind]))
     console.print(table)
     for line in _numbers(findings):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     for why in dict.fromkeys(findings.absent.values()):
         names = ", ".join(name for name, each in findings.absent.items() if each == why)
-        console.print(f"not in these data: {names}: {why}", style="dim", highlight=False)
+        console.print(f"not in these data: {names}: {why}", style="dim")
     for warning in findings.warnings:
-        console.print(f"warning: {warning}", style="yellow", highlight=False)
+        console.print(f"warning: {warning}", style="yellow")
 
 
 def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
@@ -51,10 +51,10 @@ def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
     out.print(table)
     for each in found:
         if each.error:
-            out.print(f"{each.sensor}: no model: {each.error}", style="red", highlight=False)
+            out.print(f"{each.sensor}: no model: {each.error}", style="red")
     if died:
-        out.print(f"{died} worker processes died; their sensors were computed again", highlight=False)
-    out.print(f"in {folder}: a sensor model for each, and {TABLE}", highlight=False, soft_wrap=True)
+        out.print(f"{died} worker processes died; their sensors were computed again")
+    out.print(f"in {folder}: a sensor model for each, and {TABLE}", soft_wrap=True)
 
 
 def _numbers(findings: Findings) -> Iterator[str]:

@@ -18,15 +18,15 @@ def print_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
     shown = console()
     for number, plan in enumerate(plans, start=1):
         question = plan.design.question
-        shown.print(Text(f"{number}. {question.label} ({question.kind})", style="bold"), highlight=False)
+        shown.print(Text(f"{number}. {question.label} ({question.kind})", style="bold"))
         for line in (f"{question.why}", *_lines(plan)):
-            shown.print(Padding(Text(line), (0, 0, 0, 3)), highlight=False)
+            shown.print(Padding(Text(line), (0, 0, 0, 3)))
         if plan.design.session is not None:
             # Commands in one line, so that they can be copied.
             for command in commands(plan, number, findings, out):
-                PlainConsole().print(f"   {command}", highlight=False, soft_wrap=True, markup=False)
+                PlainConsole().print(f"   {command}", soft_wrap=True)
             where = folder_of(plan, number, out)
-            PlainConsole().print(f"   in {where}: what to do, and session.png", highlight=False, soft_wrap=True)
+            PlainConsole().print(f"   in {where}: what to do, and session.png", soft_wrap=True)
 
 
 def _lines(plan: Plan) -> list[str]:

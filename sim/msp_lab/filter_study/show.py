@@ -55,7 +55,6 @@ def print_tables(console: Console, verdicts: Sequence[FilterResult], delays: Map
         f"gap: largest distance of a value from the middle of its band, in spreads; a band is {WIDTH:g} spreads to "
         "either side. ! is outside.\n"
         "delay: samples, of the filter as stated; the medians look ahead by half a window.\n",
-        highlight=False,
     )
 
 
@@ -66,12 +65,11 @@ def print_explanations(console: Console, reverse: bool, verdicts: Sequence[Filte
         console.print(
             f"The columns median and mean are swapped in {len(swapped)} of {sum(len(each.rows) for each in verdicts)} "
             "rows: RMS^2 = mean^2 + (N - 1)/N variance holds with the other one. Above they are exchanged back.",
-            highlight=False,
         )
-    console.print(f"Errors are {'truth less estimate' if reverse else 'estimate less truth'}.\n", highlight=False)
+    console.print(f"Errors are {'truth less estimate' if reverse else 'estimate less truth'}.\n")
     for verdict in verdicts:
         for line in _explanation(verdict):
-            console.print(line, highlight=False)
+            console.print(line)
 
 
 def _explanation(verdict: FilterResult) -> Iterable[str]:

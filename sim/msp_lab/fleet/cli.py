@@ -79,24 +79,22 @@ def _print(findings: "FleetFindings", died: int, files: list[Path]) -> None:
     from msp_lab.fleet.words import left_out_line, line_of
 
     console = PlainConsole(width=WIDTH)
-    console.print(findings.sentence, style="bold", highlight=False)
+    console.print(findings.sentence, style="bold")
     found = findings.effects[: findings.found]
     for each in found:
-        console.print(f"  {each.kind}: {line_of(each, findings)}", highlight=False)
+        console.print(f"  {each.kind}: {line_of(each, findings)}")
         if each.mean is not None:
             unit = "" if each.unit in ("1", "") else f" {each.unit}"
             console.print(
                 f"    fleet {each.mean:.3g} ({each.low:.3g} to {each.high:.3g}){unit}, "
                 f"between vehicles {each.tau:.2g}, {each.parameter}",
                 style="dim",
-                highlight=False,
             )
     if findings.left_out:
-        console.print(left_out_line(findings), highlight=False)
+        console.print(left_out_line(findings))
     if died:
-        console.print(f"{died} worker processes died; their sensors were examined again.", highlight=False)
+        console.print(f"{died} worker processes died; their sensors were examined again.")
     console.print(
         f"{findings.readings:,} readings, {findings.vehicles} vehicles, {findings.sensors} sensors, "
         f"{findings.sessions} sessions; in {files[0].parent}: {', '.join(each.name for each in files)}",
-        highlight=False,
     )

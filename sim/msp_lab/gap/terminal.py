@@ -43,7 +43,7 @@ class ProgressBar(Bar):
         if self.is_shown:
             self.show(what, share)
         elif what != self._last:
-            self._console.print(f"{100.0 * share:3.0f} %  {what}", highlight=False)
+            self._console.print(f"{100.0 * share:3.0f} %  {what}")
         self._last = what
 
 
@@ -74,10 +74,10 @@ def print_separate_gaps(gaps: Sequence[SeparateGap], died: int, folder: Path) ->
     out.print(table)
     for each in gaps:
         if each.error:
-            out.print(f"{each.name} could not be compared: {each.error}", style="red", highlight=False)
+            out.print(f"{each.name} could not be compared: {each.error}", style="red")
     if died:
-        out.print(f"{died} worker processes died; what they computed was computed again", highlight=False)
-    out.print(f"in {folder}: a folder for each, and {TABLE}", highlight=False, soft_wrap=True)
+        out.print(f"{died} worker processes died; what they computed was computed again")
+    out.print(f"in {folder}: a folder for each, and {TABLE}", soft_wrap=True)
 
 
 def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Path) -> None:
@@ -87,12 +87,12 @@ def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Pa
         style = f"bold {COLOURS.get(each.findings.verdict or '', 'cyan')}" if each.named else ""
         out.print(Text(f"{each.sensor}: {each.findings.sentence}", style=style))
         if each.without:
-            out.print(f"  compared without {', '.join(each.without)}, which differs from the rest", highlight=False)
+            out.print(f"  compared without {', '.join(each.without)}, which differs from the rest")
         if each.doubted:
-            out.print(f"  perhaps the fault of {each.doubted}, which differs most from the rest", highlight=False)
+            out.print(f"  perhaps the fault of {each.doubted}, which differs most from the rest")
     for message in messages:
-        out.print(f"note: {message}", style="dim", highlight=False)
-    out.print(f"in {folder}: a folder for each sensor, and sensors.json", highlight=False, soft_wrap=True)
+        out.print(f"note: {message}", style="dim")
+    out.print(f"in {folder}: a folder for each sensor, and sensors.json", soft_wrap=True)
 
 
 def print_findings(findings: GapFindings, folder: Path) -> None:
@@ -100,7 +100,7 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
     out = console()
     out.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
     for line in findings.summary:
-        out.print(Padding(Text(line), (0, 0, 0, 2)), highlight=False)
+        out.print(Padding(Text(line), (0, 0, 0, 2)))
     if findings.effects or findings.unknown:
         out.print(_found_table(findings))
     elif findings.gap is not None:
@@ -108,21 +108,19 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
-            out.print(f"  {slice_label(piece.where)}: {piece.channel}{p}", highlight=False)
+            out.print(f"  {slice_label(piece.where)}: {piece.channel}{p}")
     for message in findings.messages:
-        out.print(f"note: {message}", style="dim", highlight=False)
+        out.print(f"note: {message}", style="dim")
     columns = sorted({name for each in findings.not_testable for name in each.columns})
     if columns:
         out.print(
             f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
             style="dim",
-            highlight=False,
         )
     runs = f"{findings.runs} run{'s' if findings.runs != 1 else ''}"
     files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
     out.print(
         f"{findings.rows:,} readings, {runs}, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
-        highlight=False,
         soft_wrap=True,
     )
 

@@ -30,11 +30,11 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
             then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
         else:
             then = "without a true range there is nothing that 'msp-lab gap' could compare them with"
-        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", highlight=False, soft_wrap=True)
+        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", soft_wrap=True)
 
 
 def _show(shown: Console, found: Imported) -> None:
-    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", highlight=False, soft_wrap=True)
+    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading, side in (("found", "left"), ("in the log", "left"), ("rate", "right"), ("", "left")):
         table.add_column(heading, justify="right" if side == "right" else "left")
@@ -44,7 +44,7 @@ def _show(shown: Console, found: Imported) -> None:
         table.add_row(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples")
     shown.print(table)
     for line in _lines(found):
-        shown.print(line, highlight=False)
+        shown.print(line)
 
 
 def _lines(found: Imported) -> list[str]:
