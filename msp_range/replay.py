@@ -29,6 +29,8 @@ from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
 from msp_range.terminal import Bar, PlainConsole, console, plain_table
 
+Pings = Mapping[str, Sequence[RecordedPing]]
+"""Recorded pings by the name of their sensor."""
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
 ROUNDING_S = 1e-6
@@ -100,14 +102,14 @@ class ReplayOutcome:
     behind_s: float
 
 
-def first_ping_s(pings: Mapping[str, Sequence[RecordedPing]]) -> float:
+def first_ping_s(pings: Pings) -> float:
     """When the record begins [s]."""
     return min(each[0].ping_s for each in pings.values())
 
 
 def replay(
     airframe: Airframe,
-    pings: Mapping[str, Sequence[RecordedPing]],
+    pings: Pings,
     source: Path,
     clock: Clock,
     transport: Transport,
@@ -147,9 +149,6 @@ def replay(
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
     order = RecordedOrder(airframe, bus)
-    without_sources = airframe.model_copy(
-        update={"temperature": airframe.temperature.model_copy(update={"sources": ()})}
-    )
     fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
     times_s = [time_s for time_s, _ in recorded_air]
 
@@ -159,7 +158,7 @@ def replay(
         return recorded_air[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
     bridge = Bridge(
-        without_sources,
+        airframe.without_thermometers,
         bus,
         clock,
         transport,
@@ -215,7 +214,7 @@ def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> 
         )
 
 
-def _refuse_gaps(pings: Mapping[str, Sequence[RecordedPing]], source: Path) -> None:
+def _refuse_gaps(pings: Pings, source: Path) -> None:
     times_s = sorted(ping.ping_s for each in pings.values() for ping in each)
     for before_s, after_s in pairwise(times_s):
         if after_s - before_s > LONGEST_GAP_S:
@@ -225,9 +224,7 @@ def _refuse_gaps(pings: Mapping[str, Sequence[RecordedPing]], source: Path) -> N
             )
 
 
-def _by_address(
-    airframe: Airframe, pings: Mapping[str, Sequence[RecordedPing]], source: Path
-) -> dict[int, Sequence[RecordedPing]]:
+def _by_address(airframe: Airframe, pings: Pings, source: Path) -> dict[int, Sequence[RecordedPing]]:
     """Recorded pings by sensor name -> by the addresses of the airframe's sensors.
 
     Raises

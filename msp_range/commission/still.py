@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.commission.motion import Measured, NotMeasured
+from msp_range.commission.motion import Measured, NotMeasured, without_outliers
 from msp_range.commission.samples import Array, Samples
 
 TAPE_STD_M = 0.005
@@ -79,11 +79,7 @@ def noise_m(samples: Samples) -> dict[str, Measured]:
         steps = np.diff(readings.range_m[readings.is_distance])
         if len(steps) < LEAST_READINGS:
             continue
-        kept = steps
-        spread = max(1.4826 * float(np.median(np.abs(steps))), 0.01)
-        for _ in range(5):
-            kept = steps[np.abs(steps) <= 3 * spread]
-            spread = max(float(np.sqrt(np.mean(kept**2))), 0.01)
+        kept = without_outliers(steps, 0.01)
         variance = float(np.mean(kept**2)) / 2 - 0.01**2 / 12
         std = float(np.sqrt(max(variance, 0.0)))
         # Successive differences share a reading: 1.5 times the variance of independent ones.

@@ -6,6 +6,7 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_range.commission.motion import NotMeasured, Places, places
 from msp_range.commission.noise import compare_noise
@@ -172,9 +173,8 @@ def hovering(samples: Samples) -> Samples | None:
 def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
     """What was received between two times."""
 
-    def inside(time_s: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        between: np.ndarray[tuple[int], np.dtype[np.bool_]] = (time_s >= first_s) & (time_s <= last_s)
-        return between
+    def inside(time_s: Array) -> NDArray[np.bool_]:
+        return (time_s >= first_s) & (time_s <= last_s)
 
     readings = {}
     for name, each in samples.readings.items():

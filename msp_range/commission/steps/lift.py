@@ -10,7 +10,7 @@ from msp_range.commission.edit import Edit
 from msp_range.commission.motion import NotMeasured, places
 from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import Samples, samples_of
+from msp_range.commission.samples import Array, Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.directions import SIDES, compare_directions
 from msp_range.commission.steps.places import DEEPER_M, compare_lag, compare_places
@@ -211,11 +211,10 @@ def attitude_signs(recorded: Recorded) -> list[Finding]:
     return findings
 
 
-def _attitude_deg(part: Samples) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
+def _attitude_deg(part: Samples) -> Array | None:
     if len(part.attitude) < 3:
         return None
-    median: np.ndarray[tuple[int], np.dtype[np.float64]] = np.degrees(np.median(part.attitude[:, 1:], axis=0))
-    return median
+    return np.degrees(np.median(part.attitude[:, 1:], axis=0))
 
 
 def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> None:

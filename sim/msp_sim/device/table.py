@@ -9,25 +9,13 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from typing import Protocol
 
+from msp_sim.device.bus import Device
 from msp_sim.device.device import DeviceTiming, Fault
 from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
 from msp_sim.device.mb1242 import EmulatedMB1242
 
 GROUP = "msp_sim.devices"
 """Entry points of installed packages that are emulated range finders."""
-
-
-class EmulatedRangeFinder(Protocol):
-    """One range finder, seen from the bus."""
-
-    address: int
-    faults: tuple[Fault, ...]
-
-    def write(self, data: bytes) -> None:
-        """Take ``data``; raises NotAcknowledged where it does not answer."""
-
-    def read(self, count: int) -> bytes:
-        """Return ``count`` bytes; raises NotAcknowledged where it does not answer."""
 
 
 class EmulatedKind(Protocol):
@@ -51,7 +39,7 @@ class EmulatedKind(Protocol):
         timing: DeviceTiming | None = ...,
         faults: Sequence[Fault] = ...,
         chance: random.Random | None = ...,
-    ) -> EmulatedRangeFinder: ...
+    ) -> Device: ...
 
 
 EMULATED: dict[str, EmulatedKind] = {

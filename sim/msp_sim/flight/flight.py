@@ -110,7 +110,7 @@ class Simulation:
             self._log.record_truth,
             scenario.device_faults(),
         )
-        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        self._reference_down_m = airframe.reference_down_m
         self._displayed_c = scenario.thermometer.reading_c
         plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(

@@ -100,7 +100,7 @@ class FlightLog:
         self._by_sound = {name: model.medium == "sound" for name, model in models.items()}
         self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
         self._downward = {sensor.name: sensor for sensor in airframe.downward}
-        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        self._reference_down_m = airframe.reference_down_m
         self._world = world
         self._pose = pose
         self._start_s = start_s

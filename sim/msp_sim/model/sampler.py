@@ -110,4 +110,4 @@ class Sampler:
 def _column(name: str, value: Any) -> NDArray[Any]:
     if name in WORD_COLUMNS or isinstance(value, str):
         return np.array(["" if value is None else value])
-    return np.array([np.nan if value is None else value], dtype=np.float64)
+    return np.array([value], dtype=np.float64)
