@@ -192,10 +192,6 @@ class Airframe(Section):
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
 
-    def keep_files(self, files: dict[str, str]) -> None:
-        """Keep the texts from which this airframe was read."""
-        self._files = files
-
     def changed(
         self, *, link: str | None = None, bus: int | str | None = None, autopilot: Autopilot | None = None
     ) -> "Airframe":
@@ -350,7 +346,7 @@ def load_airframe(path: Path | str) -> Airframe:
     files = {AIRFRAME_NAME: read_config(path)}
     for sensor in airframe.sensors:
         files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
-    airframe.keep_files(files)
+    airframe._files = files
     return airframe
 
 

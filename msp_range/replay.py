@@ -23,14 +23,13 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
+from msp_range.recording.pings import Pings
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
 from msp_range.terminal import Bar, PlainConsole, console, plain_table
 
-Pings = Mapping[str, Sequence[RecordedPing]]
-"""Recorded pings by the name of their sensor."""
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
 ROUNDING_S = 1e-6

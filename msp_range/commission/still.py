@@ -123,13 +123,8 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
     scale_std = 0.5 * air_std_c / (20.0 + ZERO_C_K)
     # Unknown: each sensor's z, and the scale's difference from 1, known beforehand to the thermometer's accuracy where
     # there is one height only. A tape's error is common to the sensors at that height.
-    rows, values, tape = [], [], []
-    for height_m, of_height in zip(heights_m, ranges_m, strict=True):
-        for i, range_m in enumerate(of_height):
-            rows.append([*np.eye(len(names))[i], range_m])
-            values.append(height_m - range_m)
-            tape.append(float(height_m))
-    matrix, wanted = np.array(rows), np.array(values)
+    matrix = np.hstack([np.tile(np.eye(len(names)), (len(stands), 1)), ranges_m.reshape(-1, 1)])
+    wanted, tape = (heights_m[:, None] - ranges_m).ravel(), np.repeat(heights_m, len(names))
     covariance = SENSOR_STD_M**2 * np.eye(len(wanted)) + TAPE_STD_M**2 * np.equal.outer(tape, tape)
     spread = float(np.ptp(heights_m))
     prior = np.zeros((matrix.shape[1], matrix.shape[1]))

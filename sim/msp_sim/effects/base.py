@@ -245,10 +245,10 @@ class Effect:
     physics: str
     source: str
     parameters: tuple[Parameter, ...]
-    requires: tuple[str, ...]
     channels: tuple[Channel, ...]
     experiment: str
     apply: Callable[[Scene, Values], Contribution] = field(repr=False)
+    requires: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     per: Literal["sensor", "run", "target"] | None = None
     base: str | None = None

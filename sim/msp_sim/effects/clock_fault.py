@@ -10,7 +10,6 @@ CLOCK_FAULT = Effect(
     physics="bit 15 reads as one: 32768 + reading",
     source="Raspberry Pi 1-4 sample SDA while the sensor still stretches the clock; cured by a bus clock of 50 kHz",
     parameters=(share_of_readings("share of the readings affected"),),
-    requires=(),
     channels=("code",),
     experiment="the same wall with dtparam=i2c_arm_baudrate at 100000 and at 50000",
     apply=damage(ClockFault()),

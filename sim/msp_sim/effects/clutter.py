@@ -24,7 +24,6 @@ CLUTTER = Effect(
         Parameter("location_cm", "cm", "its range", 0.0, 1000.0, None, 30.0, (25.0, 35.0, 50.0, 80.0)),
         Parameter("sigma_cm", "cm", "its scatter", 0.1, 50.0, None, 2.0, (2.0,)),
     ),
-    requires=(),
     channels=("component",),
     experiment="the sensor on its vehicle, pointed at the open sky",
     apply=_apply,

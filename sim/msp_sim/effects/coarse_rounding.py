@@ -24,7 +24,6 @@ COARSE_ROUNDING = Effect(
         share_of_readings("1 if every reading is rounded"),
         Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, STEPS_CM, jumps=True),
     ),
-    requires=(),
     channels=("code",),
     experiment="a target moved slowly: the readings go up in steps",
     apply=_apply,

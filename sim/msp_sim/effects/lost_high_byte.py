@@ -10,7 +10,6 @@ LOST_HIGH_BYTE = Effect(
     physics="reading modulo 256",
     source="drivers that read one byte of two",
     parameters=(share_of_readings("share of the readings affected"),),
-    requires=(),
     channels=("code",),
     experiment="a wall at 300 cm reads 44",
     apply=damage(LostHighByte()),

@@ -10,7 +10,6 @@ OR_ED_BYTES = Effect(
     physics="high | low instead of 256 high + low: 0x02 | 0xFD = 255",
     source="a missing shift, found in two public drivers of this sensor",
     parameters=(share_of_readings("share of the readings affected"),),
-    requires=(),
     channels=("code",),
     experiment="a wall at 300 cm reads 45",
     apply=damage(OrEd()),

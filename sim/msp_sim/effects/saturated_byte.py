@@ -10,7 +10,6 @@ SATURATED_BYTE = Effect(
     physics="min(reading, 255)",
     source="report 4.3.2: 255 as well as 765; 8-bit variables in drivers and loggers",
     parameters=(share_of_readings("share of the readings affected"),),
-    requires=(),
     channels=("code",),
     experiment="a wall at 300 cm reads 255 (OR-ed bytes would give 45)",
     apply=damage(Saturated()),

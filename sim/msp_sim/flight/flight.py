@@ -177,11 +177,6 @@ class Simulation:
         self.transport.close()
 
     @property
-    def link_error(self) -> str | None:
-        """Error of the real link; None if it works or there is none."""
-        return self.transport.last_error
-
-    @property
     def received(self) -> list[tuple[float, Any]]:
         """Messages received by the autopilot: time of the flight [s], message."""
         return self._autopilot.received

@@ -14,14 +14,12 @@ from numpy.random import Generator
 from pydantic import Field, model_validator
 
 from msp_range.yaml_file import Place, Section, SectionT
-from msp_sim.device.device import FAULT_KINDS
+from msp_sim.device.device import ALWAYS_HAPPEN, FAULT_KINDS
 from msp_sim.world.profiles import Positive
 
 DIGITS = 4
 """Significant digits of a drawn number: those that a table shows are those that were flown. Fewer would make the steps
 of a distribution visible."""
-ALWAYS_HAPPEN = frozenset({"power_cycle", "locked_up"})
-"""Faults with a probability of 1."""
 EACH = "[*]"
 Value = float | int | str | bool
 

@@ -21,13 +21,14 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import column_of
-from msp_sim.device.emulated import EmulatedSensor
+from msp_sim.device.emulated import EmulatedSensor, LastPings
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.sampled import Sampled, SampledFlight
 from msp_sim.flight.scenario import AutopilotSection
+from msp_sim.flight.summary import error_numbers
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
 
@@ -126,7 +127,7 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
     world = scenario.world()
     vehicle = scenario.vehicle(world, default_rng(for_vehicle))
-    others: dict[str, tuple[float, float | None]] = {}
+    others: LastPings = {}
     sensors = {
         sensor.name: EmulatedSensor(
             sensor, model or sensor.sensor_model, world, vehicle.pose, default_rng(0), lambda *_: None, others
@@ -276,13 +277,9 @@ def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
     """Bias, root mean square, 95th percentile of the magnitude and the largest error [cm]; None without errors."""
     if not errors_cm:
         return dict.fromkeys(ERRORS)
-    errors = np.array(errors_cm)
-    worst = float(errors[np.abs(errors).argmax()])
-    # Summed exactly, so that the last digit does not depend on the processor.
-    bias = math.fsum(errors) / errors.size
-    rms = math.sqrt(math.fsum(errors**2) / errors.size)
-    values = bias, rms, float(np.percentile(np.abs(errors), 95)), worst
-    return {name: round(value, 3) for name, value in zip(ERRORS, values, strict=True)}
+    worst_cm = max(errors_cm, key=abs)
+    numbers = {f"error_{name}": value for name, value in error_numbers(errors_cm).items()}
+    return numbers | {"error_worst_cm": round(worst_cm, 3)}
 
 
 class _Readings:
