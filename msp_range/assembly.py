@@ -94,7 +94,7 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
     return Fusion(sensors, attitude, windows_of(airframe), motion, fused_maximum_m(airframe))
 
 
-def maximum_m(sensor: SensorSettings, temperature_c: float | None = None) -> float:
+def maximum_m(sensor: SensorSettings, temperature_c: float | None) -> float:
     """The longest distance that a sensor can report in air of this temperature [m]; None: where it is calibrated.
 
     It measures for as long in any air, and sound gets less far in cold air: an MB1242 7.08 m at -20 deg C.

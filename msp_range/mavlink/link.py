@@ -192,10 +192,6 @@ class Link:
             found.append(Condition("signing time", text, "Range: signing time is kept again"))
         return found
 
-    def close(self) -> None:
-        """Release the transport."""
-        self.transport.close()
-
     def _heartbeat(self) -> Any:
         return dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, self.system_status, 3

@@ -57,8 +57,8 @@ class Terms:
         expected_cm: _Array,
         theta: _Array,
         free: frozenset[int],
-        below: bool = False,
-        reference_cm2: float | _Array = 0.0,
+        below: bool,
+        reference_cm2: float | _Array,
     ) -> None:
         self.theta, self.free = theta, free
         lowest, highest, step = grid.minimum_cm, grid.maximum_cm, grid.resolution_cm

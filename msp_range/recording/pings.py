@@ -5,7 +5,7 @@ the ping follows by half the time of flight.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -32,7 +32,7 @@ MEASURED_STD_C = math.hypot(THERMOMETER_STD_C, GRADIENT_STD_C)
 """Standard deviation of a temperature that was recorded without its own [deg C]: a thermometer's."""
 Source = Path | str | Recording
 """A recording or a table of readings, or its path."""
-Pings = dict[str, list[RecordedPing]]
+Pings = Mapping[str, Sequence[RecordedPing]]
 """Recorded pings by the name of their sensor."""
 
 
@@ -143,7 +143,7 @@ def recorded_motion(source: Source) -> list[Moved]:
 
 
 def _of_recording(recording: Recording) -> Pings:
-    pings: Pings = {}
+    pings: dict[str, list[RecordedPing]] = {}
     for topic, _, message in recording:
         if not topic.startswith(RANGE_PREFIX) or message["status"] == Status.PART_INFO.value:
             continue

@@ -78,7 +78,7 @@ def _turned(i: int, sensor: SensorSettings, axis: Axis) -> Proposal:
     return Proposal(text, _rotation(i, sensor, pitch, yaw))
 
 
-def rotation_of(boresight: tuple[float, float, float], to_deg: float = 0.0) -> tuple[int, int]:
+def rotation_of(boresight: tuple[float, float, float], to_deg: float) -> tuple[int, int]:
     """Pitch and yaw of a direction that is known to some degrees, in whole degrees; straight down is pitch -90, yaw 0.
 
     A direction whose interval includes straight down counts as that, since most mounts are square.
