@@ -94,7 +94,7 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
     return Fusion(sensors, attitude, windows_of(airframe), motion, fused_maximum_m(airframe))
 
 
-def maximum_m(sensor: SensorSettings, temperature_c: float | None = None) -> float:
+def maximum_m(sensor: SensorSettings, temperature_c: float | None) -> float:
     """The longest distance that a sensor can report in air of this temperature [m]; None: where it is calibrated.
 
     It measures for as long in any air, and sound gets less far in cold air: an MB1242 7.08 m at -20 deg C.
@@ -169,17 +169,12 @@ def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expecte
 
 def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
     """Distance of a downward sensor below the fused distance's reference point [m]."""
-    fused = airframe.send.fused
-    return sensor.position_m[2] - (fused.reference_down_m if fused is not None else 0.0)
+    return sensor.position_m[2] - airframe.reference_down_m
 
 
 def single_streams(airframe: Airframe, temperature_c: float | None = None) -> dict[str, Stream]:
     """The streams of sensors with a stream of their own, by name, in air of this temperature; see `maximum_m`."""
-    return {
-        sensor.name: _own_stream(airframe, sensor, sensor.orientation, temperature_c)
-        for sensor in airframe.sensors
-        if sensor.name in airframe.sent_names
-    }
+    return {sensor.name: _own_stream(airframe, sensor, sensor.orientation, temperature_c) for sensor in airframe.sent}
 
 
 def object_streams(airframe: Airframe, temperature_c: float | None = None) -> dict[str, Stream]:

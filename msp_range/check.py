@@ -107,9 +107,8 @@ def _streams(airframe: Airframe) -> Iterator[str]:
     if airframe.sent_names:
         names = ", ".join(each.filter for each in airframe.filters) or "none"
         yield f"filters of the single streams: {names}"
-    for sensor in airframe.sensors:
-        if sensor.name in airframe.sent_names:
-            yield f"{sensor.name}: id {sensor.id}: {_use(airframe, sensor.orientation.value)}"
+    for sensor in airframe.sent:
+        yield f"{sensor.name}: id {sensor.id}: {_use(airframe, sensor.orientation.value)}"
     time_out_s = TIME_OUT_S[airframe.link.autopilot]
     for name, interval_s in intervals_s(airframe).items():
         yield f"{name}: a message every {interval_s:.2f} s"

@@ -39,6 +39,7 @@ def _options(version: VersionOption = False) -> None:
 
 
 AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
+LinkOption = Annotated[str | None, typer.Option(help="link URL instead of the airframe's")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
 SocketOption = Annotated[
     Path | None,
@@ -62,7 +63,7 @@ def run(
     log: Annotated[Literal["text", "json"], typer.Option(help="format of log lines")] = "text",
     record: Annotated[Path | None, typer.Option(help="folder for the recording, instead of the airframe's")] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="record nothing")] = False,
-    link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
+    link: LinkOption = None,
     bus: Annotated[str | None, typer.Option(help="I2C bus instead of the airframe's")] = None,
     web: Annotated[
         str | None,
@@ -237,7 +238,7 @@ def params(
     compare: Annotated[bool, typer.Option("--compare", help="compare with the connected autopilot's values")] = False,
     write: Annotated[bool, typer.Option("--write", help="set them, with a question for each change")] = False,
     restore: Annotated[Path | None, typer.Option(help="set the values of this file (.parm) instead")] = None,
-    link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
+    link: LinkOption = None,
 ) -> None:
     """Print the autopilot's parameters for an airframe, compare them with the autopilot's, or set them there.
 
@@ -289,7 +290,7 @@ def sign(
         typer.Option("--passphrase", help="make the key from a passphrase, as ground stations do; default: at random"),
     ] = False,
     remove: Annotated[bool, typer.Option("--remove", help="make the autopilot accept unsigned messages again")] = False,
-    link: Annotated[str | None, typer.Option(help="link URL instead of the airframe's")] = None,
+    link: LinkOption = None,
 ) -> None:
     """Make a key for MAVLink signing, and give it to the connected autopilot. The key is never printed.
 

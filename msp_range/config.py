@@ -192,10 +192,6 @@ class Airframe(Section):
 
     _files: dict[str, str] = PrivateAttr(default_factory=dict)
 
-    def keep_files(self, files: dict[str, str]) -> None:
-        """Keep the texts from which this airframe was read."""
-        self._files = files
-
     def changed(
         self, *, link: str | None = None, bus: int | str | None = None, autopilot: Autopilot | None = None
     ) -> "Airframe":
@@ -270,7 +266,7 @@ class Airframe(Section):
                 )
 
     def _check_orientations(self) -> None:
-        streams = [(sensor.name, sensor.orientation) for sensor in self.sensors if sensor.name in self.sent_names]
+        streams = [(sensor.name, sensor.orientation) for sensor in self.sent]
         if self.send.fused is not None:
             streams.append(("fused", Orientation(DOWN, (0.0, 0.0, 0.0, 0.0))))
         if self.link.autopilot == "ardupilot":
@@ -283,11 +279,7 @@ class Airframe(Section):
                         "one, and later versions use one of them. Send the fused stream alone, or one of them"
                     )
         elif self.send.fused is None and not any(orientation.value == DOWN for _, orientation in streams):
-            looks_down = [
-                sensor.name
-                for sensor in self.sensors
-                if sensor.name in self.sent_names and sensor.tilt_from_down_rad < math.radians(45)
-            ]
+            looks_down = [sensor.name for sensor in self.sent if sensor.tilt_from_down_rad < math.radians(45)]
             if looks_down:
                 raise ValueError(
                     f"send: {', '.join(looks_down)} look down at an angle, and PX4 takes a height from orientation "
@@ -300,6 +292,21 @@ class Airframe(Section):
         if self.send.sensors == "all":
             return [sensor.name for sensor in self.sensors]
         return list(self.send.sensors)
+
+    @property
+    def sent(self) -> list[SensorSettings]:
+        """The sensors with a stream of their own."""
+        return [sensor for sensor in self.sensors if sensor.name in self.sent_names]
+
+    @property
+    def reference_down_m(self) -> float:
+        """Where the fused distance starts, below the reference point [m]; 0 without one."""
+        return self.send.fused.reference_down_m if self.send.fused is not None else 0.0
+
+    @property
+    def without_thermometers(self) -> "Airframe":
+        """The airframe with its fixed temperature only."""
+        return self.model_copy(update={"temperature": self.temperature.model_copy(update={"sources": ()})})
 
     @property
     def maximum_by_sound_m(self) -> float:
@@ -339,7 +346,7 @@ def load_airframe(path: Path | str) -> Airframe:
     files = {AIRFRAME_NAME: read_config(path)}
     for sensor in airframe.sensors:
         files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
-    airframe.keep_files(files)
+    airframe._files = files
     return airframe
 
 

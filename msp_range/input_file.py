@@ -22,7 +22,7 @@ _KINDS = {
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
 }
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069]")
 """Characters that are not text: control characters except tab and line feed (terminals execute some of them), halves of
 surrogate pairs (no encoding has them), and those that change the direction of writing."""
@@ -41,20 +41,14 @@ def open_input(path: Path | str, most_bytes: int) -> BufferedReader:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except ValueError as error:  # a name with NUL, or one that the file system's encoding cannot represent
         raise OSError(errno.EINVAL, f"no file can have this name: {error}") from None
-    file = os.fdopen(descriptor, "rb") if _is_regular(descriptor) else None
-    if file is None:
-        kind = _KINDS.get(stat.S_IFMT(os.fstat(descriptor).st_mode), "something else")
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, f"found {kind}, expected a file")
-    size = os.fstat(descriptor).st_size
-    if size > most_bytes:
-        file.close()
-        raise OSError(errno.EFBIG, f"found {size / 1e6:.1f} MB, expected at most {most_bytes / 1e6:g} MB")
-    return file
-
-
-def _is_regular(descriptor: int) -> bool:
-    return stat.S_ISREG(os.fstat(descriptor).st_mode)
+    found = os.fstat(descriptor)
+    kind = stat.S_IFMT(found.st_mode)
+    if kind == stat.S_IFREG and found.st_size <= most_bytes:
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if kind != stat.S_IFREG:
+        raise OSError(errno.EINVAL, f"found {_KINDS.get(kind, 'something else')}, expected a file")
+    raise OSError(errno.EFBIG, f"found {found.st_size / 1e6:.1f} MB, expected at most {most_bytes / 1e6:g} MB")
 
 
 def read_text(path: Path | str, most_bytes: int) -> str:
@@ -78,7 +72,7 @@ def read_text(path: Path | str, most_bytes: int) -> str:
 
 def not_utf8(content: bytes, error: UnicodeDecodeError) -> str:
     """Error message for text that is not UTF-8; ``content`` is the text from its beginning."""
-    if content.startswith(_UTF_16):
+    if content.startswith(UTF_16):
         return "found text in UTF-16, expected UTF-8"
     line = content.count(b"\n", 0, error.start) + 1
     return f"line {line}: found the byte 0x{error.object[error.start]:02x}, expected text in UTF-8"

@@ -40,17 +40,18 @@ class Log:
 
     def info(self, event: str, **values: object) -> None:
         """Log normal operation."""
-        self._write("info", event, values)
+        self.write("info", event, **values)
 
     def warning(self, event: str, **values: object) -> None:
         """Log something that does not work and may recover."""
-        self._write("warning", event, values)
+        self.write("warning", event, **values)
 
     def error(self, event: str, **values: object) -> None:
         """Log an error."""
-        self._write("error", event, values)
+        self.write("error", event, **values)
 
-    def _write(self, level: str, event: str, values: dict[str, object]) -> None:
+    def write(self, level: str, event: str, **values: object) -> None:
+        """Log at a level: info, warning or error."""
         utc = datetime.fromtimestamp(self._clock.utc(), UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         # A full disk, or no reader at the other end of the pipe.
         with suppress(OSError):

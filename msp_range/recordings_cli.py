@@ -7,6 +7,8 @@ import typer
 
 from msp_range.yaml_file import ConfigError, writing
 
+RecordingFile = Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")]
+
 
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
@@ -84,7 +86,7 @@ def recover(
 
 
 def export(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
+    recording: RecordingFile,
     out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],
 ) -> None:
     """Write a recording's readings as CSV: time_s, sensor, reading_cm, and known context."""
@@ -97,7 +99,7 @@ def export(
 
 
 def layout(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")],
+    recording: RecordingFile,
     out: Annotated[
         Path,
         typer.Argument(metavar="OUT.json|OUT.xml", help="the layout to make: .json for Foxglove, .xml for PlotJuggler"),

@@ -4,18 +4,14 @@ The readings are played through a bus whose sensors answer with them, at their o
 change to a filter or a gate is tried on what really happened.
 """
 
-import sys
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-from rich import box
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import BarColumn, TimeRemainingColumn
 
 from msp_range.acoustics.air import FIXED, Air
 from msp_range.assembly import polled_sensors
@@ -27,11 +23,12 @@ from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
+from msp_range.recording.pings import Pings
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
-from msp_range.terminal import PlainConsole, console, number_columns
+from msp_range.terminal import Bar, PlainConsole, console, plain_table
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
@@ -104,14 +101,14 @@ class ReplayOutcome:
     behind_s: float
 
 
-def first_ping_s(pings: Mapping[str, Sequence[RecordedPing]]) -> float:
+def first_ping_s(pings: Pings) -> float:
     """When the record begins [s]."""
     return min(each[0].ping_s for each in pings.values())
 
 
 def replay(
     airframe: Airframe,
-    pings: Mapping[str, Sequence[RecordedPing]],
+    pings: Pings,
     source: Path,
     clock: Clock,
     transport: Transport,
@@ -151,9 +148,6 @@ def replay(
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
     order = RecordedOrder(airframe, bus)
-    without_sources = airframe.model_copy(
-        update={"temperature": airframe.temperature.model_copy(update={"sources": ()})}
-    )
     fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
     times_s = [time_s for time_s, _ in recorded_air]
 
@@ -163,7 +157,7 @@ def replay(
         return recorded_air[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
     bridge = Bridge(
-        without_sources,
+        airframe.without_thermometers,
         bus,
         clock,
         transport,
@@ -177,7 +171,7 @@ def replay(
     start_s = clock.now()
     filtered: Counter[str] = Counter()
     taken = fused = 0
-    with _track(expected, f"replaying {source.name}") as advance:
+    with Bar(BarColumn(), TimeRemainingColumn(), total=expected, on=PlainConsole(stderr=True)) as bar:
         while taken < expected:
             steps = bridge.step()
             taken += len(steps)
@@ -185,7 +179,7 @@ def replay(
                 filtered[step.corrected.sensor] += step.filtered.rejected is None
                 fused += step.fused is not None
             if steps:
-                advance(len(steps))
+                bar.show(f"replaying {source.name}", taken)
     # What waits for its turn still goes out.
     end_s = clock.now() + 0.1
     while clock.now() < end_s:
@@ -199,20 +193,11 @@ def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | 
     return lambda received_s, each: recorder.write(topic, received_s, each._asdict())
 
 
-@contextmanager
-def _track(total: int, what: str) -> Iterator[Callable[[int], None]]:
-    """A progress bar on a terminal; elsewhere nothing."""
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-    on = PlainConsole(stderr=True)
-    with Progress(*columns, transient=True, disable=not sys.stderr.isatty(), console=on) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda count: progress.advance(task, count)
-
-
 def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:
     """Print the outcome as a table, and what of a damaged recording was left out."""
     title = f"{source}: {outcome.duration_s:.1f} s"
-    table = Table("sensor", *number_columns("readings", "used"), "rejected, why", title=title, box=box.SIMPLE_HEAD)
+    table = plain_table("sensor", "readings", "used", title=title)
+    table.add_column("rejected, why")
     for name, counts in outcome.counts.items():
         why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
         table.add_row(name, str(counts.readings), str(outcome.filtered.get(name, 0)), why)
@@ -224,11 +209,11 @@ def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> 
         out.print(f"lost: {losses}")
     if outcome.behind_s > LATE_S:
         out.print(
-            f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late",
+            f"the record has more readings a second than the bridge polls: it was up to {outcome.behind_s:.1f} s late"
         )
 
 
-def _refuse_gaps(pings: Mapping[str, Sequence[RecordedPing]], source: Path) -> None:
+def _refuse_gaps(pings: Pings, source: Path) -> None:
     times_s = sorted(ping.ping_s for each in pings.values() for ping in each)
     for before_s, after_s in pairwise(times_s):
         if after_s - before_s > LONGEST_GAP_S:
@@ -238,9 +223,7 @@ def _refuse_gaps(pings: Mapping[str, Sequence[RecordedPing]], source: Path) -> N
             )
 
 
-def _by_address(
-    airframe: Airframe, pings: Mapping[str, Sequence[RecordedPing]], source: Path
-) -> dict[int, Sequence[RecordedPing]]:
+def _by_address(airframe: Airframe, pings: Pings, source: Path) -> dict[int, Sequence[RecordedPing]]:
     """Recorded pings by sensor name -> by the addresses of the airframe's sensors.
 
     Raises

@@ -22,7 +22,7 @@ from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
-from msp_range.health import Report, Severity
+from msp_range.health import Report
 from msp_range.log import Log
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport, open_transport
@@ -61,12 +61,7 @@ for longer."""
 
 def reporter(log: Log) -> Report:
     """Write health messages to the log."""
-
-    def report(severity: Severity, text: str) -> None:
-        write = {Severity.ERROR: log.error, Severity.WARNING: log.warning, Severity.INFO: log.info}[severity]
-        write(text)
-
-    return report
+    return lambda severity, text: log.write(severity.name.lower(), text)
 
 
 def notify_systemd(state: str) -> None:
@@ -327,7 +322,10 @@ def _fly(
             recorder = flight_recorder(airframe, record, clock, on_file, on_failure)
             if recorder is not None:
                 bridge.record_to(recorder)
-            watch = _watch(airframe, bridge, transport, recorder, socket_path, web, clock, log)
+            try:
+                watch = Watch(airframe, bridge, transport, recorder, socket_path, web, clock.now(), log)
+            except FeedError as error:
+                log.warning("not watched", error=str(error))
             # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.
             gc.freeze()
             serve(bridge, clock, log, transport, stopped, flown, watch)
@@ -342,21 +340,3 @@ def _fly(
                 recorder.close()
             except RecordingError as error:
                 log.error("recording not finished", error=str(error))
-
-
-def _watch(
-    airframe: Airframe,
-    bridge: Bridge,
-    transport: Transport,
-    recorder: "FlightRecorder | None",
-    socket_path: Path,
-    web: str | None,
-    clock: Clock,
-    log: Log,
-) -> Watch | None:
-    """The socket by which the bridge is watched; None where it cannot be made, which is no reason not to fly."""
-    try:
-        return Watch(airframe, bridge, transport, recorder, socket_path, web, clock.now(), log)
-    except FeedError as error:
-        log.warning("not watched", error=str(error))
-        return None

@@ -1,13 +1,15 @@
-"""The console of all commands: text from files is printed literally.
+"""The console, tables and progress bar of all commands: text from files is printed literally.
 
 rich interprets ``[red]`` as a style and ``:warning:`` as an emoji, and terminals execute escape sequences. Names of
 vehicles, sensors, runs and files must not be interpreted.
 """
 
-from typing import Any
+from typing import Any, Self
 
+from rich import box
 from rich.console import Console
-from rich.table import Column
+from rich.progress import Progress, ProgressColumn, TextColumn
+from rich.table import Column, Table
 from rich.text import Text
 
 from msp_range.input_file import printable
@@ -17,8 +19,8 @@ WIDTH = 120
 
 
 class PlainConsole(Console):
-    """A rich console that prints text literally, without markup, emoji codes, control characters and colours that it
-    finds for numbers and words itself; styles are arguments."""
+    """A rich console that prints text literally, without markup, emoji codes, colours for numbers and control
+    characters; styles are arguments."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, **options)
@@ -33,7 +35,45 @@ def number_columns(*headings: str) -> list[Column]:
     return [Column(heading, justify="right") for heading in headings]
 
 
+def plain_table(first: str, *numbers: str, title: str | None = None) -> Table:
+    """A table of words with numbers, with a line below its headings only."""
+    return Table(Column(first, no_wrap=True), *number_columns(*numbers), title=title, box=box.SIMPLE_HEAD)
+
+
 def console() -> Console:
     """A console on standard output, wide enough for tables even without a terminal."""
     found = PlainConsole()
     return found if found.is_terminal else PlainConsole(width=WIDTH)
+
+
+class Bar:
+    """A progress bar on a terminal; shows nothing if the output is a file or a pipe.
+
+    Parameters
+    ----------
+    columns
+        Columns of the bar's line, after what is being done.
+    total
+        Value at which the bar is complete.
+    on
+        Console to draw on; None: standard output.
+    """
+
+    def __init__(self, *columns: str | ProgressColumn, total: float, on: Console | None = None) -> None:
+        doing = TextColumn("{task.description}", markup=False)
+        self._progress = Progress(doing, *columns, console=on, transient=True)
+        self._task = self._progress.add_task("", total=total)
+        self.is_shown = self._progress.console.is_terminal
+
+    def __enter__(self) -> Self:
+        if self.is_shown:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.is_shown:
+            self._progress.stop()
+
+    def show(self, description: str, completed: float) -> None:
+        """Show what is being done, and how much of it is complete."""
+        self._progress.update(self._task, description=description, completed=completed)

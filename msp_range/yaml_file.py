@@ -8,7 +8,7 @@ import difflib
 import os
 import types
 import typing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
@@ -86,6 +86,8 @@ def writing(path: Path) -> Iterator[None]:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
+Place = tuple[int | str, ...]
+"""Keys and indices that lead to a value in a file."""
 SectionT = TypeVar("SectionT", bound=Section)
 ReadT = TypeVar("ReadT")
 
@@ -180,7 +182,7 @@ def check(source: Path | str, section: type[SectionT], content: Any, context: di
     return found
 
 
-def _truths(content: Any, choices: list[Any], path: tuple[int | str, ...] = ()) -> Iterator[tuple[int | str, ...]]:
+def _truths(content: Any, choices: list[Any], path: Place = ()) -> Iterator[Place]:
     """Places of truth values where a number is expected, which pydantic takes for 1 and 0."""
     if isinstance(content, bool) and bool not in choices and (int in choices or float in choices):
         yield path
@@ -232,7 +234,7 @@ def config_path(name: Path | str, kind: str, folder: Path = Path()) -> Path:
     known = {each.stem: each for each in (SHIPPED / kind).glob("*.yaml")}
     if word not in known:
         raise ConfigError(
-            f"{path}: no such file, and none of this name comes with the package.{_near(word, list(known))} "
+            f"{path}: no such file, and none of this name comes with the package.{suggest(word, known)} "
             f"Known names: {_join(sorted(known))}"
         )
     return known[word]
@@ -266,9 +268,9 @@ class _Spot(NamedTuple):
     on the way whose members cannot be distinguished by anything in the file.
     """
 
-    path: tuple[int | str, ...]
+    path: Place
     choices: list[Any]
-    union: tuple[int | str, ...] | None
+    union: Place | None
 
 
 def _explain(path: Path | str, section: type[Section], error: ValidationError) -> Iterator[str]:
@@ -311,7 +313,7 @@ def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
     kind, context, value = problem["type"], problem.get("ctx", {}), problem.get("input")
     if kind == "extra_forbidden":
         keys = _keys(around)
-        return "", f"unknown key.{_near(spot.path[-1], keys)} Known keys here: {_join(keys)}"
+        return "", f"unknown key.{suggest(spot.path[-1], keys)} Known keys here: {_join(keys)}"
     if kind == "missing":
         if isinstance(spot.path[-1], int):
             return "", "this value is missing from the list"
@@ -321,7 +323,7 @@ def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
         return "", f"this key is missing; expected one of {_join(tags)}"
     if kind == "union_tag_invalid":
         tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
-        return f"found {_show(context['tag'])}; expected one of ", f"{_join(tags)}.{_near(context['tag'], tags)}"
+        return f"found {_show(context['tag'])}; expected one of ", f"{_join(tags)}.{suggest(context['tag'], tags)}"
     if kind == "value_error":
         text = str(context["error"])
         is_shown = isinstance(value, dict | list) or (isinstance(value, str) and _show(value) in text)
@@ -335,7 +337,7 @@ def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
         expected = f"text that matches {context['pattern']}"
     elif kind == "literal_error":
         options = [str(option) for choice in spot.choices for option in typing.get_args(choice)]
-        near = _near(value, options)
+        near = suggest(value, options)
         expected += f".{near}" if near else ""
     return f"found {_show(value)}; expected ", expected
 
@@ -345,7 +347,7 @@ def _locate(section: type[Section], loc: Sequence[int | str]) -> _Spot:
     path: list[int | str] = []
     choices: list[Any] = [section]
     at_union = False
-    union: tuple[int | str, ...] | None = None
+    union: Place | None = None
     for part in loc:
         if at_union:
             named = [choice for choice in choices if part in _literals(choice)]
@@ -410,9 +412,9 @@ def _meaning(choices: list[Any], key: str) -> str:
     return "a value"
 
 
-def _near(word: Any, known: list[str]) -> str:
+def suggest(word: Any, known: Iterable[str]) -> str:
     # The search time grows with the square of the word's length, and no name is longer.
-    near = difflib.get_close_matches(str(word)[:64], known, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(str(word)[:64], list(known), n=1, cutoff=0.5)
     return f" Did you mean {near[0]!r}?" if near else ""
 
 
@@ -428,6 +430,21 @@ def place_of(path: Sequence[int | str]) -> str:
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}"
     return text.lstrip(".")
+
+
+def with_value(values: Any, place: Sequence[int | str], value: Any) -> Any:
+    """A copy of YAML's values with another one at a place; sections on the way that are absent are added.
+
+    An anchor's value is copied for each place that uses it.
+    """
+    if not place:
+        return value
+    first, rest = place[0], place[1:]
+    if isinstance(first, int):
+        return [with_value(each, rest, value) if i == first else each for i, each in enumerate(values)]
+    known = dict(values) if isinstance(values, dict) else {}
+    known[first] = with_value(known.get(first), rest, value)
+    return known
 
 
 def _names_beside(path: Path) -> list[str]:

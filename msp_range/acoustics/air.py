@@ -79,36 +79,6 @@ def speed_of_sound(temperature_c: Numbers) -> Numbers:
     return _square_root(_SPEED_SQUARED_PER_K * absolute_k)
 
 
-def time_of_flight(range_m: Numbers, temperature_c: Numbers) -> Numbers:
-    """Time from the ping to its echo in air of uniform temperature, t = 2 r / c (report eq 1).
-
-    Parameters
-    ----------
-    range_m : float or ndarray
-        One-way distance from the sensor to the surface [m].
-    temperature_c : float or ndarray
-        Temperature of the air between them [deg C]; arrays broadcast.
-
-    Returns
-    -------
-    float or ndarray
-        Time of flight [s].
-
-    Raises
-    ------
-    ValueError
-        At or below absolute zero.
-
-    Examples
-    --------
-    The maker's 58 us a centimetre is the air of its calibration, 22.5 deg C:
-
-    >>> print(f"{1e6 * time_of_flight(0.01, 22.5):.2f} us")
-    58.02 us
-    """
-    return 2.0 * range_m / speed_of_sound(temperature_c)
-
-
 def compensate_range(range_m: Numbers, air_temperature_c: Numbers, calibration_temperature_c: float) -> Numbers:
     """Range compensated for the air temperature, r = r_m sqrt(T_T / T_C) (report eq 7).
 

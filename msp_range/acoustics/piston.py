@@ -10,12 +10,6 @@ import math
 FIRST_NULL_X = 3.8317059702
 """First zero of J1 above 0 (Abramowitz and Stegun, table 9.5)."""
 
-HALF_POWER_X = 1.6163399561
-"""Where (2 J1(x) / x)^2 = 1/2."""
-
-FIRST_SIDE_LOBE_X = 5.1356223018
-"""First zero of J2 above 0 (Abramowitz and Stegun, table 9.5), where 2 J1(x) / x has its next extreme."""
-
 _DB = 20.0 / math.log(10.0)
 """Decibels per factor of e."""
 
@@ -44,7 +38,7 @@ def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) 
     --------
     A piston of two wavelengths is half the power at 14.9 deg:
 
-    >>> print(f"{directivity_db(half_power_angle_rad(2.0, 1.0), 2.0, 1.0):.2f} dB")
+    >>> print(f"{directivity_db(math.radians(14.90), 2.0, 1.0):.2f} dB")
     -3.01 dB
     """
     if not abs(off_axis_rad) <= math.pi / 2:
@@ -95,27 +89,3 @@ def bessel(order: int, x: float) -> float:
     ends = 1.0 if order % 2 == 0 else 0.0
     angles = (math.pi / points * k for k in range(1, points))
     return (ends + sum(math.cos(order * t - x * math.sin(t)) for t in angles)) / points
-
-
-def half_power_angle_rad(diameter_m: float, wavelength_m: float) -> float:
-    """Angle at which the one-way power is half, -3.01 dB: asin(1.616 lambda / (pi D)) [rad].
-
-    Half the power, not half the pressure as in the report (erratum 3). pi / 2 if there is none (pistons smaller than
-    0.51 wavelengths).
-    """
-    return _angle_rad(HALF_POWER_X, diameter_m, wavelength_m)
-
-
-def first_null_angle_rad(diameter_m: float, wavelength_m: float) -> float:
-    """Angle of the first null, asin(3.832 lambda / (pi D)) = asin(1.22 lambda / D) [rad]; pi / 2 without one."""
-    return _angle_rad(FIRST_NULL_X, diameter_m, wavelength_m)
-
-
-def first_side_lobe_db() -> float:
-    """Level of the first side lobe, -17.6 dB for any piston (the report says -20, erratum 10)."""
-    return level_db(FIRST_SIDE_LOBE_X)
-
-
-def _angle_rad(x: float, diameter_m: float, wavelength_m: float) -> float:
-    sine = x * wavelength_m / (math.pi * diameter_m)
-    return math.asin(sine) if sine < 1.0 else math.pi / 2

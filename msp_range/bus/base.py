@@ -18,6 +18,9 @@ class BusError(UserError, OSError):
     acknowledge, so this is raised many times a second in normal work.
     """
 
+    never_opened = False
+    """True if the bus could not be opened since the program started: it is not set up, rather than lost."""
+
     @property
     def verb(self) -> str:
         """What was tried; OSError has it as its text."""
@@ -27,11 +30,6 @@ class BusError(UserError, OSError):
     def address(self) -> int:
         """7-bit address, 0 where no device was addressed; OSError has it as its file."""
         return int(self.filename)
-
-    @property
-    def never_opened(self) -> bool:
-        """True if the bus could not be opened since the program started: it is not set up, rather than lost."""
-        return False
 
     @property
     def locked_up(self) -> bool:

@@ -35,14 +35,11 @@ def bus_of(text: str) -> int | str:
 class BusInUse(BusError):
     """Another process uses the bus: one of these commands, because other programs do not use the lock."""
 
+    bus_at_fault = True
+
     def __init__(self, path: Path, holder: str) -> None:
         super().__init__(errno.EBUSY, f"open {path}", 0)
         self._text = f"{path}: in use by {holder}; two programs on one bus would disturb each other. Stop it first"
-
-    @property
-    def bus_at_fault(self) -> bool:
-        """True: no device could have answered."""
-        return True
 
     def __str__(self) -> str:
         return self._text
@@ -51,14 +48,11 @@ class BusInUse(BusError):
 class BusNotOpened(BusError):
     """The bus has not been there since the program started, or may not be opened."""
 
+    never_opened = True
+
     def __init__(self, path: Path, number: int) -> None:
         super().__init__(number, f"open {path}", 0)
         self._path = path
-
-    @property
-    def never_opened(self) -> bool:
-        """True."""
-        return True
 
     def __str__(self) -> str:
         how = "'msp-range doctor' finds out what is missing"

@@ -2,7 +2,6 @@
 
 import json
 import os
-import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +13,7 @@ from msp_range.commission.session import Session
 from msp_range.commission.state import VERIFIED, PassedSteps
 from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
 from msp_range.config import load_airframe
-from msp_range.doctor.command import WIDTH, lines_of
+from msp_range.doctor.command import lines_of, wrapped
 from msp_range.input_file import making
 from msp_range.yaml_file import ConfigError, place_of, writing
 
@@ -122,7 +121,7 @@ def _correct(
     show(["with the changed file:"])
     show([line for finding in verified.findings for line in lines_of(finding)])
     for each in verified.proposals:
-        show(_wrapped("left     ", each.text))
+        show(wrapped("left     ", each.text))
     return changes, verified
 
 
@@ -136,17 +135,13 @@ def _make(path: Path, text: str) -> None:
 
 
 def _asked(session: Session, proposal: Proposal) -> str:
-    lines = _wrapped("change   ", proposal.text)
+    lines = wrapped("change   ", proposal.text)
     for each in proposal.edits:
-        lines += _wrapped("         ", f"{place_of(each.path)}: {edit.as_yaml(each.value)}")
+        lines += wrapped("         ", f"{place_of(each.path)}: {edit.as_yaml(each.value)}")
     return "\n".join(lines)
 
 
 def _overview(state: PassedSteps, session: Session, due: Sequence[str]) -> list[str]:
     passed = [f"{name} ({state.steps[name]['passed']})" for name in STEPS if name not in due and name in state.steps]
-    lines = _wrapped("", f"{session.path}: {len(due)} of {len(STEPS)} steps to do: {', '.join(due) or 'none'}")
-    return lines + (_wrapped("", f"passed: {', '.join(passed)}") if passed else [])
-
-
-def _wrapped(first: str, text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False)
+    lines = wrapped("", f"{session.path}: {len(due)} of {len(STEPS)} steps to do: {', '.join(due) or 'none'}")
+    return lines + (wrapped("", f"passed: {', '.join(passed)}") if passed else [])

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import yaml
 
 from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError, place_of, read_config
+from msp_range.yaml_file import ConfigError, Place, place_of, read_config, with_value
 from msp_range.yaml_loader import load_yaml
 
-Key = str | int
 MOST_BACKUPS = 999
 """Backups of one file; nobody makes more in the life of a vehicle."""
 
@@ -23,7 +22,7 @@ MOST_BACKUPS = 999
 class Edit(NamedTuple):
     """A place in a file, as keys and indices, and its new value."""
 
-    path: tuple[Key, ...]
+    path: Place
     value: Any
 
 
@@ -43,7 +42,7 @@ def edited(text: str, edits: Sequence[Edit]) -> str:
     wanted = load_yaml(text)
     for edit in edits:
         text = _replaced(text, edit)
-        wanted = _with(wanted, *edit)
+        wanted = with_value(wanted, *edit)
     if load_yaml(text) != wanted:
         places = "; ".join(f"{place_of(edit.path)}: {as_yaml(edit.value)}" for edit in edits)
         raise ConfigError(f"this file has to be changed by hand, as parts of it are used in several places: {places}")
@@ -91,15 +90,6 @@ def _free_name(path: Path) -> Path:
     raise ConfigError(f"{path}: there are {MOST_BACKUPS} backups ({path.name}.1 and so on); remove the oldest")
 
 
-def _with(content: Any, path: Sequence[Key], value: Any) -> Any:
-    """A copy of YAML's values with one changed; an anchor's value is copied for each place that uses it."""
-    if not path:
-        return value
-    if isinstance(content, list):
-        return [_with(each, path[1:], value) if i == path[0] else each for i, each in enumerate(content)]
-    return content | {path[0]: _with(content.get(path[0]), path[1:], value)} if isinstance(content, dict) else None
-
-
 def _replaced(text: str, edit: Edit) -> str:
     node, last = _compose(text), edit.path[-1]
     for key in edit.path[:-1]:
@@ -119,7 +109,7 @@ def _compose(text: str) -> yaml.Node:
     return node
 
 
-def _child(node: yaml.Node, key: Key, edit: Edit) -> yaml.Node:
+def _child(node: yaml.Node, key: int | str, edit: Edit) -> yaml.Node:
     if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
         found: yaml.Node = node.value[key]
         return found

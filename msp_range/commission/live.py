@@ -11,12 +11,12 @@ from typing import Any, Protocol
 from msp_range.bridge import Bridge
 from msp_range.bus import Bus
 from msp_range.clock import Clock
-from msp_range.commission.samples import Record
 from msp_range.config import Airframe
 from msp_range.doctor.autopilot import Tap, silence
 from msp_range.doctor.computer import Computer
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport
+from msp_range.recording.topics import Message
 from msp_range.watch.client import LONGEST_PACKET, packets
 from msp_range.watch.view import autopilot_message
 from msp_range.yaml_file import ConfigError
@@ -62,7 +62,7 @@ class Live(Protocol):
             It is not so.
         """
 
-    def record(self, duration_s: float) -> list[Record]:
+    def record(self, duration_s: float) -> list[Message]:
         """Everything that is received in the next seconds.
 
         Raises
@@ -78,10 +78,10 @@ class _Kept:
     fault: str | None = None
 
     def __init__(self) -> None:
-        self.records: list[Record] = []
+        self.records: list[Message] = []
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
-        self.records.append(Record(topic, time_s, message))
+        self.records.append(Message(topic, time_s, message))
 
     def flush_if_due(self, now_s: float) -> None:
         """Nothing is written to a disk."""
@@ -122,7 +122,7 @@ class OwnBridge:
                 raise ConfigError(f"{airframe.link.url}: no autopilot is received: {found.text} -> {found.remedy}")
             self._bridge.step()
 
-    def record(self, duration_s: float) -> list[Record]:
+    def record(self, duration_s: float) -> list[Message]:
         """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
         end_s = self._clock.now() + duration_s
         self._kept.records.clear()
@@ -175,16 +175,16 @@ class RunningBridge:
                 "it flies this file, else sudo systemctl stop msp-range"
             )
 
-    def record(self, duration_s: float) -> list[Record]:
+    def record(self, duration_s: float) -> list[Message]:
         """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
         self._skip_old()
         end_s = self._now() + duration_s
-        records: list[Record] = []
+        records: list[Message] = []
         with suppress(TimeoutError):
             for packet in self._packets:
                 if packet.topic == "/status" and (armed := packet.message["link"]["armed"]) is not False:
                     raise Armed if armed else HeartbeatLost
-                records.append(Record(*packet))
+                records.append(packet)
                 if self._now() >= end_s:
                     return records
         raise ConfigError(ENDED)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_range.commission.samples import Array, Samples
 
@@ -97,7 +98,7 @@ class _Rows:
 
     time_s: Array
     range_m: Array
-    sensor: np.ndarray[tuple[int], np.dtype[np.intp]]
+    sensor: NDArray[np.intp]
     names: tuple[str, ...]
     from_file: Array
 
@@ -118,16 +119,14 @@ class _Rows:
         return matrix
 
     @cached_property
-    def assumed(self) -> tuple[Array, Array]:
-        """Rows of what holds without readings: heights bend little, and the sensors do not move together."""
+    def assumed(self) -> Array:
+        """Rows that are zero without readings: heights bend little, and the sensors do not move together."""
         knots, sensors = len(self.knots), len(self.names)
         bends = np.diff(np.eye(knots), 2, axis=0) / BEND_M
         together = np.tile(np.eye(3), sensors) / 1e-4
         near = np.eye(3 * sensors)  # within a metre or so of where the file has them
-        upper = np.hstack([bends, np.zeros((len(bends), 3 * sensors))])
-        lower = np.hstack([np.zeros((3 + 3 * sensors, knots)), np.vstack([together, near])])
-        matrix = np.vstack([upper, lower])
-        return matrix, np.zeros(len(matrix))
+        moves = np.vstack([together, near])
+        return np.block([[bends, np.zeros((len(bends), 3 * sensors))], [np.zeros((len(moves), knots)), moves]])
 
 
 @dataclass(frozen=True)
@@ -229,9 +228,8 @@ def _solve(rows: _Rows, down: Array, weights: Array, std_m: float) -> _Fit:
         places[np.arange(len(down)), 3 * rows.sensor + axis] = -down[:, axis]
     matrix = np.hstack([rows.between_knots, places])
     wanted = rows.range_m + (down * rows.from_file[rows.sensor]).sum(axis=1)
-    assumed, values = rows.assumed
-    full = np.vstack([matrix * (weights / std_m)[:, None], assumed])
-    right = np.concatenate([wanted * weights / std_m, values])
+    full = np.vstack([matrix * (weights / std_m)[:, None], rows.assumed])
+    right = np.concatenate([wanted * weights / std_m, np.zeros(len(rows.assumed))])
     normal = full.T @ full
     solution = np.linalg.solve(normal, full.T @ right)
     return _Fit(solution, normal, wanted - matrix @ solution, std_m)
@@ -271,14 +269,20 @@ def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> 
 
 def _scatter(residual_m: Array, fitted: float) -> Measured:
     """Standard deviation of residuals without outliers, from which so many numbers were fitted."""
-    spread = max(1.4826 * float(np.median(np.abs(residual_m))), NOISE_M)
-    for _ in range(5):
-        kept = residual_m[np.abs(residual_m) <= 3 * spread]
-        spread = max(float(np.sqrt(np.mean(kept**2))), NOISE_M)
+    kept = without_outliers(residual_m, NOISE_M)
     # Heights that bend little cost less than one number each.
     free = max(len(kept) - 0.5 * fitted, 0.5 * len(kept))
-    std = spread * float(np.sqrt(len(kept) / free))
+    std = max(float(np.sqrt(np.mean(kept**2))), NOISE_M) * float(np.sqrt(len(kept) / free))
     return Measured(std, 1.96 * MARGIN * std / float(np.sqrt(2 * free)))
+
+
+def without_outliers(off_m: Array, least_m: float) -> Array:
+    """Those of the deviations within three times their scatter, which is ``least_m`` at least [m]."""
+    kept, spread_m = off_m, max(1.4826 * float(np.median(np.abs(off_m))), least_m)
+    for _ in range(5):
+        kept = off_m[np.abs(off_m) <= 3 * spread_m]
+        spread_m = max(float(np.sqrt(np.mean(kept**2))), least_m)
+    return kept
 
 
 def common_shift(from_file: Array, moved: Array, half_width: Array) -> float:

@@ -6,26 +6,18 @@ same topics (`msp_range.recording.topics`).
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, RANGE_PREFIX
+from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, RANGE_PREFIX, Message
 
 Array = NDArray[np.float64]
 
 LONGEST_GAP_S = 0.6
 """Between two attitudes further apart than this the vehicle's turn is not known [s]: the bridge asks for ten a second,
 and a hand turns a vehicle by some 20 degrees in this time."""
-
-
-class Record(NamedTuple):
-    """One of a bridge's records: topic, time on its clock [s], and message."""
-
-    topic: str
-    time_s: float
-    message: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -105,12 +97,12 @@ class Samples:
         return np.where(around[:, None], down, np.nan)
 
 
-def samples_of(records: Iterable[Record]) -> Samples:
+def samples_of(records: Iterable[Message]) -> Samples:
     """The readings and attitudes among a bridge's records.
 
     Examples
     --------
-    >>> record = Record("/range/front", 1.0, {"time_s": 0.9, "read_s": 0.93, "status": "ok", "corrected_m": 2.0})
+    >>> record = Message("/range/front", 1.0, {"time_s": 0.9, "read_s": 0.93, "status": "ok", "corrected_m": 2.0})
     >>> samples_of([record]).readings["front"].range_m.tolist()
     [2.0]
     """

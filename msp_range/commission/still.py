@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.commission.motion import Measured, NotMeasured
+from msp_range.commission.motion import Measured, NotMeasured, without_outliers
 from msp_range.commission.samples import Array, Samples
 
 TAPE_STD_M = 0.005
@@ -79,11 +79,7 @@ def noise_m(samples: Samples) -> dict[str, Measured]:
         steps = np.diff(readings.range_m[readings.is_distance])
         if len(steps) < LEAST_READINGS:
             continue
-        kept = steps
-        spread = max(1.4826 * float(np.median(np.abs(steps))), 0.01)
-        for _ in range(5):
-            kept = steps[np.abs(steps) <= 3 * spread]
-            spread = max(float(np.sqrt(np.mean(kept**2))), 0.01)
+        kept = without_outliers(steps, 0.01)
         variance = float(np.mean(kept**2)) / 2 - 0.01**2 / 12
         std = float(np.sqrt(max(variance, 0.0)))
         # Successive differences share a reading: 1.5 times the variance of independent ones.
@@ -127,13 +123,8 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
     scale_std = 0.5 * air_std_c / (20.0 + ZERO_C_K)
     # Unknown: each sensor's z, and the scale's difference from 1, known beforehand to the thermometer's accuracy where
     # there is one height only. A tape's error is common to the sensors at that height.
-    rows, values, tape = [], [], []
-    for height_m, of_height in zip(heights_m, ranges_m, strict=True):
-        for i, range_m in enumerate(of_height):
-            rows.append([*np.eye(len(names))[i], range_m])
-            values.append(height_m - range_m)
-            tape.append(float(height_m))
-    matrix, wanted = np.array(rows), np.array(values)
+    matrix = np.hstack([np.tile(np.eye(len(names)), (len(stands), 1)), ranges_m.reshape(-1, 1)])
+    wanted, tape = (heights_m[:, None] - ranges_m).ravel(), np.repeat(heights_m, len(names))
     covariance = SENSOR_STD_M**2 * np.eye(len(wanted)) + TAPE_STD_M**2 * np.equal.outer(tape, tape)
     spread = float(np.ptp(heights_m))
     prior = np.zeros((matrix.shape[1], matrix.shape[1]))

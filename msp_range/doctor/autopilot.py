@@ -15,7 +15,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
-from msp_range.mavlink.signing import PX4_SIGNS_NOT, is_signed, signing_of
+from msp_range.mavlink.signing import PX4_SIGNS_NOT, signing_of
 from msp_range.mavlink.transport import Transport, Wrapped, open_transport
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, parse_url
 from msp_range.params.client import ParameterClient
@@ -212,7 +212,7 @@ def _replies(airframe: Airframe, tap: Tap, client: ParameterClient) -> Finding:
     """Whether the autopilot receives what is sent to it: heartbeats show the other direction only."""
     name = _EXISTS[airframe.link.autopilot]
     answers = client.link.autopilot_clock.round_trip_s is not None or client.read(name) is not None
-    if airframe.link.signing_key is None and any(map(is_signed, tap.frames)):
+    if airframe.link.signing_key is None and any(frame.is_signed for frame in tap.frames):
         if answers:
             text = "the autopilot signs its messages, and answers unsigned ones on this port, as ArduPilot does by USB"
             return unknown("signing", text, "for another port give both the same key: msp-range sign")

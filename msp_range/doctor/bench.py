@@ -17,7 +17,6 @@ from msp_range.assembly import polling_interval_s
 from msp_range.bridge import Bridge
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe, SensorSettings, load_airframe
-from msp_range.correction.thermometer import LoopReader
 from msp_range.doctor.finding import Finding, right, unknown
 from msp_range.mavlink.transport import Nowhere
 from msp_range.recording.flight_recorder import FlightRecorder
@@ -79,10 +78,7 @@ def _flown(airframe: Airframe, clock: Clock) -> Iterator[Finding]:
     pinged_s: list[float] = []
     with TemporaryDirectory() as folder:
         recorder = FlightRecorder(Path(folder), airframe.vehicle, clock, files=airframe.files)
-        without_files = airframe.model_copy(
-            update={"temperature": airframe.temperature.model_copy(update={"sources": ()})}
-        )
-        bridge = Bridge(without_files, bus, clock, transport, recorder=recorder, thermometer=LoopReader())
+        bridge = Bridge(airframe.without_thermometers, bus, clock, transport, recorder=recorder)
         began_s, used_s = clock.now(), _processor_s()
         delays_s = []
         while clock.now() < began_s + BENCH_S:

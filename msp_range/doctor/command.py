@@ -19,13 +19,13 @@ INDENT = 9
 
 def lines_of(finding: Finding) -> list[str]:
     """A finding for a person, at most 80 columns wide."""
-    lines = _wrapped(f"{finding.verdict.value:<{INDENT}}", f"{finding.step}: {finding.text}")
+    lines = wrapped(f"{finding.verdict.value:<{INDENT}}", f"{finding.step}: {finding.text}")
     if finding.remedy is not None and finding.verdict is not Verdict.RIGHT:
-        lines += _wrapped(" " * INDENT + "-> ", finding.remedy)
+        lines += wrapped(" " * INDENT + "-> ", finding.remedy)
     return lines
 
 
-def _wrapped(first: str, text: str) -> list[str]:
+def wrapped(first: str, text: str) -> list[str]:
     return textwrap.wrap(
         printable(text), WIDTH, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
     )

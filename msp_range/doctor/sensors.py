@@ -87,7 +87,7 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
     return Looked(
         findings,
         ranges_m,
-        min(delays_s) if delays_s else None,
+        min(delays_s, default=None),
     )
 
 

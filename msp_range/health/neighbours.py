@@ -103,31 +103,10 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
         Variance of the readings over that of their model, more than 1 on rough ground.
     """
     time_s, sensor = window[middle].time_s, window[middle].sensor
-    count = 0
-    before_m = before_s = after_m = after_s = first_m = first_s = last_m = last_s = variance_m2 = 0.0
-    for i in range(middle - 1, -1, -1):
-        each = window[i]
-        common_m = each.common_m
-        if common_m is not None and each.sensor != sensor:
-            at_s = each.time_s
-            if count:
-                first_m, first_s = common_m - before_m, at_s - before_s
-                before_m, before_s, count = before_m + 0.5 * first_m, before_s + 0.5 * first_s, 2
-                break
-            before_m, before_s, variance_m2, count = common_m, at_s, each.std_m * each.std_m, 1
-    if not count:
+    befores, before_m, before_s, first_m, first_s, variance_m2 = _nearest(window, range(middle - 1, -1, -1), sensor)
+    if not befores:
         return None
-    befores, count = count, 0
-    for i in range(middle + 1, len(window)):
-        each = window[i]
-        common_m = each.common_m
-        if common_m is not None and each.sensor != sensor:
-            at_s = each.time_s
-            if count:
-                last_m, last_s = common_m - after_m, at_s - after_s
-                after_m, after_s, count = after_m + 0.5 * last_m, after_s + 0.5 * last_s, 2
-                break
-            after_m, after_s, count = common_m, at_s, 1
+    count, after_m, after_s, last_m, last_s, _ = _nearest(window, range(middle + 1, len(window)), sensor)
     if not count or after_s <= before_s:
         return None
     slope = (after_m - before_m) / (after_s - before_s)
@@ -145,3 +124,19 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
     bend_m = 0.5 * ACCELERATION_M_S2 * early_s * late_s
     variance_m2 *= (1.0 - share) * (1.0 - share) / befores + share * share / count
     return ReferenceHeight(before_m + slope * early_s, variance_m2 + bend_m * bend_m, slope)
+
+
+def _nearest(window: Sequence[Sighting], places: range, sensor: int) -> tuple[int, float, float, float, float, float]:
+    """The first two of these readings that are of other sensors: their number, their mean height and time, by how much
+    the second differs in both, and the variance of the first."""
+    count = 0
+    mean_m = mean_s = apart_m = apart_s = variance_m2 = 0.0
+    for i in places:
+        each = window[i]
+        common_m = each.common_m
+        if common_m is not None and each.sensor != sensor:
+            if count:
+                apart_m, apart_s = common_m - mean_m, each.time_s - mean_s
+                return 2, mean_m + 0.5 * apart_m, mean_s + 0.5 * apart_s, apart_m, apart_s, variance_m2
+            count, mean_m, mean_s, variance_m2 = 1, common_m, each.time_s, each.std_m * each.std_m
+    return count, mean_m, mean_s, apart_m, apart_s, variance_m2

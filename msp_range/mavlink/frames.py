@@ -30,11 +30,15 @@ _START = re.compile(rb"\xfe|\xfd(?=.?\Z|.[\x00\x01])", re.DOTALL)
 """Version 1, or version 2 with no flag or the one for a signature: a frame with another flag must not be accepted."""
 _VERSION_1, _VERSION_2 = 0xFE, 0xFD
 _HEADER_BYTES = {_VERSION_1: 6, _VERSION_2: 10}
-_CHECKSUM_BYTES, _SIGNATURE_BYTES = 2, 13
-_SIGNED = 0x01
+_CHECKSUM_BYTES, SIGNATURE_BYTES = 2, 13
+SIGNED = 0x01
 _HEADER = struct.Struct("<BBBBBBHB")
 """Header of version 2 after the first byte: payload's length, two bytes of flags, sequence, system, component, and the
 message id in two parts."""
+
+
+Values = Callable[[Any], tuple[Any, ...]]
+"""Picks values of a message in another order."""
 
 
 class Frame(NamedTuple):
@@ -64,6 +68,11 @@ class Frame(NamedTuple):
         return self.data[1] > 5 and self.data[autopilot_at] != dialect.MAV_AUTOPILOT_INVALID
 
     @property
+    def is_signed(self) -> bool:
+        """Whether it has a signature, right or wrong."""
+        return self.data[0] == _VERSION_2 and bool(self.data[2] & SIGNED)
+
+    @property
     def payload(self) -> bytes:
         """The fields as they are on the wire."""
         start = _HEADER_BYTES[self.data[0]]
@@ -82,7 +91,7 @@ class Frame(NamedTuple):
 
 
 @cache
-def _layout(message_id: int) -> tuple[Any, Callable[[Any], tuple[Any, ...]]]:
+def _layout(message_id: int) -> tuple[Any, Values]:
     """A message's class, and what puts its values on the wire into the order of its fields, arrays as tuples."""
     kind = dialect.mavlink_map[message_id]
     ends = list(accumulate(kind.lengths))
@@ -138,7 +147,7 @@ def checked_again(frame: bytes) -> bytes:
 
 
 @cache
-def _fields(kind: Hashable) -> tuple[Callable[[Any], tuple[Any, ...]], list[int]]:
+def _fields(kind: Hashable) -> tuple[Values, list[int]]:
     """A getter of a message's fields in their order on the wire, and the places of its arrays, the last one first."""
     message: Any = kind
     types = dict(zip(message.fieldnames, message.fieldtypes, strict=False))
@@ -152,12 +161,12 @@ def _fields(kind: Hashable) -> tuple[Callable[[Any], tuple[Any, ...]], list[int]
 
 
 @cache
-def _on_wire(kind: Any) -> Callable[[Any], tuple[Any, ...]]:
+def _on_wire(kind: Any) -> Values:
     """A getter that puts the values of all fields into their order on the wire."""
     return _all_of(itemgetter, [kind.fieldnames.index(name) for name in kind.ordered_fieldnames])
 
 
-def _all_of(getter: Callable[..., Callable[[Any], Any]], items: Sequence[Any]) -> Callable[[Any], tuple[Any, ...]]:
+def _all_of(getter: Callable[..., Callable[[Any], Any]], items: Sequence[Any]) -> Values:
     """A getter of several items, which returns a tuple also if there is only one."""
     get = getter(*items)
     return get if len(items) > 1 else lambda whole: (get(whole),)
@@ -226,7 +235,7 @@ def _claimed_bytes(header: bytes) -> int:
     version, payload_bytes, flags = header
     if version == _VERSION_1:
         return _HEADER_BYTES[version] + payload_bytes + _CHECKSUM_BYTES
-    return _HEADER_BYTES[version] + payload_bytes + _CHECKSUM_BYTES + _SIGNATURE_BYTES * (flags & _SIGNED)
+    return _HEADER_BYTES[version] + payload_bytes + _CHECKSUM_BYTES + SIGNATURE_BYTES * (flags & SIGNED)
 
 
 def _check(stream: bytes, start: int, stop: int) -> tuple[Frame | None, bool]:
@@ -237,7 +246,7 @@ def _check(stream: bytes, start: int, stop: int) -> tuple[Frame | None, bool]:
     else:
         _, flags, _, _, system, component, id_low, id_high = _HEADER.unpack_from(stream, start + 1)
         message_id = id_low | id_high << 16
-        checksum_at -= _SIGNATURE_BYTES * (flags & _SIGNED)
+        checksum_at -= SIGNATURE_BYTES * (flags & SIGNED)
     kind = dialect.mavlink_map.get(message_id)
     if kind is None:
         # A frame of another dialect, or noise: it counts as a frame if another frame or nothing follows.

@@ -20,7 +20,6 @@ WITNESSES: dict[Autopilot, dict[str, float]] = {
 """Requested rates [Hz] by message, for each autopilot."""
 _M_S2_PER_UNIT = {"HIGHRES_IMU": 1.0, "RAW_IMU": GRAVITY_M_S2 / 1000, "SCALED_IMU": GRAVITY_M_S2 / 1000}
 """Unit of xacc, yacc, zacc: ArduPilot sends thousandths of g in RAW_IMU (GCS_Common.cpp, send_raw_imu)."""
-_HPA_FIELD = {"SCALED_PRESSURE": "press_abs"}
 SCALE_HEIGHT_M = 8434.0
 """Scale height of the standard atmosphere at 15 C: h = -8434 m ln(p). At 0 C it is 5 % less, which is within the
 assumed uncertainty of a climb."""
@@ -39,11 +38,7 @@ def specific_force(message: Any) -> Vector | None:
 
 def pressure_height_m(message: Any) -> float | None:
     """The pressure as a height above an arbitrary level [m]; None for other messages."""
-    field = _HPA_FIELD.get(message.get_type())
-    if field is None:
-        return None
-    pressure_hpa = getattr(message, field)
     lowest_hpa, highest_hpa = PRESSURES_HPA
-    if not lowest_hpa <= pressure_hpa <= highest_hpa:
+    if message.get_type() != "SCALED_PRESSURE" or not lowest_hpa <= message.press_abs <= highest_hpa:
         return None
-    return -SCALE_HEIGHT_M * math.log(pressure_hpa)
+    return -SCALE_HEIGHT_M * math.log(message.press_abs)

@@ -18,7 +18,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import Frame, FrameReader, pack
 from msp_range.mavlink.participants import Participants
-from msp_range.mavlink.signing import Signing, is_signed
+from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.time_sync import AutopilotClock
 from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages
@@ -54,6 +54,8 @@ TIMESYNC_BYTES = 16
 """Length of TIMESYNC without the target, which newer versions of it have at the end."""
 
 _COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
+Waiting = deque[tuple[float, Frame]]
+"""When each frame arrived [s], and the frame."""
 
 
 class Link:
@@ -100,8 +102,8 @@ class Link:
         self._pinned_system = self._first_system = system_id
         self._signing = signing
         self._frames = FrameReader()
-        self._from_autopilot: deque[tuple[float, Frame]] = deque()
-        self._from_others: deque[tuple[float, Frame]] = deque()
+        self._from_autopilot: Waiting = deque()
+        self._from_others: Waiting = deque()
         self._system, self._component, self._sequence = system_id or 1, component_id, 0
         now_s = clock.now()
         self._start_s = now_s
@@ -190,10 +192,6 @@ class Link:
             found.append(Condition("signing time", text, "Range: signing time is kept again"))
         return found
 
-    def close(self) -> None:
-        """Release the transport."""
-        self.transport.close()
-
     def _heartbeat(self) -> Any:
         return dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, self.system_status, 3
@@ -245,7 +243,7 @@ class Link:
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
         """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
         if self._signing is None:
-            if is_signed(frame) and frame.is_autopilot_heartbeat:
+            if frame.is_signed and frame.is_autopilot_heartbeat:
                 self._participants.on_signed(now_s)
             return True
         accepted = self._signing.accepts(frame)
@@ -253,7 +251,7 @@ class Link:
             self._participants.on_unsigned(now_s)
         return accepted
 
-    def _decode_first(self, waiting: deque[tuple[float, Frame]], count: int) -> None:
+    def _decode_first(self, waiting: Waiting, count: int) -> None:
         """Decode up to ``count`` of the waiting messages."""
         while waiting and count:
             self._decode(*waiting.popleft())
@@ -361,7 +359,7 @@ def _timesync(tc1: int, ts1: int, target: tuple[int | None, int]) -> Any:
     return kind(tc1, ts1, *target) if "target_system" in kind.fieldnames else kind(tc1, ts1)
 
 
-def _newest(waiting: deque[tuple[float, Frame]], count: int) -> deque[tuple[float, Frame]]:
+def _newest(waiting: Waiting, count: int) -> Waiting:
     """Of more messages than ``count``, the newest of each type and system."""
     newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
     return deque(list(newest.values())[-count:])

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from msp_range.clock import Clock
 from msp_range.input_file import making, read_text
-from msp_range.mavlink.frames import Frame, checked_again
+from msp_range.mavlink.frames import SIGNATURE_BYTES, SIGNED, Frame, checked_again
 from msp_range.state_folder import state_folder
 from msp_range.yaml_file import ConfigError
 
@@ -23,10 +23,6 @@ TIME_NAME = "signing-time"
 KEY_BYTES = 32
 MOST_FILE_BYTES = 1_000_000
 """A file of a key or a time that is larger is refused unread: both take less than a hundred bytes."""
-SIGNATURE_BYTES = 13
-"""Link id, 6 bytes of timestamp, 6 bytes of signature."""
-SIGNED = 0x01
-"""The flag of a signed frame, MAVLINK_IFLAG_SIGNED."""
 LINK_ID = 0
 EPOCH_S = 1_420_070_400.0
 """2015-01-01 UTC, where timestamps begin [s since 1970]."""
@@ -105,7 +101,7 @@ class Signing:
     def accepts(self, frame: Frame) -> bool:
         """Whether a received frame may be used: its signature is right, and it is newer than those before."""
         data = frame.data
-        if data[0] != 0xFD or not data[2] & SIGNED or not hmac.compare_digest(data[-6:], self._signature(data[:-6])):
+        if not frame.is_signed or not hmac.compare_digest(data[-6:], self._signature(data[:-6])):
             return self._accepts_unsigned
         stream = (data[-SIGNATURE_BYTES], frame.system, frame.component)
         timestamp = int.from_bytes(data[-12:-6], "little")
@@ -134,11 +130,6 @@ class Signing:
 def _possible(timestamp: int) -> int:
     """A timestamp; 0 instead of one that no clock shows."""
     return timestamp if 0 <= timestamp < LATEST else 0
-
-
-def is_signed(frame: Frame) -> bool:
-    """Whether a frame has a signature, of whatever key."""
-    return frame.data[0] == 0xFD and bool(frame.data[2] & SIGNED)
 
 
 def read_key(path: Path) -> bytes:

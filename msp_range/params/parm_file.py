@@ -7,12 +7,10 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from msp_range.input_file import read_text
 from msp_range.params.settings import Setting
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, read_config
 
 WIDTH = 100
-LARGEST_FILE_BYTES = 2**20
 
 
 def text_of(value: float) -> str:
@@ -44,12 +42,8 @@ def read_parm(path: Path) -> dict[str, float]:
     ConfigError
         It cannot be read, or a line is no parameter.
     """
-    try:
-        text = read_text(path, LARGEST_FILE_BYTES)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     values = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(read_config(path).splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
             continue

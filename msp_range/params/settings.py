@@ -228,9 +228,7 @@ def _position(name: str, airframe: Airframe) -> Setting:
     fused = airframe.send.fused
     if fused is not None:
         return Setting(name, fused.reference_down_m, "where the distance starts", "send.fused.reference_down_m")
-    down = next(
-        sensor for sensor in airframe.sensors if sensor.name in airframe.sent_names and sensor.orientation.value == DOWN
-    )
+    down = next(sensor for sensor in airframe.sent if sensor.orientation.value == DOWN)
     return Setting(name, down.position_m[2], "where the sensor is", f"position_m of {down.name}")
 
 

@@ -57,14 +57,14 @@ class Terms:
         expected_cm: _Array,
         theta: _Array,
         free: frozenset[int],
-        below: bool = False,
-        reference_cm2: float | _Array = 0.0,
+        below: bool,
+        reference_cm2: float | _Array,
     ) -> None:
         self.theta, self.free = theta, free
         lowest, highest, step = grid.minimum_cm, grid.maximum_cm, grid.resolution_cm
         is_code = bool(cell.size) and bool(cell[0] == NO_ECHO)
         if is_code:
-            cell = np.full(cell.size, grid.cells - 1 if grid.code_on_grid else grid.cells)
+            cell = np.full(cell.size, grid.cells - 1)
         last: _Array = np.asarray(lowest + step * cell, dtype=np.float64)
         first: _Array = np.full(last.size, lowest, dtype=np.float64) if below else last
         self.expected = np.fmin(expected_cm, NO_ECHO_CENTRE)
@@ -76,7 +76,7 @@ class Terms:
             self.variance = variance + theta[V] * self.within * self.within
         self.hit = Hit(first, last, is_code, self.expected, np.sqrt(self.variance), lowest, step)
         self.short = Short(first, last, self.expected, theta[L], lowest, highest, step)
-        self.random = 0.0 if is_code and not grid.code_on_grid else Random(first, last, lowest, highest, step).p
+        self.random = Random(first, last, lowest, highest, step).p
         self.at_code = Missed(is_code).p
         if theta[G] == 0.0 and G not in free:
             self.share: float | _Array = theta[M]
@@ -178,10 +178,9 @@ def probabilities(
     free = optional([number for number in (V, G) if theta[number] != 0.0])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
         missed = Terms(grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free, False, reference_cm2).q
-        # The grid's readings up to a value, which for a code off the grid lies between two cells.
-        on_grid = grid.cells - 1 if grid.code_on_grid else grid.cells
+        # The grid's readings up to a value, which for a second code off the grid lies between two cells.
         place = np.ceil((reading_cm - grid.minimum_cm) / grid.resolution_cm - 0.5)
-        place = np.clip(place, 0, on_grid).astype(np.int64)
+        place = np.clip(place, 0, grid.cells - 1).astype(np.int64)
         up_to = Terms(grid, np.maximum(place - 1, 0), expected_cm, theta, free, True, reference_cm2).q
         below = np.where(place > 0, up_to, 0.0)
         own = np.where(cell == SECOND_NO_ECHO, -1 if grid.second_cell is None else grid.second_cell, cell)
@@ -189,7 +188,7 @@ def probabilities(
         ordinary = own >= 0
         some = grid, own[ordinary], expected_cm[ordinary], theta, free, False, reference_cm2[ordinary]
         itself[ordinary] = Terms(*some).q
-    below += np.where(reading_cm > grid.code_cm, (1.0 - share) * missed, 0.0)
+    below += np.where(reading_cm > grid.maximum_cm, (1.0 - share) * missed, 0.0)
     itself += np.where(cell == NO_ECHO, (1.0 - share) * missed, 0.0)
     if second_cm is not None:
         below += np.where(reading_cm > second_cm, share * missed, 0.0)

@@ -121,7 +121,7 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
     odd = np.flatnonzero(cell == NOWHERE)
     limits = f"{grid.minimum_cm:g} to {grid.maximum_cm:g} cm by {grid.resolution_cm:g}"
     if odd.size:
-        codes = [grid.code_cm, *([] if grid.second_no_echo_cm is None else [grid.second_no_echo_cm])]
+        codes = [grid.maximum_cm, *([] if grid.second_no_echo_cm is None else [grid.second_no_echo_cm])]
         inside = (reading[odd] >= grid.minimum_cm) & (reading[odd] <= grid.maximum_cm)
         if np.median(reading) < 0.05 * np.median(expected):
             advice = "they look like metres: give centimetres"

@@ -1,10 +1,9 @@
 """The possible readings of a range finder: a grid between two limits, and codes for 'no echo'.
 
 An MB1242 reports whole centimetres from 20 to 765, where 765 is also its code for no echo, which sometimes arrives as
-255; other sensors have another step, and codes outside their limits. Readings enter, their cells on the grid leave.
+255; other sensors have other limits and another step. Readings enter, their cells on the grid leave.
 """
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,7 +25,7 @@ NOWHERE = -3
 
 @dataclass(frozen=True)
 class ReadingGrid:
-    """Readings minimum_cm, minimum_cm + resolution_cm, ... maximum_cm, and the codes for 'no echo'.
+    """Readings minimum_cm, minimum_cm + resolution_cm, ... maximum_cm, which is also the code for 'no echo'.
 
     Parameters
     ----------
@@ -34,72 +33,44 @@ class ReadingGrid:
         Shortest and longest reading.
     resolution_cm
         Step of the readings; for a nearly continuous sensor the resolution with which its file was written.
-    no_echo_cm
-        Code of a missed echo; None: the longest reading. It may lie outside the limits.
     second_no_echo_cm
-        Code as which some of these arrive, on the grid (255 of an MB1242) or off it; None: there is no second code.
+        Code as which some missed echoes arrive, on the grid (255 of an MB1242) or outside its limits; None: there is no
+        second code.
 
     Raises
     ------
     ValueError
-        The limits are not a whole number of steps apart, or a code lies between two steps.
+        The second code lies between two steps.
 
     Examples
     --------
-    >>> lidar = ReadingGrid(minimum_cm=5, maximum_cm=8000, resolution_cm=5, no_echo_cm=8183)
-    >>> print(lidar.cells, lidar.cell([5, 20, 8183, 22, -7]))
+    >>> lidar = ReadingGrid(minimum_cm=5, maximum_cm=8000, resolution_cm=5)
+    >>> print(lidar.cells, lidar.cell([5, 20, 8000, 22, -7]))
     1600 [ 0  3 -1 -3 -3]
     """
 
     minimum_cm: float
     maximum_cm: float
     resolution_cm: float = 1.0
-    no_echo_cm: float | None = None
     second_no_echo_cm: float | None = None
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.resolution_cm < math.inf and -math.inf < self.minimum_cm < self.maximum_cm < math.inf):
-            raise ValueError(
-                f"expected a positive resolution and minimum_cm < maximum_cm, "
-                f"found {self.resolution_cm:g}, {self.minimum_cm:g} and {self.maximum_cm:g}"
-            )
-        steps = (self.maximum_cm - self.minimum_cm) / self.resolution_cm
-        if abs(steps - round(steps)) > ON_GRID:
-            raise ValueError(
-                f"expected limits a whole number of steps of {self.resolution_cm:g} cm apart, "
-                f"found {self.minimum_cm:g} and {self.maximum_cm:g} cm"
-            )
-        for code_cm in (self.no_echo_cm, self.second_no_echo_cm):
-            if code_cm is not None and self.minimum_cm <= code_cm <= self.maximum_cm and not self._on_grid(code_cm):
-                raise ValueError(f"expected codes outside of the limits or on the grid, found {code_cm:g} cm")
-        if self.no_echo_cm is not None and self.minimum_cm <= self.no_echo_cm < self.maximum_cm:
-            raise ValueError(
-                f"expected a no-echo code that is the longest reading or none of the readings, "
-                f"found {self.no_echo_cm:g} cm within {self.minimum_cm:g} to {self.maximum_cm:g}"
-            )
-        if self.second_no_echo_cm is not None and self.second_no_echo_cm == self.code_cm:
-            raise ValueError(f"expected two different no-echo codes, found {self.code_cm:g} cm twice")
+        code_cm, cell = self.second_no_echo_cm, self.second_cell
+        if code_cm is not None and cell is not None:
+            off_cm = self.minimum_cm + self.resolution_cm * cell - code_cm
+            if abs(off_cm) > ON_GRID * self.resolution_cm:
+                raise ValueError(f"expected a second code outside of the limits or on the grid, found {code_cm:g} cm")
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "ReadingGrid":
         """The grid of a sensor model file: 255 is a second code if the longest reading is larger."""
         second_cm = SATURATED_CM if sensor.minimum_cm <= SATURATED_CM < sensor.maximum_cm else None
-        return cls(sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm, None, second_cm)
+        return cls(sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm, second_cm)
 
     @cached_property
     def cells(self) -> int:
         """Number of readings on the grid."""
         return round((self.maximum_cm - self.minimum_cm) / self.resolution_cm) + 1
-
-    @property
-    def code_cm(self) -> float:
-        """The no-echo code."""
-        return self.maximum_cm if self.no_echo_cm is None else self.no_echo_cm
-
-    @property
-    def code_on_grid(self) -> bool:
-        """Whether the no-echo code is the longest reading, so that hits there and beyond look the same."""
-        return self.code_cm == self.maximum_cm
 
     @property
     def second_cell(self) -> int | None:
@@ -117,7 +88,7 @@ class ReadingGrid:
         on_grid = (np.abs(steps - nearest) <= ON_GRID) & (nearest >= 0) & (nearest < self.cells)
         cell = np.full(reading.shape, NOWHERE, dtype=np.int64)
         cell[on_grid] = nearest[on_grid]
-        for code_cm, name in ((self.code_cm, NO_ECHO), (self.second_no_echo_cm, SECOND_NO_ECHO)):
+        for code_cm, name in ((self.maximum_cm, NO_ECHO), (self.second_no_echo_cm, SECOND_NO_ECHO)):
             if code_cm is not None:
                 cell[np.abs(reading - code_cm) <= ON_GRID * self.resolution_cm] = name
         return cell
@@ -131,7 +102,3 @@ class ReadingGrid:
         steps = np.rint((reading[inside] - self.minimum_cm) / self.resolution_cm)
         reading[inside] = self.minimum_cm + self.resolution_cm * steps
         return reading
-
-    def _on_grid(self, reading_cm: float) -> bool:
-        steps = (reading_cm - self.minimum_cm) / self.resolution_cm
-        return abs(steps - round(steps)) <= ON_GRID

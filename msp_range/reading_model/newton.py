@@ -76,9 +76,7 @@ class Bounds:
         return np.where(self.relative, np.maximum(self.stride, 0.5 * np.abs(theta)), self.stride)
 
 
-def maximise(
-    derivatives: Derivatives, start: _Array, moving: Sequence[int], bounds: Bounds, gain: float = GAIN
-) -> Optimum:
+def maximise(derivatives: Derivatives, start: _Array, moving: Sequence[int], bounds: Bounds, gain: float) -> Optimum:
     """Climb from `start` with the parameters of the numbers `moving`; the others stay.
 
     Raises

@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.input_file import CONTROL, making, open_input
+from msp_range.input_file import CONTROL, UTF_16, making, open_input
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.error import RecordingError
 
@@ -48,7 +48,6 @@ LONGEST_CELL = 200
 """Characters of a cell that is kept as a word: names of runs, targets and conditions have 10 to 40."""
 
 _BLOCK_BYTES = 2**16
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 Column: TypeAlias = NDArray[Any]
 """float64 with NaN where unknown, or str with "" where unknown."""
@@ -211,7 +210,7 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
     is_packed = path.suffix == ".gz"
     with gzip.GzipFile(fileobj=file) if is_packed else file as stream:
         most = FREE_EXPANSION_BYTES + MOST_EXPANSION * os.fstat(file.fileno()).st_size if is_packed else LARGEST_BYTES
-        if stream.peek(2)[:2] in _UTF_16:
+        if stream.peek(2)[:2] in UTF_16:
             raise RecordingError(f"{path}: found text in UTF-16, expected UTF-8")
         decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
         number, read, rest = 1, 0, ""
@@ -311,6 +310,13 @@ def word_column(source: str, name: str, words: Sequence[str]) -> Column:
     """
     _check_words(source, name, len(words), max(map(len, words), default=0))
     return np.array(words, dtype=str)
+
+
+def column_of(source: str, name: str, values: Sequence[Any]) -> Column:
+    """A column of words or numbers, in which None is an empty word or NaN."""
+    if name in WORD_COLUMNS or any(isinstance(value, str) for value in values):
+        return word_column(source, name, ["" if value is None else str(value) for value in values])
+    return np.array(values, dtype=float)
 
 
 def _check_words(source: str, name: str, count: int, longest: int) -> None:

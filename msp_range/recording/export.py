@@ -6,6 +6,7 @@ bridge made of the reading (`BRIDGE_COLUMNS`).
 """
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,7 @@ import numpy as np
 
 from msp_range.acoustics.air import FIXED, HELD
 from msp_range.reading import Status
-from msp_range.recording.columns import WORD_COLUMNS
-from msp_range.recording.csv_form import Column, MeasuredData, word_column, write_csv
+from msp_range.recording.csv_form import Column, MeasuredData, column_of, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
@@ -76,13 +76,15 @@ def measured_data(recording: Recording, *, faults: bool = True, stages: bool = F
         elif stages and topic == FUSED_TOPIC and rows:
             # The bridge records it right after the reading that it follows from.
             rows[-1] |= _fused(message)
-    for row, lag_s in zip(rows, _neighbour_lags_s([row["sensor"] for row in rows], pings_s), strict=True):
-        row.setdefault("neighbour_lag_ms", None if lag_s is None else round(lag_s * 1e3, 3))
+    sensors, runs = [row["sensor"] for row in rows], np.zeros(len(rows))
+    lags_ms = neighbour_lags_ms(np.array(pings_s, dtype=float), sensors, runs)
+    for row, lag_ms in zip(rows, lags_ms.tolist(), strict=True):
+        row.setdefault("neighbour_lag_ms", round(lag_ms, 3))
     names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])
     names |= dict.fromkeys(name for row in rows for name in row)
     if len(names) > MOST_COLUMNS:
         raise RecordingError(f"{recording.path}: found {len(names)} kinds of context, expected at most {MOST_COLUMNS}")
-    columns = {name: _column(recording.path, name, [row.get(name) for row in rows]) for name in names}
+    columns = {name: column_of(str(recording.path), name, [row.get(name) for row in rows]) for name in names}
     return MeasuredData(columns)
 
 
@@ -107,19 +109,16 @@ def _cm(value_m: float | None) -> float | None:
     return None if value_m is None else round(100.0 * value_m, 3)
 
 
-def _column(path: Path, name: str, values: list[Any]) -> Column:
-    if name in WORD_COLUMNS or any(isinstance(value, str) for value in values):
-        return word_column(str(path), name, ["" if value is None else str(value) for value in values])
-    return np.array([math.nan if value is None else value for value in values], dtype=float)
-
-
-def _neighbour_lags_s(sensors: list[str], pings_s: list[float]) -> list[float | None]:
-    """Time since the last ping of another sensor, for each ping; None where there was none before."""
-    lags_s: list[float | None] = [None] * len(pings_s)
+def neighbour_lags_ms(time_s: Column, sensors: Sequence[str], runs: Column) -> Column:
+    """Time since the last ping of another sensor in the run [ms], for each ping; NaN where there was none before."""
+    lags_ms = np.full(time_s.size, math.nan)
     last_s: dict[str, float] = {}
-    for index in sorted(range(len(pings_s)), key=pings_s.__getitem__):
-        others_s = [ping_s for sensor, ping_s in last_s.items() if sensor != sensors[index]]
+    here = None
+    for row in np.lexsort((time_s, runs)).tolist():
+        if runs[row] != here:
+            here, last_s = runs[row], {}
+        others_s = [each for name, each in last_s.items() if name != sensors[row]]
         if others_s:
-            lags_s[index] = pings_s[index] - max(others_s)
-        last_s[sensors[index]] = pings_s[index]
-    return lags_s
+            lags_ms[row] = 1e3 * (time_s[row] - max(others_s))
+        last_s[sensors[row]] = float(time_s[row])
+    return lags_ms

@@ -109,11 +109,11 @@ class FlightRecorder:
             self._end(recorder)
             self._recorder = None
             return
-        if not self._is_reported and recorder.is_kept and recorder.path is not None:
+        if not self._is_reported and recorder.file.kept_bytes and recorder.path is not None:
             self._is_reported, self.fault = True, None
             self._on_file(recorder.path)
         utc_moved_s = abs(self._clock.utc() - now_s - self._utc_offset_s)
-        if now_s - self._began_s >= FILE_LASTS_S or recorder.size_bytes >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:
+        if now_s - self._began_s >= FILE_LASTS_S or recorder.file.tell() >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:
             self._end(recorder)
             self._recorder = self._begin(now_s)
 

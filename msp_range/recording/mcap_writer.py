@@ -8,9 +8,10 @@ desktop computer, and keeps an object of 1 kB for every chunk, where the bytes a
 import zlib
 from collections.abc import Iterable, Mapping
 from struct import Struct
-from typing import Protocol
 
 import zstandard
+
+from msp_range.recording.background_file import BackgroundFile
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
@@ -31,19 +32,6 @@ _CHUNK_FIELDS, _CHUNK_INDEX_FIELDS, _FOOTER_FIELDS = Struct("<QQQI"), Struct("<Q
 _ATTACHMENT_INDEX_FIELDS, _STATISTICS_FIELDS, _OFFSET_FIELDS = Struct("<QQQQQ"), Struct("<QHIIIIQQ"), Struct("<BQQ")
 
 
-class ChunkFile(Protocol):
-    """Where the bytes go."""
-
-    def write(self, data: bytes | bytearray) -> object:
-        """Append ``data``, which does not change any more."""
-
-    def tell(self) -> int:
-        """Bytes written so far."""
-
-    def flush(self) -> object:
-        """Hand over what was written."""
-
-
 class McapWriter:
     """One MCAP file in progress.
 
@@ -55,7 +43,7 @@ class McapWriter:
         What the header names as the program that wrote it.
     """
 
-    def __init__(self, file: ChunkFile, library: str) -> None:
+    def __init__(self, file: BackgroundFile, library: str) -> None:
         self._file = file
         self._compressor = zstandard.ZstdCompressor(level=COMPRESSION_LEVEL)
         self._schemas: dict[str, bytes] = {}

@@ -5,7 +5,7 @@ the ping follows by half the time of flight.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -30,11 +30,15 @@ LONGEST_READY_S = 1.0
 
 MEASURED_STD_C = math.hypot(THERMOMETER_STD_C, GRADIENT_STD_C)
 """Standard deviation of a temperature that was recorded without its own [deg C]: a thermometer's."""
+Source = Path | str | Recording
+"""A recording or a table of readings, or its path."""
+Pings = Mapping[str, Sequence[RecordedPing]]
+"""Recorded pings by the name of their sensor."""
 
 
 def recorded_pings(
-    source: Path | str | Recording, run: str | None = None, drivers: Mapping[str, type[Driver]] = MappingProxyType({})
-) -> dict[str, list[RecordedPing]]:
+    source: Source, run: str | None = None, drivers: Mapping[str, type[Driver]] = MappingProxyType({})
+) -> Pings:
     """The pings of every sensor in a recording or a CSV file, by the sensor's name.
 
     Parameters
@@ -59,7 +63,7 @@ def recorded_pings(
     return pings
 
 
-def recorded_air(source: Path | str | Recording, run: str | None = None) -> list[tuple[float, Air]]:
+def recorded_air(source: Source, run: str | None = None) -> list[tuple[float, Air]]:
     """The air that readings were corrected for, or that a CSV file has: (time [s], air), by time.
 
     Where the deviation was not recorded, it is that of a thermometer, or of a fixed temperature.
@@ -96,7 +100,7 @@ def _air_of(message: dict[str, Any]) -> Air:
     return Air(message["temperature_c"], std_c, source)
 
 
-def recorded_attitudes(source: Path | str | Recording) -> list[tuple[float, Angles]]:
+def recorded_attitudes(source: Source) -> list[tuple[float, Angles]]:
     """Attitudes that the autopilot sent, and when each was received [s], by that time; none in a CSV file.
 
     Raises
@@ -110,20 +114,20 @@ def recorded_attitudes(source: Path | str | Recording) -> list[tuple[float, Angl
     )
 
 
-def _opened(source: Path | str | Recording) -> tuple[Recording | None, Path]:
+def _opened(source: Source) -> tuple[Recording | None, Path]:
     """The recording, None where it is a table; and its file."""
     if isinstance(source, Recording):
         return source, source.path
     return Recording(source) if is_recording(source) else None, Path(source)
 
 
-def _messages(source: Path | str | Recording, topic: str) -> list[tuple[float, dict[str, Any]]]:
+def _messages(source: Source, topic: str) -> list[tuple[float, dict[str, Any]]]:
     """Messages of a topic, and when each was received [s]; none of a table."""
     recording, _ = _opened(source)
     return [(time_s, message) for each, time_s, message in recording or () if each == topic]
 
 
-def recorded_motion(source: Path | str | Recording) -> list[Moved]:
+def recorded_motion(source: Source) -> list[Moved]:
     """Accelerations and pressures that the autopilot sent, by time; none in a CSV file.
 
     Raises
@@ -138,7 +142,7 @@ def recorded_motion(source: Path | str | Recording) -> list[Moved]:
     return sorted(moved, key=attrgetter("time_s"))
 
 
-def _of_recording(recording: Recording) -> dict[str, list[RecordedPing]]:
+def _of_recording(recording: Recording) -> Pings:
     pings: dict[str, list[RecordedPing]] = {}
     for topic, _, message in recording:
         if not topic.startswith(RANGE_PREFIX) or message["status"] == Status.PART_INFO.value:
@@ -178,7 +182,7 @@ def _check_words(path: Path, sensor: str, time_s: Column, words: Column, name: s
         )
 
 
-def _of_csv(path: Path, run: str | None, drivers: Mapping[str, type[Driver]]) -> dict[str, list[RecordedPing]]:
+def _of_csv(path: Path, run: str | None, drivers: Mapping[str, type[Driver]]) -> Pings:
     data = _one_run(path, read_csv(path), run)
     return {
         name: _of_sensor(path, data.select(data["sensor"] == name), drivers.get(name, default_driver()))

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import orjson
 from mcap.opcode import Opcode
@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 from msp_range.input_file import CONTROL, open_input
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses, RawMessage, Record, read_record, read_records, whole_records
-from msp_range.recording.topics import LARGEST_TIME_S, LONGEST_TOPIC, Form, form_of
+from msp_range.recording.topics import LARGEST_TIME_S, LONGEST_TOPIC, Form, Message, form_of
 from msp_range.recording.writer import METADATA_NAME
 
 SUFFIX = ".mcap"
@@ -29,14 +29,6 @@ LARGEST_FILE_BYTES = 2**40
 MOST_ATTACHED_BYTES = 4 * 2**20
 """Attached files that are kept, all together: an airframe and its models have 10 kB."""
 _KEPT = frozenset({Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.FOOTER})
-
-
-class Message(NamedTuple):
-    """One recorded message; ``time_s`` is on the bridge's clock, or since 1970 in a file of another program."""
-
-    topic: str
-    time_s: float
-    message: dict[str, Any]
 
 
 class Recording:

@@ -136,6 +136,14 @@ _TYPES: dict[str, frozenset[type]] = {
 _ANY = frozenset({int, float, str, bool})
 
 
+class Message(NamedTuple):
+    """One recorded message; ``time_s`` is on the bridge's clock, or since 1970 in a file of another program."""
+
+    topic: str
+    time_s: float
+    message: dict[str, Any]
+
+
 class Form(NamedTuple):
     """What the messages of a topic hold: the type of each key, and the keys that each message has."""
 

@@ -89,9 +89,9 @@ class Recorder:
         self.fault: str | None = None
         self._clock_start_s = clock.now()
         self._utc_start_ns = max(0, round(clock.utc() * 1e9))
-        self._file = file if isinstance(file, BackgroundFile) else _make(Path(file))
+        self.file = file if isinstance(file, BackgroundFile) else _make(Path(file))
         self._channels: dict[str, int] = {}
-        self._mcap: McapWriter | None = McapWriter(self._file, LIBRARY)
+        self._mcap: McapWriter | None = McapWriter(self.file, LIBRARY)
         times = {"clock_start_s": repr(self._clock_start_s), "utc_start_ns": str(self._utc_start_ns)}
         self._mcap.add_metadata(METADATA_NAME, times | (metadata or {}))
         for name, text in (files or {}).items():
@@ -103,27 +103,17 @@ class Recorder:
     @property
     def path(self) -> Path | None:
         """The file; None while it is not open."""
-        return self._file.path
-
-    @property
-    def size_bytes(self) -> int:
-        """Size of the file so far, without the chunk in progress."""
-        return self._file.tell()
-
-    @property
-    def is_kept(self) -> bool:
-        """Whether the disk has kept anything of it."""
-        return self._file.kept_bytes > 0
+        return self.file.path
 
     @property
     def has_ended(self) -> bool:
         """Whether nothing more will be written: the file is complete, or its disk has failed."""
-        return self._file.has_ended
+        return self.file.has_ended
 
     @property
     def is_complete(self) -> bool:
         """Whether the disk has kept all of the file."""
-        return self._file.has_ended and self._file.error is None
+        return self.file.has_ended and self.file.error is None
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record ``message`` at ``time_s`` on the bridge's clock.
@@ -155,11 +145,11 @@ class Recorder:
         self._flush_due_s = now_s + FLUSH_INTERVAL_S
         self._mcap.flush()
         if self._waits:
-            self._file.wait_while_behind(BEHIND_S, HUNG_AFTER_S)
-        error = self._file.error
+            self.file.wait_while_behind(BEHIND_S, HUNG_AFTER_S)
+        error = self.file.error
         if error is not None:
             self.fault = _FAULTS.get(error.errno or 0, f"disk error (errno {error.errno})")
-        elif self._file.behind_s > HUNG_AFTER_S:
+        elif self.file.behind_s > HUNG_AFTER_S:
             self.fault = "disk does not answer"
         if self.fault is not None:
             self.finish()
@@ -168,22 +158,22 @@ class Recorder:
         """Record nothing more; the file is completed in the background."""
         if self._mcap is not None:
             mcap, self._mcap = self._mcap, None
-            self._file.finish(mcap.finish)
+            self.file.finish(mcap.finish)
 
     def close(self) -> None:
         """Finish the file, and wait until the disk has it; raises RecordingError where it does not."""
         self.finish()
-        self._file.join(CLOSE_TIMEOUT_S)
+        self.file.join(CLOSE_TIMEOUT_S)
         if not self.is_complete or self.fault is not None:
             raise RecordingError(self.failure())
 
     def failure(self) -> str:
         """What went wrong with the disk, in a sentence for the log."""
-        error = self._file.error
+        error = self.file.error
         why = error.strerror if error is not None else "the disk does not answer"
-        kept = self._file.kept_bytes
+        kept = self.file.kept_bytes
         there = f"the first {kept} bytes are kept, and msp-range recover closes them" if kept else "nothing is kept"
-        return f"{self._file.path or _named(error)}: recording stopped: {why}; {there}"
+        return f"{self.file.path or _named(error)}: recording stopped: {why}; {there}"
 
 
 def _make(path: Path) -> BackgroundFile:

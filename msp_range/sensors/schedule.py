@@ -132,7 +132,6 @@ class RoundRobin:
         self._spacing = spacing
         self._dead_after = dead_after
         sensors = [sensor for group in groups for sensor in group]
-        self._slot_s = max(spacing.ping_interval_s, *[sensor.timing.deadline_s for sensor in sensors])
         self._near = {sensor.name: False for sensor in sensors}
         self._faults = {sensor.name: 0 for sensor in sensors}
         self._pinged_s = {sensor.name: float("-inf") for sensor in sensors}
@@ -142,21 +141,6 @@ class RoundRobin:
         self._start_s: float | None = start_s
         self._counts_from_s = start_s
         self._is_retry = False
-
-    @property
-    def turn_s(self) -> float:
-        """Present longest time between two pings of a working sensor [s].
-
-        One turn for each group with a working sensor plus one for a retry; if all are dead, one for each group. A turn
-        counts with its duration away from the ground, and at least with the deadline for an answer.
-        """
-        living = len(self._living_groups())
-        return self._slot_s * (min(living + 1, len(self._groups)) if living else len(self._groups))
-
-    def interval_s(self, sensor: str) -> float:
-        """Present time between two pings of this sensor [s]: `turn_s`, longer if it is dead."""
-        is_retried = self._is_dead(sensor) and self._living_groups()
-        return max(RETRY_S, self.turn_s) if is_retried else self.turn_s
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         """The next group; sooner while all working sensors are near the ground, if the airframe allows it."""

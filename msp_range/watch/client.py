@@ -5,26 +5,14 @@ import socket
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+
+from msp_range.recording.topics import Message
 
 LONGEST_PACKET = 1 << 20
 """Bytes of a packet; the airframe of 117 sensors, the longest, takes 60 kB."""
 
 ONCE_S = 1.0
 """Time for which packets are read to know the state once [s]: two turns of four sensors take as long."""
-
-
-class Packet(NamedTuple):
-    """One message of the feed: topic, time on the bridge's clock [s], and its values."""
-
-    topic: str
-    time_s: float
-    message: dict[str, Any]
-
-    @classmethod
-    def parsed(cls, packet: bytes) -> "Packet":
-        """From its bytes."""
-        return cls(**json.loads(packet))
 
 
 def connect(paths: Sequence[Path]) -> socket.socket | None:
@@ -40,14 +28,19 @@ def connect(paths: Sequence[Path]) -> socket.socket | None:
     return None
 
 
-def packets(connection: socket.socket) -> Iterator[Packet]:
+def parsed(packet: bytes) -> Message:
+    """The message of a packet."""
+    return Message(**json.loads(packet))
+
+
+def packets(connection: socket.socket) -> Iterator[Message]:
     """All packets until the bridge ends."""
     with suppress(ConnectionResetError):  # it ended before it had read a mark
         while packet := connection.recv(LONGEST_PACKET):
-            yield Packet.parsed(packet)
+            yield parsed(packet)
 
 
-def read_once(connection: socket.socket) -> Iterator[Packet]:
+def read_once(connection: socket.socket) -> Iterator[Message]:
     """Packets until every sensor has had time for a reading, up to the status that follows."""
     first_s: float | None = None
     for packet in packets(connection):

@@ -4,8 +4,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX
-from msp_range.watch.client import Packet
+from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX, Message
 
 GONE = "/gone"
 """Topic of the packet that a server makes where the bridge has ended."""
@@ -46,7 +45,7 @@ class Newest:
         """The bridge's, by its own verdict; 'unknown' where there is no status of a bridge that runs."""
         return str(self.status.get("state", "unknown"))
 
-    def update(self, packet: Packet) -> None:
+    def update(self, packet: Message) -> None:
         """Take one packet."""
         topic, self.time_s, message = packet
         if topic.startswith(RANGE_PREFIX):

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC
-from msp_range.watch.client import LONGEST_PACKET, Packet
+from msp_range.watch.client import LONGEST_PACKET, parsed
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
@@ -171,12 +171,12 @@ class Page:
     def _update(self, packet: bytes) -> None:
         if packet.startswith(NOT_SHOWN):
             return
-        parsed = Packet.parsed(packet)
-        self._newest.update(parsed)
-        if parsed.topic in ("/airframe", "/status", GONE):
-            self._kept[parsed.topic] = packet
-            if parsed.topic == "/airframe":
-                self._kept = {parsed.topic: packet}
+        message = parsed(packet)
+        self._newest.update(message)
+        if message.topic in ("/airframe", "/status", GONE):
+            self._kept[message.topic] = packet
+            if message.topic == "/airframe":
+                self._kept = {message.topic: packet}
         else:
             self._history.append(packet)
         self._batch.append(packet)

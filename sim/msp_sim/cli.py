@@ -11,6 +11,8 @@ from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
 from msp_range.watch.place import parse_listen
 from msp_range.yaml_file import ConfigError
 
+ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")]
+ForceOption = Annotated[bool, typer.Option("--force", help="replace the flight in --out")]
 SensorModelOption = Annotated[
     Path | None,
     typer.Option(help="use this sensor model for all sensors, instead of the airframe's"),
@@ -59,7 +61,7 @@ app.callback()(choose_figures)
 
 @app.command()
 def fly(
-    scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
+    scenario_file: ScenarioFile,
     model: SensorModelOption = None,
     seed: Annotated[int, typer.Option(min=0, help="random seed: the same seed gives the same flight")] = 1,
     out: Annotated[Path | None, typer.Option(help="folder for summary, recording, link log and picture")] = None,
@@ -73,7 +75,7 @@ def fly(
             min=0.1, help="limit of the speed in multiples of real time, to watch; default: as fast as possible"
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="replace the flight in --out")] = False,
+    force: ForceOption = False,
     web: Annotated[
         str | None,
         typer.Option(
@@ -107,7 +109,7 @@ def fly(
 
 @app.command("monte-carlo")
 def monte_carlo(
-    scenario_file: Annotated[Path, typer.Argument(metavar="SCENARIO.yaml", help="the flight: a scenario file")],
+    scenario_file: ScenarioFile,
     flights: Annotated[int, typer.Option(min=1, help="number of flights, counted from 0")],
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="folder for table, summary and picture; flights in it are kept")
@@ -182,7 +184,7 @@ def sitl(
     duration: Annotated[float | None, typer.Option(min=0.0, help="end after this time [s]")] = None,
     record: Annotated[Path | None, typer.Option(help="folder for a recording of every stage of every reading")] = None,
     out: Annotated[Path | None, typer.Option(help="folder for the summary and the picture")] = None,
-    force: Annotated[bool, typer.Option("--force", help="replace the flight in --out")] = False,
+    force: ForceOption = False,
     effects: OwnEffects = None,
 ) -> None:
     """Fly with an autopilot's own simulator (ArduPilot SITL, PX4 SIH), in real time, until SIGINT or SIGTERM.

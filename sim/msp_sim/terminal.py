@@ -1,45 +1,9 @@
-"""Shared parts of the commands: a progress bar and a folder for results."""
+"""A folder for the results of a command."""
 
 import os
 from pathlib import Path
-from typing import Self
-
-from rich.console import Console
-from rich.progress import Progress, ProgressColumn
 
 from msp_range.yaml_file import ConfigError
-
-
-class Bar:
-    """A progress bar on a terminal; shows nothing if the output is a file or a pipe.
-
-    Parameters
-    ----------
-    columns
-        Columns of the bar's line.
-    total
-        Value at which the bar is complete.
-    on
-        Console to draw on; None: standard output.
-    """
-
-    def __init__(self, *columns: str | ProgressColumn, total: float, on: Console | None = None) -> None:
-        self._progress = Progress(*columns, console=on, transient=True)
-        self._task = self._progress.add_task("", total=total)
-        self.is_shown = self._progress.console.is_terminal
-
-    def __enter__(self) -> Self:
-        if self.is_shown:
-            self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.is_shown:
-            self._progress.stop()
-
-    def show(self, description: str, completed: float) -> None:
-        """Show what is being done, and how much of it is complete."""
-        self._progress.update(self._task, description=description, completed=completed)
 
 
 def make_folder(folder: Path) -> None:

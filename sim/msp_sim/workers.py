@@ -28,15 +28,14 @@ from typing import Any, Generic, TypeVar
 
 import numpy
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
 
 from msp_range import __version__
 from msp_range.errors import UserError
 from msp_range.extras import require
-from msp_range.terminal import PlainConsole
+from msp_range.terminal import Bar, PlainConsole
 from msp_range.yaml_file import ConfigError
-from msp_sim.terminal import Bar
 
 EXIT_SOME_FAILED = 4
 """Exit code: some items could not be computed; the others were."""
@@ -137,8 +136,7 @@ class Workers:
         OtherVersion
             A worker has another version of the program.
         """
-        text = TextColumn("{task.description}", markup=False)
-        columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         outcomes = self._in_process if self._client is None else self._on_cluster
         with ExitStack() as opened:
             bar = None

@@ -13,10 +13,10 @@ from itertools import count, islice
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
 from msp_range.clock import SystemClock
-from msp_sim.terminal import Bar
+from msp_range.terminal import Bar
 from tests.faults.campaign import fly_all, fly_plan
 from tests.faults.plans import SHARES, draw_plan, group_of, row_of
 from tests.faults.report import Line, goals_table, groups_table, markdown, shown, worst_table
@@ -74,7 +74,7 @@ def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool
     clock = SystemClock()
     started_s = next_line_s = clock.now()
     lines: list[Line] = []
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with (out / "flights.jsonl").open("w", encoding="utf-8") as file, Bar(*columns, total=len(indices)) as bar:
         for line in fly_all(seed, indices, jobs, sends_motion):
             lines.append(line)

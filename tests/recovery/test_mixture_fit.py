@@ -104,9 +104,9 @@ def test_growth_that_is_not_there_is_left_out() -> None:
 def test_another_sensors_grid_and_codes() -> None:
     sensor = PlainSensor(
         0.85, 0.05, 0.06, 0.04, 0.8, 0.9, 0.4,
-        minimum_cm=2.0, maximum_cm=401.0, step_cm=0.3, no_echo_cm=800.0, second_cm=1.0,
+        minimum_cm=2.0, maximum_cm=401.0, step_cm=0.3, no_echo_cm=401.0, second_cm=1.0,
     )  # fmt: skip
-    grid = ReadingGrid(2.0, 401.0, 0.3, no_echo_cm=800.0, second_no_echo_cm=1.0)
+    grid = ReadingGrid(2.0, 401.0, 0.3, second_no_echo_cm=1.0)
     rng = np.random.default_rng(6)
     true_cm = rng.uniform(10.0, 350.0, 20_000)
     recovered(fit_readings(sensor.readings(true_cm.tolist(), 6), true_cm, grid), sensor)
@@ -201,7 +201,7 @@ def test_the_mixture_of_a_measured_lidar() -> None:
     """Beams against a map that was made of the same scans, so that the hits' share and spread are flattered."""
     with gzip.open(measured_data("carmen-fhw/fhw-pairs-derived.csv.gz"), "rt") as file:
         columns = np.genfromtxt(file, delimiter=",", names=True)
-    grid = ReadingGrid(minimum_cm=40, maximum_cm=5100, resolution_cm=5, no_echo_cm=5105)
+    grid = ReadingGrid(minimum_cm=40, maximum_cm=5105, resolution_cm=5)
     measured_cm = 100.0 * columns["measured_m"]
     # 51.05 m is no echo, and 13 of 40,000 say 51.10.
     reading_cm = np.where(measured_cm > 5102.5, 5105.0, grid.nearest(measured_cm))

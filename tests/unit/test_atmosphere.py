@@ -5,7 +5,8 @@ import math
 import pytest
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_range.acoustics.atmosphere import Atmosphere, speed_of_sound_humid
+from msp_range.acoustics.atmosphere import Atmosphere
+from tests.support.humid_air import speed_of_sound_humid
 
 
 @pytest.mark.parametrize(

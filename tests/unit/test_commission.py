@@ -23,7 +23,7 @@ from msp_range.commission.motion import Measured, NotMeasured, Places, common_sh
 from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
 from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import Record, Samples, samples_of
+from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps import bench, lift
 from msp_range.commission.steps.addresses import compare as compare_addresses
@@ -34,6 +34,7 @@ from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.commission.still import Stand, levels, noise_m
 from msp_range.config import load_airframe
 from msp_range.doctor.finding import Verdict, right, wrong
+from msp_range.recording.topics import Message
 from msp_range.yaml_file import ConfigError
 
 AIRFRAME = load_airframe("configs/quad_pallet.yaml")
@@ -42,11 +43,11 @@ NAMES = list(PLACES)
 BEAM = AIRFRAME.sensors[0].sensor_model.beam
 
 
-def reading(name: str, time_s: float, range_m: float | None, status: str = "ok") -> Record:
+def reading(name: str, time_s: float, range_m: float | None, status: str = "ok") -> Message:
     message = {"time_s": time_s, "read_s": time_s + 0.03, "status": status}
     if range_m is not None:
         message |= {"range_m": range_m, "corrected_m": range_m}
-    return Record(f"/range/{name}", time_s, message)
+    return Message(f"/range/{name}", time_s, message)
 
 
 def rocked(
@@ -75,7 +76,7 @@ def rocked(
         time_s = 0.1 * number
         _, roll, pitch = held(time_s)
         angles = {"time_s": time_s + late_s, "roll_rad": roll, "pitch_rad": pitch, "yaw_rad": 0.0}
-        records.append(Record("/attitude", time_s, angles))
+        records.append(Message("/attitude", time_s, angles))
         name = list(mounted)[number % len(mounted)]
         at_s = time_s + 0.013
         height_m, roll, pitch = held(at_s)
@@ -325,7 +326,7 @@ def test_the_hover_of_a_flight_is_its_longest_level_part() -> None:
         return float(np.interp(time_s, [0, 10, 15, 60, 65, 90], [0.2, 0.2, 2.6, 3.4, 0.2, 0.2]))
 
     fused = [
-        Record("/fused", 0.1 * i, {"time_s": 0.1 * i, "range_m": height_m(0.1 * i), "height_m": height_m(0.1 * i)})
+        Message("/fused", 0.1 * i, {"time_s": 0.1 * i, "range_m": height_m(0.1 * i), "height_m": height_m(0.1 * i)})
         for i in range(900)
     ]
     part = hovering(samples_of(fused))

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.cli import app as lab_app
-from msp_range.acoustics.atmosphere import Atmosphere, speed_of_sound_humid
+from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.cli import app
@@ -19,6 +19,7 @@ from msp_sim.model.model import Model, load_model
 from msp_sim.model.sampler import Sampler
 from msp_sim.model.streams import RandomStreams
 from tests.property.test_effects import strong
+from tests.support.humid_air import speed_of_sound_humid
 
 SENSORS = Path(__file__).parents[2] / "configs" / "sensors"
 

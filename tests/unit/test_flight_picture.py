@@ -3,6 +3,8 @@
 import math
 from pathlib import Path
 
+import numpy as np
+
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.flight_picture import _edges, _interrupted, _what_happened, draw
 
@@ -13,9 +15,9 @@ def track(times_s: list[float], why: list[str | None]) -> SensorTrack:
 
 
 def test_a_line_is_interrupted_where_nothing_was_known() -> None:
-    line = _interrupted([(0.0, 1.0), (0.5, 1.0), (3.0, 2.0)])
-    assert [t for t, _ in line] == [0.0, 0.5, 3.0, 3.0]
-    assert math.isnan(line[2][1])
+    times_s, values = _interrupted([0.0, 0.5, 3.0], np.array([1.0, 1.0, 2.0]))
+    assert times_s.tolist() == [0.0, 0.5, 3.0, 3.0]
+    assert math.isnan(values[2])
 
 
 def test_edges_are_spans() -> None:

@@ -81,7 +81,7 @@ class Flight:
 
     def _is_idle(self) -> bool:
         recorder = self.recorder._recorder
-        return recorder is None or recorder.has_ended or not recorder._file._given_s
+        return recorder is None or recorder.has_ended or not recorder.file._given_s
 
     def times_s(self) -> list[list[float]]:
         """What was recorded, file by file in the order of their names."""
@@ -386,7 +386,7 @@ class SlowDisk:
             until(lambda: len(self.kept) > count)
         file = recorder._recorder
         assert file is not None
-        until(lambda: self._due_s is not None or not file._file._given_s)
+        until(lambda: self._due_s is not None or not file.file._given_s)
 
 
 def test_a_power_cut_costs_less_than_a_second_on_a_slow_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -436,7 +436,7 @@ def test_memory_does_not_grow_over_hours(tmp_path: Path) -> None:
                 recorder.write(topic, now_s, {"time_s": now_s})
             recorder.flush_if_due(now_s)
             # The disk keeps pace, as it does in a flight that takes hours.
-            while len(recorder._recorder._file._given_s) > 2:
+            while len(recorder._recorder.file._given_s) > 2:
                 time.sleep(0.0005)
             if count % 3600 == 0:
                 pages = int(Path("/proc/self/statm").read_text().split()[1])

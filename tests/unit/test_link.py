@@ -593,10 +593,6 @@ class TestSending:
         frame = bench.link.send(dialect.MAVLink_ping_message(0, 0, 0, 0))
         assert frame == bench.transport.frames[-1]
 
-    def test_close_closes_the_transport(self, bench: Bench) -> None:
-        bench.link.close()
-        assert bench.transport.closed
-
 
 class TestSomebodyElse:
     """Who is on the link and should not be."""

@@ -15,7 +15,7 @@ from msp_sim.flight.scenario import AutopilotSection
 from msp_sim.intervals import quantile, wilson
 from msp_sim.monte_carlo.outcome import judged
 from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, FlightStore
-from msp_sim.monte_carlo.summary import summarise
+from msp_sim.monte_carlo.summary import Quantile, summarise
 
 AIRFRAME = load_airframe("quad_pallet")
 COLUMNS = ("wrong_s", "silent_s", "longest_silence_s", "error_p95_cm", "faults")
@@ -142,7 +142,7 @@ def test_the_summary_counts_flights() -> None:
     assert (wrong.low, wrong.high) == pytest.approx((0.0552, 0.1744), abs=1e-4)
     assert shares["a time without a distance"].flights == 0
     errors = next(each for each in found.distributions if each.column == "error_p95_cm")
-    assert errors.quantiles[0] == (0.5, 12.5, 10.0, 15.25)
+    assert errors.quantiles[0] == Quantile(0.5, 12.5, 10.0, 15.25)
     assert errors.quantiles[2].high is None
     assert [each[NUMBER] for each in found.worst] == [100, 90, 80, 70, 60]
     assert found.failed == {200: "why"}

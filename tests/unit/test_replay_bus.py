@@ -16,7 +16,7 @@ from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
-from msp_range.recording.pings import MEASURED_STD_C, recorded_air, recorded_pings
+from msp_range.recording.pings import MEASURED_STD_C, Pings, recorded_air, recorded_pings
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
 from msp_range.sensors.base import RecordedPing
@@ -219,11 +219,11 @@ class RecordedOrder:
         """Nothing to repeat."""
 
 
-def replay(pings: dict[str, list[RecordedPing]]) -> list[Ranging]:
+def replay(pings: Pings) -> list[Ranging]:
     """Play everything through the driver and the poller, each sensor pinged at its recorded times."""
     clock = VirtualClock(start_s=min(each[0].ping_s for each in pings.values()))
     addresses = {name: LEFT + count for count, name in enumerate(pings)}
-    bus = played({addresses[name]: each for name, each in pings.items()}, clock)
+    bus = played({addresses[name]: list(each) for name, each in pings.items()}, clock)
     sensors = {address: PolledSensor(name, MB1242(bus, address), TIMING) for name, address in addresses.items()}
     poller = Poller(bus, clock, RecordedOrder(bus, sensors))
     rangings = []

@@ -22,7 +22,6 @@ from msp_range.mavlink.signing import (
     RESERVED_UNITS,
     UNITS_PER_S,
     Signing,
-    is_signed,
     make_key,
     read_key,
     signing_of,
@@ -82,7 +81,7 @@ def test_pymavlink_accepts_what_is_signed() -> None:
 def test_what_pymavlink_signs_is_accepted_once() -> None:
     signing = Signing(KEY, VirtualClock(NOW_S))
     frame = received(heartbeat(peer()))
-    assert is_signed(frame)
+    assert frame.is_signed
     assert signing.accepts(frame)
     assert not signing.accepts(frame), "the same frame again, as somebody would send it who has recorded it"
     assert signing.verified == 1
@@ -103,7 +102,7 @@ def test_a_frame_of_mavlink_1_is_never_signed_whatever_its_sequence_number() -> 
     mav = ardupilotmega.MAVLink(None, 1, 1)
     for sequence in range(4):
         mav.seq = sequence
-        assert not is_signed(received(heartbeat_1(mav)))
+        assert not received(heartbeat_1(mav)).is_signed
 
 
 def test_a_key_in_the_airframe_lets_nothing_in_that_is_not_signed(
@@ -255,7 +254,7 @@ def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
     transport.arrived += heartbeat(peer())
     link.service()
     assert link.autopilot_is_present
-    assert all(is_signed(received(frame)) for frame in transport.frames)
+    assert all(received(frame).is_signed for frame in transport.frames)
 
 
 def test_a_link_without_a_key_says_that_the_autopilot_has_one() -> None:

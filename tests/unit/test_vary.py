@@ -9,10 +9,10 @@ import pytest
 import yaml
 from numpy.random import default_rng
 
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, with_value
 from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import load_scenario
-from msp_sim.flight.vary import Choice, Factor, LogUniform, RandomFaults, TruncatedNormal, Uniform, places, with_value
+from msp_sim.flight.vary import Choice, Factor, LogUniform, RandomFaults, TruncatedNormal, Uniform, places
 
 CONTENT: dict[str, Any] = {
     "name": "short",

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common
 from msp_range.bus import BusError
 from msp_range.doctor.running import findings
 from msp_range.health import BridgeState, BridgeVerdict
+from msp_range.recording.topics import Message
 from msp_range.terminal import PlainConsole
-from msp_range.watch.client import Packet
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.terminal import shown
 from msp_range.watch.view import airframe_message, status_message
@@ -38,7 +38,7 @@ def watched(bench: Bench) -> Newest:
     newest = Newest()
     status = status_message(bench.bridge, bench.wire, None, bench.clock.now())
     for topic, message in (("/airframe", airframe_message(airframe())), ("/status", status)):
-        newest.update(Packet(topic, bench.clock.now(), message))
+        newest.update(Message(topic, bench.clock.now(), message))
     return newest
 
 
@@ -153,5 +153,5 @@ def test_all_who_show_the_state_show_this_one(dead_bus: bool, monkeypatch: pytes
 def test_a_bridge_that_has_ended_is_no_good_one_in_the_metrics() -> None:
     newest = watched(Bench(airframe(), 300).fly(5.0, with_autopilot=True))
     assert metrics(newest)["msp_range_critical"][0].value == 0.0
-    newest.update(Packet(GONE, 0.0, {}))
+    newest.update(Message(GONE, 0.0, {}))
     assert {name: each[0].value for name, each in metrics(newest).items()} == {"msp_range_critical": 1.0}

@@ -20,11 +20,11 @@ at the edge of its beam, among outliers, would place it."""
 SEES_FLOOR = 0.3
 """A sensor that the file has looking elsewhere looks down if this share of its pings gets an echo of it."""
 SIDES = {
-    "front": (0.0, 0.0),
-    "right": (0.0, 90.0),
-    "rear": (0.0, 180.0),
-    "left": (0.0, 270.0),
-    "top": (90.0, 0.0),
+    "front": (0, 0),
+    "right": (0, 90),
+    "rear": (0, 180),
+    "left": (0, 270),
+    "top": (90, 0),
 }
 """Pitch and yaw of the direction to each side [deg]."""
 SQUARE_DEG = 4
@@ -78,7 +78,7 @@ def _turned(i: int, sensor: SensorSettings, axis: Axis) -> Proposal:
     return Proposal(text, _rotation(i, sensor, pitch, yaw))
 
 
-def rotation_of(boresight: tuple[float, float, float], to_deg: float = 0.0) -> tuple[int, int]:
+def rotation_of(boresight: tuple[float, float, float], to_deg: float) -> tuple[int, int]:
     """Pitch and yaw of a direction that is known to some degrees, in whole degrees; straight down is pitch -90, yaw 0.
 
     A direction whose interval includes straight down counts as that, since most mounts are square.
@@ -112,7 +112,7 @@ def _by_board(i: int, sensor: SensorSettings, boards: Mapping[str, Samples], out
         remedy = "the file says that it looks down: turn it, clear what is in front of it, or correct rotation_deg"
         outcome.wrong(step, f"it sees the floor at no tilt{tried}", remedy)
         return
-    pitch, yaw = (round(each) for each in SIDES[seen[0]])
+    pitch, yaw = SIDES[seen[0]]
     text = (
         f"{sensor.name} sees the board at the vehicle's {seen[0]} and the floor at no tilt, and the file has pitch "
         f"{sensor.rotation_deg.pitch:g}. Turn the sensor, or change the file to pitch {pitch}, yaw {yaw}"

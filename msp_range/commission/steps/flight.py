@@ -6,11 +6,12 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from msp_range.commission.motion import NotMeasured, Places, places
 from msp_range.commission.noise import compare_noise
 from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import Array, Record, Samples, SensorReadings, samples_of
+from msp_range.commission.samples import Array, Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
@@ -45,7 +46,7 @@ def hover(session: Session) -> StepOutcome:
         text = f"{path.name} was flown with another airframe file than the present one"
         outcome.wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
         return outcome
-    samples = samples_of(Record(*each) for each in recording)
+    samples = samples_of(recording)
     part = hovering(samples)
     if part is None:
         text = f"{path.name} contains no hover: {HOVER_S:.0f} s within {STEADY_M:g} m, {HIGH_M:g} m above the ground"
@@ -73,7 +74,7 @@ def review(session: Session) -> StepOutcome:
     path = session.recording or (Path(name) if isinstance(name, str) else _recording(session, airframe))
     if path is None:
         return StepOutcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
-    records = [Record(*each) for each in Recording(path)]
+    records = list(Recording(path))
     part = hovering(samples_of(records))
     if part is None:
         return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
@@ -172,9 +173,8 @@ def hovering(samples: Samples) -> Samples | None:
 def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
     """What was received between two times."""
 
-    def inside(time_s: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        between: np.ndarray[tuple[int], np.dtype[np.bool_]] = (time_s >= first_s) & (time_s <= last_s)
-        return between
+    def inside(time_s: Array) -> NDArray[np.bool_]:
+        return (time_s >= first_s) & (time_s <= last_s)
 
     readings = {}
     for name, each in samples.readings.items():

@@ -10,13 +10,14 @@ from msp_range.commission.edit import Edit
 from msp_range.commission.motion import NotMeasured, places
 from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import Record, Samples, samples_of
+from msp_range.commission.samples import Array, Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.directions import SIDES, compare_directions
 from msp_range.commission.steps.places import DEEPER_M, compare_lag, compare_places
 from msp_range.config import Airframe
 from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 from msp_range.params.settings import standing_m
+from msp_range.recording.topics import Message
 
 FLOOR_S, HOLD_S, TILT_S, ROCK_S = 3.0, 5.0, 4.0, 40.0
 """How long each motion is recorded [s]. Longer rocking gives smaller intervals: with 40 s
@@ -61,7 +62,7 @@ def run(session: Session) -> StepOutcome:
     """Guide the person through the motions."""
     operator = session.operator
     operator.begin(TEXT)
-    everything: list[Record] = []
+    everything: list[Message] = []
     parts: dict[Motion, Samples] = {}
     guided = (
         (Motion.FLOOR, "Leave it on the floor.", FLOOR_S),
@@ -115,7 +116,7 @@ def _boards(session: Session) -> dict[str, Samples]:
     return found
 
 
-def _returned(records: list[Record]) -> tuple[tuple[float, float], ...]:
+def _returned(records: list[Message]) -> tuple[tuple[float, float], ...]:
     """The autopilot's own distances: (time [s], distance [m])."""
     return tuple(
         (time_s, float(message["distance_m"]))
@@ -210,11 +211,10 @@ def attitude_signs(recorded: Recorded) -> list[Finding]:
     return findings
 
 
-def _attitude_deg(part: Samples) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
+def _attitude_deg(part: Samples) -> Array | None:
     if len(part.attitude) < 3:
         return None
-    median: np.ndarray[tuple[int], np.dtype[np.float64]] = np.degrees(np.median(part.attitude[:, 1:], axis=0))
-    return median
+    return np.degrees(np.median(part.attitude[:, 1:], axis=0))
 
 
 def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> None:

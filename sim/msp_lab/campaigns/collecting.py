@@ -19,10 +19,9 @@ from msp_range.clock import SystemClock, VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
-from msp_range.terminal import PlainConsole
+from msp_range.terminal import Bar, PlainConsole
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
-from msp_sim.terminal import Bar
 
 
 class Collecting(Bar):
@@ -31,7 +30,6 @@ class Collecting(Bar):
     def __init__(self, todo: Sequence[Point]) -> None:
         self._total = sum(point.readings * len(point.setup.sensors) for point in todo)
         columns = (
-            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.completed:.0f} of {task.total:.0f} readings"),
             TimeRemainingColumn(),

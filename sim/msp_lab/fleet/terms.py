@@ -79,7 +79,7 @@ def base_effect(name: str) -> Effect:
     number = Parameter("value", "cm" if name == "offset" else "1", "change of the number", -50.0, 50.0)
     channel: Any = {"offset": "bias", "scatter": "spread"}.get(name, name)
     return Effect(
-        name, f"{name} of this sensor", "", "", (number,), (), (channel,), "", apply, finding=_MEANINGS[name]
+        name, f"{name} of this sensor", "", "", (number,), (channel,), "", apply, finding=_MEANINGS[name]
     )  # fmt: skip
 
 

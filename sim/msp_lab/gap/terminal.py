@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich import box
 from rich.padding import Padding
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TaskProgressColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -16,8 +16,7 @@ from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
 from msp_lab.gap.separate import TABLE, SeparateGap
 from msp_range.clock import Clock, SystemClock
-from msp_range.terminal import PlainConsole, console, number_columns
-from msp_sim.terminal import Bar
+from msp_range.terminal import Bar, PlainConsole, console, number_columns
 
 COLOURS = {
     "nothing missing": "green",
@@ -37,13 +36,7 @@ class ProgressBar(Bar):
         self.clock: Clock = SystemClock()
         self._console = PlainConsole(stderr=True)
         self._last = ""
-        columns = (
-            TextColumn("{task.description}", markup=False),
-            BarColumn(),
-            TaskProgressColumn(),
-            TimeElapsedColumn(),
-        )
-        super().__init__(*columns, total=1.0, on=self._console)
+        super().__init__(BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), total=1.0, on=self._console)
 
     def report(self, what: str, share: float) -> None:
         """Show what is being done, and which share of the whole is done."""

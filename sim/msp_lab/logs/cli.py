@@ -110,24 +110,23 @@ def run_import(
         None of the logs can be imported; or as `import_logs`.
     """
     require("logs", "msp-lab import")
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
 
     from msp_lab.logs.importing import Import, import_logs
     from msp_lab.logs.truth import Truth, parse_truth
     from msp_lab.readings.column_map import load_map
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.sensors.table import DRIVERS
-    from msp_range.terminal import PlainConsole
+    from msp_range.terminal import Bar, PlainConsole
     from msp_range.yaml_file import config_path
-    from msp_sim.terminal import Bar, make_folder
+    from msp_sim.terminal import make_folder
     from msp_sim.workers import Workers, workers
 
     wanted = Truth() if truth is None else parse_truth(truth) if isinstance(truth, str) else truth
     model = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
     mapping = load_map(column_map) if column_map else None
     make_folder(out)
-    text = TextColumn("{task.description}", markup=False)
-    columns = (text, BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    columns = (BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     common = Import(out, wanted, model, mapping, align, seed)
     with ExitStack() as opened:
         if jobs == 1 and scheduler is None:

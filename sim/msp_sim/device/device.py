@@ -7,6 +7,7 @@ system's own Python. Every time is seconds on the ``now`` clock that the device 
 
 import math
 import random
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -63,7 +64,8 @@ FAULT_KINDS = {
 }
 """Every kind of fault and what it looks like from the master."""
 
-_ALWAYS = frozenset({"power_cycle", "locked_up"})
+ALWAYS_HAPPEN = frozenset({"power_cycle", "locked_up"})
+"""Faults with a probability of 1."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +106,10 @@ class Fault:
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
             raise ValueError(f"fault kind {self.kind!r}: expected one of {', '.join(FAULT_KINDS)}")
-        if self.end_s < self.start_s or (self.end_s == self.start_s and self.kind not in _ALWAYS):
+        if self.end_s < self.start_s or (self.end_s == self.start_s and self.kind not in ALWAYS_HAPPEN):
             raise ValueError(f"fault {self.kind}: end_s {self.end_s}: expected a time after start_s {self.start_s}")
-        if not 0.0 < self.probability <= 1.0 or (self.kind in _ALWAYS and self.probability != 1.0):
-            expected = "1, it always happens" if self.kind in _ALWAYS else "more than 0 and at most 1"
+        if not 0.0 < self.probability <= 1.0 or (self.kind in ALWAYS_HAPPEN and self.probability != 1.0):
+            expected = "1, it always happens" if self.kind in ALWAYS_HAPPEN else "more than 0 and at most 1"
             raise ValueError(f"fault {self.kind}: probability {self.probability}: expected {expected}")
         if not 0 <= self.word <= 0xFFFF:
             raise ValueError(f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits")
@@ -115,7 +117,7 @@ class Fault:
             raise ValueError(f"fault {self.kind}: spread_cm {self.spread_cm}: expected more than 0")
 
 
-class RangeFinder:
+class RangeFinder(ABC):
     """What every emulated range finder has: an address, a world that it ranges in, and faults; the base of each kind.
 
     Parameters
@@ -185,6 +187,14 @@ class RangeFinder:
         self._chance = chance
         self._power_cycles = sorted((f for f in faults if f.kind == "power_cycle"), key=lambda fault: fault.start_s)
         self.power_cycle()
+
+    @abstractmethod
+    def write(self, data: bytes) -> None:
+        """Take ``data``; raises NotAcknowledged where it does not answer."""
+
+    @abstractmethod
+    def read(self, count: int) -> bytes:
+        """Return ``count`` bytes; raises NotAcknowledged where it does not answer."""
 
     @classmethod
     def check_fault(cls, fault: Fault) -> None:

@@ -14,8 +14,8 @@ from msp_range.bus import Bus
 from msp_range.config import Airframe, SensorSettings
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import DeviceTiming, Fault
-from msp_sim.device.table import EmulatedKind, emulated_kind
+from msp_sim.device.device import DeviceTiming, Fault, RangeFinder
+from msp_sim.device.table import emulated_kind
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
 from msp_sim.world.vehicle import Pose
@@ -23,6 +23,8 @@ from msp_sim.world.world import MountedBeam, Ping, World
 
 RUN = "flight"
 """Run of the readings of a simulated flight: one session."""
+LastPings: TypeAlias = dict[str, tuple[float, float | None]]
+"""Time [s] and true range [cm] of each sensor's last ping, by name."""
 KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, Any]], None]
 """Takes a sensor's name, the time of a ping in the flight [s], what it met, and all of its context by column."""
 
@@ -57,7 +59,7 @@ class EmulatedSensor:
         pose: Callable[[float], Pose],
         generator: Generator,
         keep: KeepTruth,
-        others: dict[str, tuple[float, float | None]],
+        others: LastPings,
     ) -> None:
         self._name = sensor.name
         half_angle_rad = model.beam.half_angle_rad if model.medium == "sound" else None
@@ -98,7 +100,7 @@ class EmulatedSensor:
         return context
 
 
-def ranging_timing(kind: EmulatedKind, model: SensorModel) -> DeviceTiming:
+def ranging_timing(kind: type[RangeFinder], model: SensorModel) -> DeviceTiming:
     """How long a sensor of this kind and model is busy."""
     of_model = model.timing
     return replace(
@@ -106,7 +108,7 @@ def ranging_timing(kind: EmulatedKind, model: SensorModel) -> DeviceTiming:
     )
 
 
-def within_limits(echo: Callable[[float], int], model: SensorModel, kind: EmulatedKind) -> Callable[[float], int]:
+def within_limits(echo: Callable[[float], int], model: SensorModel, kind: type[RangeFinder]) -> Callable[[float], int]:
     """Readings of a model as a device of this kind can answer them.
 
     A model of another sensor may read less or more than the device: what is below the device's shortest reading is
@@ -137,7 +139,7 @@ def emulated_bus(
 ) -> Bus:
     """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
     devices = []
-    others: dict[str, tuple[float, float | None]] = {}
+    others: LastPings = {}
     for sensor, of_sensor in zip(airframe.sensors, seed.spawn(len(airframe.sensors)), strict=True):
         model = models[sensor.name]
         for_readings, for_faults = of_sensor.spawn(2)

@@ -4,12 +4,9 @@ A new one is a file next to this one and a line in `EMULATED`; a package of some
 point of the group `GROUP`. Only the standard library is used, as in the devices themselves.
 """
 
-import random
-from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
-from typing import Protocol
 
-from msp_sim.device.device import DeviceTiming, Fault
+from msp_sim.device.device import RangeFinder
 from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
 from msp_sim.device.mb1242 import EmulatedMB1242
 
@@ -17,51 +14,14 @@ GROUP = "msp_sim.devices"
 """Entry points of installed packages that are emulated range finders."""
 
 
-class EmulatedRangeFinder(Protocol):
-    """One range finder, seen from the bus."""
-
-    address: int
-    faults: tuple[Fault, ...]
-
-    def write(self, data: bytes) -> None:
-        """Take ``data``; raises NotAcknowledged where it does not answer."""
-
-    def read(self, count: int) -> bytes:
-        """Return ``count`` bytes; raises NotAcknowledged where it does not answer."""
-
-
-class EmulatedKind(Protocol):
-    """Makes one: address, time [s], reading [cm] by the time of a ping [s], timing, faults, chance of the faults."""
-
-    default_timing: DeviceTiming
-    """How long such a sensor is busy."""
-    minimum_cm: int
-    """Shortest reading [cm]."""
-    no_echo_cm: int
-    """Reading without an echo, beyond the longest [cm]."""
-
-    def check_fault(self, fault: Fault) -> None:
-        """Raise ValueError where such a sensor cannot show a fault."""
-
-    def __call__(
-        self,
-        address: int,
-        now: Callable[[], float],
-        echo: Callable[[float], int],
-        timing: DeviceTiming | None = ...,
-        faults: Sequence[Fault] = ...,
-        chance: random.Random | None = ...,
-    ) -> EmulatedRangeFinder: ...
-
-
-EMULATED: dict[str, EmulatedKind] = {
+EMULATED: dict[str, type[RangeFinder]] = {
     "mb1242": EmulatedMB1242,
     "lidar_lite_v3": EmulatedLidarLiteV3,
 }
 """By the driver's name in model files."""
 
 
-def emulated_kind(driver: str) -> EmulatedKind:
+def emulated_kind(driver: str) -> type[RangeFinder]:
     """The emulated range finder that speaks to a driver.
 
     Raises
@@ -72,6 +32,6 @@ def emulated_kind(driver: str) -> EmulatedKind:
     if driver in EMULATED:
         return EMULATED[driver]
     for entry in entry_points(group=GROUP, name=driver):
-        kind: EmulatedKind = entry.load()
+        kind: type[RangeFinder] = entry.load()
         return kind
     raise ValueError(f"no emulated range finder for the driver {driver!r}; there are {', '.join(EMULATED)}")

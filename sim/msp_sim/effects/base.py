@@ -75,6 +75,11 @@ class Parameter:
     jumps: bool = False
 
 
+def share_of_readings(meaning: str) -> Parameter:
+    """The parameter of an effect that acts on a share of the readings."""
+    return Parameter("share", "1", meaning, 0.0, 1.0)
+
+
 class Scene:
     """The input of an effect: the contexts of n readings, and the sensor.
 
@@ -180,6 +185,15 @@ class Contribution(NamedTuple):
     fault_share: Any = None
 
 
+def damage(fault: CodeFault) -> Callable[[Scene, Values], Contribution]:
+    """What an effect does that turns a share of the codes into others, as the fault says."""
+
+    def apply(scene: Scene, values: Values) -> Contribution:
+        return Contribution(fault=fault, fault_share=values["share"])
+
+    return apply
+
+
 @dataclass(frozen=True)
 class Effect:
     """An entry of the catalogue.
@@ -231,10 +245,10 @@ class Effect:
     physics: str
     source: str
     parameters: tuple[Parameter, ...]
-    requires: tuple[str, ...]
     channels: tuple[Channel, ...]
     experiment: str
     apply: Callable[[Scene, Values], Contribution] = field(repr=False)
+    requires: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
     per: Literal["sensor", "run", "target"] | None = None
     base: str | None = None

@@ -1,12 +1,7 @@
 """Effect: the bus master samples too early."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Effect, damage, share_of_readings
 from msp_sim.effects.codes import ClockFault
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(fault=ClockFault(), fault_share=values["share"])
-
 
 CLOCK_FAULT = Effect(
     name="clock_fault",
@@ -14,9 +9,8 @@ CLOCK_FAULT = Effect(
     finding="{share:of} readings are fetched too early and arrive as more than 300 m",
     physics="bit 15 reads as one: 32768 + reading",
     source="Raspberry Pi 1-4 sample SDA while the sensor still stretches the clock; cured by a bus clock of 50 kHz",
-    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
-    requires=(),
+    parameters=(share_of_readings("share of the readings affected"),),
     channels=("code",),
     experiment="the same wall with dtparam=i2c_arm_baudrate at 100000 and at 50000",
-    apply=_apply,
+    apply=damage(ClockFault()),
 )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Normal
 
 
@@ -20,11 +20,10 @@ CLUTTER = Effect(
     physics="readings near a fixed range, if the ground is farther away",
     source="ring-down of the transducer; parts of the airframe in the beam",
     parameters=(
-        Parameter("share", "1", "share of the readings if the surface is farther away", 0.0, 1.0),
+        share_of_readings("share of the readings if the surface is farther away"),
         Parameter("location_cm", "cm", "its range", 0.0, 1000.0, None, 30.0, (25.0, 35.0, 50.0, 80.0)),
         Parameter("sigma_cm", "cm", "its scatter", 0.1, 50.0, None, 2.0, (2.0,)),
     ),
-    requires=(),
     channels=("component",),
     experiment="the sensor on its vehicle, pointed at the open sky",
     apply=_apply,

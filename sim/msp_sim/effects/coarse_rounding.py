@@ -1,6 +1,6 @@
 """Effect: readings are rounded to a coarser step than the sensor's."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.codes import Coarser
 
 STEPS_CM = (2.0, 2.5, 2.54, 3.0, 4.0, 5.0, 5.08, 10.0)
@@ -21,10 +21,9 @@ COARSE_ROUNDING = Effect(
     physics="rounded to multiples of a step, then to the sensor's resolution; the sensor's limits are unchanged",
     source="drivers and loggers that convert units",
     parameters=(
-        Parameter("share", "1", "1 if every reading is rounded", 0.0, 1.0),
+        share_of_readings("1 if every reading is rounded"),
         Parameter("step_cm", "cm", "the step", 1.5, 100.0, None, 2.54, STEPS_CM, jumps=True),
     ),
-    requires=(),
     channels=("code",),
     experiment="a target moved slowly: the readings go up in steps",
     apply=_apply,

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from msp_range.reading_model.kernel import on_grid
 
 _Array = NDArray[np.float64]
+Origins = list[tuple[_Array, _Array]]
+"""Ranges of sent codes, the first and the last of each, for each received code."""
 PHASES = 10
 """So many places in a step, the multiples among them, are compared. More: slower, and the largest of more gains by
 chance; fewer: chance is known less well."""
@@ -37,7 +39,7 @@ class CodeFault(Protocol):
     def arrives(self, code: _Array) -> _Array:
         """The code that is received for each sent code."""
 
-    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+    def origins(self, first: _Array, last: _Array) -> Origins:
         """Ranges (first, last) of sent codes that are received as codes from first to last; empty if last < first.
 
         A fault that is not monotone supports single codes (first == last) and all codes up to one (first = -inf).
@@ -67,7 +69,7 @@ class Coarser:
     def arrives(self, code: _Array) -> _Array:
         return self._arrivals[np.clip(self._place(code) - 1, 0, self._arrivals.size - 1)]
 
-    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+    def origins(self, first: _Array, last: _Array) -> Origins:
         above = self._above[self._place(first - self.resolution_cm)], self._above[self._place(last)]
         return [(self._code(above[0]), self._code(above[1] - 1))]
 
@@ -106,7 +108,7 @@ class Saturated:
     def arrives(self, code: _Array) -> _Array:
         return np.minimum(code, 255.0)
 
-    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+    def origins(self, first: _Array, last: _Array) -> Origins:
         return [(np.where(first > 255.0, np.inf, first), np.where(last >= 255.0, np.inf, last))]
 
 
@@ -119,7 +121,7 @@ class LostHighByte:
     def arrives(self, code: _Array) -> _Array:
         return np.mod(code, 256.0)
 
-    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+    def origins(self, first: _Array, last: _Array) -> Origins:
         first, last = np.maximum(first, 0.0), np.minimum(last, 255.0)
         return [(first + high, np.where(last < first, -1.0, last + high)) for high in (0.0, 256.0, 512.0)]
 
@@ -134,7 +136,7 @@ class OrEd:
         whole = code.astype(np.int64)
         return ((whole >> 8) | (whole & 0xFF)).astype(np.float64)
 
-    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+    def origins(self, first: _Array, last: _Array) -> Origins:
         if not (first == last).all():
             return self._origins_below(np.minimum(last + 1.0, 256.0))
         ranges = []
@@ -145,7 +147,7 @@ class OrEd:
                 ranges.append((code, np.where(arrives, code, -1.0)))
         return ranges
 
-    def _origins_below(self, arrived: _Array) -> list[tuple[_Array, _Array]]:
+    def _origins_below(self, arrived: _Array) -> Origins:
         """Sent codes that are received as less than ``arrived``."""
         ranges = [(np.zeros_like(arrived), arrived - 1.0)]
         for high, block in ((1, 2.0), (2, 4.0)):
@@ -167,5 +169,5 @@ class ClockFault:
     def arrives(self, code: _Array) -> _Array:
         return code + CLOCK_FAULT
 
-    def origins(self, first: _Array, last: _Array) -> list[tuple[_Array, _Array]]:
+    def origins(self, first: _Array, last: _Array) -> Origins:
         return [(first - CLOCK_FAULT, last - CLOCK_FAULT)]

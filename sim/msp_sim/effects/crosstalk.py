@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Normal
 
 
@@ -21,7 +21,7 @@ CROSSTALK = Effect(
     physics="false echo at z_n - c lag / 2, if that is nearer than the sensor's own echo and beyond the minimum",
     source="report 4.3.7 (figures 4.20, 4.21): short readings with simultaneous pings, none with sequential ones",
     parameters=(
-        Parameter("share", "1", "share of such pings that give the false echo", 0.0, 1.0),
+        share_of_readings("share of such pings that give the false echo"),
         Parameter("sigma_cm", "cm", "scatter of the false echo", 0.1, 50.0, None, 2.0, (2.0,)),
     ),
     requires=("neighbour_lag_ms", "neighbour_range_cm"),

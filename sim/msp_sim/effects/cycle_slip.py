@@ -1,6 +1,6 @@
 """Effect: the echo is detected some periods late."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Normal
 
 
@@ -17,7 +17,7 @@ CYCLE_SLIP = Effect(
     physics="hits later by n periods, n lambda / 2 in range: 0.41 cm per period at 42 kHz",
     source="zero-crossing and threshold detectors on tone bursts",
     parameters=(
-        Parameter("share", "1", "share of the readings that slip", 0.0, 1.0),
+        share_of_readings("share of the readings that slip"),
         Parameter("cycles", "1", "periods that are missed", 1.0, 40.0, None, 6.0, (4.0, 8.0, 12.0, 16.0, 20.0, 24.0)),
     ),
     requires=("true_range_cm",),

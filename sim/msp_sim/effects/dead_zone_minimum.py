@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Code
 
 
@@ -18,7 +18,7 @@ DEAD_ZONE_MINIMUM = Effect(
     physics="the minimum in place of a hit, for a share of the readings of surfaces within the zone",
     source="report: objects closer than 20 cm read 20",
     parameters=(
-        Parameter("share", "1", "share of the readings within the zone", 0.0, 1.0),
+        share_of_readings("share of the readings within the zone"),
         Parameter("depth_cm", "cm", "how far the zone reaches", 1.0, 200.0, None, 30.0, (25.0, 30.0, 40.0, 60.0)),
     ),
     requires=("true_range_cm",),

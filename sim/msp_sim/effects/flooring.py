@@ -1,6 +1,6 @@
 """Effect: ranges are truncated to whole centimetres instead of rounded."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Scene, Values, share_of_readings
 
 
 def _apply(scene: Scene, values: Values) -> Contribution:
@@ -13,7 +13,7 @@ FLOORING = Effect(
     finding="{share:of} readings are truncated instead of rounded",
     physics="floor(x) = round(x - 1/2): an offset of half a step, independent of the noise",
     source="integer arithmetic",
-    parameters=(Parameter("share", "1", "1 if every reading is truncated", 0.0, 1.0),),
+    parameters=(share_of_readings("1 if every reading is truncated"),),
     requires=("true_range_cm",),
     channels=("bias",),
     experiment="none: it equals an offset of -0.5 cm, and both are calibration",

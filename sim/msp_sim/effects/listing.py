@@ -8,35 +8,19 @@ from msp_sim.effects.base import Effect, Parameter
 
 _INDENT = "    "
 _WIDTH = 100
+_DESCRIBED = ("name", "sentence", "finding", "physics", "source", "channels", "requires", "optional", "per")
+_NUMBERS = ("unit", "meaning", "low", "high", "neutral", "default")
 
 
 def as_data(catalogue: Mapping[str, Effect]) -> list[dict[str, Any]]:
     """All fields of each effect as plain values, for JSON."""
     return [
         {
-            "name": effect.name,
-            "sentence": effect.sentence,
-            "finding": effect.finding,
-            "physics": effect.physics,
-            "source": effect.source,
-            "channels": list(effect.channels),
-            "requires": list(effect.requires),
-            "optional": list(effect.optional),
-            "per": effect.per,
-            "parameters": {
-                each.name: {
-                    "unit": each.unit,
-                    "meaning": each.meaning,
-                    "low": each.low,
-                    "high": each.high,
-                    "neutral": each.neutral,
-                    "default": each.default,
-                }
-                for each in effect.parameters
-            },
+            **{key: getattr(effect, key) for key in _DESCRIBED},
+            "parameters": {each.name: {key: getattr(each, key) for key in _NUMBERS} for each in effect.parameters},
             "experiment": effect.experiment,
             "calibration": effect.base,
-            "equivalent_causes": list(effect.equivalent_causes),
+            "equivalent_causes": effect.equivalent_causes,
         }
         for effect in catalogue.values()
     ]

@@ -1,12 +1,7 @@
 """Effect: the high byte of a reading is lost."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Effect, damage, share_of_readings
 from msp_sim.effects.codes import LostHighByte
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(fault=LostHighByte(), fault_share=values["share"])
-
 
 LOST_HIGH_BYTE = Effect(
     name="lost_high_byte",
@@ -14,9 +9,8 @@ LOST_HIGH_BYTE = Effect(
     finding="{share:of} readings lose a byte on the bus",
     physics="reading modulo 256",
     source="drivers that read one byte of two",
-    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
-    requires=(),
+    parameters=(share_of_readings("share of the readings affected"),),
     channels=("code",),
     experiment="a wall at 300 cm reads 44",
-    apply=_apply,
+    apply=damage(LostHighByte()),
 )

@@ -14,7 +14,6 @@ MISSED = Effect(
     physics="log odds of a reading of the maximum against a hit",
     source="report 4.3.2: 765 now and then",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
-    requires=(),
     channels=("missed",),
     experiment="a thousand readings of a wall at 1 m",
     apply=_apply,

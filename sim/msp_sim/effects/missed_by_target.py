@@ -14,7 +14,6 @@ MISSED_BY_TARGET = Effect(
     physics="log odds of a missed echo over one target; reflected energy: msp_range.acoustics.materials",
     source="report eq 4 and 4.3.4: plywood, asphalt and concrete reflect equally; snow and grass reflect far less",
     parameters=(Parameter("log_odds", "1", "change of the log odds over this target", -10.0, 10.0),),
-    requires=(),
     channels=("missed",),
     experiment="this target and a plate side by side at the same range",
     apply=_apply,

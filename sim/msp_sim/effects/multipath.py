@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Normal
 
 
@@ -19,7 +19,7 @@ MULTIPATH = Effect(
     physics="hits at 2 z instead of z, if that is within the maximum range",
     source="echo sounding over hard ground; the vehicle's underside is the second reflector",
     parameters=(
-        Parameter("share", "1", "share of the readings", 0.0, 1.0),
+        share_of_readings("share of the readings"),
         Parameter("sigma_cm", "cm", "scatter of the second echo", 0.1, 50.0, None, 3.0, (3.0,)),
     ),
     requires=("true_range_cm",),

@@ -1,12 +1,7 @@
 """Effect: the two bytes of a reading are OR-ed into one."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Effect, damage, share_of_readings
 from msp_sim.effects.codes import OrEd
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(fault=OrEd(), fault_share=values["share"])
-
 
 OR_ED_BYTES = Effect(
     name="or_ed_bytes",
@@ -14,9 +9,8 @@ OR_ED_BYTES = Effect(
     finding="{share:of} readings arrive with their two bytes merged into one",
     physics="high | low instead of 256 high + low: 0x02 | 0xFD = 255",
     source="a missing shift, found in two public drivers of this sensor",
-    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
-    requires=(),
+    parameters=(share_of_readings("share of the readings affected"),),
     channels=("code",),
     experiment="a wall at 300 cm reads 45",
-    apply=_apply,
+    apply=damage(OrEd()),
 )

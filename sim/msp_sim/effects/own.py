@@ -43,7 +43,7 @@ def find_effect(name: str) -> Effect | None:
     return CATALOGUE.get(name)
 
 
-def add_own_effects(files: Sequence[Path] = ()) -> None:
+def add_own_effects(files: Sequence[Path]) -> None:
     """Add the effects of all installed packages and of these files to the catalogue.
 
     Raises

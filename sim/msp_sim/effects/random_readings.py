@@ -14,7 +14,6 @@ RANDOM_READINGS = Effect(
     physics="log odds of a random reading against a hit",
     source="report eq 12",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
-    requires=(),
     channels=("random",),
     experiment="a thousand readings of a wall at 1 m",
     apply=_apply,

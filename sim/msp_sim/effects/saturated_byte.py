@@ -1,12 +1,7 @@
 """Effect: readings are limited to eight bits."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Effect, damage, share_of_readings
 from msp_sim.effects.codes import Saturated
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(fault=Saturated(), fault_share=values["share"])
-
 
 SATURATED_BYTE = Effect(
     name="saturated_byte",
@@ -14,9 +9,8 @@ SATURATED_BYTE = Effect(
     finding="{share:of} readings beyond 255 cm arrive as 255",
     physics="min(reading, 255)",
     source="report 4.3.2: 255 as well as 765; 8-bit variables in drivers and loggers",
-    parameters=(Parameter("share", "1", "share of the readings affected", 0.0, 1.0),),
-    requires=(),
+    parameters=(share_of_readings("share of the readings affected"),),
     channels=("code",),
     experiment="a wall at 300 cm reads 255 (OR-ed bytes would give 45)",
-    apply=_apply,
+    apply=damage(Saturated()),
 )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from msp_range.reading_model.kernel import is_on_grid
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.effects.base import Contribution, Effect, Scene, Values, share_of_readings
 from msp_sim.effects.component import Code
 
 
@@ -20,7 +20,7 @@ STALE = Effect(
     finding="{share:of} readings are repeats of the one before",
     physics="the sensor's previous reading instead of a new one",
     source="drivers that read before the measurement has ended; register reads that trigger a new ping",
-    parameters=(Parameter("share", "1", "share of repeated readings", 0.0, 1.0),),
+    parameters=(share_of_readings("share of repeated readings"),),
     requires=("previous_reading_cm",),
     channels=("component",),
     experiment="a target in steady motion: some readings do not change",

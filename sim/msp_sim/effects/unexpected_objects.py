@@ -14,7 +14,6 @@ UNEXPECTED_OBJECTS = Effect(
     physics="log odds of a short reading against a hit",
     source="report eq 10",
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
-    requires=(),
     channels=("short",),
     experiment="an empty hall and a furnished one",
     apply=_apply,

@@ -70,6 +70,8 @@ class LoopbackAutopilot:
 
     description = "loopback"
     last_error = None
+    connected = True
+    files = ()
 
     def __init__(
         self,
@@ -106,16 +108,6 @@ class LoopbackAutopilot:
         self._sampled = pose(0.0)
         self._force_bias = [self._gauss(0.0, ACCELEROMETER_BIAS_M_S2) for _ in range(3)]
         self._outgoing = bytearray()
-
-    @property
-    def connected(self) -> bool:
-        """A loopback is always connected."""
-        return True
-
-    @property
-    def files(self) -> Sequence[int]:
-        """None: `quiet_until_s` is known."""
-        return ()
 
     @property
     def quiet_until_s(self) -> float:

@@ -22,7 +22,6 @@ from msp_sim.device.emulated import emulated_bus
 from msp_sim.flight.autopilot import LoopbackAutopilot
 from msp_sim.flight.flight_log import FlightLog
 from msp_sim.flight.scenario import Scenario
-from msp_sim.world.vehicle import Pose
 
 
 class _LoggingTransport(Wrapped):
@@ -110,7 +109,7 @@ class Simulation:
             self._log.record_truth,
             scenario.device_faults(),
         )
-        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        self._reference_down_m = airframe.reference_down_m
         self._displayed_c = scenario.thermometer.reading_c
         plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(
@@ -140,13 +139,9 @@ class Simulation:
         """Time of the flight [s]."""
         return self._clock.now() - self._start_s
 
-    def pose(self) -> Pose:
-        """The vehicle's present pose."""
-        return self.vehicle.pose(self.now_s())
-
     def height_m(self) -> float:
         """Present vertical distance from where the fused stream measures to the surface below [m]."""
-        return self.world.height_m(self.pose()) - self._reference_down_m
+        return self.world.height_m(self.vehicle.pose(self.now_s())) - self._reference_down_m
 
     def fly(self) -> Generator[list[Step], None, None]:
         """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""
@@ -175,11 +170,6 @@ class Simulation:
         flight.autopilot_received = dict(self._autopilot.received_counts())
         flight.frames_sha256 = self.transport.sha256.hexdigest()
         self.transport.close()
-
-    @property
-    def link_error(self) -> str | None:
-        """Error of the real link; None if it works or there is none."""
-        return self.transport.last_error
 
     @property
     def received(self) -> list[tuple[float, Any]]:

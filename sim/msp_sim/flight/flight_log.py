@@ -11,6 +11,7 @@ from typing import Any
 from msp_range.acoustics.air import speed_of_sound
 from msp_range.bridge import Bridge, Records, Step
 from msp_range.config import Airframe
+from msp_range.fusion import Fused
 from msp_range.health import Severity
 from msp_range.reading import Status
 from msp_range.reading_model.sensor_model import SensorModel
@@ -39,6 +40,23 @@ class SensorTrack:
     filtered_m: list[float | None] = field(default_factory=list)
     why: list[str | None] = field(default_factory=list)
     below_m: list[float | None] = field(default_factory=list)
+
+    def add(
+        self,
+        time_s: float,
+        truth_m: float | None,
+        raw_m: float | None,
+        filtered_m: float | None,
+        why: str | None,
+        below_m: float | None = None,
+    ) -> None:
+        """Append one reading, or one fused distance."""
+        self.time_s.append(time_s)
+        self.truth_m.append(truth_m)
+        self.raw_m.append(raw_m)
+        self.filtered_m.append(filtered_m)
+        self.why.append(why)
+        self.below_m.append(below_m)
 
 
 @dataclass(slots=True)
@@ -100,7 +118,7 @@ class FlightLog:
         self._by_sound = {name: model.medium == "sound" for name, model in models.items()}
         self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
         self._downward = {sensor.name: sensor for sensor in airframe.downward}
-        self._reference_down_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
+        self._reference_down_m = airframe.reference_down_m
         self._world = world
         self._pose = pose
         self._start_s = start_s
@@ -126,30 +144,28 @@ class FlightLog:
 
     def record_step(self, step: Step) -> None:
         """Record what became of a reading."""
-        reading = step.ranging.reading
+        reading, estimate = step.ranging.reading, step.filtered.estimate
         time_s = reading.time_s - self._start_s
-        track = self.flight.tracks[reading.sensor]
-        track.time_s.append(time_s)
-        track.truth_m.append(self._truth_m(reading.sensor))
-        track.raw_m.append(reading.range_m)
-        track.filtered_m.append(step.filtered.estimate.range_m if step.filtered.estimate else None)
         at_minimum = reading.status.value if reading.status is Status.AT_MINIMUM else None
-        track.why.append(step.filtered.rejected or at_minimum)
-        if reading.sensor not in self._downward:
-            track.below_m.append(None)
-            return
+        self.flight.tracks[reading.sensor].add(
+            time_s,
+            self._truth_m(reading.sensor),
+            reading.range_m,
+            estimate.range_m if estimate else None,
+            step.filtered.rejected or at_minimum,
+            self._record_below(time_s, step.fused) if reading.sensor in self._downward else None,
+        )
+
+    def _record_below(self, time_s: float, fused: Fused | None) -> float | None:
+        """Record the fused distance; return the true one [m], or None over an edge."""
         pose = self._pose(time_s)
-        below_m = self._world.down_axis_m(pose)
-        truth_m = None if below_m is None else below_m - self._reference_down_m
-        is_edge = below_m is None or self._is_edge(time_s, pose, below_m)
-        track.below_m.append(None if is_edge else truth_m)
-        if step.fused is not None:
-            fused = self.flight.fused
-            fused.time_s.append(time_s)
-            fused.truth_m.append(truth_m)
-            fused.filtered_m.append(step.fused.range_m)
-            fused.why.append("edge" if is_edge else None)
-            fused.below_m.append(None if is_edge else truth_m)
+        down_m = self._world.down_axis_m(pose)
+        truth_m = None if down_m is None else down_m - self._reference_down_m
+        is_edge = down_m is None or self._is_edge(time_s, pose, down_m)
+        below_m = None if is_edge else truth_m
+        if fused is not None:
+            self.flight.fused.add(time_s, truth_m, None, fused.range_m, "edge" if is_edge else None, below_m)
+        return below_m
 
     def _is_edge(self, time_s: float, pose: Pose, below_m: float) -> bool:
         # The ground's own height where the down axis meets it, so that climbing or descending is not an edge.

@@ -7,11 +7,14 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import ArrayLike, NDArray
 
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, style
 
+_Array = NDArray[np.float64]
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
 USED = (None, "at_minimum")
@@ -53,23 +56,19 @@ def _draw_ranges(top: Axes, flight: FlightResult) -> None:
     """Readings that were used, and the fused distance on the true one."""
     for number, (name, track) in enumerate(flight.tracks.items()):
         colour, _ = SERIES[number % len(SERIES)]
-        ranges = list(zip(track.time_s, track.raw_m, track.why, strict=True))
-        used = [(t, raw) for t, raw, why in ranges if raw is not None and why in USED]
-        rejected = [(t, raw) for t, raw, why in ranges if raw is not None and why not in USED]
-        top.plot(*_columns(used), ".", color=colour, markersize=3, label=name)
-        top.plot(*_columns(rejected), "x", color=colour, markersize=5)
+        time_s, raw_m = _numbers(track.time_s), _numbers(track.raw_m)
+        used = np.array([why in USED for why in track.why], dtype=bool)
+        top.plot(time_s[used], raw_m[used], ".", color=colour, markersize=3, label=name)
+        top.plot(time_s[~used], raw_m[~used], "x", color=colour, markersize=5)
     top.plot([], [], "x", color=GREY, label="a range that was not used")
     fused = flight.fused
     # Where the sensors are over different ground no single distance is true.
-    truth = [
-        (t, math.nan if truth is None or why == "edge" else truth)
-        for t, truth, why in zip(fused.time_s, fused.truth_m, fused.why, strict=True)
-    ]
+    truth = _interrupted(fused.time_s, _unless(fused, "edge", _numbers(fused.truth_m)))
     if any(each is not None for each in fused.truth_m):
-        top.plot(*_columns(_interrupted(truth)), "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
+        top.plot(*truth, "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
     if fused.time_s:
-        heights = [(t, math.nan if m is None else m) for t, m in zip(fused.time_s, fused.filtered_m, strict=True)]
-        top.plot(*_columns(_interrupted(heights)), "-", color=INK, linewidth=1, label="fused")
+        heights = _interrupted(fused.time_s, _numbers(fused.filtered_m))
+        top.plot(*heights, "-", color=INK, linewidth=1, label="fused")
     top.set_ylabel("range [m]")
 
 
@@ -84,7 +83,14 @@ def _draw_rejected(axes: Axes, flight: FlightResult, reasons: Sequence[str]) -> 
             if why == reason
         ]
         colour, _ = SERIES[place % len(SERIES)]
-        axes.plot(*_columns(points), marker, color=colour, markersize=4.5, markerfacecolor="none", label=_words(reason))
+        axes.plot(
+            *zip(*points, strict=True),
+            marker,
+            color=colour,
+            markersize=4.5,
+            markerfacecolor="none",
+            label=_words(reason),
+        )
     axes.set_yticks(range(len(flight.tracks)), list(flight.tracks))
     axes.set_ylim(len(flight.tracks) - 0.5, -0.5)
     axes.set_title("readings that were not used")
@@ -96,23 +102,18 @@ def _draw_errors(axes: Axes, flight: FlightResult) -> None:
     """Errors of readings and of the fused distance."""
     for number, track in enumerate(flight.tracks.values()):
         colour, _ = SERIES[number % len(SERIES)]
-        errors_cm = [
-            (t, 100 * (raw - truth))
-            for t, raw, truth, why in zip(track.time_s, track.raw_m, track.truth_m, track.why, strict=True)
-            if raw is not None and truth is not None and why != "at_minimum"
-        ]
-        axes.plot(*_columns(errors_cm), ".", color=colour, markersize=2, alpha=0.6)
+        errors_cm = 100 * (_numbers(track.raw_m) - _numbers(track.truth_m))
+        errors_cm = _unless(track, "at_minimum", errors_cm)
+        axes.plot(track.time_s, errors_cm, ".", color=colour, markersize=2, alpha=0.6)
     fused = flight.fused
-    errors_cm = [
-        (t, math.nan if why == "edge" else 100 * (m - truth))
-        for t, m, truth, why in zip(fused.time_s, fused.filtered_m, fused.truth_m, fused.why, strict=True)
-        if m is not None and truth is not None
-    ]
-    axes.plot(*_columns(_interrupted(errors_cm)), "-", color=INK, linewidth=1)
+    errors_cm = 100 * (_numbers(fused.filtered_m) - _numbers(fused.truth_m))
+    known = np.isfinite(errors_cm)
+    line = _interrupted(_numbers(fused.time_s)[known], _unless(fused, "edge", errors_cm)[known])
+    axes.plot(*line, "-", color=INK, linewidth=1)
     axes.set_ylabel("error [cm]")
     axes.set_ylim(-SHOWN_CM, SHOWN_CM)
-    line = "; line: fused" if errors_cm else ""
-    axes.set_title(f"error: range minus truth (dots: raw readings{line})")
+    of_line = "; line: fused" if known.any() else ""
+    axes.set_title(f"error: range minus truth (dots: raw readings{of_line})")
 
 
 def _what_happened(flight: FlightResult) -> str:
@@ -151,15 +152,17 @@ def _edges(fused: SensorTrack) -> list[tuple[float, float]]:
     return spans
 
 
-def _interrupted(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def _interrupted(time_s: ArrayLike, values: _Array) -> tuple[_Array, _Array]:
     """A line's points, with a gap where there is none for longer than `GAP_S`."""
-    line: list[tuple[float, float]] = []
-    for time_s, value in points:
-        if line and time_s - line[-1][0] > GAP_S:
-            line.append((time_s, math.nan))
-        line.append((time_s, value))
-    return line
+    at_s = np.asarray(time_s, dtype=float)
+    gaps = np.flatnonzero(np.diff(at_s) > GAP_S) + 1
+    return np.insert(at_s, gaps, at_s[gaps]), np.insert(values, gaps, np.nan)
 
 
-def _columns(rows: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    return [row[0] for row in rows], [row[1] for row in rows]
+def _numbers(values: Sequence[float | None]) -> _Array:
+    return np.array(values, dtype=float)
+
+
+def _unless(track: SensorTrack, why: str, values: _Array) -> _Array:
+    """The values, NaN where the track has this reason."""
+    return np.where(np.array(track.why, dtype=object) == why, np.nan, values)

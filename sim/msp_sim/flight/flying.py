@@ -115,8 +115,8 @@ def fly_scenario(
     times = summary["duration_s"] / wall_s
     held = "" if speed is None else f", limited to {speed:g}"
     print(f"{summary['duration_s']:.1f} s of flight in {wall_s:.1f} s: {times:.0f} times real time{held}")
-    if simulation.link_error is not None:
-        print(f"link {link}: {simulation.link_error}")
+    if simulation.transport.last_error is not None:
+        print(f"link {link}: {simulation.transport.last_error}")
     if out is not None:
         summary["wall"] = {"seconds": round(wall_s, 3), "times_real_time": round(times, 1)}
         (out / SCENARIO).write_bytes(scenario_text)

@@ -44,18 +44,12 @@ def recorded_flight(path: Path) -> FlightResult:
             start_s = message["ping_s"] if start_s is None else start_s
             last_s = message["time_s"] - start_s
             name = topic.removeprefix(RANGE_PREFIX)
-            track = tracks[name]
-            track.time_s.append(message["time_s"] - start_s)
-            track.truth_m.append(truths_m.pop(name, None))
-            track.raw_m.append(message.get("range_m"))
-            track.filtered_m.append(message.get("filtered_m"))
             at_minimum = message["status"] if message["status"] == Status.AT_MINIMUM.value else None
-            track.why.append(message.get("rejected", at_minimum))
+            why = message.get("rejected", at_minimum)
+            truth_m = truths_m.pop(name, None)
+            tracks[name].add(last_s, truth_m, message.get("range_m"), message.get("filtered_m"), why)
         elif topic == FUSED_TOPIC and start_s is not None and {"time_s", "range_m"} <= message.keys():
-            fused.time_s.append(message["time_s"] - start_s)
-            fused.truth_m.append(None)
-            fused.filtered_m.append(message["range_m"])
-            fused.why.append(None)
+            fused.add(message["time_s"] - start_s, None, None, message["range_m"], None)
         elif topic == SENT_TOPIC:
             sent[str(message.get("name"))] += 1
         elif topic in (HEALTH_TOPIC, MARK_TOPIC) and "text" in message:

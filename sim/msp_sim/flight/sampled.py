@@ -14,7 +14,7 @@ import yaml
 from numpy.random import SeedSequence, default_rng
 from pydantic import ValidationError
 
-from msp_range.yaml_file import ConfigError, check
+from msp_range.yaml_file import ConfigError, Place, check, with_value
 from msp_sim.device.device import Fault
 from msp_sim.device.table import emulated_kind
 from msp_sim.flight.scenario import ImpossibleFlight, Scenario
@@ -25,7 +25,6 @@ from msp_sim.flight.vary import (
     default_parameters,
     places,
     value_at,
-    with_value,
 )
 
 MOST_DRAWS = 100
@@ -128,7 +127,7 @@ class Sampled:
             return SampledFlight(scenario, flight_seed, values, tuple(faults), refused)
         raise ConfigError(f"{self._source}: vary: none of {MOST_DRAWS} draws can be flown; the last one: {reason}")
 
-    def _checked(self, path: str, distribution: Distribution) -> list[tuple[int | str, ...]]:
+    def _checked(self, path: str, distribution: Distribution) -> list[Place]:
         """The places of a parameter, which are there and can have the values of its distribution."""
         key = f"{self._source}: vary.parameters: {path}"
         try:

@@ -2,13 +2,12 @@
 
 from typing import Any
 
-from rich import box
 from rich.console import Console, Group, RenderableType
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from msp_range.bridge import Step
-from msp_range.terminal import number_columns
+from msp_range.terminal import plain_table
 from msp_sim.flight.flight import Simulation
 
 BAR_CELLS = 44
@@ -77,9 +76,9 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     seed = "" if summary["seed"] is None else f", seed {summary['seed']}"
     title = f"{summary['scenario']}, {summary['duration_s']:.0f} s flown{seed}"
     fused = summary["fused"]
-    readings = _table("sensor", "readings", title=title)
+    readings = plain_table("sensor", "readings", title=title)
     readings.add_column("rejected, reason")
-    errors = _table("error [cm]", "rms raw", "95 % raw", "rms filtered", "95 % filtered")
+    errors = plain_table("error [cm]", "rms raw", "95 % raw", "rms filtered", "95 % filtered")
     for name, sensor in summary["sensors"].items():
         rejected = sensor["rejected"]
         total = sum(rejected.values())
@@ -96,7 +95,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
         console.print(errors)
     if fused["over_edges"]:
         console.print(f"  {fused['over_edges']} fused distances over edges of the ground are not in the errors\n")
-    link = _table("message sent", "messages", "rate Hz", "dropped")
+    link = plain_table("message sent", "messages", "rate Hz", "dropped")
     dropped = summary["link"]["dropped"]
     sent = summary["link"]["sent"]
     for name in sorted(sent | dropped):
@@ -105,11 +104,6 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     console.print(link)
     for text in summary["texts"]:
         console.print(f"{text['time_s']:7.1f} s  {text['severity']}: {text['text']}")
-
-
-def _table(first: str, *numbers: str, title: str | None = None) -> Table:
-    """A table with a column of names and columns of numbers."""
-    return Table(Column(first, no_wrap=True), *number_columns(*numbers), title=title, box=box.SIMPLE_HEAD)
 
 
 def _error(error: dict[str, float]) -> tuple[str, str]:

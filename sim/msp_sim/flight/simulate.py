@@ -1,6 +1,5 @@
 """A simulated flight for programs and notebooks: a scenario enters, plain numbers and arrays leave."""
 
-import math
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -112,4 +111,4 @@ def _track(track: SensorTrack) -> dict[str, NDArray[Any]]:
 
 
 def _numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
-    return np.array([math.nan if each is None else each for each in values], dtype=np.float64)
+    return np.array(values, dtype=np.float64)

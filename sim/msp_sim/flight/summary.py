@@ -6,6 +6,7 @@ sensor's minimum are left out; for the fused distance so are times at which the 
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,16 @@ def error_of(truth_m: list[float | None], value_m: list[float | None], why: list
     ]
     if not pairs:
         return {"count": 0}
-    errors = np.array(pairs)
-    return {
-        "count": len(pairs),
-        "bias_cm": round(float(errors.mean()), 3),
-        "rms_cm": round(math.sqrt(float((errors**2).mean())), 3),
-        "p95_cm": round(float(np.percentile(np.abs(errors), 95)), 3),
-    }
+    return {"count": len(pairs), **error_numbers(pairs)}
+
+
+def error_numbers(errors_cm: Sequence[float]) -> dict[str, float]:
+    """Mean, root mean square and 95 % quantile of errors, of which there is one at least [cm]."""
+    errors = np.array(errors_cm)
+    # Summed exactly, so that the last digit does not depend on the processor.
+    bias_cm, rms_cm = math.fsum(errors) / errors.size, math.sqrt(math.fsum(errors**2) / errors.size)
+    values = {"bias_cm": bias_cm, "rms_cm": rms_cm, "p95_cm": float(np.percentile(np.abs(errors), 95))}
+    return {name: round(value, 3) for name, value in values.items()}
 
 
 def summarise(flight: FlightResult, scenario: str, seed: int | None) -> dict[str, Any]:

@@ -13,15 +13,13 @@ from typing import Annotated, Any, Literal, Self
 from numpy.random import Generator
 from pydantic import Field, model_validator
 
-from msp_range.yaml_file import Section, SectionT
-from msp_sim.device.device import FAULT_KINDS
+from msp_range.yaml_file import Place, Section, SectionT
+from msp_sim.device.device import ALWAYS_HAPPEN, FAULT_KINDS
 from msp_sim.world.profiles import Positive
 
 DIGITS = 4
 """Significant digits of a drawn number: those that a table shows are those that were flown. Fewer would make the steps
 of a distribution visible."""
-ALWAYS_HAPPEN = frozenset({"power_cycle", "locked_up"})
-"""Faults with a probability of 1."""
 EACH = "[*]"
 Value = float | int | str | bool
 
@@ -240,7 +238,7 @@ def rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def places(values: Mapping[str, Any], path: str) -> list[tuple[int | str, ...]]:
+def places(values: Mapping[str, Any], path: str) -> list[Place]:
     """The places that a parameter's path names; several with ``[*]``.
 
     Parameters
@@ -262,9 +260,9 @@ def places(values: Mapping[str, Any], path: str) -> list[tuple[int | str, ...]]:
     """
     if not re.fullmatch(r"\w+(\[(\*|\d+)\])*(\.\w+(\[(\*|\d+)\])*)*", path):
         raise ValueError("expected the path of a parameter, such as air.ground_c or flight.altitude[1].to_m")
-    found: list[tuple[tuple[int | str, ...], Any]] = [((), values)]
+    found: list[tuple[Place, Any]] = [((), values)]
     for step in re.findall(r"\w+|\[\*\]", re.sub(r"\[(\d+)\]", r".\1", path)):
-        following: list[tuple[tuple[int | str, ...], Any]] = []
+        following: list[tuple[Place, Any]] = []
         for place, value in found:
             if isinstance(value, list | tuple):
                 if step != EACH and not (step.isdigit() and int(step) < len(value)):
@@ -289,15 +287,3 @@ def value_at(values: Any, place: Sequence[int | str]) -> Any:
         else:
             return None
     return values
-
-
-def with_value(values: Any, place: Sequence[int | str], value: Any) -> Any:
-    """A copy of plain values with another one at a place; sections on the way that are absent are added."""
-    if not place:
-        return value
-    first, rest = place[0], place[1:]
-    if isinstance(first, int):
-        return [with_value(each, rest, value) if i == first else each for i, each in enumerate(values)]
-    known = dict(values) if isinstance(values, dict) else {}
-    known[first] = with_value(known.get(first), rest, value)
-    return known

@@ -101,7 +101,7 @@ def _runs(trial: Trial) -> str | None:
 
 
 def _shows(trial: Trial) -> str | None:
-    gain = trial.gain() if trial.strong else 0.0
+    gain = trial.gain(trial.strong)
     if not np.isfinite(gain):
         return "some readings that it draws have no probability"
     return None if gain > VISIBLE_NATS else f"the model with it explains its own readings {gain:.1g} nats better"

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.recording.export import neighbour_lags_ms
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.model.history import History
 from msp_sim.model.model import Model
@@ -144,21 +145,9 @@ def _slope_cm_s(time_s: _Array, range_cm: _Array) -> _Array:
 
 
 def _neighbour_lag_ms(columns: _Columns) -> _Array:
-    """Time since the last row of another sensor in the same run [ms]; NaN where there is none."""
-    time_s, sensor = np.asarray(columns["time_s"], dtype=np.float64), columns["sensor"]
-    run = columns["run"] if "run" in columns else np.full(time_s.size, "")
-    order = np.lexsort((time_s, run))
-    lag_ms = np.full(time_s.size, math.nan)
-    last_s: dict[str, float] = {}
-    here = None
-    for row in order.tolist():
-        if run[row] != here:
-            here, last_s = run[row], {}
-        others_s = [each for name, each in last_s.items() if name != sensor[row]]
-        if others_s:
-            lag_ms[row] = 1e3 * (time_s[row] - max(others_s))
-        last_s[str(sensor[row])] = float(time_s[row])
-    return lag_ms
+    time_s = np.asarray(columns["time_s"], dtype=np.float64)
+    runs = columns["run"] if "run" in columns else np.zeros(time_s.size)
+    return neighbour_lags_ms(time_s, columns["sensor"].tolist(), runs)
 
 
 DERIVED: dict[str, tuple[tuple[str, ...], str, Callable[[_Columns], _Array]]] = {

@@ -5,7 +5,6 @@ exactly as it was found. Contexts are columns by name, those of the CSV form. An
 column that it requires is unknown.
 """
 
-import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_range.yaml_file import ConfigError
+from msp_range.yaml_file import ConfigError, suggest
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import (
     REFERENCE,
@@ -322,7 +321,7 @@ def make_term(name: str, of: str | None, values: Mapping[str, float], place: str
     """
     effect = find_effect(name)
     if effect is None:
-        near = _near(name, CATALOGUE)
+        near = suggest(name, CATALOGUE)
         raise ConfigError(
             f"{place}.name: found {name!r}, expected one that 'msp-lab effects' lists, or one of your own file: "
             f"--effects FILE.py.{near}"
@@ -337,7 +336,7 @@ def make_term(name: str, of: str | None, values: Mapping[str, float], place: str
     known = {parameter.name: parameter for parameter in effect.parameters}
     for key, value in values.items():
         if key not in known:
-            raise ConfigError(f"{place}.parameters.{key}: unknown; {name} has {', '.join(known)}.{_near(key, known)}")
+            raise ConfigError(f"{place}.parameters.{key}: unknown; {name} has {', '.join(known)}.{suggest(key, known)}")
         low, high, unit = known[key].low, known[key].high, known[key].unit
         if not low <= value <= high:
             raise ConfigError(f"{place}.parameters.{key}: found {value:g}, expected {low:g} to {high:g} [{unit}]")
@@ -412,7 +411,7 @@ def _entry(entry: Mapping[str, Any], place: str) -> Term:
     keys = ("name", *own_keys, "evidence")
     for key in entry:
         if key not in keys:
-            raise ConfigError(f"{place}.{key}: unknown key.{_near(key, keys)} Known keys here: {', '.join(keys)}")
+            raise ConfigError(f"{place}.{key}: unknown key.{suggest(key, keys)} Known keys here: {', '.join(keys)}")
     if is_curve:
         channel, variables, knots, values = map(entry.get, own_keys)
         return make_curve_term(channel, variables, knots, values, place)
@@ -442,8 +441,3 @@ def _column(name: str, values: Any) -> NDArray[Any]:
     if column.ndim != 1:
         raise ValueError(f"found {name} of shape {column.shape}, expected one dimension")
     return column
-
-
-def _near(word: Any, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(str(word), list(known), n=1, cutoff=0.5)
-    return f" Did you mean {near[0]!r}?" if near else ""

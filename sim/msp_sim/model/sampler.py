@@ -59,7 +59,7 @@ class Sampler:
         return float(self._model.sample(columns, self._streams)[0])
 
     def _draw(self, context: Mapping[str, Any]) -> float:
-        base, streams = self._model.base, self._streams
+        base = self._model.base
         range_cm = context.get(TRUE_RANGE)
         centre_cm = math.nan if range_cm is None else base.calibration.forward(float(range_cm))
         sigma_cm, (hit, short, missed, random) = base.sigma_cm(centre_cm), base.log_weights(centre_cm)
@@ -74,20 +74,13 @@ class Sampler:
                 short += change.log_odds_short or 0.0
                 missed += change.log_odds_missed or 0.0
                 random += change.log_odds_random or 0.0
+        return self._reading_cm(centre_cm, sigma_cm, (hit, short, missed, random))
+
+    def _reading_cm(self, centre_cm: float, sigma_cm: float, log_weights: tuple[float, float, float, float]) -> float:
+        parameters, streams = self._model.base.parameters, self._streams
         drawn_cm = Hit.draw(streams["hit"].standard_normal(), centre_cm, sigma_cm)
         kind, place = streams["kind"].random(), streams["place"].random()
-        saturated = streams["saturated"].random() < base.parameters.saturated_fraction
-        return self._reading_cm(drawn_cm, centre_cm, kind, place, saturated, (hit, short, missed, random))
-
-    def _reading_cm(
-        self,
-        drawn_cm: float,
-        centre_cm: float,
-        kind: float,
-        place: float,
-        saturated: bool,
-        log_weights: tuple[float, float, float, float],
-    ) -> float:
+        saturated = streams["saturated"].random() < parameters.saturated_fraction
         minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
         step_cm = self._model.sensor.resolution_cm
         most = max(log_weights)
@@ -95,7 +88,7 @@ class Sampler:
         kind *= hit + short + missed + random
         if kind >= hit:
             if kind < hit + short:
-                rate_per_cm = self._model.base.parameters.short_rate_per_m / 100.0
+                rate_per_cm = parameters.short_rate_per_m / 100.0
                 drawn_cm = float(Short.draw(place, centre_cm, rate_per_cm, minimum_cm, maximum_cm))
             elif kind < hit + short + missed or random == 0.0:
                 drawn_cm = maximum_cm
@@ -110,4 +103,4 @@ class Sampler:
 def _column(name: str, value: Any) -> NDArray[Any]:
     if name in WORD_COLUMNS or isinstance(value, str):
         return np.array(["" if value is None else value])
-    return np.array([np.nan if value is None else value], dtype=np.float64)
+    return np.array([value], dtype=np.float64)

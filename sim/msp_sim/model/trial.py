@@ -1,6 +1,7 @@
 """An effect at a strength at which it is visible, and contexts for it: what the checks of an effect work on."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -46,18 +47,15 @@ class Trial:
     def __init__(self, effect: Effect, sensor: SensorModel) -> None:
         self.effect = effect
         self.base = Model(sensor.model_copy(update={"effects": ()}))
-        self._strong: Term | None = None
 
-    @property
+    @cached_property
     def strong(self) -> Term:
-        """The effect at the first of `STRENGTHS` at which it is visible."""
-        if self._strong is None:
-            for strength in STRENGTHS:
-                self._strong = self.at(strong_values(self.effect, strength))
-                if self.gain() > VISIBLE_NATS:
-                    break
-        assert self._strong is not None
-        return self._strong
+        """The effect at the first of `STRENGTHS` at which it is visible, or at the last."""
+        for strength in STRENGTHS:
+            term = self.at(strong_values(self.effect, strength))
+            if self.gain(term) > VISIBLE_NATS:
+                break
+        return term
 
     def at(self, values: Mapping[str, float]) -> Term:
         """The effect with these values, applied to one sensor, run or target if it is per one of them."""
@@ -78,12 +76,12 @@ class Trial:
             columns["run"] = np.arange(n).astype(str)
         return columns
 
-    def gain(self) -> float:
+    def gain(self, term: Term) -> float:
         """Mean gain in log probability of the effect's own readings over the base model [nats per reading]."""
-        given = self.contexts(10_000, 9)
-        readings_cm = self.on(self.base).sample(given, np.random.default_rng(2))
+        given, model = self.contexts(10_000, 9), Model(self.base.sensor, (term,))
+        readings_cm = model.sample(given, np.random.default_rng(2))
         with np.errstate(divide="ignore", invalid="ignore"):
-            own, base = self.on(self.base).log_prob(readings_cm, given), self.base.log_prob(readings_cm, given)
+            own, base = model.log_prob(readings_cm, given), self.base.log_prob(readings_cm, given)
         return float(np.mean(own - np.maximum(base, np.log(MIN_PROBABILITY))))
 
     def _changed(self) -> set[str]:

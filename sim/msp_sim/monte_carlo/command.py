@@ -7,6 +7,7 @@ import hashlib
 import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, Flights, draw_sample, fly_sample
 from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, FlightStore
-from msp_sim.monte_carlo.summary import Summary, summarise
+from msp_sim.monte_carlo.summary import QUANTILES, Quantile, Summary, summarise
 from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint, workers
 
 COMMAND = "msp-sim monte-carlo"
@@ -118,13 +119,8 @@ def _again(scenario: Path, seed: int, model: Path | None, effects: Sequence[Path
 
 
 def _write(out: Path, summary: Summary, settings: Mapping[str, Any], again: str) -> None:
-    worst = [{**row, "fly_again": f"{again} {row[NUMBER]}"} for row in summary.worst]
-    shares = [each._asdict() for each in summary.shares]
-    distributions = [
-        {**each._asdict(), "quantiles": [one._asdict() for one in each.quantiles]} for each in summary.distributions
-    ]
-    content = {**settings, "flights": summary.flights, "shares": shares, "distributions": distributions}
-    content |= {"worst": worst, "failed": {str(number): why for number, why in summary.failed.items()}}
+    content = {**settings, **asdict(summary)}
+    content["worst"] = [{**row, "fly_again": f"{again} {row[NUMBER]}"} for row in summary.worst]
     (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
@@ -149,10 +145,10 @@ def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> No
             table.add_row(share.what, str(share.flights), percent, f"{100 * share.low:.2f} to {100 * share.high:.2f}")
         shown.print(table)
     if summary.distributions:
-        table = _table("with interval, below in", *(f"{q.share:.0%} of flights" for q in _quantiles(summary)))
+        table = _table("with interval, below in", *(f"{share:.0%} of flights" for share in QUANTILES))
         for each in summary.distributions:
             factor = 100.0 if each.what.endswith("[%]") else 1.0
-            table.add_row(each.what, *(_interval(factor, *quantile[1:]) for quantile in each.quantiles))
+            table.add_row(each.what, *(_interval(factor, quantile) for quantile in each.quantiles))
         shown.print(table)
     if summary.worst:
         columns = [name for name in summary.worst[0] if name in _WORST_COLUMNS]
@@ -175,12 +171,10 @@ _WORST_COLUMNS = {
 """Columns of the list of the worst flights, with short headings."""
 
 
-def _quantiles(summary: Summary) -> Any:
-    return summary.distributions[0].quantiles
-
-
-def _interval(factor: float, value: float, low: float | None, high: float | None) -> str:
-    shown, least, most = ("?" if each is None else f"{factor * each:.3g}" for each in (value, low, high))
+def _interval(factor: float, found: Quantile) -> str:
+    shown, least, most = (
+        "?" if each is None else f"{factor * each:.3g}" for each in (found.value, found.low, found.high)
+    )
     return f"{shown} ({least}–{most})"
 
 

@@ -20,14 +20,15 @@ from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.device.emulated import EmulatedSensor
-from msp_sim.effects.base import WORD_COLUMNS
+from msp_range.recording.csv_form import column_of
+from msp_sim.device.emulated import EmulatedSensor, LastPings
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.sampled import Sampled, SampledFlight
 from msp_sim.flight.scenario import AutopilotSection
+from msp_sim.flight.summary import error_numbers
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
 
@@ -42,15 +43,13 @@ REPORTED_S = (1.0, 0.5)
 """A silence is reported if a warning comes at most this long before its begin, and at most this long after it has
 become one [s], as in the fault campaign."""
 
+ERRORS = ("error_bias_cm", "error_rms_cm", "error_p95_cm", "error_worst_cm")
 FLOWN = (
     "wrong_s",
     "silent_s",
     "longest_silence_s",
     "unreported_silences",
-    "error_bias_cm",
-    "error_rms_cm",
-    "error_p95_cm",
-    "error_worst_cm",
+    *ERRORS,
     "warnings",
     "sha256",
     "faults",
@@ -60,10 +59,7 @@ DRAWN = (
     "wrong_share",
     "missed_share",
     "longest_silence_s",
-    "error_bias_cm",
-    "error_rms_cm",
-    "error_p95_cm",
-    "error_worst_cm",
+    *ERRORS,
 )
 """Columns of a flight with the model only, which has no faults."""
 
@@ -131,7 +127,7 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
     world = scenario.world()
     vehicle = scenario.vehicle(world, default_rng(for_vehicle))
-    others: dict[str, tuple[float, float | None]] = {}
+    others: LastPings = {}
     sensors = {
         sensor.name: EmulatedSensor(
             sensor, model or sensor.sensor_model, world, vehicle.pose, default_rng(0), lambda *_: None, others
@@ -279,16 +275,11 @@ def _is_reported(silence: tuple[float, float], limit_s: float, received: Sequenc
 
 def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
     """Bias, root mean square, 95th percentile of the magnitude and the largest error [cm]; None without errors."""
-    names = ("error_bias_cm", "error_rms_cm", "error_p95_cm", "error_worst_cm")
     if not errors_cm:
-        return dict.fromkeys(names)
-    errors = np.array(errors_cm)
-    worst = float(errors[np.abs(errors).argmax()])
-    # Summed exactly, so that the last digit does not depend on the processor.
-    bias = math.fsum(errors) / errors.size
-    rms = math.sqrt(math.fsum(errors**2) / errors.size)
-    values = bias, rms, float(np.percentile(np.abs(errors), 95)), worst
-    return {name: round(value, 3) for name, value in zip(names, values, strict=True)}
+        return dict.fromkeys(ERRORS)
+    worst_cm = max(errors_cm, key=abs)
+    numbers = {f"error_{name}": value for name, value in error_numbers(errors_cm).items()}
+    return numbers | {"error_worst_cm": round(worst_cm, 3)}
 
 
 class _Readings:
@@ -301,15 +292,7 @@ class _Readings:
 
 
 def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> _Readings:
-    columns = {}
-    for name in contexts[0]:
-        values = [each.get(name) for each in contexts]
-        is_word = name in WORD_COLUMNS or any(isinstance(each, str) for each in values)
-        columns[name] = (
-            np.array(["" if each is None else each for each in values])
-            if is_word
-            else np.array([math.nan if each is None else each for each in values], dtype=np.float64)
-        )
+    columns = {name: column_of("drawn", name, [each.get(name) for each in contexts]) for name in contexts[0]}
     columns["time_s"] = columns["uptime_s"]
     reading_cm = sample_in_order(Model.of(model), columns, seed)
     return _Readings(columns["time_s"], reading_cm, columns["true_range_cm"], model.maximum_cm)

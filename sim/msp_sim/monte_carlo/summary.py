@@ -6,7 +6,7 @@ every interval counts flights.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from msp_sim.intervals import quantile, wilson
 from msp_sim.monte_carlo.store import NUMBER, Row
@@ -17,7 +17,8 @@ WORST = 5
 """Number of the worst flights that are listed."""
 
 
-class Share(NamedTuple):
+@dataclass(frozen=True)
+class Share:
     """A share of the flights, with Wilson's interval."""
 
     what: str
@@ -27,7 +28,8 @@ class Share(NamedTuple):
     high: float
 
 
-class Quantile(NamedTuple):
+@dataclass(frozen=True)
+class Quantile:
     """A value that a share of the flights does not exceed; an end of the interval is None if flights are too few."""
 
     share: float
@@ -36,7 +38,8 @@ class Quantile(NamedTuple):
     high: float | None
 
 
-class Distribution(NamedTuple):
+@dataclass(frozen=True)
+class Distribution:
     """Quantiles of a number over the flights."""
 
     what: str

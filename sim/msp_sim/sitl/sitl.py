@@ -241,12 +241,12 @@ class Sitl:
         world: World,
         seed: int,
         *,
-        model: SensorModel | None = None,
-        clearance_m: float | None = None,
-        start_m: tuple[float, float] = (0.0, 0.0),
-        faults: Mapping[str, Sequence[Fault]] | None = None,
-        recorder: Records | None = None,
-        report: Report | None = None,
+        model: SensorModel | None,
+        clearance_m: float | None,
+        start_m: tuple[float, float],
+        faults: Mapping[str, Sequence[Fault]],
+        recorder: Records | None,
+        report: Report,
     ) -> None:
         if clearance_m is None:
             clearance_m = landed_clearance_m(airframe)
@@ -266,7 +266,7 @@ class Sitl:
             self.now_s,
             SeedSequence(seed),
             self._log.record_truth,
-            faults or {},
+            faults,
         )
         self._bridge = Bridge(
             airframe,
@@ -317,8 +317,7 @@ class Sitl:
 
     def _on_health(self, severity: Severity, text: str) -> None:
         self._log.record_text(self.now_s(), severity, text)
-        if self._report is not None:
-            self._report(severity, text)
+        self._report(severity, text)
 
 
 def start_line(vehicle: AutopilotVehicle) -> str | None:

@@ -29,6 +29,8 @@ SAMPLES_PER_SECTION = (5, 19)
 figures."""
 
 Positive = Annotated[float, Field(gt=0)]
+SurfaceHeight = Callable[[float], float]
+"""Height of the ground under the vehicle's course above its start [m], by time [s]."""
 Motion = tuple[float, float, float]
 """Position [m], speed [m/s] and acceleration [m/s^2] along one axis."""
 
@@ -137,7 +139,7 @@ class HoldSegment(Section):
     duration_s: Positive
     """duration [s]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``."""
         height.coast(self.duration_s)
 
@@ -153,7 +155,7 @@ class ClimbSegment(Section):
     acceleration_m_s2: Positive = 1.0
     """largest vertical acceleration [m/s^2]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``."""
         height.move_to(self.to_m, self.speed_m_s, self.acceleration_m_s2)
 
@@ -167,7 +169,7 @@ class LandSegment(Section):
     acceleration_m_s2: Positive = 1.0
     """largest vertical acceleration [m/s^2]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``; the surface is that below the vehicle when the segment starts."""
         height.move_to(surface_m(height.end_s), self.speed_m_s, self.acceleration_m_s2)
 
@@ -179,7 +181,7 @@ class StepSegment(Section):
     to_m: float
     """height above the starting point [m]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``; it takes no time."""
         height.set(self.to_m)
 
@@ -193,7 +195,7 @@ class RampSegment(Section):
     duration_s: Positive
     """duration [s]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``."""
         _ramp(height, self.to_m, self.duration_s)
 
@@ -209,7 +211,7 @@ class SinusoidSegment(Section):
     cycles: Annotated[int, Field(ge=1, le=100_000)]
     """number of whole cycles"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``."""
         height.swing(self.swing_m, self.period_s, self.cycles)
 
@@ -227,7 +229,7 @@ class TerrainSegment(Section):
     acceleration_m_s2: Positive = 2.0
     """largest vertical acceleration [m/s^2]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``.
 
         Near the goal the speed is proportional to the error; further away it is that from which half of the
@@ -259,7 +261,7 @@ class RandomSegment(Section):
     high_m: float = 3.6
     """highest level [m]"""
 
-    def fly(self, height: Course, surface_m: Callable[[float], float], generator: Generator) -> None:
+    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
         """Append this segment to ``height``."""
         fewest, most = SAMPLES_PER_SECTION
         end_s = height.end_s + self.duration_s
@@ -294,7 +296,7 @@ def _ramp(height: Course, to_m: float, duration_s: float) -> None:
     height.set(to_m)
 
 
-def altitude(segments: Sequence[Segment], surface_m: Callable[[float], float], generator: Generator) -> Course:
+def altitude(segments: Sequence[Segment], surface_m: SurfaceHeight, generator: Generator) -> Course:
     """Height above the starting point as a function of time.
 
     Parameters

@@ -263,8 +263,7 @@ class Terrain:
         within_m
             Echoes that are not nearer than this are of no interest and may be left out [m].
         """
-        x = self._along_m(sensor[0], sensor[1])
-        base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
+        x, base_m = self._above_start(sensor)
         into_along = self._grade_along * self._cos_slope
         for start_m, end_m, rise_m, surface in self._strips:
             range_m = (base_m - rise_m) * self._cos_slope
@@ -278,8 +277,7 @@ class Terrain:
 
     def step_echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> Iterator[Echo]:
         """Echoes of the steps; parameters as for `strip_echoes`."""
-        x = self._along_m(sensor[0], sensor[1])
-        base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
+        x, base_m = self._above_start(sensor)
         for at_m, low_m, high_m, up, surface in self._walls:
             ahead_m = at_m - x
             if abs(ahead_m) >= within_m:
@@ -299,8 +297,7 @@ class Terrain:
 
     def ray(self, sensor: Vector, axis: Vector) -> Echo | None:
         """First point where a ray meets the ground; its range is the perpendicular distance to that plane."""
-        x = self._along_m(sensor[0], sensor[1])
-        base_m = -sensor[2] - self._plane_m(sensor[0], sensor[1])
+        x, base_m = self._above_start(sensor)
         ahead = self._along_m(axis[0], axis[1])
         # Loss of height above the planes per metre of the ray.
         sinks = axis[2] + self._plane_m(axis[0], axis[1])
@@ -321,6 +318,10 @@ class Terrain:
                     toward = (up * self._heading_n, up * self._heading_e, 0.0)
                     first = Echo(abs(at_m - x), toward, slant_m, surface, None)
         return first
+
+    def _above_start(self, sensor: Vector) -> tuple[float, float]:
+        """Where a sensor is along the steps, and how high above the slope without them [m]."""
+        return self._along_m(sensor[0], sensor[1]), -sensor[2] - self._plane_m(sensor[0], sensor[1])
 
     def _along_m(self, north_m: float, east_m: float) -> float:
         """Distance along the steps' heading [m]."""
