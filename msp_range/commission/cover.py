@@ -6,8 +6,8 @@ Samples before and while one sensor is covered enter, the name under which the c
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Flags
 from msp_range.commission.samples import Samples, SensorReadings
 
 NEAR_M = 0.35
@@ -43,7 +43,7 @@ def near_share(readings: SensorReadings) -> float:
     return float(_within(readings, NEAR_M).mean())
 
 
-def _within(readings: SensorReadings, distance_m: float) -> NDArray[np.bool_]:
+def _within(readings: SensorReadings, distance_m: float) -> Flags:
     return np.array([each == "at_minimum" for each in readings.status]) | (readings.range_m < distance_m)
 
 

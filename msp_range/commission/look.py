@@ -11,8 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
+from msp_range.arrays import Array
 from msp_range.commission.motion import Places
-from msp_range.commission.samples import Array, Samples
+from msp_range.commission.samples import Samples
 
 FARTHEST_DEG, STEP_DEG = 60.0, 3.0
 """Axes up to the first angle from straight down are tried, this far apart [deg]. A sensor further away gets an echo

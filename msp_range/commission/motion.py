@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msp_range.commission.samples import Array, Samples
+from msp_range.arrays import Array, Indices
+from msp_range.commission.samples import Samples
 
 KNOT_S = 0.4
 """Time between two heights of the reference point [s]. A hand that swings by 5 cm in 3 s is followed to 4 mm. With less
@@ -98,7 +98,7 @@ class _Rows:
 
     time_s: Array
     range_m: Array
-    sensor: NDArray[np.intp]
+    sensor: Indices
     names: tuple[str, ...]
     from_file: Array
 

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Flags
 from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, RANGE_PREFIX, Message
-
-Array = NDArray[np.float64]
 
 LONGEST_GAP_S = 0.6
 """Between two attitudes further apart than this the vehicle's turn is not known [s]: the bridge asks for ten a second,
@@ -49,7 +47,7 @@ class SensorReadings:
     air_source: str | None
 
     @property
-    def is_distance(self) -> NDArray[np.bool_]:
+    def is_distance(self) -> Flags:
         """True where the sensor measured a distance: an echo beyond its minimum. Shape (n,)."""
         return np.array([each == "ok" for each in self.status], dtype=bool)
 

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from msp_range.arrays import Array
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
-from msp_range.commission.samples import Array, Samples
+from msp_range.commission.samples import Samples
 
 TAPE_STD_M = 0.005
 """Standard deviation of a height that a person measures with a tape [m]; a floor is level to about as much."""

@@ -8,12 +8,13 @@ import math
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
+
+from msp_range.arrays import Array
 
 _STANDARD = NormalDist()
 
 
-def normal_cdf(z: NDArray[np.float64]) -> NDArray[np.float64]:
+def normal_cdf(z: Array) -> Array:
     """Phi(z) = erfc(-z / sqrt 2) / 2, exact to rounding in both tails.
 
     Parameters
@@ -35,7 +36,7 @@ def normal_cdf(z: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.5 * np.fromiter(doubled, np.float64, z.size).reshape(z.shape)
 
 
-def normal_quantile(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+def normal_quantile(probability: Array) -> Array:
     """Quantile of the standard normal distribution for a probability above 0 and below 1 (Wichura's AS 241)."""
     deviates = map(_STANDARD.inv_cdf, probability.ravel().tolist())
     return np.fromiter(deviates, np.float64, probability.size).reshape(probability.shape)

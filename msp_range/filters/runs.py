@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Flags, Indices
 from msp_range.filters.normal import normal_cdf, normal_quantile
 from msp_range.reading_model.kernel import Hit, Short
 from msp_range.reading_model.sensor_model import MixtureParameters
@@ -59,8 +59,6 @@ TOLERANCE_M = 1e-5
 """Precision of the posterior median [m]."""
 MAX_ITERATIONS = 60
 """Largest number of Newton steps for the median; bisection alone would need about 30."""
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -117,21 +115,21 @@ class RangeLikelihood:
         """Length of the interval that the sensor can report [m]."""
         return self.maximum_m - self.minimum_m
 
-    def short_density(self, reading_m: _Array, range_m: _Array) -> _Array:
+    def short_density(self, reading_m: Array, range_m: Array) -> Array:
         """Share times density of a short reading in front of a surface at ``range_m`` [1/m]."""
         reach_m = np.maximum(range_m - self.minimum_m, 1e-3)
-        density: _Array = self.short * Short.density(reading_m - self.minimum_m, reach_m, self.short_rate_per_m)
+        density: Array = self.short * Short.density(reading_m - self.minimum_m, reach_m, self.short_rate_per_m)
         return density
 
-    def outlier_density(self, reading_m: _Array, range_m: _Array) -> _Array:
+    def outlier_density(self, reading_m: Array, range_m: Array) -> Array:
         """Density of an outlier, given a surface at ``range_m`` [1/m]."""
         density = self.random / self.length_m
         if self.short == 0.0:
             return np.full_like(range_m, density)
-        result: _Array = density + (reading_m < range_m) * self.short_density(reading_m, range_m)
+        result: Array = density + (reading_m < range_m) * self.short_density(reading_m, range_m)
         return result
 
-    def unlocated_outlier_density(self, reading_m: _Array) -> _Array:
+    def unlocated_outlier_density(self, reading_m: Array) -> Array:
         """Density of an outlier for an unknown range, uniform over what the sensor can report [1/m].
 
         The integral over the range of the truncated exponential has no closed form; its norm is taken at the middle
@@ -173,9 +171,9 @@ class Posterior(NamedTuple):
         Whether a level is known and the reading probably came from the surface, so that the range can be given out.
     """
 
-    range_m: _Array
-    variance_m2: _Array
-    converged: NDArray[np.bool_]
+    range_m: Array
+    variance_m2: Array
+    converged: Flags
 
 
 class RunHistories:
@@ -201,19 +199,19 @@ class RunHistories:
         self.known = np.zeros(streams, dtype=bool)
         self._rows = np.arange(streams)[:, None]
 
-    def take(self, streams: NDArray[np.intp]) -> "RunHistories":
+    def take(self, streams: Indices) -> "RunHistories":
         """A copy of some streams."""
         some = RunHistories(self.likelihood, streams.size)
         some.state, some.unlocated = self.state[:, streams], self.unlocated[streams]
         some.time_s, some.known = self.time_s[streams], self.known[streams]
         return some
 
-    def put(self, streams: NDArray[np.intp], some: "RunHistories") -> None:
+    def put(self, streams: Indices, some: "RunHistories") -> None:
         """Write back the streams that `take` returned."""
         self.state[:, streams], self.unlocated[streams] = some.state, some.unlocated
         self.time_s[streams], self.known[streams] = some.time_s, some.known
 
-    def update(self, elapsed_s: _Array, reading_m: _Array, variance_m2: _Array) -> Posterior:
+    def update(self, elapsed_s: Array, reading_m: Array, variance_m2: Array) -> Posterior:
         """Update with one reading in every stream; all arguments have shape (streams,).
 
         Parameters
@@ -284,7 +282,7 @@ class RunHistories:
         surface = (before * hit).sum(axis=1, keepdims=True) + found
         return self._posterior(reading_m, doubt[:, 0], (surface > CONVERGED_SHARE * (surface + outlier + lost))[:, 0])
 
-    def innovation(self, elapsed_s: _Array, reading_m: _Array, variance_m2: _Array) -> _Array:
+    def innovation(self, elapsed_s: Array, reading_m: Array, variance_m2: Array) -> Array:
         """The next reading's normalised innovation before the update; shapes as for `update`.
 
         The normal quantile of the reading's cumulative probability under the mixture of predictions. Only for a reading
@@ -298,10 +296,10 @@ class RunHistories:
         below = normal_cdf((reading_m[:, None] - x) / np.sqrt(p_xx + variance_m2[:, None]))
         share = np.clip((reading_m - likelihood.minimum_m) / likelihood.length_m, 0.0, 1.0)
         cumulative = (probability * below).sum(axis=1) + (moved.level_change[:, 0] + self.unlocated) * share
-        deviate: _Array = normal_quantile(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
+        deviate: Array = normal_quantile(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
         return deviate
 
-    def _predict(self, elapsed_s: _Array) -> "_Moved":
+    def _predict(self, elapsed_s: Array) -> "_Moved":
         """Predict the histories at the next reading: those that continue, those with a new slope, and those that
         stop."""
         probability, x, v, p_xx, p_xv, p_vv, slope_changes, level_changes = self.state
@@ -347,7 +345,7 @@ class RunHistories:
             level_changes=(share * level_changes).sum(axis=1, keepdims=True),
         )
 
-    def _posterior(self, reading_m: _Array, doubt: _Array, is_hit: NDArray[np.bool_]) -> Posterior:
+    def _posterior(self, reading_m: Array, doubt: Array, is_hit: Flags) -> Posterior:
         likelihood = self.likelihood
         probability, x, _, p_xx, _, _, _, _ = self.state
         median = _median(probability, x, np.sqrt(p_xx), self.unlocated, likelihood.minimum_m, likelihood.length_m)
@@ -367,22 +365,20 @@ class _Moved(NamedTuple):
     """Predicted histories, shape (8, streams, 4 HYPOTHESES), and the start of one after a level change, shape (streams,
     1)."""
 
-    runs: _Array
-    level_change: _Array
-    rate_m_s: _Array
-    rate_m2_s2: _Array
-    slope_changes: _Array
-    level_changes: _Array
+    runs: Array
+    level_change: Array
+    rate_m_s: Array
+    rate_m2_s2: Array
+    slope_changes: Array
+    level_changes: Array
 
 
-def _median(
-    probability: _Array, x: _Array, std: _Array, unlocated: _Array, minimum_m: float, length_m: float
-) -> _Array:
+def _median(probability: Array, x: Array, std: Array, unlocated: Array, minimum_m: float, length_m: float) -> Array:
     """Median of a mixture of normals, shape (streams, hypotheses), and a uniform; Newton's method inside a bracket."""
     low, high = (x - 9.0 * std).min(axis=1), (x + 9.0 * std).max(axis=1)
     low, high = np.minimum(low, minimum_m), np.maximum(high, minimum_m + length_m)
     heaviest = np.argmax(probability, axis=1)
-    median: _Array = x[np.arange(x.shape[0]), heaviest]
+    median: Array = x[np.arange(x.shape[0]), heaviest]
     peak = probability / (std * math.sqrt(2 * math.pi))
     going = np.ones(x.shape[0], dtype=bool)
     for _ in range(MAX_ITERATIONS):

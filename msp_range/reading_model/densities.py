@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
+from msp_range.arrays import Array
 from msp_range.reading_model.grid import NO_ECHO, NOWHERE, SECOND_NO_ECHO, ReadingGrid
 from msp_range.reading_model.kernel import NO_ECHO_CENTRE, Hit, Missed, Random, Short
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
-_Array = NDArray[np.float64]
-_Add = Callable[[int, int, _Array], None]
+_Add = Callable[[int, int, Array], None]
 
 NAMES = (
     "short",  # share of the readings that are not missed
@@ -54,24 +54,24 @@ class Terms:
         self,
         grid: ReadingGrid,
         cell: NDArray[np.int64],
-        expected_cm: _Array,
-        theta: _Array,
+        expected_cm: Array,
+        theta: Array,
         free: frozenset[int],
         below: bool,
-        reference_cm2: float | _Array,
+        reference_cm2: float | Array,
     ) -> None:
         self.theta, self.free = theta, free
         lowest, highest, step = grid.minimum_cm, grid.maximum_cm, grid.resolution_cm
         is_code = bool(cell.size) and bool(cell[0] == NO_ECHO)
         if is_code:
             cell = np.full(cell.size, grid.cells - 1)
-        last: _Array = np.asarray(lowest + step * cell, dtype=np.float64)
-        first: _Array = np.full(last.size, lowest, dtype=np.float64) if below else last
+        last: Array = np.asarray(lowest + step * cell, dtype=np.float64)
+        first: Array = np.full(last.size, lowest, dtype=np.float64) if below else last
         self.expected = np.fmin(expected_cm, NO_ECHO_CENTRE)
         # Spread and missed echoes may depend on the range within 0 ... maximum [cm].
         self.within = np.clip(self.expected, 0.0, highest)
         variance = math.exp(2.0 * theta[T]) + reference_cm2
-        self.variance: float | _Array = variance
+        self.variance: float | Array = variance
         if theta[V] != 0.0 or V in free:
             self.variance = variance + theta[V] * self.within * self.within
         self.hit = Hit(first, last, is_code, self.expected, np.sqrt(self.variance), lowest, step)
@@ -79,7 +79,7 @@ class Terms:
         self.random = Random(first, last, lowest, highest, step).p
         self.at_code = Missed(is_code).p
         if theta[G] == 0.0 and G not in free:
-            self.share: float | _Array = theta[M]
+            self.share: float | Array = theta[M]
         else:
             self.share = expit(logit(theta[M]) + theta[G] * (self.within - WEIGHTS_RANGE_CM))
         self.weight_hit = 1.0 - theta[U] - theta[R]
@@ -87,17 +87,17 @@ class Terms:
         self.left = 1.0 - self.share
         self.q = self.left * self.rest + self.share * self.at_code
 
-    def first(self) -> list[tuple[int, _Array]]:
+    def first(self) -> list[tuple[int, Array]]:
         """Derivatives of q, by number of the parameter; stores intermediate results for `second`."""
         theta, free = self.theta, self.free
         self.d_v = self.hit.by_log_sigma / (2.0 * self.variance)
         # Derivatives of the hit's variance by its parameters.
         start = 2.0 * math.exp(2.0 * theta[T])
-        self.by_variance: list[tuple[int, float | _Array]] = [(T, start)]
+        self.by_variance: list[tuple[int, float | Array]] = [(T, start)]
         if V in free:
             self.by_variance.append((V, self.within * self.within))
         self.shape = self.left * self.weight_hit
-        self.by_share: list[tuple[int, float | _Array]] = [(M, 1.0)]
+        self.by_share: list[tuple[int, float | Array]] = [(M, 1.0)]
         if G in free:
             steep = self.share * self.left
             self.by_logit = 1.0 / (theta[M] * (1.0 - theta[M]))
@@ -109,20 +109,20 @@ class Terms:
         self.to_random = self.random - self.hit.p
         self.to_missed = self.at_code - self.rest
         self.hits = [(i, each * self.d_v) for i, each in self.by_variance]
-        first: list[tuple[int, _Array]] = [(U, self.left * self.to_short), (R, self.left * self.to_random)]
+        first: list[tuple[int, Array]] = [(U, self.left * self.to_short), (R, self.left * self.to_random)]
         first += [(i, each * self.to_missed) for i, each in self.by_share]
         first += [(i, self.shape * each) for i, each in self.hits]
         first.append((L, self.left * theta[U] * self.short.by_rate))
         return first
 
-    def add_second(self, hessian: _Array, weight: _Array) -> None:
+    def add_second(self, hessian: Array, weight: Array) -> None:
         """Add the weighted sums of the second derivatives of q to the upper triangle; after `first`."""
         theta = self.theta
 
-        def add(i: int, j: int, array: _Array) -> None:
+        def add(i: int, j: int, array: Array) -> None:
             hessian[min(i, j), max(i, j)] += float(np.dot(weight, array))
 
-        def add_with(i: int, factor: _Array | float, others: Sequence[tuple[int, _Array]]) -> None:
+        def add_with(i: int, factor: Array | float, others: Sequence[tuple[int, Array]]) -> None:
             for j, each in others:
                 add(i, j, factor * each)
 
@@ -162,11 +162,11 @@ def optional(moving: Sequence[int]) -> frozenset[int]:
 
 def probabilities(
     grid: ReadingGrid,
-    theta: _Array,
-    reading_cm: _Array,
-    expected_cm: _Array,
-    reference_cm2: _Array | None = None,
-) -> tuple[_Array, _Array]:
+    theta: Array,
+    reading_cm: Array,
+    expected_cm: Array,
+    reference_cm2: Array | None = None,
+) -> tuple[Array, Array]:
     """Probability of a smaller reading than each, and of each itself, (n,).
 
     Codes are ordered among the readings by their number.

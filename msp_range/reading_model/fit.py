@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from msp_range.arrays import Array
 from msp_range.reading_model import densities as mix
 from msp_range.reading_model.fit_result import (
     BOUNDS,
@@ -24,8 +25,6 @@ from msp_range.reading_model.fit_result import (
 from msp_range.reading_model.grid import NOWHERE, ReadingGrid
 from msp_range.reading_model.likelihood import Likelihood
 from msp_range.reading_model.newton import GAIN, NotConvergedError, Optimum, maximise
-
-_Array = NDArray[np.float64]
 
 FEWEST_READINGS = 50
 FEWEST_HITS = 20
@@ -109,7 +108,7 @@ def fit_readings(
     return result
 
 
-def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDArray[np.int64]:
+def _checked_cells(reading: Array, expected: Array, grid: ReadingGrid) -> NDArray[np.int64]:
     """Cells of the readings, or a FitError."""
     if reading.size < FEWEST_READINGS:
         raise FitError(f"found {reading.size} readings, expected at least {FEWEST_READINGS}; take more")
@@ -148,7 +147,7 @@ def _checked_cells(reading: _Array, expected: _Array, grid: ReadingGrid) -> NDAr
     return cell
 
 
-def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: _Array, reference_cm2: _Array | None) -> Likelihood:
+def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: Array, reference_cm2: Array | None) -> Likelihood:
     """The likelihood of the rows; equal ones are combined if there are few ranges."""
     if reference_cm2 is not None and reference_cm2.any():
         return Likelihood(grid, cell, expected, np.ones(expected.size), reference_cm2)
@@ -194,7 +193,7 @@ def _with_growth(rows: Likelihood, base: Optimum, moving: list[int]) -> tuple[Op
         return base, moving
 
 
-def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
+def _start(rows: Likelihood, moving: Sequence[int]) -> Array:
     """The best of a few fits to some of the rows, starting with small and large spread and lambda."""
     few = rows.part(max(rows.rows // START_ROWS, 1))
     theta = np.zeros(len(mix.NAMES))
@@ -226,7 +225,7 @@ def _start(rows: Likelihood, moving: Sequence[int]) -> _Array:
     return best.theta
 
 
-def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
+def _climb(rows: Likelihood, start: Array, moving: Sequence[int]) -> Optimum:
     """Maximise on a share of the rows, on a larger share, and on all of them."""
     every = rows.rows // START_ROWS // STAGE
     theta = start
@@ -236,7 +235,7 @@ def _climb(rows: Likelihood, start: _Array, moving: Sequence[int]) -> Optimum:
     return _climb_from(rows, theta, moving)
 
 
-def _climb_from(rows: Likelihood, start: _Array, moving: Sequence[int], gain: float = GAIN) -> Optimum:
+def _climb_from(rows: Likelihood, start: Array, moving: Sequence[int], gain: float = GAIN) -> Optimum:
     """Maximise, starting with all weights above 0, because fewer rows may not have had readings of every kind."""
     theta = np.array(start)
     theta[[mix.U, mix.R, mix.M]] = np.maximum(theta[[mix.U, mix.R, mix.M]], 1e-4)
@@ -245,7 +244,7 @@ def _climb_from(rows: Likelihood, start: _Array, moving: Sequence[int], gain: fl
     return maximise(partial(rows.derivatives, free=mix.optional(moving)), theta, moving, bounds_of(moving), gain)
 
 
-def _quantile(ordinate: _Array, weight: _Array, share: float) -> float:
+def _quantile(ordinate: Array, weight: Array, share: float) -> float:
     """Weighted quantile."""
     order = np.argsort(ordinate)
     below = np.cumsum(weight[order])

@@ -10,18 +10,17 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import expit, logit, xlog1py, xlogy
 from scipy.stats import norm
 
+from msp_range.arrays import Array
 from msp_range.reading_model import densities as mix
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.likelihood import Likelihood
 from msp_range.reading_model.newton import Bounds, Optimum, profile_limit
 from msp_range.reading_model.sensor_model import MixtureParameters
-
-_Array = NDArray[np.float64]
 
 Z = float(norm.ppf(0.975))
 """Normal quantile of the intervals: 95 %, two-sided."""
@@ -140,7 +139,7 @@ class FitResult:
 
     def below(
         self, reading_cm: ArrayLike, expected_cm: ArrayLike, reference_std_cm: ArrayLike = 0.0
-    ) -> tuple[_Array, _Array]:
+    ) -> tuple[Array, Array]:
         """Probability of a smaller reading, and of the reading itself, each (n,)."""
         reading, expected = columns(reading_cm, expected_cm)
         reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
@@ -194,7 +193,7 @@ class FitResult:
         return limits[0], limits[1]
 
 
-def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[_Array, _Array]:
+def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[Array, Array]:
     """Readings and ranges as arrays of the same length."""
     reading, expected = np.asarray(reading_cm, dtype=np.float64), np.asarray(expected_cm, dtype=np.float64)
     if reading.ndim != 1 or reading.shape != expected.shape:
@@ -249,7 +248,7 @@ def result_of(rows: Likelihood, best: Optimum, moving: Sequence[int]) -> FitResu
     )
 
 
-def _named(theta: _Array) -> dict[str, float]:
+def _named(theta: Array) -> dict[str, float]:
     """Parameters of the sensor model file from those of the likelihood."""
     left = 1.0 - theta[mix.M]
     short, random = left * theta[mix.U], left * theta[mix.R]
@@ -267,7 +266,7 @@ def _named(theta: _Array) -> dict[str, float]:
     return {name: float(value) for name, value in named.items()}
 
 
-def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
+def _jacobian(theta: Array, names: Sequence[str]) -> Array:
     """Derivatives of named parameters by those of the likelihood."""
     left = 1.0 - theta[mix.M]
     rows = {name: np.zeros(len(mix.NAMES)) for name in _named(theta)}
@@ -286,7 +285,7 @@ def _jacobian(theta: _Array, names: Sequence[str]) -> _Array:
     return np.array([rows[name] for name in names])
 
 
-def _unknown(information: _Array, inside: Sequence[int], moving: Sequence[int], rate: float) -> frozenset[int]:
+def _unknown(information: Array, inside: Sequence[int], moving: Sequence[int], rate: float) -> frozenset[int]:
     """Numbers of parameters that the readings do not determine; `rate` is a typical lambda [1/cm]."""
     unknown = set()
     if mix.U in moving and mix.U not in inside:

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 
 ON_GRID = 1e-3
@@ -93,7 +94,7 @@ class ReadingGrid:
                 cell[np.abs(reading - code_cm) <= ON_GRID * self.resolution_cm] = name
         return cell
 
-    def nearest(self, reading_cm: ArrayLike) -> NDArray[np.float64]:
+    def nearest(self, reading_cm: ArrayLike) -> Array:
         """Readings rounded to the grid; codes and readings outside the limits are unchanged."""
         reading = np.array(reading_cm, dtype=np.float64)
         half = self.resolution_cm / 2

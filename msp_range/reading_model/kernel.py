@@ -14,9 +14,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array
 
 FAR = 1e15
 """Stands for infinity as the edge of an interval; finite, so that its product with a density of zero is zero."""
@@ -69,7 +68,7 @@ class Hit:
         Step of the readings.
     """
 
-    def __init__(self, first: _Array, last: _Array, top: Any, centre: _Array, sigma: Any, minimum: float, step: float):
+    def __init__(self, first: Array, last: Array, top: Any, centre: Array, sigma: Any, minimum: float, step: float):
         lower = np.where(first == minimum, -FAR, first - 0.5 * step)
         upper = np.where(top, FAR, last + 0.5 * step)
         # fmin, unlike minimum, replaces NaN (no echo) by a centre out of range.
@@ -78,49 +77,49 @@ class Hit:
         self.a, self.b = (lower - centre) / sigma, (upper - centre) / sigma
 
     @cached_property
-    def p(self) -> _Array:
+    def p(self) -> Array:
         """Probability, (n,); 0 if too small for a float."""
         from scipy.special import ndtr
 
         # Phi(b) - Phi(a) = Phi(-a) - Phi(-b): in the left tail both terms are small, and no digits cancel.
         right = self.a > 0.0
-        found: _Array = ndtr(np.where(right, -self.a, self.b)) - ndtr(np.where(right, -self.b, self.a))
+        found: Array = ndtr(np.where(right, -self.a, self.b)) - ndtr(np.where(right, -self.b, self.a))
         return found
 
     @property
-    def log_p(self) -> _Array:
+    def log_p(self) -> Array:
         """Logarithm of the probability, exact in the tails; several times slower than `p`."""
         from scipy.special import log_ndtr
 
         right = self.a > 0.0
         low, high = log_ndtr(np.where(right, -self.b, self.a)), log_ndtr(np.where(right, -self.a, self.b))
         with np.errstate(divide="ignore"):
-            found: _Array = high + np.log(-np.expm1(low - high))
+            found: Array = high + np.log(-np.expm1(low - high))
         return found
 
     @cached_property
-    def at_ends(self) -> tuple[_Array, _Array]:
+    def at_ends(self) -> tuple[Array, Array]:
         """Standard normal density at both ends of the interval."""
         return np.exp(-0.5 * self.a * self.a) / ROOT_2_PI, np.exp(-0.5 * self.b * self.b) / ROOT_2_PI
 
     @cached_property
-    def by_centre(self) -> _Array:
+    def by_centre(self) -> Array:
         """Derivative of `p` by the centre."""
         at_a, at_b = self.at_ends
-        found: _Array = (at_a - at_b) / self.sigma
+        found: Array = (at_a - at_b) / self.sigma
         return found
 
     @cached_property
-    def by_log_sigma(self) -> _Array:
+    def by_log_sigma(self) -> Array:
         """Derivative of `p` by the logarithm of sigma; by the variance it is this / (2 sigma^2)."""
         at_a, at_b = self.at_ends
-        found: _Array = self.a * at_a - self.b * at_b
+        found: Array = self.a * at_a - self.b * at_b
         return found
 
-    def by_variance_twice(self, variance: Any) -> _Array:
+    def by_variance_twice(self, variance: Any) -> Array:
         """Second derivative of `p` by the variance."""
         (at_a, at_b), a, b = self.at_ends, self.a, self.b
-        found: _Array = ((a * a - 3.0) * a * at_a - (b * b - 3.0) * b * at_b) / (4.0 * variance * variance)
+        found: Array = ((a * a - 3.0) * a * at_a - (b * b - 3.0) * b * at_b) / (4.0 * variance * variance)
         return found
 
     @staticmethod
@@ -155,9 +154,7 @@ class Short:
         Shortest and longest reading, and the step of the readings.
     """
 
-    def __init__(
-        self, first: _Array, last: _Array, end: _Array, rate: Any, minimum: float, maximum: float, step: float
-    ):
+    def __init__(self, first: Array, last: Array, end: Array, rate: Any, minimum: float, maximum: float, step: float):
         length = np.maximum(np.fmin(end, maximum) - minimum, 0.0)
         near = np.minimum(np.maximum(first - (minimum + 0.5 * step), 0.0), length)
         far = np.minimum(np.maximum(last - (minimum - 0.5 * step), near), length)
@@ -170,7 +167,7 @@ class Short:
         self.near, self.far, self.length, self.rate = near, far, length, rate
 
     @cached_property
-    def _parts(self) -> tuple[_Array, _Array, _Array]:
+    def _parts(self) -> tuple[Array, Array, Array]:
         """exp(-lambda near), the share of the interval after it, and the norm."""
         rate = self.rate
         return (
@@ -180,35 +177,35 @@ class Short:
         )
 
     @cached_property
-    def p(self) -> _Array:
+    def p(self) -> Array:
         """Probability, (n,)."""
         at_near, share, norm = self._parts
-        found: _Array = at_near * share / norm
+        found: Array = at_near * share / norm
         return found
 
     @cached_property
-    def by_rate(self) -> _Array:
+    def by_rate(self) -> Array:
         """Derivative of `p` by the rate."""
         at_near, share, norm = self._parts
         at_far = at_near * (1.0 - share)
-        found: _Array = (self.far * at_far - self.near * at_near - self.p * self.length * (1.0 - norm)) / norm
+        found: Array = (self.far * at_far - self.near * at_near - self.p * self.length * (1.0 - norm)) / norm
         return found
 
     @property
-    def by_rate_twice(self) -> _Array:
+    def by_rate_twice(self) -> Array:
         """Second derivative of `p` by the rate."""
         at_near, share, norm = self._parts
         by_norm = self.length * (1.0 - norm)
         top = self.near * self.near * at_near - self.far * self.far * at_near * (1.0 - share)
-        found: _Array = (top - 2.0 * self.by_rate * by_norm + self.p * self.length * by_norm) / norm
+        found: Array = (top - 2.0 * self.by_rate * by_norm + self.p * self.length * by_norm) / norm
         return found
 
     @property
-    def by_end(self) -> _Array:
+    def by_end(self) -> Array:
         """Derivative of `p` by the expected range, at which it ends: positive at the end, negative elsewhere."""
         at_near, share, norm = self._parts
         at_end = np.where((self.near < self.far) & (self.far == self.length), at_near * (1.0 - share), 0.0)
-        found: _Array = np.where(self.end_moves, self.rate * (at_end - self.p * (1.0 - norm)) / norm, 0.0)
+        found: Array = np.where(self.end_moves, self.rate * (at_end - self.p * (1.0 - norm)) / norm, 0.0)
         return found
 
     @staticmethod
@@ -241,7 +238,7 @@ class Random:
         Shortest and longest reading, and the step of the readings.
     """
 
-    def __init__(self, first: _Array, last: _Array, minimum: float, maximum: float, step: float):
+    def __init__(self, first: Array, last: Array, minimum: float, maximum: float, step: float):
         self.p = (last - first + step) / (maximum - minimum + step)
 
     @staticmethod

@@ -11,10 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.arrays import Array
 from msp_range.reading_model.densities import NAMES, S, Terms
 from msp_range.reading_model.grid import NO_ECHO, SECOND_NO_ECHO, ReadingGrid
-
-_Array = NDArray[np.float64]
 
 CHUNK = 1 << 13
 """Rows processed at a time, so that the arrays fit into the processor's cache."""
@@ -24,9 +23,9 @@ class _Kind(NamedTuple):
     """Rows of one kind."""
 
     cell: NDArray[np.int64]
-    expected_cm: _Array
-    times: _Array
-    reference_cm2: _Array
+    expected_cm: Array
+    times: Array
+    reference_cm2: Array
 
     def chunks(self) -> "Iterator[_Kind]":
         """A part of the rows at a time."""
@@ -52,9 +51,9 @@ class Likelihood:
         self,
         grid: ReadingGrid,
         cell: NDArray[np.int64],
-        expected_cm: _Array,
-        count: _Array,
-        reference_cm2: _Array | None = None,
+        expected_cm: Array,
+        count: Array,
+        reference_cm2: Array | None = None,
     ) -> None:
         self.grid = grid
         self.readings = float(count.sum())
@@ -80,7 +79,7 @@ class Likelihood:
         length_cm = np.maximum(end_cm - self.grid.minimum_cm, 0.0)
         return max(float(np.average(length_cm, weights=self._ordinary.times)), self.grid.resolution_cm)
 
-    def errors(self) -> tuple[_Array, _Array]:
+    def errors(self) -> tuple[Array, Array]:
         """Reading minus expected range if both are ranges [cm], and count."""
         second = -1 if self.grid.second_cell is None else self.grid.second_cell
         cell = np.where(self._cell == SECOND_NO_ECHO, second, self._cell)
@@ -94,7 +93,7 @@ class Likelihood:
         columns = self._cell[rows], self._expected_cm[rows], self._count[rows], self._reference_cm2[rows]
         return Likelihood(self.grid, *columns)
 
-    def derivatives(self, theta: _Array, free: frozenset[int]) -> tuple[float, _Array, _Array]:
+    def derivatives(self, theta: Array, free: frozenset[int]) -> tuple[float, Array, Array]:
         """Value, gradient (k,) and Hessian (k, k) at `theta` (k,).
 
         Parameters from sigma_growth on that are not in `free` have zeros. The value is -inf, and the derivatives are
@@ -119,7 +118,7 @@ class Likelihood:
         return value, gradient, hessian
 
     def _add_second_code(
-        self, kind: "_Kind", theta: _Array, free: frozenset[int], gradient: _Array, hessian: _Array
+        self, kind: "_Kind", theta: Array, free: frozenset[int], gradient: Array, hessian: Array
     ) -> float:
         """Readings of the second code: p = q(its own cell) + s q(no echo)."""
         cell, expected_cm, count, reference_cm2 = kind
@@ -145,14 +144,14 @@ class Likelihood:
         return float(np.dot(count, np.log(p)))
 
 
-def _add(terms: Terms, count: _Array, gradient: _Array, hessian: _Array) -> float:
+def _add(terms: Terms, count: Array, gradient: Array, hessian: Array) -> float:
     """Add the derivatives of sum count log q; return the sum."""
     _add_first(terms.first(), terms.q, count, gradient, hessian)
     terms.add_second(hessian, count / terms.q)
     return float(np.dot(count, np.log(terms.q)))
 
 
-def _add_first(first: list[tuple[int, _Array]], q: _Array, count: _Array, gradient: _Array, hessian: _Array) -> None:
+def _add_first(first: list[tuple[int, Array]], q: Array, count: Array, gradient: Array, hessian: Array) -> None:
     """The gradient, and the part of the Hessian that has products of first derivatives (upper triangle)."""
     order = np.array([i for i, _ in first])
     rows = np.empty((len(first), q.size))

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from msp_range.arrays import Array
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.reading_model.rows import MixtureRows
 from msp_range.reading_model.sensor_model import (
@@ -31,8 +32,6 @@ TRUE_RANGE = "true_range_cm"
 """The one context column that the base model needs."""
 MOST_LOG_ODDS = 600.0
 """Growth with range stops at these log odds: beyond about 700 their exponential is no float any more."""
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class ReadingModel:
         limits = sensor.minimum_cm, sensor.maximum_cm
         return cls(sensor.reading_model, *limits, sensor.calibration_curve, sensor.resolution_cm)
 
-    def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator) -> _Array:
+    def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator) -> Array:
         """Draw one reading for each context.
 
         Parameters
@@ -125,7 +124,7 @@ class ReadingModel:
             reading_cm[no_echo[rng.random(no_echo.size) < rows.saturated_fraction]] = SATURATED_CM
         return reading_cm
 
-    def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> _Array:
+    def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> Array:
         """Natural logarithm of each reading's probability given its context.
 
         Parameters
@@ -153,7 +152,7 @@ class ReadingModel:
             )
         return self.rows(true_cm).log_prob(reading)
 
-    def rows(self, true_range_cm: _Array) -> MixtureRows:
+    def rows(self, true_range_cm: Array) -> MixtureRows:
         """The distribution of the reading of each true range [cm]."""
         centre_cm = self.calibration.forward(true_range_cm)
         return MixtureRows(
@@ -200,7 +199,7 @@ class ReadingModel:
         return np.maximum(np.fmin(true_range_cm, self.maximum_cm), 0.0)
 
 
-def _true_range_cm(contexts: Mapping[str, Any]) -> _Array:
+def _true_range_cm(contexts: Mapping[str, Any]) -> Array:
     if TRUE_RANGE not in contexts:
         raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
     true_cm = np.asarray(contexts[TRUE_RANGE], dtype=np.float64)

@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-_Array = NDArray[np.float64]
-Derivatives = Callable[[_Array], tuple[float, _Array, _Array]]
+from msp_range.arrays import Array, Flags
+
+Derivatives = Callable[[Array], tuple[float, Array, Array]]
 """theta -> value, gradient, Hessian."""
 
 GAIN = 1e-3
@@ -45,10 +45,10 @@ class Optimum:
         Numbers of the parameters that moved and are not held by a bound.
     """
 
-    theta: _Array
+    theta: Array
     value: float
-    gradient: _Array
-    hessian: _Array
+    gradient: Array
+    hessian: Array
     inside: tuple[int, ...]
 
 
@@ -66,17 +66,17 @@ class Bounds:
         Whether half of the parameter itself is allowed where that is longer.
     """
 
-    lower: _Array
-    upper: _Array
-    stride: _Array
-    relative: NDArray[np.bool_]
+    lower: Array
+    upper: Array
+    stride: Array
+    relative: Flags
 
-    def longest(self, theta: _Array) -> _Array:
+    def longest(self, theta: Array) -> Array:
         """Longest step of each parameter from here."""
         return np.where(self.relative, np.maximum(self.stride, 0.5 * np.abs(theta)), self.stride)
 
 
-def maximise(derivatives: Derivatives, start: _Array, moving: Sequence[int], bounds: Bounds, gain: float) -> Optimum:
+def maximise(derivatives: Derivatives, start: Array, moving: Sequence[int], bounds: Bounds, gain: float) -> Optimum:
     """Climb from `start` with the parameters of the numbers `moving`; the others stay.
 
     Raises
@@ -194,12 +194,12 @@ def profile_limit(
     return float(brentq(excess, near, far, xtol=1e-4 * abs(far - centre), rtol=1e-9)) if near != far else near
 
 
-def _newton(gradient: _Array, hessian: _Array) -> _Array:
+def _newton(gradient: Array, hessian: Array) -> Array:
     """Step to the maximum of the quadratic form; where it bends upwards, as if it bent downwards as much."""
     if not gradient.size:
         return gradient
     scale = np.sqrt(np.abs(np.diag(hessian)))
     curvature, axes = np.linalg.eigh(-hessian / np.outer(scale, scale))
     curvature = np.maximum(np.abs(curvature), _FLATTEST)
-    step: _Array = axes @ ((axes.T @ (gradient / scale)) / curvature) / scale
+    step: Array = axes @ ((axes.T @ (gradient / scale)) / curvature) / scale
     return step

@@ -8,9 +8,10 @@ centimetres and codes (Czado, Gneiting & Held 2009, Predictive model assessment 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from msp_range.arrays import Array
 from msp_range.reading_model.fit_result import FitResult
 
 BINS = 20
@@ -44,7 +45,7 @@ def pit_values(
     expected_cm: ArrayLike,
     rng: np.random.Generator,
     reference_std_cm: ArrayLike = 0.0,
-) -> NDArray[np.float64]:
+) -> Array:
     """Transform each reading to 0 ... 1, (n,); NaN for what the sensor cannot report."""
     below, itself = result.below(reading_cm, expected_cm, reference_std_cm)
     transformed = below + rng.random(below.size) * itself

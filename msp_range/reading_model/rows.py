@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Indices
 from msp_range.reading_model.kernel import Hit, Missed, Random, Short, is_on_grid, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 
-_Array = NDArray[np.float64]
-Part: TypeAlias = Callable[[Any, _Array, _Array], _Array]
+Part: TypeAlias = Callable[[Any, Array, Array], Array]
 """Something linear in the probability of the readings from first to last of rows, shape (m, n)."""
 
 FREE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
@@ -32,7 +31,7 @@ def take(values: Any, rows: Any) -> Any:
     return values[rows] if isinstance(values, np.ndarray) else values
 
 
-def among(some: _Array, rows: NDArray[np.intp], size: int) -> _Array:
+def among(some: Array, rows: Indices, size: int) -> Array:
     """Parts of some rows (m, k) in their places among all, (m, size); 0 for the others."""
     parts = np.zeros((some.shape[0], size))
     parts[:, rows] = some
@@ -53,7 +52,7 @@ class MixtureRows:
         As in the sensor model; readings are whole multiples of the step.
     """
 
-    centre_cm: _Array
+    centre_cm: Array
     sigma_cm: Any
     log_weights: tuple[Any, Any, Any, Any]
     rate_per_m: float
@@ -75,11 +74,11 @@ class MixtureRows:
             log_weights=(hit, short, missed, random),
         )
 
-    def log_prob(self, reading_cm: _Array) -> _Array:
+    def log_prob(self, reading_cm: Array) -> Array:
         """log of the probability of each reading; -inf for what cannot be read, such as fractions of a step and NaN."""
         p = self.of_readings(reading_cm, type(self).probability)[0]
         with np.errstate(divide="ignore"):
-            log_p: _Array = np.log(p)
+            log_p: Array = np.log(p)
         reportable = (reading_cm >= self.minimum_cm) & (reading_cm <= self.maximum_cm)
         tail = np.flatnonzero((p < UNDERFLOW) & reportable & is_on_grid(reading_cm, self.step_cm))
         if tail.size:
@@ -91,19 +90,19 @@ class MixtureRows:
             log_p[tail] = np.maximum(log_p[tail], log_hit)
         return log_p
 
-    def log_below(self, reading_cm: _Array) -> _Array:
+    def log_below(self, reading_cm: Array) -> Array:
         """log of the probability of all smaller readings, for the probability integral transform."""
         last = on_grid((np.ceil(reading_cm / self.step_cm - ON_GRID) - 1.0) * self.step_cm, self.step_cm)
         with np.errstate(divide="ignore"):
-            log_p: _Array = np.log(self.arrives(np.full_like(last, -np.inf), last, type(self).probability)[0])
+            log_p: Array = np.log(self.arrives(np.full_like(last, -np.inf), last, type(self).probability)[0])
         return log_p
 
-    def of_readings(self, reading_cm: _Array, part: Part) -> _Array:
+    def of_readings(self, reading_cm: Array, part: Part) -> Array:
         """What ``part`` is of each reading, (m, n); 0 for what is no multiple of the step."""
         code = np.where(is_on_grid(reading_cm, self.step_cm), reading_cm, -1.0)
         return self.arrives(code, code, part)
 
-    def arrives(self, first: _Array, last: _Array, part: Part) -> _Array:
+    def arrives(self, first: Array, last: Array, part: Part) -> Array:
         """What ``part`` is of the mixture, as it is of the readings that arrive: some of M, the no-echo code, as 255.
 
         With q of the mixture and the saturated fraction s, p(M) = (1 - s) q(M) and p(255) = q(255) + s q(M).
@@ -128,7 +127,7 @@ class MixtureRows:
         """Weights of hit, short, missed and random, numbers or (n,); their sum is not 1."""
         return [np.exp(each) for each in self.log_weights]
 
-    def kinds(self, first: _Array, last: _Array) -> tuple[Hit, Short, Missed, Random]:
+    def kinds(self, first: Array, last: Array) -> tuple[Hit, Short, Missed, Random]:
         """Hit, short, missed and random readings from first to last."""
         lowest, highest, step = self.minimum_cm, self.maximum_cm, self.step_cm
         top = last == highest
@@ -139,14 +138,14 @@ class MixtureRows:
             Random(first, last, lowest, highest, step),
         )
 
-    def probability(self, first: _Array, last: _Array) -> _Array:
+    def probability(self, first: Array, last: Array) -> Array:
         """Probability q of the readings from first to last, all within the limits, before saturation, (1, n)."""
         weights = self.weights()
         kinds: Sequence[Hit | Short | Missed | Random] = self.kinds(first, last)
         q = sum(weight * kind.p for weight, kind in zip(weights, kinds, strict=True) if np.any(weight))
         return np.asarray(q / sum(weights))[None]
 
-    def slopes(self, first: _Array, last: _Array) -> _Array:
+    def slopes(self, first: Array, last: Array) -> Array:
         """q and its derivatives in the order of `FREE`, (8, n); that by the saturated fraction is 0."""
         of_hit, of_short, of_missed, of_random = self.kinds(first, last)
         weights = self.weights()
@@ -164,7 +163,7 @@ class MixtureRows:
         parts[4], parts[5] = missed * (of_missed.p - q), random * (of_random.p - q)
         return parts
 
-    def draw(self, normal: _Array, kind: _Array, place: _Array | None = None) -> _Array:
+    def draw(self, normal: Array, kind: Array, place: Array | None = None) -> Array:
         """Readings before saturation, from n standard normal and n uniform numbers.
 
         Parameters
@@ -174,7 +173,7 @@ class MixtureRows:
         place
             Uniform numbers for where short and random readings lie; None: what is left of ``kind``.
         """
-        reading_cm: _Array = on_grid(Hit.draw(normal, self.centre_cm, self.sigma_cm), self.step_cm)
+        reading_cm: Array = on_grid(Hit.draw(normal, self.centre_cm, self.sigma_cm), self.step_cm)
         # fmin and not minimum: it takes NaN, a surface that gives no echo, to the maximum.
         np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
         np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
@@ -190,13 +189,13 @@ class MixtureRows:
         below_missed = np.where(random > 0.0, (hit + short + missed) / total, 1.0)
         return hit / total, (hit + short) / total, below_missed
 
-    def _draw_others(self, kind: _Array, place: _Array | None) -> _Array:
+    def _draw_others(self, kind: Array, place: Array | None) -> Array:
         """Readings of the three rarer kinds."""
         below_hit, below_short, below_missed = (np.broadcast_to(each, kind.shape) for each in self._below())
         reading_cm = np.full(kind.size, float(self.maximum_cm))
         short, random = np.flatnonzero(kind < below_short), np.flatnonzero(kind >= below_missed)
 
-        def uniform(rows: NDArray[np.intp], start: _Array, end: Any) -> _Array:
+        def uniform(rows: Indices, start: Array, end: Any) -> Array:
             return place[rows] if place is not None else (kind[rows] - start[rows]) / (take(end, rows) - start[rows])
 
         drawn = uniform(short, below_hit, below_short)

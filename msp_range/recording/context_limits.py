@@ -5,7 +5,8 @@ A table enters; a column that cannot be what its name says raises an error with 
 
 import numpy as np
 
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.arrays import Column
+from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 
 TEMPERATURES_C = {"air_temperature_c": (-50.0, 65.0), "target_temperature_c": (-50.0, 85.0)}

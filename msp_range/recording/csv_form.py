@@ -19,11 +19,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Column
 from msp_range.input_file import CONTROL, UTF_16, making, open_input
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.error import RecordingError
@@ -48,9 +48,6 @@ LONGEST_CELL = 200
 """Characters of a cell that is kept as a word: names of runs, targets and conditions have 10 to 40."""
 
 _BLOCK_BYTES = 2**16
-
-Column: TypeAlias = NDArray[Any]
-"""float64 with NaN where unknown, or str with "" where unknown."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ class MeasuredData:
             return self.columns[name]
         return np.full(len(self), "" if name in WORD_COLUMNS else math.nan)
 
-    def select(self, rows: NDArray[Any]) -> "MeasuredData":
+    def select(self, rows: Column) -> "MeasuredData":
         """Return the rows of a boolean mask or of an index array."""
         return MeasuredData({name: column[rows] for name, column in self.columns.items()})
 

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from msp_range.acoustics.air import FIXED, HELD
+from msp_range.arrays import Column
 from msp_range.reading import Status
-from msp_range.recording.csv_form import Column, MeasuredData, column_of, write_csv
+from msp_range.recording.csv_form import MeasuredData, column_of, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from msp_range.acoustics.air import FIXED, Air
+from msp_range.arrays import Column
 from msp_range.correction.temperature import COLDEST_C, FIXED_STD_C, GRADIENT_STD_C, HOTTEST_C, THERMOMETER_STD_C
 from msp_range.fusion.attitude import Angles
 from msp_range.fusion.vertical import Moved
 from msp_range.reading import Status
-from msp_range.recording.csv_form import Column, MeasuredData, read_csv
+from msp_range.recording.csv_form import MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
 from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TOPIC, RANGE_PREFIX

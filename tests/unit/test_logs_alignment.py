@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from msp_lab.logs.alignment import Alignment, _lowest, align, reference_std_cm
-from msp_lab.logs.log import Array, Series
+from msp_lab.logs.log import Series
+from msp_range.arrays import Array
 
 
 def climbs(at_s: Array) -> Array:

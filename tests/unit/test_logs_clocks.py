@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from msp_lab.logs.clocks import clock_difference_s
-from msp_lab.logs.log import Array, Series
+from msp_lab.logs.log import Series
 from msp_lab.logs.opening import open_log
+from msp_range.arrays import Array
 from msp_range.recording.error import RecordingError
 from tests.support.log_import import LOGS, imported, run
 

@@ -9,10 +9,11 @@ import pytest
 
 from msp_lab.logs import px4, show
 from msp_lab.logs.join import Joined, join
-from msp_lab.logs.log import TILT, Array, Ranger, Series, TruthSource, VehicleLog, make_ranger
+from msp_lab.logs.log import TILT, Ranger, Series, TruthSource, VehicleLog, make_ranger
 from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
+from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry

@@ -18,11 +18,12 @@ from msp_lab.gap.steps import Steps
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.others import Mounting, side_by_side, with_others_as_reference
 from msp_lab.readings.smoother import START_STD, STATES, smooth
+from msp_range.arrays import Column
 from msp_range.correction.calibration import IDENTITY
 from msp_range.fusion.mounting import DownwardSensor
 from msp_range.geometry import Matrix, rotation_matrix
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.csv_form import Column, MeasuredData, write_csv
+from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 

@@ -6,12 +6,12 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Flags
 from msp_range.commission.motion import NotMeasured, Places, places
 from msp_range.commission.noise import compare_noise
 from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import Array, Samples, SensorReadings, samples_of
+from msp_range.commission.samples import Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
@@ -173,7 +173,7 @@ def hovering(samples: Samples) -> Samples | None:
 def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
     """What was received between two times."""
 
-    def inside(time_s: Array) -> NDArray[np.bool_]:
+    def inside(time_s: Array) -> Flags:
         return (time_s >= first_s) & (time_s <= last_s)
 
     readings = {}

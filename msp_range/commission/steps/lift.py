@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from msp_range.arrays import Array
 from msp_range.assembly import fused_stream
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import NotMeasured, places
 from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import Array, Samples, samples_of
+from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.directions import SIDES, compare_directions
 from msp_range.commission.steps.places import DEEPER_M, compare_lag, compare_places

@@ -17,9 +17,10 @@ from rich.console import Console
 
 from msp_lab.campaigns.campaign import Reference
 from msp_lab.logs.log import between_samples
+from msp_range.arrays import Column
 from msp_range.config import NamedAirframe
 from msp_range.input_file import making, open_input
-from msp_range.recording.csv_form import Column, MeasuredData, join_tables, read_csv, write_csv
+from msp_range.recording.csv_form import MeasuredData, join_tables, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording

@@ -18,10 +18,11 @@ import orjson
 
 from msp_lab.campaigns.bench import KnownRanging
 from msp_lab.campaigns.plan import Point
+from msp_range.arrays import Column
 from msp_range.clock import Clock
 from msp_range.reading import Status
 from msp_range.recording.columns import CONTEXT_COLUMNS, WORD_COLUMNS
-from msp_range.recording.csv_form import Column, MeasuredData, word_column, write_csv
+from msp_range.recording.csv_form import MeasuredData, word_column, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import CAMPAIGN_TOPIC, RANGE_PREFIX, TRUTH_PREFIX

@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.calibration import line_design, pooled_spread
 from msp_lab.characterise.estimates import Z, fit_points, share, standard_error
@@ -15,6 +14,7 @@ from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_lab.readings.resolution import to_step
+from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import SensorModel
 
 PEAK_HALF_CM = 3
@@ -94,7 +94,7 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
     )
 
 
-def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
+def peaks(reading_cm: Array, span_cm: float) -> tuple[Peak, ...]:
     """Peaks of whole-centimetre readings, the largest first.
 
     A peak is where most readings are within `PEAK_HALF_CM`, of at least `MIN_PEAK_SHARE`, `MIN_READINGS` and
@@ -139,7 +139,7 @@ def peaks(reading_cm: NDArray[np.float64], span_cm: float) -> tuple[Peak, ...]:
         free[low : high + 1] = False
 
 
-def _mode(reading_cm: NDArray[np.float64]) -> IntervalEstimate:
+def _mode(reading_cm: Array) -> IntervalEstimate:
     """Most frequent reading, and those with counts that are not significantly lower."""
     values, counts = np.unique(reading_cm, return_counts=True)
     top = int(counts.max())

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from msp_lab.characterise.estimates import (
@@ -27,6 +26,7 @@ from msp_lab.characterise.estimates import (
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
+from msp_range.arrays import Array, Flags
 from msp_range.correction.calibration import PiecewiseLinear, curve_through
 
 MIN_RANGES = 4
@@ -40,19 +40,17 @@ RANGES_PER_PIECE = 3
 MAX_PIECES = 4
 """Segments of a calibration at most; more follow the placements and not the sensor."""
 
-_Array = NDArray[np.float64]
-
 
 class _Points(NamedTuple):
     """Columns of the points: apparent true range, mean reading, its variance, true range, number of the run."""
 
-    true_cm: _Array
-    reading_cm: _Array
-    variance_cm2: _Array
-    range_cm: _Array
-    run: _Array
+    true_cm: Array
+    reading_cm: Array
+    variance_cm2: Array
+    range_cm: Array
+    run: Array
 
-    def select(self, rows: NDArray[np.bool_]) -> "_Points":
+    def select(self, rows: Flags) -> "_Points":
         return _Points(*(column[rows] for column in self))
 
 
@@ -139,7 +137,7 @@ def _set_up_offset(
     return between_points(residual_cm, own_cm2, set_up_std_cm**2, max(len(knots), 1))
 
 
-def line_design(x: _Array) -> _Array:
+def line_design(x: Array) -> Array:
     """Of a straight line: offset and scale."""
     return np.column_stack([np.ones_like(x), x])
 
@@ -216,7 +214,7 @@ def _named(form: Form) -> str:
     ]
 
 
-def _left_out_errors(data: _Points, pieces: int, group: _Array) -> _Array:
+def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
     """Of each point, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
     errors = np.empty_like(data.true_cm)
     for each in np.unique(group):
@@ -227,13 +225,13 @@ def _left_out_errors(data: _Points, pieces: int, group: _Array) -> _Array:
     return errors
 
 
-def _gain(simpler: _Array, complex_: _Array, group: _Array) -> IntervalEstimate:
+def _gain(simpler: Array, complex_: Array, group: Array) -> IntervalEstimate:
     """Mean square error taken off, ranges as the unit."""
     saved = simpler**2 - complex_**2
     return mean_of_points([float(saved[group == each].mean()) for each in np.unique(group)], "cm^2")
 
 
-def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
+def _fit_knots(data: _Points, pieces: int) -> tuple[Array, Array] | None:
     """Knots of a curve of straight pieces by least squares; None: no calibration."""
     if pieces == 0:
         return None
@@ -246,7 +244,7 @@ def _fit_knots(data: _Points, pieces: int) -> tuple[_Array, _Array] | None:
     return places, values.astype(np.float64)
 
 
-def _extended(x: _Array, places: _Array, values: _Array) -> _Array:
+def _extended(x: Array, places: Array, values: Array) -> Array:
     return PiecewiseLinear(tuple(places.tolist()), tuple(values.tolist()))(x)
 
 
@@ -267,5 +265,5 @@ def _refused(knots: Sequence[MeasuredKnot]) -> str:
     return ""
 
 
-def _rms(errors: _Array) -> float:
+def _rms(errors: Array) -> float:
     return float(np.sqrt(np.mean(errors**2)))

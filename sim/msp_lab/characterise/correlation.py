@@ -9,13 +9,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.points import PointReadings
+from msp_range.arrays import Array
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.history import MAX_CORRELATION
-
-_Array = NDArray[np.float64]
 
 SURE_Z = 3.5
 """A correlation goes into the file if it is so many standard errors from none (p = 2e-4, one-sided). Lower: models of
@@ -66,7 +64,7 @@ def hit_correlation(points: Sequence[PointReadings], data: MeasuredData) -> HitC
     return HitCorrelation(min(correlation, MAX_CORRELATION), spacing_s, z) if z > SURE_Z else None
 
 
-def _steps(point: PointReadings, time_s: _Array) -> list[tuple[float, float, float, float]]:
+def _steps(point: PointReadings, time_s: Array) -> list[tuple[float, float, float, float]]:
     """From each hit to the next in time: seconds, product of both errors [cm^2], 1 / hits, square of the first."""
     hit = np.flatnonzero(point.is_hit & np.isfinite(time_s[point.rows]))
     if hit.size < MIN_HITS:

@@ -16,6 +16,7 @@ from scipy.optimize import brentq
 from scipy.special import log_ndtr, logsumexp
 
 from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_range.arrays import Array
 from msp_sim.intervals import CONFIDENCE, Z, wilson
 
 _LIKELIHOOD_DROP = Z**2 / 2
@@ -38,7 +39,6 @@ _SPREADS = (0.02, 2.0)
 """Spreads that are tried for rounded values [steps]."""
 BATCH = 15
 """Readings in a batch, at least: those a batch apart are taken to be independent."""
-_Array = NDArray[np.float64]
 
 
 def student(standard_error: float, freedom: float) -> float:
@@ -58,7 +58,7 @@ def share(count: int, of: int) -> IntervalEstimate:
     return IntervalEstimate(count / of, *wilson(count, of), "", of)
 
 
-def mean_of_points(values: Sequence[float] | _Array, unit: str) -> IntervalEstimate:
+def mean_of_points(values: Sequence[float] | Array, unit: str) -> IntervalEstimate:
     """Mean of values that are independent of each other, with Student's interval; no interval for one value alone.
 
     Parameters
@@ -80,8 +80,8 @@ def mean_of_points(values: Sequence[float] | _Array, unit: str) -> IntervalEstim
 class PointsFit(NamedTuple):
     """Coefficients of a linear model of points, and the variance between them that their own do not explain."""
 
-    coefficients: _Array
-    covariance: _Array
+    coefficients: Array
+    covariance: Array
     between: float
     freedom: int
 
@@ -94,7 +94,7 @@ class PointsFit(NamedTuple):
         return IntervalEstimate.about(value, half, unit, n, "points")
 
 
-def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
+def fit_points(design: Array, y: Array, variance: Array) -> PointsFit:
     """Weighted least squares with a variance between points, which is added until the residuals are as expected.
 
     Parameters
@@ -111,10 +111,10 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
     """
     freedom = y.size - design.shape[1]
 
-    def fit(between: float) -> tuple[_Array, _Array, float]:
+    def fit(between: float) -> tuple[Array, Array, float]:
         weight = 1.0 / (variance + between + 1e-12)
         covariance = np.linalg.inv((design * weight[:, None]).T @ design).astype(np.float64)
-        coefficients: _Array = covariance @ ((design * weight[:, None]).T @ y)
+        coefficients: Array = covariance @ ((design * weight[:, None]).T @ y)
         residual = y - design @ coefficients
         return coefficients, covariance, float(weight @ residual**2)
 
@@ -129,7 +129,7 @@ def fit_points(design: _Array, y: _Array, variance: _Array) -> PointsFit:
     return PointsFit(coefficients, covariance, low, freedom)
 
 
-def between_points(residual: _Array, variance: _Array, known: float = 0.0, fitted: int = 1) -> IntervalEstimate:
+def between_points(residual: Array, variance: Array, known: float = 0.0, fitted: int = 1) -> IntervalEstimate:
     """Standard deviation between points beyond the scatter of readings and a known variance [cm].
 
     Parameters
@@ -169,7 +169,7 @@ def between_points(residual: _Array, variance: _Array, known: float = 0.0, fitte
     return IntervalEstimate(beyond(float(freedom)), beyond(least), beyond(most), "cm", residual.size, "points")
 
 
-def dependence_factor(series: Sequence[_Array]) -> float:
+def dependence_factor(series: Sequence[Array]) -> float:
     """By how much readings that depend on the ones before widen the variance of their mean; 1 where they do not.
 
     Parameters
@@ -205,7 +205,7 @@ class MeanAndSpread(NamedTuple):
     spread: IntervalEstimate
 
 
-def mean_and_spread(values: _Array, step: float, usual_spread: float | None = None) -> MeanAndSpread:
+def mean_and_spread(values: Array, step: float, usual_spread: float | None = None) -> MeanAndSpread:
     """Mean and standard deviation that a normal variable had before it was rounded.
 
     Parameters
@@ -245,12 +245,12 @@ def mean_and_spread(values: _Array, step: float, usual_spread: float | None = No
     return MeanAndSpread(mean, IntervalEstimate(value, low, high, "cm", n))
 
 
-def half_of_mean(values: _Array, step: float) -> float:
+def half_of_mean(values: Array, step: float) -> float:
     """Half of the interval of the mean of values whose rounding to a step is an error of each."""
     return Z * math.sqrt((float(values.var(ddof=1)) + step**2 / 12.0) / values.size)
 
 
-def common_spread(groups: Sequence[_Array], step: float) -> float | None:
+def common_spread(groups: Sequence[Array], step: float) -> float | None:
     """Standard deviation before rounding that groups of values about different means have in common.
 
     None where fewer than `GROUPS` of them show anything of it: values of two steps or more that scatter little.
@@ -269,7 +269,7 @@ def common_spread(groups: Sequence[_Array], step: float) -> float | None:
     return step * float(spreads[total.argmax()])
 
 
-def _is_of_few_steps(values: _Array, step: float) -> bool:
+def _is_of_few_steps(values: Array, step: float) -> bool:
     """Whether rounded values scatter so little that their average is not their mean before rounding."""
     if step <= 0.0:
         return False
@@ -277,7 +277,7 @@ def _is_of_few_steps(values: _Array, step: float) -> bool:
     return bool(near.size >= MOST_NEAR * values.size and near.std() < DITHERED * step)
 
 
-def _of_rounded(values: _Array, step: float, usual: float | None) -> MeanAndSpread:
+def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSpread:
     steps, counts = np.unique(np.rint(values / step), return_counts=True)
     middle = float(np.median(values)) / step
     mean_ends, spread_ends = (middle - 1.0, middle + 1.0), _SPREADS
@@ -307,7 +307,7 @@ def _of_rounded(values: _Array, step: float, usual: float | None) -> MeanAndSpre
     )
 
 
-def _log_likelihood(steps: _Array, counts: NDArray[np.int64], means: _Array, spreads: _Array) -> _Array:
+def _log_likelihood(steps: Array, counts: NDArray[np.int64], means: Array, spreads: Array) -> Array:
     """Of rounded values, shape (means, spreads); each may be a stray."""
     total = np.zeros((means.size, spreads.size))
     for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
@@ -320,7 +320,7 @@ def _log_likelihood(steps: _Array, counts: NDArray[np.int64], means: _Array, spr
     return total
 
 
-def _where_likely(grid: _Array, profile: _Array, top: float) -> tuple[float, float]:
+def _where_likely(grid: Array, profile: Array, top: float) -> tuple[float, float]:
     likely = np.flatnonzero(profile > top - _LIKELIHOOD_DROP)
     return float(grid[max(likely[0] - 1, 0)]), float(grid[min(likely[-1] + 1, grid.size - 1)])
 

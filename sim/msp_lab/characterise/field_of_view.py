@@ -19,6 +19,7 @@ from msp_lab.characterise.points import GATE_CM, PointReadings
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.acoustics.slant import slant_range
 from msp_range.acoustics.sonar import PARAMETERS, STEP_DEG, extended_beam, fit_sonar, leave_one_out
+from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
 
@@ -189,7 +190,7 @@ def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
     )
 
 
-def _likely_steps(of_wall: NDArray[np.float64], readings: NDArray[np.int64]) -> list[int]:
+def _likely_steps(of_wall: Array, readings: NDArray[np.int64]) -> list[int]:
     """Numbers of angles after which the share of readings of the wall may drop from reliable to not reliable.
 
     Those whose binomial likelihood, with one share before and one behind, is not significantly below the best: by 1.92

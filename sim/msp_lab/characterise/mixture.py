@@ -11,12 +11,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.correlation import HitCorrelation
 from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
+from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import MIN_WEIGHT, FitError, FitResult, with_floors
@@ -180,7 +180,7 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound
     return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started, at_bound)
 
 
-def _conditional(result: FitResult, expected_cm: NDArray[np.float64]) -> str:
+def _conditional(result: FitResult, expected_cm: Array) -> str:
     grown = [
         text
         for name, text in (

@@ -16,6 +16,7 @@ from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_an
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
+from msp_range.arrays import Array, Flags, Texts
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
@@ -64,8 +65,6 @@ CLASS_DB = 20.0
 NEAR_KHZ = 1.0
 """A source within this of the ping's frequency counts as on it [kHz]: the receiver's bandwidth is about 2 kHz."""
 
-_Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class PointReadings:
@@ -95,10 +94,10 @@ class PointReadings:
     sensor: str
     run: str
     level: str
-    reading_cm: _Array
-    true_range_cm: _Array
-    air_temperature_c: _Array
-    reference_std_cm: _Array
+    reading_cm: Array
+    true_range_cm: Array
+    air_temperature_c: Array
+    reference_std_cm: Array
     incidence_deg: float
     target_temperature_c: float
     sensor_model: SensorModel
@@ -123,9 +122,9 @@ class PointReadings:
         return float(np.mean(self.reference_std_cm**2)) if self.is_fixed else 0.0
 
     @cached_property
-    def is_code(self) -> NDArray[np.bool_]:
+    def is_code(self) -> Flags:
         """Readings of no echo: the maximum, and 255 where the others are not within the gate of it."""
-        missed: NDArray[np.bool_] = self.reading_cm == self.sensor_model.maximum_cm
+        missed: Flags = self.reading_cm == self.sensor_model.maximum_cm
         if self.sensor_model.reading_model.saturated_fraction == 0.0:
             return missed
         saturated = self.reading_cm == SATURATED_CM
@@ -134,13 +133,13 @@ class PointReadings:
         return missed | saturated if abs(expected_cm - SATURATED_CM) > GATE_CM else missed
 
     @cached_property
-    def is_echo(self) -> NDArray[np.bool_]:
+    def is_echo(self) -> Flags:
         """Answers that are no code."""
-        echoes: NDArray[np.bool_] = ~np.isnan(self.reading_cm) & ~self.is_code
+        echoes: Flags = ~np.isnan(self.reading_cm) & ~self.is_code
         return echoes
 
     @cached_property
-    def error_cm(self) -> _Array:
+    def error_cm(self) -> Array:
         """Reading minus truth of all rows [cm]."""
         return self.reading_cm - self.true_range_cm
 
@@ -167,13 +166,13 @@ class PointReadings:
         return middle - half, middle + half
 
     @cached_property
-    def is_hit(self) -> NDArray[np.bool_]:
+    def is_hit(self) -> Flags:
         """Readings of the surface."""
         low, high = self.gate_cm
         return self.is_echo & (self.error_cm >= low) & (self.error_cm <= high) & (low < high)
 
     @cached_property
-    def compensation(self) -> _Array:
+    def compensation(self) -> Array:
         """sqrt(T / T_calibration), absolute temperatures, for each row.
 
         NaN where the air's temperature is unknown, and for light and radio, which it does not change.
@@ -184,7 +183,7 @@ class PointReadings:
         return np.sqrt((self.air_temperature_c + ZERO_CELSIUS_K) / calibration_k)
 
     @cached_property
-    def apparent_cm(self) -> _Array:
+    def apparent_cm(self) -> Array:
         """Range that a perfect sensor reads, which takes the air to be as in its calibration [cm]; else the truth."""
         factor = np.where(np.isnan(self.compensation), 1.0, self.compensation)
         return self.true_range_cm / factor
@@ -295,7 +294,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
 
 
-def conditions(data: MeasuredData) -> NDArray[np.str_]:
+def conditions(data: MeasuredData) -> Texts:
     """Return the experiment of each row: its column `condition`, or what is varied."""
     found = np.full(len(data), BASELINE, dtype="U32")
     for name, word in VARIED.items():
@@ -312,9 +311,7 @@ def conditions(data: MeasuredData) -> NDArray[np.str_]:
     return np.where(named == "", found, named)
 
 
-def _levels(
-    data: MeasuredData, condition: NDArray[np.str_], target: NDArray[np.str_], air_c: _Array, frequency_hz: float
-) -> NDArray[np.str_]:
+def _levels(data: MeasuredData, condition: Texts, target: Texts, air_c: Array, frequency_hz: float) -> Texts:
     """What the experiment varies, as a word for each row."""
     level = np.full(len(data), "", dtype="U48")
     rows = condition == "material"
@@ -328,7 +325,7 @@ def _levels(
     return level
 
 
-def _temperature_words(air_c: _Array) -> list[str]:
+def _temperature_words(air_c: Array) -> list[str]:
     """Clusters of temperatures, each by its mean; "" where the temperature is not known."""
     found, known = np.full(air_c.size, "", dtype="U48"), np.flatnonzero(~np.isnan(air_c))
     order = known[np.argsort(air_c[known])]
@@ -352,7 +349,7 @@ def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:
     ]
 
 
-def _places(truth_cm: _Array) -> _Array:
+def _places(truth_cm: Array) -> Array:
     """True range of each row's point: itself at a bench, the middle of a bin where it changes all the time."""
     _, which, counts = np.unique(truth_cm, return_inverse=True, return_counts=True)
     if np.median(counts[which.ravel()]) >= MIN_READINGS:
@@ -360,12 +357,12 @@ def _places(truth_cm: _Array) -> _Array:
     return (np.floor(truth_cm / BIN_CM) + 0.5) * BIN_CM
 
 
-def _codes(column: NDArray[np.str_] | _Array) -> NDArray[np.int64]:
+def _codes(column: Texts | Array) -> NDArray[np.int64]:
     """A whole number for each different value."""
     return np.unique(column, return_inverse=True)[1].ravel().astype(np.int64)
 
 
-def _mean(values: _Array) -> float:
+def _mean(values: Array) -> float:
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else math.nan
 

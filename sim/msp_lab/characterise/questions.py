@@ -13,7 +13,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 
@@ -47,8 +46,6 @@ MIN_SCATTER_CM = 0.05
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
 """Experiments with two sensors, each with its own question -> name of their level."""
 METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from msp_lab.characterise.estimates import CONFIDENCE, Z, half_of_mean, standard_error, student
@@ -17,13 +16,12 @@ from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
 from msp_lab.characterise.question_findings import AirBefore, CompensationRow, HotBox, HotBoxRow
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
+from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 
 ROOM_C, ROOM_WITHIN_C = 21.1, 5.0
 """Room temperature where nobody measured the air at the target: 70 deg F. It decides which readings of the temperature
 experiment are those of room temperature, within so much, and what air is assumed beyond a box."""
-
-_Array = NDArray[np.float64]
 
 
 def hot_boxes(points: Sequence[PointResult], calibration_c: float) -> tuple[HotBox, ...]:
@@ -72,7 +70,7 @@ def _hot_box(
     fit = stats.linregress(range_cm, -100.0 * shift)
     per_cent = IntervalEstimate.about(float(fit.slope), student(float(fit.stderr), n - 2), "%", n, "points")
     uniform_per_cent = -float(confined(np.array([100.0]), math.inf)[0])
-    ideas: dict[AirBefore, _Array] = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
+    ideas: dict[AirBefore, Array] = {"uniform": uniform_cm, "gradient": gradient_cm, "confined": confined_cm}
     squares = {name: float(((shift - idea) ** 2).sum()) for name, idea in ideas.items()}
     # The confined air has a parameter: it must explain significantly more (1.92 in the log-likelihood).
     squares["confined"] *= math.exp(2 * 1.92 / n)
@@ -124,14 +122,14 @@ def _ends(estimate: IntervalEstimate) -> str:
     return f"{low} to {high} cm"
 
 
-def _confined(box_c: float, room_c: float, calibration_c: float) -> Callable[[_Array, float], _Array]:
+def _confined(box_c: float, room_c: float, calibration_c: float) -> Callable[[Array, float], Array]:
     """Shift of a reading [cm] where the box's air fills the first so many centimetres."""
     speed = speed_of_sound(calibration_c)
     a_cm = speed / speed_of_sound(box_c) - speed / speed_of_sound(room_c)
     return lambda range_cm, depth_cm: a_cm * np.minimum(range_cm, depth_cm)
 
 
-def _gradient(range_cm: _Array, box_c: float, room_c: float, calibration_c: float) -> _Array:
+def _gradient(range_cm: Array, box_c: float, room_c: float, calibration_c: float) -> Array:
     """Shift of a reading [cm] where the temperature falls linearly from the sensor to the target.
 
     The time of flight is the integral of dx / c over it, c = k sqrt(T): 2 R / (c_box + c_room) one way.
@@ -140,7 +138,7 @@ def _gradient(range_cm: _Array, box_c: float, room_c: float, calibration_c: floa
     return range_cm * speed * (2.0 / (box + room) - 1.0 / room)
 
 
-def _depth(range_cm: _Array, shift: _Array, confined: Callable[[_Array, float], _Array]) -> IntervalEstimate:
+def _depth(range_cm: Array, shift: Array, confined: Callable[[Array, float], Array]) -> IntervalEstimate:
     """Length of the box's air by least squares, with its interval from the sum of squares."""
     depths = np.linspace(0.0, float(range_cm.max()), 1041)
     squares = np.array([float(((shift - confined(range_cm, depth)) ** 2).sum()) for depth in depths])

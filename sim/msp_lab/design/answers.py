@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.design.questions import Answer, OpenQuestion
 from msp_lab.gap import rules
@@ -21,10 +20,9 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.runs import sample, taken
 from msp_lab.gap.steps import Steps
+from msp_range.arrays import Array
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
-
-_Array = NDArray[np.float64]
 
 OFFSETS = "run_offsets"
 FITTED_ROWS = 6_000
@@ -66,7 +64,7 @@ class FittedAnswer:
 
     answer: Answer
     terms: tuple[Term, ...]
-    base: _Array
+    base: Array
     log_likelihood: float | None
     model: Model
     assumed: bool = False
@@ -148,7 +146,7 @@ def fit_answers(old: OldReadings, question: OpenQuestion) -> list[FittedAnswer]:
 
 
 def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: JointFit) -> FittedAnswer:
-    def as_answer(terms: Sequence[Term], base: _Array, fitted: JointFit | None) -> FittedAnswer:
+    def as_answer(terms: Sequence[Term], base: Array, fitted: JointFit | None) -> FittedAnswer:
         likelihood = None if fitted is None else fitted.log_likelihood
         model = extended(old.model, base, terms, old.prepared.spacing_s)
         return FittedAnswer(answer, tuple(terms), base, likelihood, model, fitted is None)
@@ -175,12 +173,12 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
     return as_answer([*without.effects, fit.effects[-1]], without.base, None)
 
 
-def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: _Array) -> JointFit:
+def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: Array) -> JointFit:
     start = max(starts, key=lambda term: old.prepared.log_likelihood(base, [*others, term]))
     return refit(old.prepared, [*others, start], base)
 
 
-def _starts(parameter: Parameter) -> _Array:
+def _starts(parameter: Parameter) -> Array:
     neutral = parameter.neutral or 0.0
     span = STARTS * (parameter.high - parameter.low)
     values = neutral + np.concatenate([-span[::-1], span])

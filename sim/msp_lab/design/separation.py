@@ -11,7 +11,6 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
@@ -23,8 +22,6 @@ from msp_lab.gap.refit import refit
 from msp_lab.gap.runs import numbered, previous
 from msp_lab.readings.intake import PREVIOUS
 from msp_sim.model.model import Model
-
-_Array = NDArray[np.float64]
 
 DRAWN_ROWS = 3_000
 """Readings that are drawn to find the nats per reading: 27 nats, those of a power of 95 %, in a session of so many

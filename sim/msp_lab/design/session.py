@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap.runs import taken
+from msp_range.arrays import Column
 
-Columns: TypeAlias = Mapping[str, NDArray[Any]]
+Columns: TypeAlias = Mapping[str, Column]
 Kind: TypeAlias = Literal["bench", "flight"]
 
 

@@ -11,9 +11,10 @@ from functools import lru_cache
 import numpy as np
 
 from msp_lab.filter_study.nine import Variant, apply
-from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, Array, ScenarioRuns, report_readings, truth
+from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, ScenarioRuns, report_readings, truth
 from msp_lab.filter_study.statistics import error_statistics, mirrored
 from msp_lab.filter_study.table import Row
+from msp_range.arrays import Array
 
 WIDTH = 4.0
 """Half the width of a band in spreads: one in 16,000 normal values is outside, and a table has 135 values. A narrower

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from msp_lab.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, Array, ScenarioRuns
+from msp_lab.filter_study.scenarios import INTERVAL_S, MAXIMUM_CM, MINIMUM_CM, ScenarioRuns
+from msp_range.arrays import Array
 from msp_range.filters.runs import Posterior, RangeLikelihood, RunHistories
 from msp_range.reading_model.sensor_model import MixtureParameters
 

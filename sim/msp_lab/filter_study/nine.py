@@ -12,7 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from msp_lab.filter_study.scenarios import NOISE_CM2, Array
+from msp_lab.filter_study.scenarios import NOISE_CM2
+from msp_range.arrays import Array
 
 Family = Literal["moving average", "median", "kalman"]
 Boundary = Literal["grow", "raw", "zero", "first"]

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Flags
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import MixtureParameters
 from msp_sim.world.profiles import SAMPLES_PER_SECTION
@@ -28,8 +29,6 @@ SHORT_RATE_PER_M = 0.5
 """Rate of the short readings, as in the model file of the MB1242 [1/m]."""
 MINIMUM_CM, MAXIMUM_CM = 20, 765
 NAMES = ("fixed", "steps", "random")
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class ScenarioRuns:
     name: str
     true_cm: Array
     segment: NDArray[np.int64]
-    ramp: NDArray[np.bool_]
+    ramp: Flags
     reading_cm: Array
 
 
@@ -110,7 +109,7 @@ def truth(name: str, seeds: int, rng: np.random.Generator) -> ScenarioRuns:
     return ScenarioRuns(name, true_cm, segment, ramp, true_cm)
 
 
-def _random(true_cm: Array, segment: NDArray[np.int64], ramp: NDArray[np.bool_], rng: np.random.Generator) -> None:
+def _random(true_cm: Array, segment: NDArray[np.int64], ramp: Flags, rng: np.random.Generator) -> None:
     """Fill one run; a ramp's first sample is at the last level, and its new level is the next segment's last."""
     fewest, most = SAMPLES_PER_SECTION
     start, number, last_cm = 0, 0, FIXED_CM

@@ -6,7 +6,7 @@ centimetres; samples without an estimate (NaN) do not count.
 
 import numpy as np
 
-from msp_lab.filter_study.scenarios import Array
+from msp_range.arrays import Array
 
 STATISTICS = ("rms", "p90", "median", "mean", "variance")
 """RMS, 90th percentile of the signed error, median, mean [cm] and variance with N - 1 [cm^2], as in tables 5.4-5.6."""

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array, Flags
 
 MEDIAN_SQUARE = 0.454936
 """Median of the square of a normal number: half of the vehicles are nearer to the mean than its root."""
@@ -57,7 +56,7 @@ class Pooled:
     error: float
     tau: float
     i2: float
-    ordinary: NDArray[np.bool_]
+    ordinary: Flags
 
     @property
     def log_p(self) -> float:
@@ -68,7 +67,7 @@ class Pooled:
         return float(np.log(2.0) + tail)
 
 
-def paule_mandel(values: _Array, errors: _Array) -> tuple[float, float, float]:
+def paule_mandel(values: Array, errors: Array) -> tuple[float, float, float]:
     """Mean, its standard error, and tau.
 
     Parameters
@@ -90,9 +89,7 @@ def paule_mandel(values: _Array, errors: _Array) -> tuple[float, float, float]:
     return float(mean[0]), float(error[0]), float(tau[0])
 
 
-def _random_effects(
-    values: _Array, errors: _Array, inside: NDArray[np.bool_], square: float
-) -> tuple[_Array, _Array, _Array]:
+def _random_effects(values: Array, errors: Array, inside: Flags, square: float) -> tuple[Array, Array, Array]:
     """`paule_mandel` of several sets of the estimates, of equal size: inside is (sets, estimates)."""
     tau2 = np.zeros(inside.shape[0])
     for _ in range(ROUNDS):
@@ -109,7 +106,7 @@ def _random_effects(
     return mean, total**-0.5, np.sqrt(tau2)
 
 
-def pooled(values: _Array, errors: _Array) -> Pooled:
+def pooled(values: Array, errors: Array) -> Pooled:
     """Mean and spread of the ordinary vehicles.
 
     Parameters
@@ -133,7 +130,7 @@ def pooled(values: _Array, errors: _Array) -> Pooled:
     return Pooled(mean, error, tau, i2, ordinary)
 
 
-def left_out(values: _Array, errors: _Array, fleet: Pooled, always_differ: bool = False) -> tuple[_Array, _Array]:
+def left_out(values: Array, errors: Array, fleet: Pooled, always_differ: bool = False) -> tuple[Array, Array]:
     """Each vehicle against the ordinary ones other than itself.
 
     Parameters
@@ -160,7 +157,7 @@ def left_out(values: _Array, errors: _Array, fleet: Pooled, always_differ: bool 
     return deviation, np.minimum(np.log(2.0) + student.logsf(np.abs(deviation), freedom), 0.0)
 
 
-def _deviations(values: _Array, errors: _Array, ordinary: NDArray[np.bool_]) -> tuple[_Array, _Array]:
+def _deviations(values: Array, errors: Array, ordinary: Flags) -> tuple[Array, Array]:
     """Each vehicle against the ordinary ones other than itself.
 
     Returns
@@ -175,8 +172,8 @@ def _deviations(values: _Array, errors: _Array, ordinary: NDArray[np.bool_]) -> 
         if some.any():
             square = _upper_square(int(inside[some][0].sum()) - 1)
             mean[some], error[some], tau[some] = _random_effects(values, errors, inside[some], square)
-    predicted: _Array = tau**2 + error**2
-    deviation: _Array = (values - mean) / np.sqrt(errors**2 + predicted)
+    predicted: Array = tau**2 + error**2
+    deviation: Array = (values - mean) / np.sqrt(errors**2 + predicted)
     return deviation, predicted
 
 
@@ -186,7 +183,7 @@ def _upper_square(freedom: int) -> float:
     return float(chi2.isf(SPREAD_CONFIDENCE, freedom))
 
 
-def shrunk(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Array]:
+def shrunk(values: Array, errors: Array, fleet: Pooled) -> tuple[Array, Array]:
     """Each vehicle's estimate drawn towards the fleet's mean, and its standard error (empirical Bayes).
 
     An ordinary vehicle is worth ``(b / s^2 + mean / tau^2) / (1 / s^2 + 1 / tau^2)``. The uncertainty of the mean is
@@ -198,7 +195,7 @@ def shrunk(values: _Array, errors: _Array, fleet: Pooled) -> tuple[_Array, _Arra
     return own * values + (1.0 - own) * fleet.mean, error
 
 
-def _median_fit(values: _Array, errors: _Array) -> tuple[float, float]:
+def _median_fit(values: Array, errors: Array) -> tuple[float, float]:
     """Weighted median, and the spread at which the median square is that of normal numbers."""
 
     def ratio(tau2: float) -> tuple[float, float]:
@@ -219,7 +216,7 @@ def _median_fit(values: _Array, errors: _Array) -> tuple[float, float]:
     return middle, float(np.sqrt(high))
 
 
-def _weighted_median(values: _Array, weights: _Array) -> float:
+def _weighted_median(values: Array, weights: Array) -> float:
     order = np.argsort(values)
     below = np.cumsum(weights[order]) - 0.5 * weights[order]
     return float(np.interp(0.5 * weights.sum(), below, values[order]))

@@ -12,16 +12,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap.candidates import CandidateEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit
+from msp_range.arrays import Array
 from msp_sim.model.model import applies
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, log_prob
 from msp_sim.model.streams import RandomStreams
-
-_Array = NDArray[np.float64]
 
 RARE_SHARE = 0.2
 """Share of a replicate's readings that are drawn from effects and kinds of outliers, in equal parts from each. Of 30
@@ -57,7 +55,7 @@ class RareReadings:
         reading_cm = drawn.reading_cm.copy()
         self._sources = len(mixed) + len(KINDS)
         which = np.where(rng.random(len(drawn)) < RARE_SHARE, rng.integers(self._sources, size=len(drawn)), -1)
-        self._shares: list[tuple[int, _Array]] = []
+        self._shares: list[tuple[int, Array]] = []
         for number, k in enumerate(mixed):
             parameter = candidates[k].parameter
             active = candidates[k].at(candidates[k].neutral + parameter.step)
@@ -84,7 +82,7 @@ class RareReadings:
         log_p = self.prepared.log_prob(fit.base, fit.effects)
         self._of_kinds = sum(np.exp(log_prob(kind, self.prepared.reading_cm) - log_p) for kind in kinds)
 
-    def weights(self, scores: _Array) -> _Array:
+    def weights(self, scores: Array) -> Array:
         """Weight of each reading, at most 1 / (1 - `RARE_SHARE`), (n,).
 
         Parameters
@@ -99,7 +97,7 @@ class RareReadings:
             some = share > 0.0
             odds = scores[:, k] * self._others / np.where(some, share, 1.0)
             ratio = ratio + np.where(some, np.maximum(1.0 + odds, 0.0), 1.0)
-        weight: _Array = 1.0 / (1.0 - RARE_SHARE + RARE_SHARE * ratio / self._sources)
+        weight: Array = 1.0 / (1.0 - RARE_SHARE + RARE_SHARE * ratio / self._sources)
         return weight
 
 

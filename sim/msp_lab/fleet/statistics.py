@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from msp_lab.fleet.meta import MIN_ORDINARY, Pooled, left_out, pooled
 from msp_lab.fleet.terms import FleetTerm, candidate_of
 from msp_lab.fleet.unit import UnitScores
-
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array, Indices
 
 MIN_SESSIONS = 4
 """A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
@@ -71,13 +69,13 @@ class Number:
     """
 
     term: FleetTerm
-    units: NDArray[np.intp]
-    value: _Array
-    error: _Array
+    units: Indices
+    value: Array
+    error: Array
     omega: float
     fleet: Pooled
-    deviation: _Array
-    log_p: _Array
+    deviation: Array
+    log_p: Array
 
     @property
     def shared_log_p(self) -> float:
@@ -91,10 +89,10 @@ class NumberOverSessions:
 
     term: FleetTerm
     units: tuple[int, ...]
-    value: _Array
-    score: tuple[_Array, ...]
-    information: tuple[_Array, ...]
-    variance: tuple[_Array, ...]
+    value: Array
+    score: tuple[Array, ...]
+    information: tuple[Array, ...]
+    variance: tuple[Array, ...]
 
 
 def series_of(scores: Sequence[UnitScores], fitted: bool = False) -> list[NumberOverSessions]:
@@ -183,7 +181,7 @@ def between_sessions(series: NumberOverSessions) -> float:
     return high
 
 
-def over_sessions(score: _Array, information: _Array, variance: _Array, omega2: float) -> Change | None:
+def over_sessions(score: Array, information: Array, variance: Array, omega2: float) -> Change | None:
     """The likeliest change or drift of one unit's number.
 
     Parameters

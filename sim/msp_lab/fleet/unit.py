@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.fleet.fits import Unit, fit_of, readings_of, with_term
 from msp_lab.fleet.rare import RareReadings
@@ -29,9 +28,8 @@ from msp_lab.gap.candidates import score_of
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import inverse, refit, sums_by
 from msp_lab.gap.screen import replicate
+from msp_range.arrays import Array, Flags, Indices
 from msp_sim.model.model import Model
-
-_Array = NDArray[np.float64]
 
 REPLICATE_ROWS = 24_000
 """Expected information is from so many simulated readings at most. A session of a tenth of them is known to a few per
@@ -69,20 +67,20 @@ class UnitScores:
 
     terms: tuple[FleetTerm, ...]
     sessions: tuple[str, ...]
-    readings: NDArray[np.intp]
-    value: _Array
-    fitted: NDArray[np.bool_]
-    score: _Array
-    information: _Array
-    variance: _Array
+    readings: Indices
+    value: Array
+    fitted: Flags
+    score: Array
+    information: Array
+    variance: Array
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     messages: tuple[str, ...]
 
     @property
-    def factor(self) -> _Array:
+    def factor(self) -> Array:
         """By how much sums of scores vary more than is expected, at least 1, (C,)."""
         total = self.information.sum(axis=0)
-        factor: _Array = np.maximum(self.variance.sum(axis=0) / np.where(total > 0.0, total, np.inf), 1.0)
+        factor: Array = np.maximum(self.variance.sum(axis=0) / np.where(total > 0.0, total, np.inf), 1.0)
         return factor
 
 
@@ -98,9 +96,9 @@ class SimulatedScores:
         (m, C): the scores, and the same with those of shares at `SMALL_SHARE`.
     """
 
-    weight: _Array
-    scores: _Array
-    bounded: _Array
+    weight: Array
+    scores: Array
+    bounded: Array
 
 
 @dataclass(frozen=True)
@@ -142,7 +140,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         *(term_of(each) for each in candidates),
     )
 
-    def scores(prepared: Prepared) -> _Array:
+    def scores(prepared: Prepared) -> Array:
         """Of all fitted numbers, then of the candidates."""
         at = refit(prepared, fit.effects, fit.base, rounds=0)
         here = at.here
@@ -223,12 +221,12 @@ def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetT
 
 def sums_over_sessions(
     simulated: SimulatedScores,
-    there: NDArray[np.intp],
-    measured: _Array,
-    here: NDArray[np.intp],
-    is_share: NDArray[np.bool_],
+    there: Indices,
+    measured: Array,
+    here: Indices,
+    is_share: Flags,
     sessions: int,
-) -> tuple[_Array, _Array, _Array]:
+) -> tuple[Array, Array, Array]:
     """Score, information and variance as in `UnitScores`, (sessions, C) each.
 
     Parameters
@@ -260,7 +258,7 @@ def sums_over_sessions(
     return sums_by(here, own, sessions), information, variance
 
 
-def _bounded(scores: _Array, fitted: int, linear: NDArray[np.bool_]) -> _Array:
+def _bounded(scores: Array, fitted: int, linear: Flags) -> Array:
     """The same with the scores of shares at a share of `SMALL_SHARE`: none is larger than its inverse."""
     found = scores.copy()
     of_shares = fitted + np.flatnonzero(linear)
@@ -268,9 +266,7 @@ def _bounded(scores: _Array, fitted: int, linear: NDArray[np.bool_]) -> _Array:
     return found
 
 
-def _explained(
-    weighted: _Array, scores: _Array, bounded: _Array, places: NDArray[np.intp], free: NDArray[np.intp]
-) -> _Array:
+def _explained(weighted: Array, scores: Array, bounded: Array, places: Indices, free: Indices) -> Array:
     """(C, free numbers): what the scores of the other free numbers explain of each of C."""
     found = np.zeros((places.size, free.size))
     information = weighted[:, free].T @ scores[:, free]

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap.findings import GapFindings, ReadingAge
 from msp_lab.gap.measures import HeldOutReadings
@@ -16,8 +15,6 @@ from msp_lab.gap.runs import reading_before
 from msp_sim.effects.latency import LATENCY
 from msp_sim.effects.stale import STALE
 from msp_sim.model.model import Model
-
-_Array = NDArray[np.float64]
 
 
 def reading_age(findings: GapFindings, model: Model, readings: HeldOutReadings) -> ReadingAge | None:

@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.runs import reading_before
+from msp_range.arrays import Array
 from msp_sim.model.model import Model
 from msp_sim.page.style import BLUE, INK, PALE, VERMILION, legend_below, new_figure
-
-_Array = NDArray[np.float64]
 
 LAGS = 20
 """Readings back to which it is drawn: correlated noise and held values have decayed by then in all recordings tried."""
@@ -43,10 +41,10 @@ class Autocorrelation:
         What 95 % of independent residuals stay within, (k,).
     """
 
-    apart: _Array
+    apart: Array
     in_seconds: bool
-    value: _Array
-    band: _Array
+    value: Array
+    band: Array
 
 
 def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Autocorrelation:
@@ -70,7 +68,7 @@ def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.ra
     return Autocorrelation(np.array(apart), time_s is not None, np.array(value), 1.96 / np.sqrt(np.array(pairs)))
 
 
-def places(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> _Array:
+def places(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Array:
     """Share of the model's readings that are smaller than each reading (randomised in its step), 0 to 1, (n,)."""
     found = np.empty(len(readings))
     for part, rows in model.chunks(readings.contexts):

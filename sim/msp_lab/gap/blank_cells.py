@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.readings.intake import PREVIOUS
+from msp_range.arrays import Flags
 from msp_sim.effects.base import REFERENCE_STD, Scene
 from msp_sim.model.model import Model
 
@@ -46,7 +46,7 @@ class KnownRows:
         Columns with so many blank cells that nothing is asked of them.
     """
 
-    rows: NDArray[np.bool_]
+    rows: Flags
     columns: tuple[str, ...] = ()
     unasked: tuple[str, ...] = ()
 

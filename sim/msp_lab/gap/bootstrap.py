@@ -5,16 +5,14 @@ Scores with their cells and units enter; sums by unit, and the totals of a multi
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.cells import Stack
 from msp_lab.gap.runs import numbered
+from msp_range.arrays import Array, Flags, Indices
 
-_Array = NDArray[np.float64]
 
-
-def unit_sums(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> tuple[_Array, _Array, NDArray[np.intp]]:
+def unit_sums(scores: Array, unit: Indices, stack: Stack) -> tuple[Array, Array, Indices]:
     """Sums of the scores of each cell's units (K, U, m); the same about their mean; units that are in a cell (K,).
 
     Parameters
@@ -30,7 +28,7 @@ def unit_sums(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> tuple[_Ar
     cells, units = len(stack), int(unit.max()) + 1
     key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
     sums = [np.bincount(key, column, cells * units) for column in scores.T]
-    per_cell: _Array = np.stack(sums, axis=1, dtype=np.float64).reshape(cells, units, scores.shape[1])
+    per_cell: Array = np.stack(sums, axis=1, dtype=np.float64).reshape(cells, units, scores.shape[1])
     size = np.bincount(key, minlength=cells * units).reshape(cells, units).astype(float)
     there = (size > 0.0).sum(axis=1).astype(np.intp)
     mean = per_cell.sum(axis=1) / np.maximum(stack.counts, 1)[:, None]
@@ -38,9 +36,7 @@ def unit_sums(scores: _Array, unit: NDArray[np.intp], stack: Stack) -> tuple[_Ar
     return per_cell, per_cell - size[:, :, None] * mean[:, None, :], there
 
 
-def unit_variance(
-    scores: _Array, unit: NDArray[np.intp], stack: Stack, given: _Array
-) -> tuple[_Array, NDArray[np.bool_]]:
+def unit_variance(scores: Array, unit: Indices, stack: Stack, given: Array) -> tuple[Array, Flags]:
     """Variance of each cell's sum of scores by units, (K, m, m), and which cells have too few units of their own, (K,).
 
     Parameters
@@ -67,7 +63,7 @@ def unit_variance(
     return np.asarray(found, dtype=np.float64), few
 
 
-def inflation_of_units(about_mean: _Array, there: NDArray[np.intp], squares: _Array) -> _Array:
+def inflation_of_units(about_mean: Array, there: Indices, squares: Array) -> Array:
     """How many times units inflate the variance of a sum of scores, (m,), from the cells that have enough of them.
 
     Parameters
@@ -82,13 +78,11 @@ def inflation_of_units(about_mean: _Array, there: NDArray[np.intp], squares: _Ar
         # Nothing is known of it: nothing is certain.
         return np.full(squares.shape[1], np.inf)
     of_units = (about_mean[enough] ** 2).sum(axis=(0, 1))
-    inflation: _Array = np.maximum(of_units / np.maximum(squares[enough].sum(axis=0), 1e-12), 1.0)
+    inflation: Array = np.maximum(of_units / np.maximum(squares[enough].sum(axis=0), 1e-12), 1.0)
     return inflation
 
 
-def drawn_sums(
-    about_mean: _Array, there: NDArray[np.intp], draws: int, rng: np.random.Generator
-) -> tuple[_Array, _Array]:
+def drawn_sums(about_mean: Array, there: Indices, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Totals of the scores as they might be with nothing missing (draws, K, m); their variance by units, as it is seen.
 
     Parameters
@@ -111,7 +105,7 @@ def drawn_sums(
     return totals.reshape(draws, cells, numbers), squares.reshape(draws, cells, numbers, numbers)
 
 
-def _pooled(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+def _pooled(unit: Indices) -> Indices:
     index = numbered(unit)
     count = int(index.max()) + 1
     return index if count <= rules.MAX_UNITS else index * rules.MAX_UNITS // count

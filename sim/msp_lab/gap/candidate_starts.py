@@ -9,18 +9,16 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import JointFit
+from msp_range.arrays import Array
 from msp_sim.model.model import Term
 
-_Array = NDArray[np.float64]
 
-
-def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float) -> list[tuple[Term, _Array]]:
+def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float) -> list[tuple[Term, Array]]:
     """The candidate at the best of some values and shapes, with the base of each start.
 
     Parameters
@@ -58,7 +56,7 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     near = np.sort(prepared.reading_cm[far & (prepared.reading_cm > sensor.minimum_cm)])
     places = np.unique(near)
 
-    def within(cm: float) -> _Array:
+    def within(cm: float) -> Array:
         first, after = np.searchsorted(near, places - cm, "left"), np.searchsorted(near, places + cm, "right")
         return (after - first).astype(np.float64)
 
@@ -73,12 +71,12 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _height(prepared: Prepared, fit: JointFit, term: Term, base: _Array) -> float:
+def _height(prepared: Prepared, fit: JointFit, term: Term, base: Array) -> float:
     """Log likelihood of a fit with one more effect and another base, before any refit."""
     return prepared.log_likelihood(base, [*fit.effects, term])
 
 
-def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float, base: _Array) -> Term:
+def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float, base: Array) -> Term:
     """The effect at the best of some values: its shape's first number next to all grids of the others, then each."""
     parameter, lines = candidate.parameter, _lines(candidate)
     here = candidate.at(value)
@@ -95,7 +93,7 @@ def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, v
     return here
 
 
-def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[tuple[Term, _Array]]:
+def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[tuple[Term, Array]]:
     """Starts at which a part of the hits is moved, and mean and variance of all of them are those of the fit.
 
     Offset and spread have taken both, and from there no small share of moved hits is any better.
@@ -111,7 +109,7 @@ def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -
             yield candidate.moved_by(moved_cm, prepared.scene.sensor).at(share), base
 
 
-def _less_correlated(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[_Array]:
+def _less_correlated(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[Array]:
     """A second start where noise follows the errors so closely that it stands in for an effect on the bias.
 
     A late reading errs as the one before it: correlated noise explains that as well, one reading at a time, and from

@@ -11,11 +11,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import ODDS_CHANNELS, ChannelSlopes, Prepared, templates
 from msp_lab.gap.runs import known_values
+from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, Effect, Parameter, Scene
@@ -24,7 +24,6 @@ from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
 from msp_sim.model.rows import score_of_component, score_of_fault
 
-_Array = NDArray[np.float64]
 Key = tuple[str, str | None]
 """Name of an effect, and the sensor, run or target that it is of."""
 COMMON = frozenset(
@@ -224,7 +223,7 @@ def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
     return name in contexts and known_values(np.asarray(contexts[name])).size > 0
 
 
-def score_of(candidate: CandidateEffect, prepared: Prepared, here: ChannelSlopes) -> _Array:
+def score_of(candidate: CandidateEffect, prepared: Prepared, here: ChannelSlopes) -> Array:
     """Score of a candidate where it is absent, (n,)."""
     parameter = candidate.parameter
     active = candidate.at(candidate.neutral + parameter.step)

@@ -10,15 +10,13 @@ from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
 from msp_lab.gap.prepared import CHANNELS, moved
+from msp_range.arrays import Array, Indices
 from msp_sim.model.rows import ModelRows, slopes
-
-_Array = NDArray[np.float64]
 
 PRIOR = np.diag(1.0 / np.square(rules.CELL_PRIOR_DEVIATION))
 ROUNDS = 12
@@ -44,11 +42,11 @@ class CellFits:
         In log-likelihood, and how much of it is random variation, both sums over a cell, (K,).
     """
 
-    counts: NDArray[np.intp]
-    values: _Array
-    errors: _Array
-    gain_nats: _Array
-    noise_nats: _Array
+    counts: Indices
+    values: Array
+    errors: Array
+    gain_nats: Array
+    noise_nats: Array
 
     @property
     def nats(self) -> float:
@@ -87,7 +85,7 @@ class CellFits:
         )
 
 
-def scores_of(rows: ModelRows, reading_cm: _Array, numbers: _Array | None = None) -> tuple[_Array, _Array]:
+def scores_of(rows: ModelRows, reading_cm: Array, numbers: Array | None = None) -> tuple[Array, Array]:
     """Log probability of each reading (n,), and its derivatives by the five numbers (n, 5).
 
     Parameters
@@ -107,7 +105,7 @@ def scores_of(rows: ModelRows, reading_cm: _Array, numbers: _Array | None = None
     return log_p, scores
 
 
-def products(scores: _Array) -> _Array:
+def products(scores: Array) -> Array:
     """Scores, and their products two by two: (n, 5 + 15)."""
     # Column by column: columns that are whole in memory are multiplied several times as fast.
     size = len(CHANNELS)
@@ -118,7 +116,7 @@ def products(scores: _Array) -> _Array:
     return np.ascontiguousarray(columns.T)
 
 
-def apart(sums: _Array) -> tuple[_Array, _Array]:
+def apart(sums: Array) -> tuple[Array, Array]:
     """From sums of `products` (K, 20) those of the scores (K, 5), and of their outer products (K, 5, 5)."""
     size = len(CHANNELS)
     left, right = np.array(PAIRS).T
@@ -127,9 +125,7 @@ def apart(sums: _Array) -> tuple[_Array, _Array]:
     return sums[:, :size], outer
 
 
-def one_step(
-    total: _Array, information: _Array, stack: Stack, sigma_cm: _Array, by_unit: _Array | None = None
-) -> CellFits:
+def one_step(total: Array, information: Array, stack: Stack, sigma_cm: Array, by_unit: Array | None = None) -> CellFits:
     """The free fit by one step of Fisher's scoring from the model: right where the gap is small, and quick.
 
     Parameters
@@ -151,7 +147,7 @@ def one_step(
     return CellFits(stack.counts, step * scale, np.sqrt(variance) * scale, gain, 0.5 * determined)
 
 
-def _of_units(inverse: _Array, information: _Array, by_unit: _Array | None) -> tuple[_Array, _Array]:
+def _of_units(inverse: Array, information: Array, by_unit: Array | None) -> tuple[Array, Array]:
     """Variances of the five numbers (K, 5), and how many numbers the data determine (K,)."""
     variance = np.diagonal(inverse, axis1=1, axis2=2)
     determined = np.einsum("kij,kji->k", inverse, information)
@@ -162,7 +158,7 @@ def _of_units(inverse: _Array, information: _Array, by_unit: _Array | None) -> t
     return variance, np.maximum(np.einsum("kij,kji->k", inverse, by_unit), determined)
 
 
-def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack: Stack) -> CellFits:
+def free_fit(rows: ModelRows, reading_cm: Array, unit: Indices, stack: Stack) -> CellFits:
     """The free fit by as many steps as each cell needs, from a robust start.
 
     Parameters
@@ -216,9 +212,9 @@ def free_fit(rows: ModelRows, reading_cm: _Array, unit: NDArray[np.intp], stack:
 class _Posterior(NamedTuple):
     """The logarithm of each cell's posterior, and its first and second derivatives by the five numbers."""
 
-    posterior: _Array
-    slope: _Array
-    information: _Array
+    posterior: Array
+    slope: Array
+    information: Array
 
 
 @dataclass(frozen=True)
@@ -226,10 +222,10 @@ class _Cells:
     """Readings cell by cell, and how many each cell has."""
 
     rows: ModelRows
-    reading_cm: _Array
-    counts: NDArray[np.intp]
+    reading_cm: Array
+    counts: Indices
 
-    def some(self, cells: NDArray[np.intp]) -> "_Cells":
+    def some(self, cells: Indices) -> "_Cells":
         """Some of the cells; they are in their order."""
         if cells.size == self.counts.size:
             return self
@@ -238,7 +234,7 @@ class _Cells:
         rows = np.flatnonzero(np.repeat(wanted, self.counts))
         return _Cells(self.rows.take(rows), self.reading_cm[rows], self.counts[cells])
 
-    def at(self, numbers: _Array) -> _Posterior:
+    def at(self, numbers: Array) -> _Posterior:
         """The posterior with these numbers, (K, 5)."""
         log_p, scores = scores_of(self.rows, self.reading_cm, np.repeat(numbers, self.counts, axis=0))
         log_sum, sums = self._sums(log_p), self._sums(products(scores))
@@ -246,7 +242,7 @@ class _Cells:
         prior = numbers @ PRIOR
         return _Posterior(log_sum - 0.5 * np.einsum("ki,ki->k", numbers, prior), total - prior, information + PRIOR)
 
-    def _sums(self, values: _Array) -> _Array:
+    def _sums(self, values: Array) -> Array:
         found = np.zeros((self.counts.size, *values.shape[1:]))
         there = self.counts > 0
         if there.any():
@@ -254,7 +250,7 @@ class _Cells:
         return found
 
 
-def _robust_start(cells: _Cells) -> _Array:
+def _robust_start(cells: _Cells) -> Array:
     """Median and spread of what looks like hits, cell by cell: a gap of many sigma has no slope to follow."""
     rows = cells.rows
     usual = (cells.reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
@@ -273,13 +269,13 @@ def _robust_start(cells: _Cells) -> _Array:
     return numbers
 
 
-def _quantiles(values: _Array, counts: NDArray[np.intp], shares: tuple[float, ...]) -> _Array:
+def _quantiles(values: Array, counts: Indices, shares: tuple[float, ...]) -> Array:
     """Quantiles of the values cell by cell, of which each has so many, 0 in one without any, (len(shares), cells)."""
     of_cells = np.split(values, np.cumsum(counts)[:-1])
     return np.transpose([np.quantile(each, shares) if each.size else np.zeros(len(shares)) for each in of_cells])
 
 
-def scale_of(stack: Stack, sigma_cm: _Array) -> _Array:
+def scale_of(stack: Stack, sigma_cm: Array) -> Array:
     """From standard deviations of a hit to centimetres, (K, 5)."""
     scale = np.ones((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)

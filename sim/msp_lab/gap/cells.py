@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from msp_lab.gap import rules
 from msp_lab.gap.runs import known_values
+from msp_range.arrays import Array, Column, Indices
 from msp_range.recording.columns import WORD_COLUMNS
 
 NOT_CONTEXT = frozenset({"reading_cm"})
@@ -38,15 +38,15 @@ class Partition:
 
     variables: tuple[str, ...]
     labels: tuple[str, ...]
-    cell: NDArray[np.intp]
-    centres: NDArray[np.float64] | None = None
+    cell: Indices
+    centres: Array | None = None
 
     @property
-    def counts(self) -> NDArray[np.intp]:
+    def counts(self) -> Indices:
         """Readings in each cell, (K,)."""
         return np.bincount(self.cell, minlength=len(self.labels))
 
-    def take(self, rows: NDArray[Any]) -> "Partition":
+    def take(self, rows: Column) -> "Partition":
         """The partition of some of the readings."""
         return Partition(self.variables, self.labels, self.cell[rows], self.centres)
 
@@ -66,7 +66,7 @@ class Stack:
     """
 
     parts: tuple[Partition, ...]
-    counts: NDArray[np.intp]
+    counts: Indices
     members: csr_matrix
 
     @classmethod
@@ -83,11 +83,11 @@ class Stack:
         return self.counts.size
 
     @property
-    def readings(self) -> NDArray[np.intp]:
+    def readings(self) -> Indices:
         """Readings cell by cell, each as often as there are partitions."""
         return np.asarray(self.members.indices, dtype=np.intp)
 
-    def sums(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def sums(self, values: Array) -> Array:
         """Sums of the readings' values in each cell: (n,) or (n, m) become (K,) or (K, m)."""
         return np.asarray(self.members @ values)
 
@@ -144,12 +144,12 @@ def varying(contexts: Mapping[str, Any]) -> list[str]:
     return [name for name, column in contexts.items() if name not in NOT_CONTEXT and _varies(column)]
 
 
-def _varies(column: NDArray[Any]) -> bool:
+def _varies(column: Column) -> bool:
     known = known_values(column)
     return bool((known != known[:1]).any())
 
 
-def _split(name: str, column: NDArray[Any], bins: int) -> Partition | None:
+def _split(name: str, column: Column, bins: int) -> Partition | None:
     if name in WORD_COLUMNS or column.dtype.kind not in "fiub":
         return _by_word(name, column)
     known = np.isfinite(column)
@@ -181,7 +181,7 @@ def _span(low: float, high: float) -> str:
     return one
 
 
-def _by_word(name: str, column: NDArray[Any]) -> Partition | None:
+def _by_word(name: str, column: Column) -> Partition | None:
     words, index, counts = np.unique(column, return_inverse=True, return_counts=True)
     if words.size > rules.MAX_WORDS:
         kept = np.argsort(-counts, kind="stable")[: rules.MAX_WORDS]
@@ -200,9 +200,7 @@ def _crossed(one: Partition, two: Partition) -> Partition:
     return _filled((*one.variables, *two.variables), labels, one.cell * len(two.labels) + two.cell, None)
 
 
-def _filled(
-    variables: tuple[str, ...], labels: Sequence[str], index: NDArray[np.intp], centres: NDArray[np.float64] | None
-) -> Partition:
+def _filled(variables: tuple[str, ...], labels: Sequence[str], index: Indices, centres: Array | None) -> Partition:
     """The partition with its small cells put together in a last one."""
     counts = np.bincount(index, minlength=len(labels))
     kept = np.flatnonzero(counts >= rules.MIN_CELL_READINGS)

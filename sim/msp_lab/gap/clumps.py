@@ -10,15 +10,13 @@ gain counts by that ratio less (the variance of a sum of clusters; Liang & Zeger
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.runs import numbered, places_in
+from msp_range.arrays import Array, Indices
 
-_Array = NDArray[np.float64]
 
-
-def clumping(slope: _Array, run: NDArray[np.intp], alike: _Array | None = None) -> float:
+def clumping(slope: Array, run: Indices, alike: Array | None = None) -> float:
     """By how much sums of the slopes over clusters scatter more than those of independent readings, at least 1.
 
     Parameters
@@ -37,7 +35,7 @@ def clumping(slope: _Array, run: NDArray[np.intp], alike: _Array | None = None) 
     return max([1.0, *(_ratio(slope, each) for each in clusters)])
 
 
-def _blocks(run: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+def _blocks(run: Indices) -> Iterator[Indices]:
     """Blocks of 2, 4, 8 ... neighbours of a run, as long as there are enough of them."""
     counts, place, length = np.bincount(run), places_in(run), 2
     while (-(-counts // length)).sum() >= rules.CLUMP_BLOCKS and length <= counts.max():
@@ -46,7 +44,7 @@ def _blocks(run: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
         length *= 2
 
 
-def _ratio(slope: _Array, cluster: NDArray[np.intp]) -> float:
+def _ratio(slope: Array, cluster: Indices) -> float:
     """Squares of the sums over their expectation, or 1 where random variation shows as much."""
     squares = np.bincount(cluster, slope**2)
     whole = float(squares.sum())

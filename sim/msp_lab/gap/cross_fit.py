@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, Prepared
@@ -19,8 +18,7 @@ from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit, free_numbers, inverse, refit, with_values
 from msp_lab.gap.runs import taken
 from msp_lab.gap.splits import Splits
-
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array, Flags, Indices
 
 
 @dataclass(frozen=True)
@@ -46,9 +44,9 @@ class Parts:
         """Each split, and which of its parts is left out of the fit."""
         return [(k, part) for k, parts in enumerate(self.splits.part) for part in range(int(parts.max()) + 1)]
 
-    def runs(self, split: int, part: int) -> NDArray[np.bool_]:
+    def runs(self, split: int, part: int) -> Flags:
         """Runs of a part, (runs,)."""
-        mask: NDArray[np.bool_] = self.splits.part[split] == part
+        mask: Flags = self.splits.part[split] == part
         return mask
 
     def readings(self, split: int, part: int, fitted: bool) -> Prepared:
@@ -78,14 +76,14 @@ class CrossScore:
         numbers that cannot move.
     """
 
-    log_p: _Array
-    by_run: _Array
-    base: _Array
-    slope: _Array
-    information: _Array
+    log_p: Array
+    by_run: Array
+    base: Array
+    slope: Array
+    information: Array
 
 
-def recalibrated(parts: Sequence[CrossScore], runs: NDArray[np.bool_]) -> float:
+def recalibrated(parts: Sequence[CrossScore], runs: Flags) -> float:
     """Log-likelihood of runs of these parts, if one base is fitted to all of them and the effects stay as they are."""
     prior = 1.0 / rules.BASE_DEVIATION**2
     information = np.array([each.information[runs].sum(axis=0) for each in parts])
@@ -115,45 +113,45 @@ class SumsByRun:
     """
 
     fit: JointFit
-    unit: NDArray[np.intp]
+    unit: Indices
     runs: int
 
     @cached_property
-    def free(self) -> NDArray[np.intp]:
+    def free(self) -> Indices:
         """Places of the numbers that can move; those of the base of which few readings speak stay as they are."""
         few = self._speaking < rules.MIN_SPEAKING
         few[len(BASE) :] = False
         return np.flatnonzero(~(self.fit.held | few))
 
     @cached_property
-    def _speaking(self) -> _Array:
+    def _speaking(self) -> Array:
         """How many readings speak of each number: the squared sum of squared scores over that of fourth powers."""
         squares = self.fit.scores**2
         return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
 
     @cached_property
-    def _sums(self) -> tuple[_Array, _Array]:
+    def _sums(self) -> tuple[Array, Array]:
         return _sums(self.fit.scores[:, self.free], self.unit, self.runs)
 
     @property
-    def score(self) -> _Array:
+    def score(self) -> Array:
         """(runs, numbers)."""
         return self._sums[0]
 
     @property
-    def information(self) -> _Array:
+    def information(self) -> Array:
         """(runs, numbers, numbers)."""
         return self._sums[1]
 
     @cached_property
-    def prior(self) -> tuple[_Array, _Array]:
+    def prior(self) -> tuple[Array, Array]:
         """Slope and information of the priors."""
         whole, of_readings = np.diag(self.fit.information)[self.free], (self.fit.scores[:, self.free] ** 2).sum(axis=0)
         # Rounding is no prior: a number of which the other runs say nothing would go to 0 by it.
         own = np.where(whole - of_readings > 1e-9 * whole, whole - of_readings, 0.0)
         return -own * self.fit.values[self.free], own
 
-    def learnt(self, left_out: NDArray[np.bool_], numbers: Sequence[str]) -> _Array:
+    def learnt(self, left_out: Flags, numbers: Sequence[str]) -> Array:
         """What a fit without these runs knows of what the numbers do in each run, as a share of what all know, (runs,).
 
         Variances of it with all other numbers free, on average over the readings.
@@ -168,17 +166,17 @@ class SumsByRun:
             np.einsum("ij,rji->r", inverse(each + least), in_runs) for each in (everywhere, self._known(~left_out, own))
         ]
         known, without = variances
-        share: _Array = np.where(without > 0.0, known / np.where(without > 0.0, without, 1.0), 1.0)
+        share: Array = np.where(without > 0.0, known / np.where(without > 0.0, without, 1.0), 1.0)
         return share
 
-    def _known(self, runs: NDArray[np.bool_], own: NDArray[np.bool_]) -> _Array:
+    def _known(self, runs: Flags, own: Flags) -> Array:
         """Information of these runs about some of the free numbers, with all others free."""
         whole = self.information[runs].sum(axis=0) + np.diag(self.prior[1])
         cross = whole[np.ix_(own, ~own)]
-        known: _Array = whole[np.ix_(own, own)] - cross @ inverse(whole[np.ix_(~own, ~own)]) @ cross.T
+        known: Array = whole[np.ix_(own, own)] - cross @ inverse(whole[np.ix_(~own, ~own)]) @ cross.T
         return known
 
-    def step(self, runs: NDArray[np.bool_]) -> _Array:
+    def step(self, runs: Flags) -> Array:
         """By how much the fit of these runs differs from that of all; what would leave its bounds stays at one."""
         slope = self.score[runs].sum(axis=0) + self.prior[0]
         information = self.information[runs].sum(axis=0) + np.diag(self.prior[1])
@@ -187,7 +185,7 @@ class SumsByRun:
         for k, (_, parameter) in enumerate(free_numbers(self.fit.effects), len(BASE)):
             low[k], high[k] = parameter.low, parameter.high
         least, most = (bound[self.free] - self.fit.values[self.free] for bound in (low, high))
-        step: _Array = inverse(information) @ slope
+        step: Array = inverse(information) @ slope
         beyond = (step < least) | (step > most)
         step = np.clip(step, least, most)
         if beyond.any():
@@ -197,7 +195,7 @@ class SumsByRun:
             )
         return step
 
-    def tells(self, left_out: NDArray[np.bool_], step: _Array) -> bool:
+    def tells(self, left_out: Flags, step: Array) -> bool:
         """Whether a quadratic about the fit of all runs says what the fit without some of them does."""
         if np.any(self._speaking[self.free] < rules.MIN_SPEAKING):
             return False
@@ -205,7 +203,7 @@ class SumsByRun:
         lost = [0.5 * float(step @ self.information[runs].sum(axis=0) @ step) for runs in (left_out, ~left_out)]
         return max(lost[0], lost[1] + prior) < rules.EXPANSION_NATS * self.free.size
 
-    def crossed(self, parts: Parts, split: int, part: int, step: _Array) -> CrossScore:
+    def crossed(self, parts: Parts, split: int, part: int, step: Array) -> CrossScore:
         """What the fit without a part says of its readings, by the quadratic."""
         left_out = parts.runs(split, part)
         information = self.information[left_out]
@@ -220,12 +218,12 @@ class SumsByRun:
         return self._cross_score(left_out, self.fit.here.log_p, by_run, base, slope, information[:, moved][:, :, moved])
 
     @cached_property
-    def log_p_by_run(self) -> _Array:
+    def log_p_by_run(self) -> Array:
         """Log-likelihood of each run, (runs,)."""
         return sums_by(self.unit, self.fit.here.log_p, self.runs)
 
     def _cross_score(
-        self, runs: NDArray[np.bool_], log_p: _Array, by_run: _Array, base: _Array, slope: _Array, information: _Array
+        self, runs: Flags, log_p: Array, by_run: Array, base: Array, slope: Array, information: Array
     ) -> CrossScore:
         """With slopes and information of a part's runs by those numbers of the base that can move, put in place."""
         free = self.free[self.free < len(BASE)]
@@ -233,7 +231,7 @@ class SumsByRun:
         of_base[np.ix_(runs, free)], of_pairs[np.ix_(runs, free, free)] = slope, information
         return CrossScore(log_p, by_run, base, of_base, of_pairs)
 
-    def along(self, parts: Parts, split: int, part: int, step: _Array) -> CrossScore:
+    def along(self, parts: Parts, split: int, part: int, step: Array) -> CrossScore:
         """The likelihood by a fit without the part, from the largest share of the step that is better for the rest."""
         fitted, left_out = parts.readings(split, part, True), parts.readings(split, part, False)
         rows = parts.runs(split, part)[self.unit]
@@ -260,12 +258,12 @@ class SumsByRun:
         return self._cross_score(left_out_runs, log_p, by_run, fit.base, *of_part)
 
 
-def sums_by(unit: NDArray[np.intp], values: _Array, runs: int) -> _Array:
+def sums_by(unit: Indices, values: Array, runs: int) -> Array:
     """Sums of the readings' values over each run, (runs,)."""
     return np.asarray(np.bincount(unit, values, runs), dtype=np.float64)
 
 
-def _sums(scores: _Array, unit: NDArray[np.intp], runs: int) -> tuple[_Array, _Array]:
+def _sums(scores: Array, unit: Indices, runs: int) -> tuple[Array, Array]:
     """Sums over runs of scores (n, m) and of their products: (runs, m) and (runs, m, m)."""
     order = np.argsort(unit, kind="stable")
     of_runs = np.split(scores[order], np.cumsum(np.bincount(unit, minlength=runs))[:-1])

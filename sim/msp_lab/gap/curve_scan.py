@@ -10,7 +10,6 @@ from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
@@ -18,10 +17,10 @@ from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, 
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
 from msp_lab.gap.runs import known_values, share_between
+from msp_range.arrays import Array, Indices
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple
 
-_Array = NDArray[np.float64]
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
 STEP_HALF = 1e-4
 """Half the distance of the two knots of a step, as a share of the column's span: hardly a reading is between them."""
@@ -62,7 +61,7 @@ class CandidateCurve:
         return self.search_nats + (rules.PAIR_COST_NATS if len(self.variables) > 1 else 0.0)
 
 
-def variables_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None) -> dict[str, list[tuple[Any, ...]]]:
+def variables_of(contexts: Mapping[str, Any], unit: Indices | None = None) -> dict[str, list[tuple[Any, ...]]]:
     """Columns that vary, with their knots, the coarse ones first.
 
     A column that hardly varies inside runs (`unit` numbers them) has as many values as there are runs, so fewer knots.
@@ -87,7 +86,7 @@ def variables_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = No
     return found
 
 
-def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[float, float]]:
+def steps_of(values: Array, low: float = 0.0, high: float = 1.0) -> list[tuple[float, float]]:
     """Pairs of knots so close to each other that the curve steps from one value to another between them.
 
     They are at even shares of the readings, between two shares.
@@ -101,7 +100,7 @@ def steps_of(values: _Array, low: float = 0.0, high: float = 1.0) -> list[tuple[
     return [(round(float(each) - half, digits), round(float(each) + half, digits)) for each in places]
 
 
-def is_step(form: CandidateCurve, values: _Array) -> bool:
+def is_step(form: CandidateCurve, values: Array) -> bool:
     """Whether a curve steps from one value to another over these values."""
     (knots,) = form.knots if len(form.knots) == 1 else ((),)
     if isinstance(knots, Ripple) or len(knots) != 2 or isinstance(knots[0], str):
@@ -109,7 +108,7 @@ def is_step(form: CandidateCurve, values: _Array) -> bool:
     return bool(knots[1] - knots[0] < 4.0 * STEP_HALF * np.nanmax(np.abs(values - np.nanmin(values))))
 
 
-def _knots(values: _Array, count: int) -> tuple[float, ...]:
+def _knots(values: Array, count: int) -> tuple[float, ...]:
     """Knots between quantiles and even steps, so that rare ends have one too."""
     known = known_values(values)
     if known.size < max(20, values.size // 2):
@@ -149,12 +148,12 @@ class CurveWeights:
     """
 
     curves: tuple[Asked, ...]
-    forms: tuple[_Array, ...]
+    forms: tuple[Array, ...]
     columns: KnotsOfColumns
     pairs: KnotsOfPairs
 
 
-def curves_of(contexts: Mapping[str, Any], unit: NDArray[np.intp] | None = None) -> CurveWeights:
+def curves_of(contexts: Mapping[str, Any], unit: Indices | None = None) -> CurveWeights:
     """Every column that varies, as a curve and as a step, and every pair of them; `unit` numbers the runs."""
     places = variables_of(contexts, unit)
     asked: list[Asked] = [((name,), (knots,)) for name, sizes in places.items() for knots in sizes]
@@ -199,7 +198,7 @@ def _columns(contexts: Mapping[str, Any], asked: Sequence[Asked]) -> dict[str, C
 def scan(
     asked: CurveWeights,
     fit: JointFit,
-    unit: NDArray[np.intp] | None,
+    unit: Indices | None,
     channels_asked: Sequence[CurveChannel] = CHANNELS,
 ) -> list[CandidateCurve]:
     """Curves by their probability under random variation, the least first.
@@ -277,10 +276,10 @@ class _Sums:
         (knots,); empty for other channels.
     """
 
-    totals: Mapping[Variables, _Array]
-    squares: Mapping[Variables, _Array]
-    by_unit: Mapping[Variables, _Array]
-    expected: Mapping[Variables, _Array]
+    totals: Mapping[Variables, Array]
+    squares: Mapping[Variables, Array]
+    by_unit: Mapping[Variables, Array]
+    expected: Mapping[Variables, Array]
 
     @classmethod
     def of(
@@ -288,11 +287,11 @@ class _Sums:
         weights: Sequence[KnotsOfColumns | KnotsOfPairs],
         here: ChannelSlopes,
         channel: CurveChannel,
-        fitted: _Array,
-        unit: NDArray[np.intp] | None,
+        fitted: Array,
+        unit: Indices | None,
     ) -> "_Sums":
         """Of all readings."""
-        by_share: dict[Variables, _Array] = {}
+        by_share: dict[Variables, Array] = {}
         own, carried = here.parts(CHANNELS.index(channel))
         scores, varies = np.column_stack([own, fitted * own[:, None]]), own**2
         if channel in ODDS_CHANNELS:
@@ -307,9 +306,9 @@ class _Sums:
             of_before = carried[:, None] * np.column_stack([np.ones(n), fitted])
             scores -= np.column_stack([np.bincount(before, each, n) for each in of_before.T])
             varies += np.bincount(before, carried**2, n)
-        totals: dict[Variables, _Array] = {}
-        squares: dict[Variables, _Array] = {}
-        by_unit: dict[Variables, _Array] = {}
+        totals: dict[Variables, Array] = {}
+        squares: dict[Variables, Array] = {}
+        by_unit: dict[Variables, Array] = {}
         for each in weights:
             totals |= each.sums(scores)
             squares |= each.products(varies)
@@ -321,7 +320,7 @@ class _Sums:
         return cls(totals, squares, by_unit, {key: each[:, 0] for key, each in by_share.items()})
 
 
-def _statistics(total: _Array, squares: _Array, efficient: _Array, by_unit: _Array | None) -> list[tuple[float, int]]:
+def _statistics(total: Array, squares: Array, efficient: Array, by_unit: Array | None) -> list[tuple[float, int]]:
     """Chi-squared of each curve, and how many directions of it the nuisance leaves.
 
     Parameters

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from msp_range.arrays import Array, Column, Indices
 from msp_sim.effects.curve import hats
 
-_Array = NDArray[np.float64]
 Variables: TypeAlias = tuple[str, ...]
 
 
@@ -31,18 +31,18 @@ class ColumnWeights:
         Their weights for each reading, (knots, n); 0 where the column is unknown.
     """
 
-    knots: NDArray[Any]
+    knots: Column
     matrix: csr_matrix
 
     @classmethod
-    def of(cls, column: NDArray[Any], asked: Iterable[tuple[Any, ...]]) -> "ColumnWeights":
+    def of(cls, column: Column, asked: Iterable[tuple[Any, ...]]) -> "ColumnWeights":
         """A column with all of these knots."""
         knots = np.unique([place for each in asked for place in each])
         known = column != "" if column.dtype.kind == "U" else np.isfinite(column)
         weights = hats({"column": column}, ["column"], [tuple(knots)])
         return cls(knots, csr_matrix((weights * known[:, None]).T))
 
-    def curve(self, knots: tuple[Any, ...]) -> _Array:
+    def curve(self, knots: tuple[Any, ...]) -> Array:
         """Weights of a curve's knots at all knots of the column."""
         return hats({"knots": self.knots}, ["knots"], [knots])
 
@@ -53,18 +53,18 @@ class KnotsOfColumns:
 
     columns: Mapping[str, ColumnWeights]
 
-    def sums(self, values: _Array) -> dict[Variables, _Array]:
+    def sums(self, values: Array) -> dict[Variables, Array]:
         """Sums of values (n, m) times weights, (knots, m)."""
         return {(name,): np.asarray(each.matrix @ values) for name, each in self.columns.items()}
 
-    def products(self, values: _Array, there: Any = slice(None)) -> dict[Variables, _Array]:
+    def products(self, values: Array, there: Any = slice(None)) -> dict[Variables, Array]:
         """Sums of values (n,) times two weights, the second one of the reading there, (knots, knots)."""
         return {
             (name,): (each.matrix.multiply(values) @ each.matrix[:, there].T).toarray()
             for name, each in self.columns.items()
         }
 
-    def by_unit(self, values: _Array, unit: NDArray[np.intp]) -> dict[Variables, _Array]:
+    def by_unit(self, values: Array, unit: Indices) -> dict[Variables, Array]:
         """Sums of values (n,) times weights over units, (units, knots)."""
         of_units = csr_matrix((values, (unit, np.arange(unit.size))))
         return {(name,): (of_units @ each.matrix.T).toarray() for name, each in self.columns.items()}
@@ -95,7 +95,7 @@ class KnotsOfPairs:
         weights = [np.zeros((readings, 0)), *(each.matrix.toarray().T for each in columns.values())]
         return cls(place, np.hstack(weights, dtype=np.float32))
 
-    def sums(self, values: _Array) -> dict[Variables, _Array]:
+    def sums(self, values: Array) -> dict[Variables, Array]:
         found = [self.weights.T @ (self.weights * each[:, None]) for each in values.T.astype(np.float32)]
         whole = np.stack(found, axis=2, dtype=np.float64)
         return {
@@ -103,7 +103,7 @@ class KnotsOfPairs:
             for (a, one), (b, other) in combinations(self.place.items(), 2)
         }
 
-    def products(self, values: _Array, there: Any = slice(None)) -> dict[Variables, _Array]:
+    def products(self, values: Array, there: Any = slice(None)) -> dict[Variables, Array]:
         sizes = {name: own.stop - own.start for name, own in self.place.items()}
         place = _side_by_side({name: size**2 for name, size in sizes.items()})
         both = np.hstack(
@@ -113,14 +113,14 @@ class KnotsOfPairs:
             ]
         )
         whole = (both.T @ (both * values[:, None].astype(np.float32))).astype(np.float64)
-        found: dict[Variables, _Array] = {}
+        found: dict[Variables, Array] = {}
         for (a, one), (b, other) in combinations(place.items(), 2):
             # From the knots of each column two by two to the knots of both.
             blocks = whole[one, other].reshape(sizes[a], sizes[a], sizes[b], sizes[b]).swapaxes(1, 2)
             found[a, b] = blocks.reshape(sizes[a] * sizes[b], -1)
         return found
 
-    def by_unit(self, values: _Array, unit: NDArray[np.intp]) -> dict[Variables, _Array]:
+    def by_unit(self, values: Array, unit: Indices) -> dict[Variables, Array]:
         order = np.argsort(unit, kind="stable")
         weights, valued = self.weights[order], (self.weights * values[:, None].astype(np.float32))[order]
         ends = np.cumsum([0, *np.bincount(unit)]).tolist()

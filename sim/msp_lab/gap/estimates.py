@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from msp_lab.gap import experiment, rules
@@ -22,13 +21,13 @@ from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
+from msp_range.arrays import Array, Indices
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import Ripple, hats
 from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.model.model import Term
 
-_Array = NDArray[np.float64]
 UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
 STEP_SHARE = 0.01
 """Two knots that are closer than this share of the column's span are a step, and are written as one."""
@@ -55,11 +54,11 @@ class FinalFit:
 
     readings: Prepared
     fit: JointFit
-    widened: _Array
+    widened: Array
     width: float
 
     @classmethod
-    def of(cls, readings: Prepared, fit: JointFit, unit: NDArray[np.intp], by_run: bool) -> "FinalFit":
+    def of(cls, readings: Prepared, fit: JointFit, unit: Indices, by_run: bool) -> "FinalFit":
         """With errors by whole runs, of which there are few, or by readings."""
         covariance = fit.covariance(unit if by_run else None)
         runs = int(np.unique(unit).size)
@@ -67,7 +66,7 @@ class FinalFit:
         return cls(readings, fit, covariance * width**2, width)
 
     @property
-    def half_widths(self) -> _Array:
+    def half_widths(self) -> Array:
         """Of each number; 0 for one that is held at a bound, whose error is not known."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.widened), 0.0)))
 
@@ -207,7 +206,7 @@ def _likely_causes(problem: Problem, unknown: UnknownEffect) -> tuple[tuple[str,
     return tuple(found)
 
 
-def _values(active: Term, half_widths: _Array) -> dict[str, FittedValue]:
+def _values(active: Term, half_widths: Array) -> dict[str, FittedValue]:
     values = {}
     for parameter, half in zip(active.effect.parameters, half_widths.tolist(), strict=True):
         value = active.values[parameter.name]
@@ -217,7 +216,7 @@ def _values(active: Term, half_widths: _Array) -> dict[str, FittedValue]:
     return values
 
 
-def _unknown_effect(active: Term, widened: _Array, gained: Gain, readings: Prepared) -> UnknownEffect:
+def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepared) -> UnknownEffect:
     """A curve about its mean, which it shares with the base; `widened` is its covariance times the width squared."""
     assert active.shape is not None
     channel, variables, knots = active.shape

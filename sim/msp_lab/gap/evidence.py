@@ -17,14 +17,12 @@ sums by run, relative to that of as many independent readings, again by Student'
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri, stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.runs import Dependence, places_in, share_between
-
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array, Flags, Indices
 
 RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
 """Variances between runs at which the likelihood is computed, over the variance within them."""
@@ -43,10 +41,10 @@ class _Offsets:
     """
 
     nats: float
-    slope_removed: _Array
+    slope_removed: Array
 
 
-def _offsets(fit: JointFit, unit: NDArray[np.intp]) -> _Offsets:
+def _offsets(fit: JointFit, unit: Indices) -> _Offsets:
     slope = fit.offset_slope
     counts = np.bincount(unit).astype(float)
     mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
@@ -63,31 +61,31 @@ def _offsets(fit: JointFit, unit: NDArray[np.intp]) -> _Offsets:
     return _Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]))
 
 
-def offset_nats(fit: JointFit, unit: NDArray[np.intp]) -> float:
+def offset_nats(fit: JointFit, unit: Indices) -> float:
     """What normal offsets of the runs, of the best deviation and integrated out, add to a fit [nat], at least 0."""
     return _offsets(fit, unit).nats
 
 
-def _log_p_beside_offsets(fit: JointFit, unit: NDArray[np.intp], offsets: _Offsets) -> _Array:
+def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: _Offsets) -> Array:
     """Log-likelihood of each reading with its run's offset taken off, by a quadratic in that offset, (n,)."""
     slope, removed = fit.offset_slope, offsets.slope_removed[unit]
-    log_p: _Array = fit.here.log_p + removed * (slope - 0.5 * removed) / max(float((slope**2).mean()), 1e-12)
+    log_p: Array = fit.here.log_p + removed * (slope - 0.5 * removed) / max(float((slope**2).mean()), 1e-12)
     return log_p
 
 
-def shift_between(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
+def shift_between(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
     """Share of the variance of the shift from one fit to the other that lies between runs."""
     return share_between(_residual(larger) - _residual(smaller), unit)
 
 
-def _residual(fit: JointFit) -> _Array:
+def _residual(fit: JointFit) -> Array:
     """Residuals of normal readings from their slopes by an offset, which are the residuals over their variance."""
     slope = fit.offset_slope
-    residual: _Array = slope / max(float((slope**2).mean()), 1e-12)
+    residual: Array = slope / max(float((slope**2).mean()), 1e-12)
     return residual
 
 
-def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]) -> float:
+def wander_inflation(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
     """By how much a slow wander inside runs makes the gain scatter more than that of independent readings, at least 1.
 
     Where readings wander, the gain counts by the scatter of its own sums over blocks of consecutive readings.
@@ -95,7 +93,7 @@ def wander_inflation(smaller: JointFit, larger: JointFit, unit: NDArray[np.intp]
     return _inflation(larger.here.log_p - smaller.here.log_p, blocks_of(unit)) if wanders(larger, unit) else 1.0
 
 
-def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
+def wanders(fit: JointFit, unit: Indices) -> bool:
     """Whether readings wander slowly inside runs.
 
     Each run is cut into `WANDER_BLOCKS` blocks of consecutive readings, whose sums of the slopes then scatter about
@@ -115,7 +113,7 @@ def wanders(fit: JointFit, unit: NDArray[np.intp]) -> bool:
     return float(chdtrc(freedom, scatter)) <= rules.WANDER_P
 
 
-def _inflation(gain: _Array, unit: NDArray[np.intp]) -> float:
+def _inflation(gain: Array, unit: Indices) -> float:
     """Variance of a gain's sums over units against that of as many independent readings, at least 1."""
     gain = gain - gain.mean()
     whole = float((gain**2).sum())
@@ -130,14 +128,12 @@ def _by_scatter(nats: float, runs: int) -> float:
     return 0.5 * float(ndtri(p_value)) ** 2
 
 
-def blocks_of(unit: NDArray[np.intp], parts: int = rules.WANDER_BLOCKS) -> NDArray[np.intp]:
+def blocks_of(unit: Indices, parts: int = rules.WANDER_BLOCKS) -> Indices:
     """Number of each reading's block: its run's readings in their order, in so many parts."""
     return unit * parts + places_in(unit) * parts // np.bincount(unit)[unit]
 
 
-def evidence_nats(
-    smaller: JointFit, larger: JointFit, unit: NDArray[np.intp] | None, left: Dependence | None = None
-) -> float:
+def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, left: Dependence | None = None) -> float:
     """Gain of the larger fit over the smaller one [nat].
 
     Parameters
@@ -163,7 +159,7 @@ def evidence_nats(
     return gained
 
 
-def lead_nats(one: JointFit, other: JointFit, unit: NDArray[np.intp] | None) -> float:
+def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:
     """By how much one of two fits with as many numbers is ahead of the other [nat]; negative if it is behind.
 
     Where the run is the unit, the runs' offsets are integrated out of both, and the rest counts by the scatter of the
@@ -180,7 +176,7 @@ def lead_nats(one: JointFit, other: JointFit, unit: NDArray[np.intp] | None) -> 
     return float(np.copysign(_by_scatter(abs(nats) / _inflation(gain, unit), runs), nats))
 
 
-def of_one_run(nats: float, fit: JointFit, unit: NDArray[np.intp], run: NDArray[np.bool_]) -> float:
+def of_one_run(nats: float, fit: JointFit, unit: Indices, run: Flags) -> float:
     """A gain by an offset of one run, by what the other runs scatter next to it [nat].
 
     Of many runs one is always the farthest off, and slow noise that the model misses moves the means of all. Their

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
@@ -16,10 +15,10 @@ from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.prepared import CHANNELS, templates
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
+from msp_range.arrays import Array
 from msp_sim.effects.base import WORD_COLUMNS, Scene
 from msp_sim.model.model import Term, applies
 
-_Array = NDArray[np.float64]
 SPANS = {
     "true_range_cm": (20.0, 765.0, "cm"),
     "air_temperature_c": (-10.0, 45.0, "C"),
@@ -62,7 +61,7 @@ def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
     return f"to tell {own.effect.name} from {other.effect.name}: {text}"
 
 
-def _even(n: int) -> _Array:
+def _even(n: int) -> Array:
     """Numbers spread evenly over 0 to 1, in an order (golden ratio) that correlates with no column."""
     return np.asarray(np.mod(0.5 + np.arange(n) * 0.6180339887498949, 1.0))
 
@@ -79,7 +78,7 @@ def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contex
     return size * float(np.sqrt(max(1.0 - correlation**2, 0.0)))
 
 
-def _templates(scene: Scene, each: Term, weights: _Array) -> _Array:
+def _templates(scene: Scene, each: Term, weights: Array) -> Array:
     known = applies(scene, each)
     found = np.zeros((np.shape(scene.range_cm)[0], len(CHANNELS)))
     if known is False:

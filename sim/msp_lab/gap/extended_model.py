@@ -4,20 +4,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap.prepared import LEAST_SHARE
+from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
 from msp_sim.effects.curve import Ripple
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Model, Term
 
-_Array = NDArray[np.float64]
 LEAST_READING_CM = 0.01
 """What the first knot of a calibration reads at least: the file format asks for more than 0."""
 
 
-def extended(model: Model, base: _Array, effects: Sequence[Term], spacing_s: float | None) -> Model:
+def extended(model: Model, base: Array, effects: Sequence[Term], spacing_s: float | None) -> Model:
     """The model with its base changed by this much, in the order of `BASE`, and with these effects after its own.
 
     The correlation of neighbouring readings is that over `spacing_s`; None: there is none.

@@ -14,10 +14,9 @@ from msp_lab.gap import rules
 from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
 from msp_lab.gap.problem import Problem, State
 from msp_lab.gap.refit import has_range
+from msp_range.arrays import Array, Flags
 from msp_sim.effects.curve import MAX_VALUE, Knots, hats
 from msp_sim.model.model import make_curve_term
-
-_Array = NDArray[np.float64]
 
 
 def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
@@ -45,9 +44,7 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
     return sorted(found, key=lambda each: each.log_p)
 
 
-def _medians(
-    column: NDArray[np.generic], knots: Knots, off_cm: _Array, far: NDArray[np.bool_]
-) -> tuple[float, ...] | None:
+def _medians(column: NDArray[np.generic], knots: Knots, off_cm: Array, far: Flags) -> tuple[float, ...] | None:
     """Median of the readings nearest to each knot, 0 where there are few or it is beyond any curve's.
 
     None where no knot's readings are mostly far off.

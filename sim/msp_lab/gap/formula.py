@@ -6,12 +6,11 @@ Knots, values and their standard errors enter; text leaves.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array
 
 
-def formula(variable: str, at: _Array, values: _Array, deviation: _Array) -> str:
+def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
     """The shortest form of a small grammar that goes through a curve, with its numbers.
 
     Parameters
@@ -35,7 +34,7 @@ def formula(variable: str, at: _Array, values: _Array, deviation: _Array) -> str
     return best[1].replace("+ -", "- ") if best else ""
 
 
-def _grammar(variable: str, at: _Array, span: float) -> Iterator[tuple[str, list[_Array], int]]:
+def _grammar(variable: str, at: Array, span: float) -> Iterator[tuple[str, list[Array], int]]:
     yield f"{{0}} + {{1}} {variable}", [at], 0
     yield f"{{0}} + {{1}} {variable} + {{2}} {variable}^2", [at, at**2], 0
     for cycles in (0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0):

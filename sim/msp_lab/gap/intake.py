@@ -8,10 +8,8 @@ aside as calibration. Runs are split before anything is looked at.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.blank_cells import KnownRows
@@ -24,13 +22,13 @@ from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
 from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
 from msp_lab.readings.suspicious import suspicious
+from msp_range.arrays import Array, Column, Indices, Texts
 from msp_range.reading_model.kernel import is_on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD
 from msp_sim.model.model import Model
 
-_Words = NDArray[np.str_]
 NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD})
 SAME_CM = 1e-6
 """Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
@@ -138,7 +136,7 @@ class Comparison:
     """
 
     model: Model
-    data: Mapping[str, NDArray[Any]]
+    data: Mapping[str, Column]
     splits: Splits
     held_out: HeldOutReadings
     partitions: list[Partition]
@@ -238,9 +236,7 @@ def _without_copies(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
     return (data if kept.all() else data.select(kept)), messages
 
 
-def _previous_on_grid(
-    reading_cm: NDArray[np.float64], previous_cm: NDArray[np.float64], step_cm: float
-) -> NDArray[np.float64]:
+def _previous_on_grid(reading_cm: Array, previous_cm: Array, step_cm: float) -> Array:
     """Previous readings in the step, equal to the rounded readings only where they repeat exactly.
 
     Where nearly all repeats are exact, all count (`rules.EXACT_REPEATS`).
@@ -277,7 +273,7 @@ def _on_grid(data: MeasuredData, model: Model, step_cm: float) -> tuple[Measured
     return MeasuredData(columns), [CalibrationFinding("resolution", finding, before=model_cm, after=own_cm, unit="cm")]
 
 
-def _coarse(reading_cm: NDArray[Any], model: Model) -> list[CalibrationFinding]:
+def _coarse(reading_cm: Column, model: Model) -> list[CalibrationFinding]:
     """Whole centimetres on a coarser grid."""
     if model.sensor.resolution_cm != 1.0:
         return []
@@ -335,7 +331,7 @@ def _about_contexts(data: MeasuredData) -> Iterator[str]:
                 yield f"{name} is constant ({value}), so its effects are not identifiable."
 
 
-def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
+def _about_runs(run: Texts, time_s: Array) -> list[str]:
     runs = np.unique(run).size
     if runs >= rules.MIN_RUNS:
         return []
@@ -352,7 +348,7 @@ def _about_runs(run: _Words, time_s: NDArray[np.float64]) -> list[str]:
     ]
 
 
-def _units(runs: NDArray[np.str_]) -> NDArray[np.intp]:
+def _units(runs: Texts) -> Indices:
     """Runs, or where they are few, blocks of consecutive readings of them."""
     unit = numbered(runs)
     if int(unit.max()) + 1 >= rules.UNITS_FROM_RUNS:

@@ -7,21 +7,18 @@ floor.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import drawn_sums, unit_sums, unit_variance
 from msp_lab.gap.cell_fits import CellFits, apart, free_fit, one_step, products, scores_of
 from msp_lab.gap.cells import Partition, Stack
 from msp_lab.gap.runs import dependence, taken
+from msp_range.arrays import Array, Column, Flags, Indices
 from msp_sim.model.model import Model
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows
 from msp_sim.model.streams import RandomStreams
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -38,19 +35,19 @@ class HeldOutReadings:
         Readings of the same number depend on each other: run or block, (n,).
     """
 
-    reading_cm: _Array
-    contexts: Mapping[str, NDArray[Any]]
-    unit: NDArray[np.intp]
+    reading_cm: Array
+    contexts: Mapping[str, Column]
+    unit: Indices
 
     def __len__(self) -> int:
         return self.reading_cm.size
 
-    def take(self, rows: NDArray[Any]) -> "HeldOutReadings":
+    def take(self, rows: Column) -> "HeldOutReadings":
         """Some of the readings."""
         return HeldOutReadings(self.reading_cm[rows], taken(self.contexts, rows), self.unit[rows])
 
 
-def usable(model: Model, readings: HeldOutReadings) -> NDArray[np.bool_]:
+def usable(model: Model, readings: HeldOutReadings) -> Flags:
     """Readings that the model can give at all, (n,)."""
     found = np.empty(len(readings), dtype=bool)
     for part, rows in model.chunks(readings.contexts):
@@ -96,7 +93,7 @@ class Measures:
     readings: HeldOutReadings
     rows: ModelRows
     stack: Stack
-    scores: _Array
+    scores: Array
     step: CellFits
     fits: Mapping[tuple[str, ...], CellFits]
     numbers: Mapping[str, Interval]
@@ -131,7 +128,7 @@ class Replicates:
         of whole units show by random variation.
     """
 
-    information: _Array
+    information: Array
     noise_floor: Mapping[str, float]
 
 
@@ -168,7 +165,7 @@ def replicates(
         shared = unit_variance(scores[stack.readings], readings.unit, stack, scores)[0] if depends else None
         variances.append(shared)
 
-    def fits(totals: Iterable[_Array], variances: Iterable[_Array | None]) -> list[CellFits]:
+    def fits(totals: Iterable[Array], variances: Iterable[Array | None]) -> list[CellFits]:
         pairs = zip(totals, variances, strict=True)
         return [one_step(total, information, stack, rows.sigma_cm, by_unit) for total, by_unit in pairs]
 

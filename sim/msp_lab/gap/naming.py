@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.blank_cells import KnownRows
@@ -27,10 +26,9 @@ from msp_lab.gap.splits import Splits
 from msp_lab.gap.validation import Gain, Validated, gain, validated
 from msp_lab.readings.intake import PREVIOUS
 from msp_lab.readings.resolution import to_step
+from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.kernel import is_on_grid
 from msp_sim.model.model import Model
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tup
     return findings, named.models
 
 
-def _name_rows(comparison: Comparison, rows: NDArray[np.bool_], without: Sequence[str], report: Progress) -> NamedModel:
+def _name_rows(comparison: Comparison, rows: Flags, without: Sequence[str], report: Progress) -> NamedModel:
     """What is missing, from some of the readings and without some of the columns."""
     settings = comparison.settings
     return name_effects(
@@ -145,7 +143,7 @@ def _name_rows(comparison: Comparison, rows: NDArray[np.bool_], without: Sequenc
 def name_effects(
     model: Model,
     contexts: Mapping[str, Any],
-    reading_cm: _Array,
+    reading_cm: Array,
     splits: Splits,
     rng: np.random.Generator,
     alpha: float = 0.01,
@@ -218,10 +216,10 @@ class AllReadings:
     """All readings with their splits, for the values that are reported."""
 
     contexts: Mapping[str, Any]
-    reading_cm: _Array
+    reading_cm: Array
     splits: Splits
 
-    def prepared(self, problem: Problem, rows: NDArray[np.intp]) -> Prepared:
+    def prepared(self, problem: Problem, rows: Indices) -> Prepared:
         """Some of them."""
         contexts = taken(self.contexts, rows)
         return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s)

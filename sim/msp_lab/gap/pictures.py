@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
-from numpy.typing import NDArray
 
 from msp_lab.gap.autocorrelation import labelled, places
 from msp_lab.gap.cells import Partition, partitions
@@ -19,11 +18,10 @@ from msp_lab.gap.labels import axis_label, step_name
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.tables import shown_slices, slice_with_count
 from msp_lab.readings.intake import PREVIOUS
+from msp_range.arrays import Array
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
 from msp_sim.page.style import BLUE, GREY, INK, PALE, VERMILION, legend_below, new_figure, note
-
-_Array = NDArray[np.float64]
 
 BEFORE, AFTER = VERMILION, BLUE
 REPLICATES = 12
@@ -226,7 +224,7 @@ def draw_curve(each: UnknownEffect) -> Figure:
 
 def _draw_residual(
     axes: Axes, model: Model, readings: HeldOutReadings, part: Partition, rng: np.random.Generator
-) -> tuple[_Array, _Array, tuple[float, float]]:
+) -> tuple[Array, Array, tuple[float, float]]:
     """Residuals as dots, and the band where the model expects two of three; medians of bins with errors, and limits."""
     centre = _centre(model, readings)
     residual = readings.reading_cm - centre
@@ -252,12 +250,12 @@ def _draw_residual(
 
 def _draw_share(
     axes: Axes, model: Model, readings: HeldOutReadings, part: Partition, rng: np.random.Generator
-) -> tuple[_Array, _Array, tuple[float, float]]:
+) -> tuple[Array, Array, tuple[float, float]]:
     """The share of readings that are no hit as expected; as measured, its errors, and limits of both."""
     centre = _centre(model, readings)
     sigma_cm = np.concatenate([rows.sigma_cm for _, rows in model.chunks(readings.contexts)])
 
-    def share(reading_cm: _Array) -> _Array:
+    def share(reading_cm: Array) -> Array:
         with np.errstate(invalid="ignore"):
             no_hit = ~(np.abs(reading_cm - centre) <= NO_HIT_SIGMAS * sigma_cm + 0.5)
         return np.bincount(part.cell, no_hit, len(part.labels)) / np.maximum(part.counts, 1)
@@ -273,7 +271,7 @@ def _draw_share(
     return 100.0 * measured, 100.0 * error, (0.0, most)
 
 
-def _draw_expected(axes: Axes, part: Partition, low: _Array, middle: _Array, high: _Array, label: str) -> None:
+def _draw_expected(axes: Axes, part: Partition, low: Array, middle: Array, high: Array, label: str) -> None:
     """What the model expects in each cell: a line and a band over numbers, a box for each word."""
     at = _bin_places(part)
     if part.centres is None:
@@ -285,7 +283,7 @@ def _draw_expected(axes: Axes, part: Partition, low: _Array, middle: _Array, hig
     axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="expected")
 
 
-def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array, _Array]:
+def _of_bins(residual: Array, part: Partition) -> tuple[Array, Array, Array, Array]:
     """The quantiles 1/6, 1/2 and 5/6 of each bin, and the standard error of the middle one."""
     order = np.argsort(part.cell, kind="stable")
     pieces = np.split(order, np.cumsum(part.counts)[:-1])
@@ -300,7 +298,7 @@ def _of_bins(residual: _Array, part: Partition) -> tuple[_Array, _Array, _Array,
     return quantiles[:, 0], quantiles[:, 2], quantiles[:, 4], error
 
 
-def _centre(model: Model, readings: HeldOutReadings) -> _Array:
+def _centre(model: Model, readings: HeldOutReadings) -> Array:
     """The centre of each reading's hit [cm], within the sensor's limits."""
     centre_cm = np.concatenate([rows.centre_cm for _, rows in model.chunks(readings.contexts)])
     return np.asarray(np.clip(centre_cm, model.sensor.minimum_cm, model.sensor.maximum_cm), dtype=np.float64)
@@ -325,7 +323,7 @@ def _apart(part: Partition) -> Partition:
     return Partition(part.variables, labels, group[part.cell], np.array(centres))
 
 
-def _bin_places(part: Partition) -> _Array:
+def _bin_places(part: Partition) -> Array:
     return np.arange(len(part.labels), dtype=float) if part.centres is None else part.centres
 
 

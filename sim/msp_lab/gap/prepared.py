@@ -10,17 +10,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap.runs import taken
+from msp_range.arrays import Array
 from msp_range.reading_model.rows import FREE
 from msp_sim.effects.base import Contribution, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
 from msp_sim.model.history import MAX_CORRELATION, History
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of
 from msp_sim.model.rows import MIN_PROBABILITY, Carry, ModelRows, log_prob, slopes
-
-_Array = NDArray[np.float64]
 
 BASE = (*FREE, "correlation")
 """The base's numbers that are fitted together with every effect; the last one only where readings are correlated."""
@@ -53,12 +51,12 @@ class Prepared:
     model: Model
     scene: Scene
     rows: ModelRows
-    reading_cm: _Array
+    reading_cm: Array
     spacing_s: float | None = None
 
     @classmethod
     def of(
-        cls, model: Model, contexts: Mapping[str, Any], reading_cm: _Array, spacing_s: float | None = None
+        cls, model: Model, contexts: Mapping[str, Any], reading_cm: Array, spacing_s: float | None = None
     ) -> "Prepared":
         """Prepare readings; with a spacing, the correlation of their errors is one of the base's numbers."""
         scene = Scene(model.sensor, contexts)
@@ -75,25 +73,25 @@ class Prepared:
     def __len__(self) -> int:
         return self.reading_cm.size
 
-    def at(self, base: _Array, effects: Sequence[Term]) -> ModelRows:
+    def at(self, base: Array, effects: Sequence[Term]) -> ModelRows:
         """The distribution with the base's numbers changed by this much, and with these effects."""
         return apply_terms(shifted(self.rows, base), self.scene, effects)
 
-    def log_prob(self, base: _Array, effects: Sequence[Term]) -> _Array:
+    def log_prob(self, base: Array, effects: Sequence[Term]) -> Array:
         """log probability of each reading, (n,), bounded below."""
         return log_prob(self.at(base, effects), self.reading_cm)
 
-    def log_likelihood(self, base: _Array, effects: Sequence[Term]) -> float:
+    def log_likelihood(self, base: Array, effects: Sequence[Term]) -> float:
         """Sum of those of all readings."""
         return float(self.log_prob(base, effects).sum())
 
-    def slopes(self, base: _Array, effects: Sequence[Term]) -> "ChannelSlopes":
+    def slopes(self, base: Array, effects: Sequence[Term]) -> "ChannelSlopes":
         """Derivatives of the log probabilities by the channels and by the base's other numbers."""
         return channel_slopes(self.at(base, effects), self.reading_cm)
 
     def slope_of(
-        self, k: int, parameter: Parameter, base: _Array, effects: Sequence[Term], here: "ChannelSlopes"
-    ) -> _Array:
+        self, k: int, parameter: Parameter, base: Array, effects: Sequence[Term], here: "ChannelSlopes"
+    ) -> Array:
         """Derivative of each log probability by one number of the k-th effect, (n,); `here` are the slopes there.
 
         Of a number along which the likelihood jumps it is 0, so that a fit holds it: with a slope that says nothing
@@ -126,7 +124,7 @@ class Prepared:
             slope += here.score(i, (template - before[i]) / step)
         return slope
 
-    def _with_component(self, one: Term, other: Term, here: "ChannelSlopes") -> _Array:
+    def _with_component(self, one: Term, other: Term, here: "ChannelSlopes") -> Array:
         """Log probabilities with another component in place of one of those at `here`; the rest is not computed again.
 
         All after the mixture is linear in the probability, so p (1 + sum of the odds) is a sum of the parts.
@@ -141,18 +139,18 @@ class Prepared:
         return np.asarray(np.log(np.maximum(total / odds, MIN_PROBABILITY)))
 
 
-def templates(known: Any, change: Contribution) -> dict[int, _Array]:
+def templates(known: Any, change: Contribution) -> dict[int, Array]:
     """What a change adds to each channel that it moves, by the channel's place; 0 where it is not known."""
     moved = {i: getattr(change, FIELDS[channel]) for i, channel in enumerate(CHANNELS)}
     return {i: np.nan_to_num(np.where(known, each, 0.0)) for i, each in moved.items() if each is not None}
 
 
-def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> _Array:
+def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> Array:
     """Weights of a curve's knots, worked out once for a scene."""
     key = shape[1:]
     if key not in scene.kept:
         scene.kept[key] = hats(scene, shape[1], shape[2])
-    weights: _Array = scene.kept[key]
+    weights: Array = scene.kept[key]
     return weights
 
 
@@ -167,7 +165,7 @@ def moved(rows: ModelRows, numbers: Iterable[Any]) -> ModelRows:
     )
 
 
-def shifted(rows: ModelRows, base: _Array) -> ModelRows:
+def shifted(rows: ModelRows, base: Array) -> ModelRows:
     """Rows with the base's numbers changed, in the order of `BASE`."""
     *by_channel, log_rate, saturated, correlation = base
     return replace(
@@ -201,14 +199,14 @@ class ChannelSlopes:
         readings are independent.
     """
 
-    log_p: _Array
-    by: _Array
-    shares: _Array
+    log_p: Array
+    by: Array
+    shares: Array
     rows: ModelRows
-    own_centre: _Array
+    own_centre: Array
     carry: Carry | None
 
-    def score(self, channel: int, template: _Array) -> _Array:
+    def score(self, channel: int, template: Array) -> Array:
         """Derivative of each reading's log probability by a number that moves a channel by a template, (n,).
 
         With correlated noise the error of the hit before moves with its own template T_j, so that a shift counts as
@@ -220,7 +218,7 @@ class ChannelSlopes:
         template = np.broadcast_to(template, self.log_p.shape)
         return own * template - carried * template[self.carry.before]
 
-    def parts(self, channel: int) -> tuple[_Array, _Array | None]:
+    def parts(self, channel: int) -> tuple[Array, Array | None]:
         """What a channel's template counts, and that of the hit before, with a minus sign; None if it does not."""
         if self.carry is None or channel > 1:
             return self.by[:, channel], None
@@ -232,7 +230,7 @@ class ChannelSlopes:
         return self.by[:, 1] + carried * within, carried * within[self.carry.before]
 
 
-def channel_slopes(rows: ModelRows, reading_cm: _Array) -> ChannelSlopes:
+def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
     """Derivatives by the channels and by the base's other numbers."""
     rows, carry = rows.given(reading_cm)
     log_p, by_free = slopes(rows, reading_cm)
@@ -261,10 +259,10 @@ class ReadingsAtFit:
     """
 
     model: Model
-    base: _Array
+    base: Array
     effects: Sequence[Term]
     contexts: Mapping[str, Any]
-    reading_cm: _Array
+    reading_cm: Array
     spacing_s: float | None = None
 
     def parts(self) -> Iterator[tuple[slice, Prepared, ChannelSlopes]]:

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidate_starts import gathered_cm, shapes_of, starts_of
@@ -25,6 +24,7 @@ from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, numbered, previous, sample, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
+from msp_range.arrays import Array, Indices
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal
@@ -32,7 +32,6 @@ from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import Model, Term, applies
 from msp_sim.model.rows import log_prob
 
-_Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Reports what is being done, and which share of the whole is done."""
 
@@ -81,9 +80,9 @@ class Problem:
 
     model: Model
     contexts: Mapping[str, Any]
-    unit: NDArray[np.intp]
+    unit: Indices
     readings: Prepared
-    moved_cm: Callable[[], _Array]
+    moved_cm: Callable[[], Array]
     base: JointFit
     candidates: tuple[CandidateEffect, ...]
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
@@ -97,8 +96,8 @@ class Problem:
         cls,
         model: Model,
         contexts: Mapping[str, Any],
-        reading_cm: _Array,
-        unit: NDArray[np.intp],
+        reading_cm: Array,
+        unit: Indices,
         rng: np.random.Generator,
         alpha: float = 0.01,
         report: Progress = lambda what, share: None,
@@ -117,7 +116,7 @@ class Problem:
                 base = fit_base(readings)
         candidates, untestable = candidates_of(model, contexts, gathered_cm(readings, base))
 
-        def moved_cm() -> _Array:
+        def moved_cm() -> Array:
             true_cm = np.asarray(whole[TRUE_RANGE], dtype=np.float64)
             return np.abs(true_cm - previous(whole, true_cm))[rows]
 
@@ -134,11 +133,11 @@ class Problem:
         return int(np.unique(self.unit).size)
 
     @property
-    def prior(self) -> _Array:
+    def prior(self) -> Array:
         """Precision of the base's prior for each reading that is refitted, (8,)."""
         return 1.0 / (rules.BASE_DEVIATION**2 * len(self.readings))
 
-    def information(self, fit: JointFit) -> _Array:
+    def information(self, fit: JointFit) -> Array:
         """Information per reading at a fit, from simulated readings and the base's prior."""
         drawn = replicate(self.model, fit.base, fit.effects, self.contexts, self.rng, spacing_s=self.readings.spacing_s)
         information = information_of(drawn, fit.base, fit.effects, self.candidates)
@@ -197,7 +196,7 @@ class Problem:
             most = max(most, float((log_p - smaller.here.log_p).sum()))
         return most
 
-    def _clumping(self, fit: JointFit, slope: _Array) -> float:
+    def _clumping(self, fit: JointFit, slope: Array) -> float:
         """How far the readings come in clumps that the last effect of a fit explains, by their slopes by its share."""
         fault, alike = fit.effects[-1].change(self.readings.scene).fault, None
         if fault is not None:
@@ -207,7 +206,7 @@ class Problem:
         run = self.contexts["run"] if "run" in self.contexts else np.zeros(len(self.readings))
         return clumping(slope, numbered(run), alike)
 
-    def refit(self, terms: Sequence[Term], base: _Array) -> JointFit:
+    def refit(self, terms: Sequence[Term], base: Array) -> JointFit:
         """A joint fit of these terms."""
         return refit(self.readings, terms, base)
 
@@ -232,7 +231,7 @@ class State:
 
     fit: JointFit
     terms: tuple[SelectedTerm, ...]
-    information: _Array
+    information: Array
     by_run: bool
     history: tuple[str, ...] = ()
 
@@ -251,7 +250,7 @@ class State:
         return frozenset(each.key for each in self.terms)
 
 
-def _time_s(contexts: Mapping[str, Any]) -> _Array | None:
+def _time_s(contexts: Mapping[str, Any]) -> Array | None:
     return np.asarray(contexts["time_s"], dtype=np.float64) if "time_s" in contexts else None
 
 
@@ -386,7 +385,7 @@ def _has_its_form(problem: Problem, fit: JointFit) -> bool:
     return any(abs(_correlation(own_cm, bias_cm(problem, each))) > rules.SAME_FORM for each in named)
 
 
-def _correlation(one: _Array, other: _Array) -> float:
+def _correlation(one: Array, other: Array) -> float:
     spread = one.std() * other.std()
     return float(np.mean((one - one.mean()) * (other - other.mean())) / spread) if spread > 0.0 else 0.0
 
@@ -442,7 +441,7 @@ def loss(problem: Problem, smaller: JointFit, state: State) -> float:
     return problem.evidence_nats(smaller, state.fit, state.by_run)
 
 
-def bias_cm(problem: Problem, term: Term) -> _Array:
+def bias_cm(problem: Problem, term: Term) -> Array:
     """What a term adds to the hit of each reading that is refitted [cm], (n,)."""
     scene = problem.readings.scene
     return np.broadcast_to(templates(applies(scene, term), term.change(scene))[0], (len(problem.readings),))

@@ -8,15 +8,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap.candidates import CandidateEffect, score_of
 from msp_lab.gap.prepared import BASE, ChannelSlopes, ReadingsAtFit, templates
+from msp_range.arrays import Array
 from msp_sim.effects.base import Scene
 from msp_sim.model.model import Model, applies
 
-_Array = NDArray[np.float64]
-Gains: TypeAlias = tuple[_Array, _Array]
+Gains: TypeAlias = tuple[Array, Array]
 """Of some candidates the largest gain [nat], and the number at which one is, each (candidates,)."""
 SHARES = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
 """At which the gain of what is mixed into the probability is computed."""
@@ -29,7 +28,7 @@ ODDS = np.array([2, 3, 4])
 
 
 def largest_gains(
-    readings: ReadingsAtFit, candidates: Sequence[CandidateEffect], information: _Array, total: _Array
+    readings: ReadingsAtFit, candidates: Sequence[CandidateEffect], information: Array, total: Array
 ) -> Gains:
     """The largest gain of each candidate.
 
@@ -76,13 +75,13 @@ def largest_gains(
     return np.maximum(along.max(axis=0, initial=0.0), gains.max(axis=1)), best
 
 
-def _log_gain(change: _Array) -> _Array:
+def _log_gain(change: Array) -> Array:
     """log(1 + change), and below -0.9 its tangent: to make a reading impossible must cost, whatever the step."""
-    gain: _Array = np.log1p(np.maximum(change, -0.9)) + 10.0 * np.minimum(change + 0.9, 0.0)
+    gain: Array = np.log1p(np.maximum(change, -0.9)) + 10.0 * np.minimum(change + 0.9, 0.0)
     return gain
 
 
-def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
+def _odds_template(candidate: CandidateEffect, scene: Scene) -> Array:
     """Change of the log odds by a number of 1, (n,)."""
     active = candidate.at(candidate.neutral + candidate.parameter.step)
     known, shape = applies(scene, active), np.shape(scene.range_cm)
@@ -95,7 +94,7 @@ def _odds_template(candidate: CandidateEffect, scene: Scene) -> _Array:
 
 def _odds_scales(
     model: Model, candidates: Sequence[CandidateEffect], contexts: Mapping[str, Any]
-) -> tuple[_Array, _Array]:
+) -> tuple[Array, Array]:
     """For odds, the number that changes them by one where it acts most, and its mean template."""
     scene = Scene(model.sensor, contexts)
     sizes, means = np.ones(len(candidates)), np.zeros(len(candidates))
@@ -108,7 +107,7 @@ def _odds_scales(
     return sizes, means
 
 
-def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes, size: float, mean: float) -> _Array:
+def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes, size: float, mean: float) -> Array:
     """Gain of changed odds about their mean, all else held: exact in the posterior share of the class."""
     which = candidate.odds or 1
     template = _odds_template(candidate, scene) - mean
@@ -116,5 +115,5 @@ def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes, s
     posterior = np.clip(here.by[:, 1 + which] + share, 0.0, 1.0)
     steps = np.concatenate([ODDS_STEPS, -ODDS_STEPS])
     factor = np.expm1(np.clip(steps[:, None] * size * template, -30.0, 30.0))
-    gains: _Array = (np.log1p(posterior * factor) - np.log1p(share * factor)).sum(axis=1)
+    gains: Array = (np.log1p(posterior * factor) - np.log1p(share * factor)).sum(axis=1)
     return gains

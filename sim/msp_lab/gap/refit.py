@@ -10,16 +10,15 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
+from msp_range.arrays import Array, Flags, Indices
 from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term
 from msp_sim.model.rows import ModelRows
 
-_Array = NDArray[np.float64]
 ROUNDS = 12
 """Newton steps at most; usual fits take three to six."""
 ENOUGH_NATS = 0.03
@@ -52,11 +51,11 @@ class JointFit:
         Computes the slopes by the numbers at the fit: most fits are compared by their likelihood alone.
     """
 
-    base: _Array
+    base: Array
     effects: tuple[Term, ...]
     log_likelihood: float
     names: tuple[str, ...]
-    values: _Array
+    values: Array
     here: ChannelSlopes
     slopes: Callable[[], "NumberSlopes"]
 
@@ -66,26 +65,26 @@ class JointFit:
         return self.slopes()
 
     @property
-    def offset_slope(self) -> _Array:
+    def offset_slope(self) -> Array:
         """Derivative of each reading's log probability by the base's offset, (n,)."""
         return self.here.by[:, 0]
 
     @property
-    def scores(self) -> _Array:
+    def scores(self) -> Array:
         """Each reading's derivatives by the numbers, (n, numbers), for errors by runs."""
         return self.at.scores
 
     @property
-    def information(self) -> _Array:
+    def information(self) -> Array:
         """Of the numbers, from the scores and the priors."""
         return self.at.information
 
     @property
-    def held(self) -> NDArray[np.bool_]:
+    def held(self) -> Flags:
         """Numbers that are at a bound, or of which the readings say nothing."""
         return self.at.held
 
-    def covariance(self, unit: NDArray[np.intp] | None = None) -> _Array:
+    def covariance(self, unit: Indices | None = None) -> Array:
         """Of the numbers; with units, of sums over whole units (sandwich)."""
         free = ~self.held
         covariance = np.zeros_like(self.information)
@@ -101,21 +100,21 @@ class JointFit:
 class NumberSlopes(NamedTuple):
     """Derivatives by all numbers of a fit: of each reading, their sum with the priors', information, what is held."""
 
-    scores: _Array
-    gradient: _Array
-    information: _Array
-    held: NDArray[np.bool_]
+    scores: Array
+    gradient: Array
+    information: Array
+    held: Flags
 
 
-def inverse(information: _Array) -> _Array:
+def inverse(information: Array) -> Array:
     """Inverse of an information matrix, its numbers first scaled alike; 0 for what the readings say nothing of."""
     scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
     scales = np.outer(scale, scale)
-    found: _Array = np.linalg.pinv(information / scales, rcond=1e-8, hermitian=True) / scales
+    found: Array = np.linalg.pinv(information / scales, rcond=1e-8, hermitian=True) / scales
     return found
 
 
-def sums_by(unit: NDArray[np.intp], scores: _Array, units: int | None = None) -> _Array:
+def sums_by(unit: Indices, scores: Array, units: int | None = None) -> Array:
     """Sums of the scores over units, shape (units, numbers); there are as many units as are numbered, unless given."""
     count = units or (int(unit.max()) + 1 if unit.size else 0)
     return np.stack([np.bincount(unit, column, count) for column in scores.T], axis=1)
@@ -126,7 +125,7 @@ def free_numbers(effects: Sequence[Term]) -> list[tuple[int, Parameter]]:
     return [(k, parameter) for k, each in enumerate(effects) for parameter in each.effect.parameters]
 
 
-def with_values(effects: Sequence[Term], numbers: Sequence[tuple[int, Parameter]], values: _Array) -> tuple[Term, ...]:
+def with_values(effects: Sequence[Term], numbers: Sequence[tuple[int, Parameter]], values: Array) -> tuple[Term, ...]:
     """Effects with these values of their numbers, which are as from `free_numbers`."""
     placed: list[dict[str, float]] = [dict(each.values) for each in effects]
     for (k, parameter), value in zip(numbers, values.tolist(), strict=True):
@@ -149,7 +148,7 @@ def fit_base(prepared: Prepared) -> JointFit:
     return other if other.log_likelihood > given.log_likelihood else given
 
 
-def _own_spread(prepared: Prepared) -> _Array | None:
+def _own_spread(prepared: Prepared) -> Array | None:
     """Offset and log spread of what looks like hits; None where they are near the model's."""
     rows, reading = prepared.rows, prepared.reading_cm
     window_cm, window_share = rules.FIRST_WINDOW
@@ -171,7 +170,7 @@ def _own_spread(prepared: Prepared) -> _Array | None:
     return start
 
 
-def has_range(rows: ModelRows, reading_cm: _Array) -> NDArray[np.bool_]:
+def has_range(rows: ModelRows, reading_cm: Array) -> Flags:
     """Readings within the sensor's limits that have a hit to be compared with, (n,)."""
     return (reading_cm > rows.minimum_cm) & (reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
 
@@ -179,7 +178,7 @@ def has_range(rows: ModelRows, reading_cm: _Array) -> NDArray[np.bool_]:
 def refit(
     prepared: Prepared,
     effects: Sequence[Term],
-    start: _Array | None = None,
+    start: Array | None = None,
     rounds: int = ROUNDS,
     fit_effects: bool = True,
 ) -> JointFit:
@@ -217,14 +216,14 @@ def refit(
     precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_numbers])
     theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
 
-    def placed(at: _Array) -> tuple[Term, ...]:
+    def placed(at: Array) -> tuple[Term, ...]:
         return with_values(effects, numbers, at[nb:])
 
-    def total(at: _Array) -> tuple[float, ChannelSlopes]:
+    def total(at: Array) -> tuple[float, ChannelSlopes]:
         here = prepared.slopes(at[:nb], placed(at))
         return float(here.log_p.sum()) - 0.5 * float(precision @ at**2), here
 
-    def slopes(at: _Array, here: ChannelSlopes) -> NumberSlopes:
+    def slopes(at: Array, here: ChannelSlopes) -> NumberSlopes:
         terms = placed(at)
         columns = [prepared.slope_of(k, p, at[:nb], terms, here) for k, p in numbers]
         scores = np.column_stack([here.by, *columns])

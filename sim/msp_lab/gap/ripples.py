@@ -10,16 +10,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.curve_scan import CandidateCurve
 from msp_lab.gap.prepared import ChannelSlopes
 from msp_lab.gap.runs import known_values, spacing_s
+from msp_range.arrays import Array
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import Ripple
-
-_Array = NDArray[np.float64]
 
 OVER = (TRUE_RANGE, "time_in_run_s", "uptime_s")
 """Columns over which a ripple is asked: standing waves and interference over range, what turns or beats over time."""
@@ -63,7 +61,7 @@ def ripples(contexts: Mapping[str, Any], here: ChannelSlopes) -> list[CandidateC
     return sorted((each for each in found if each is not None), key=lambda each: each.log_p + each.cost_nats)
 
 
-def _ripple(name: str, at: _Array, score: _Array, shortest: float) -> CandidateCurve | None:
+def _ripple(name: str, at: Array, score: Array, shortest: float) -> CandidateCurve | None:
     known = np.isfinite(at) & (score != 0.0)
     at, score = at[known], score[known]
     if at.size < rules.RIPPLE_MIN_READINGS:
@@ -87,14 +85,14 @@ def _ripple(name: str, at: _Array, score: _Array, shortest: float) -> CandidateC
     return CandidateCurve("bias", (name,), (Ripple(period),), largest, 2, log_p, cost)
 
 
-def _spacing(at: _Array) -> float:
+def _spacing(at: Array) -> float:
     """Mean distance of the places at which there are readings; those of a cell are one."""
     known = known_values(at)
     cell = SHORTEST_CM / CELLS_PER_PERIOD
     return float(np.ptp(known)) / max(np.unique(np.rint(known / cell)).size - 1, 1) if known.size else np.inf
 
 
-def _periodogram(at: _Array, score: _Array, span: float, shortest: float) -> tuple[_Array, float]:
+def _periodogram(at: Array, score: Array, span: float, shortest: float) -> tuple[Array, float]:
     """Power at whole multiples of a step of frequency, up to that of the shortest period, and the step."""
     cell = shortest / CELLS_PER_PERIOD
     size = int(np.ceil(OVERSAMPLED * span / cell)) + 2
@@ -102,11 +100,11 @@ def _periodogram(at: _Array, score: _Array, span: float, shortest: float) -> tup
     share = at / cell - left
     cells = np.bincount(left, score * (1.0 - share), size) + np.bincount(left + 1, score * share, size)
     step = 1.0 / (size * cell)
-    power: _Array = np.abs(np.fft.rfft(cells)) ** 2
+    power: Array = np.abs(np.fft.rfft(cells)) ** 2
     return power[: int(1.0 / (shortest * step)) + 1], step
 
 
-def _over_neighbours(power: _Array) -> tuple[_Array, int]:
+def _over_neighbours(power: Array) -> tuple[Array, int]:
     """Power over that of its neighbours below or above, whichever is larger, and how many of those are independent.
 
     A slow wander has the more power the lower the frequency, so a mean over both sides would be too small.
@@ -120,7 +118,7 @@ def _over_neighbours(power: _Array) -> tuple[_Array, int]:
     return power / np.maximum(np.maximum(below, above), 1e-300), degrees
 
 
-def _level(power: _Array, apart: int) -> _Array:
+def _level(power: Array, apart: int) -> Array:
     """Mean power of independent frequencies below each, without those that another ripple raises; 0 without any."""
     reach = OVERSAMPLED * np.arange(rules.RIPPLE_NEIGHBOURS) + apart
     place = np.arange(power.size)[:, None] - reach
@@ -128,11 +126,11 @@ def _level(power: _Array, apart: int) -> _Array:
     count = np.isfinite(near).sum(axis=1)
     kept = np.ceil((1.0 - TRIMMED) * count)
     lower = np.where(np.arange(near.shape[1]) < kept[:, None], np.nan_to_num(near), 0.0)
-    level: _Array = lower.sum(axis=1) / np.maximum(kept, 1.0) / TRIMMED_MEAN
+    level: Array = lower.sum(axis=1) / np.maximum(kept, 1.0) / TRIMMED_MEAN
     return level
 
 
-def _sharpened(at: _Array, score: _Array, frequency: float, step: float) -> float:
+def _sharpened(at: Array, score: Array, frequency: float, step: float) -> float:
     """The period of the largest power within a step of a frequency."""
     near = frequency + step * np.linspace(-1.0, 1.0, 21)
     power = [abs(np.exp(-2j * np.pi * each * at) @ score) for each in near]

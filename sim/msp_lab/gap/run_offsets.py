@@ -4,7 +4,6 @@ A fit of all readings enters; the effect `run_offsets` leaves, which no single r
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import chdtrc
 
@@ -15,11 +14,10 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.splits import Splits
+from msp_range.arrays import Array, Indices
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import REFERENCE
 from msp_sim.model.model import Term
-
-_Array = NDArray[np.float64]
 
 
 def run_offset_cm(problem: Problem, fit: JointFit) -> float:
@@ -54,7 +52,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
     return sigma_cm * float(np.sqrt(share))
 
 
-def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
+def p_beyond_wander(slope: Array, unit: Indices) -> float:
     """p-value of offsets between runs next to a wander inside them, by the likelihood of the means of blocks.
 
     A wander moves the means of runs too, the more the slower it is: block means ``m_i`` of a run have
@@ -73,7 +71,7 @@ def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
     apart = np.abs(np.subtract.outer(np.arange(rules.OFFSET_BLOCKS), np.arange(rules.OFFSET_BLOCKS)))
     single, whole = float(np.var(slope)), float(np.var(mean))
 
-    def loss(numbers: _Array) -> float:
+    def loss(numbers: Array) -> float:
         own, wander, forgets = single * np.exp(numbers[0]), whole * np.exp(numbers[1]), np.exp(-np.exp(numbers[2]))
         offset = whole * np.exp(numbers[3]) if numbers.size > 3 else 0.0
         covariance = offset + wander * forgets**apart + np.eye(rules.OFFSET_BLOCKS) * (own / size)[:, None, :]
@@ -93,7 +91,7 @@ def p_beyond_wander(slope: _Array, unit: NDArray[np.intp]) -> float:
 
 
 def validated_run_offsets(
-    deviation_cm: float, fit: JointFit, readings: Prepared, unit: NDArray[np.intp], splits: Splits
+    deviation_cm: float, fit: JointFit, readings: Prepared, unit: Indices, splits: Splits
 ) -> tuple[FoundEffect, Term] | None:
     """The effect, if nearly all splits of the runs agree; a run's offset is integrated out.
 
@@ -114,11 +112,11 @@ def validated_run_offsets(
     within = 1.0 - known_cm2 / float(np.median(rows.sigma_cm**2))
     mean_cm = sums / np.maximum(information, 1e-12)
 
-    def gains_of_runs(deviation_cm: float) -> _Array:
+    def gains_of_runs(deviation_cm: float) -> Array:
         """A run's mean is off by its offset, by that of the model, and by random variation."""
         before = known_cm2 + within / np.maximum(information, 1e-12)
         after = before + deviation_cm**2
-        gain: _Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
+        gain: Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
         return gain
 
     grid = deviation_cm * np.geomspace(0.1, 10.0, 200)
@@ -151,7 +149,7 @@ def validated_run_offsets(
     return found, Term(effect, {"deviation_cm": deviation_cm})
 
 
-def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[_Array, tuple[Term, ...]]:
+def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[Array, tuple[Term, ...]]:
     """Base and effects of a fit with offsets between runs, whose variance is taken from the spread within them."""
     sigma_cm = float(np.median(prepared.rows.sigma_cm)) * float(np.exp(fit.base[1]))
     share = min((offsets.values["deviation_cm"] / sigma_cm) ** 2, rules.MAX_BETWEEN_SHARE)

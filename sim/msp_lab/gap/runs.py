@@ -9,24 +9,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_lab.readings.intake import PREVIOUS
+from msp_range.arrays import Array, Column, Flags, Indices
 from msp_sim.model.history import History
 
-_Array = NDArray[np.float64]
 NO_PARTS = frozenset({"time_s", "reading_cm", PREVIOUS})
 """Columns that do not say where one part of a run ends and another begins."""
 
 
-def numbered(runs: NDArray[Any]) -> NDArray[np.intp]:
+def numbered(runs: Column) -> Indices:
     """Runs, or other values, as numbers from 0 in their order."""
     return np.unique(runs, return_inverse=True)[1].astype(np.intp)
 
 
-def places_in(unit: NDArray[np.intp]) -> NDArray[np.intp]:
+def places_in(unit: Indices) -> Indices:
     """Place of each reading among those of its unit, from 0, (n,)."""
     counts = np.bincount(unit)
     place = np.empty(unit.size, dtype=np.intp)
@@ -34,18 +33,18 @@ def places_in(unit: NDArray[np.intp]) -> NDArray[np.intp]:
     return place
 
 
-def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, NDArray[Any]]:
+def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, Column]:
     """Some rows of all columns."""
     return {name: np.asarray(column)[rows] for name, column in columns.items()}
 
 
-def known_values(column: NDArray[Any]) -> NDArray[Any]:
+def known_values(column: Column) -> Column:
     """The numbers or words of a column that are known."""
-    known: NDArray[np.bool_] = column != "" if column.dtype.kind == "U" else np.isfinite(column)
+    known: Flags = column != "" if column.dtype.kind == "U" else np.isfinite(column)
     return np.asarray(column[known])
 
 
-def share_between(values: _Array, unit: NDArray[np.intp]) -> float:
+def share_between(values: Array, unit: Indices) -> float:
     """Share of the values' variance that lies between units; 0 where all are the same."""
     off = values - values.mean()
     whole = float((off**2).sum())
@@ -88,7 +87,7 @@ class Dependence:
         return self.p_between > rules.INDEPENDENT_P and self.lag_z < rules.INDEPENDENT_LAG_Z
 
 
-def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None = None) -> Dependence:
+def dependence(residual: Array, unit: Indices, time_s: Array | None = None) -> Dependence:
     """Measure dependence inside runs.
 
     Parameters
@@ -121,12 +120,12 @@ def dependence(residual: _Array, unit: NDArray[np.intp], time_s: _Array | None =
     return Dependence(lag, share, n / max(mean_square, 1.0), p_between, lag_z)
 
 
-def reading_before(contexts: Mapping[str, Any], n: int) -> tuple[NDArray[np.intp], _Array]:
+def reading_before(contexts: Mapping[str, Any], n: int) -> tuple[Indices, Array]:
     """Place of the reading before each of n, of the same sensor in the same run, and how long before, as `History`."""
     return History.of(contexts, n, 0.0, 1.0).before(np.ones(n, dtype=bool))
 
 
-def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:
+def previous(contexts: Mapping[str, Any], reading_cm: Array) -> Array:
     """The reading before each, of the same sensor in the same run; NaN for the first [cm]."""
     before, _ = reading_before(contexts, reading_cm.size)
     return np.where(before >= 0, reading_cm[before], np.nan)
@@ -134,11 +133,11 @@ def previous(contexts: Mapping[str, Any], reading_cm: _Array) -> _Array:
 
 def sample(
     contexts: Mapping[str, Any],
-    rows: NDArray[np.intp],
+    rows: Indices,
     most: int,
     rng: np.random.Generator,
     stretch: int = rules.STRETCH,
-) -> NDArray[np.intp]:
+) -> Indices:
     """At most so many of these rows: neighbours, from a place drawn at random in every part of every run.
 
     Every k-th reading would be no sample: what changes with a period of k is always the same in it. Stretches of

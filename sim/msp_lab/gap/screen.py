@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, score_of
@@ -18,11 +17,11 @@ from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.runs import sample, taken
+from msp_range.arrays import Array, Flags, Indices
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
 from msp_sim.model.streams import RandomStreams
 
-_Array = NDArray[np.float64]
 COPY_S = 1e7
 """Copies of the same contexts are so far apart in time [s] that the noise of one says nothing about the next."""
 BLOCK_ROWS = 100
@@ -45,18 +44,18 @@ class ScoreSums:
         Of some candidates the largest gain of a reading's probability (`profile.largest_gains`).
     """
 
-    by_unit: _Array
-    products: _Array
+    by_unit: Array
+    products: Array
     rows: int
-    profile: Callable[[NDArray[np.intp]], Gains]
+    profile: Callable[[Indices], Gains]
 
 
 def score_sums(
     readings: ReadingsAtFit,
     candidates: Sequence[CandidateEffect],
-    unit: NDArray[np.intp],
-    information: _Array,
-    prior: _Array | float = 0.0,
+    unit: Indices,
+    information: Array,
+    prior: Array | float = 0.0,
 ) -> ScoreSums:
     """Sums of scores by unit.
 
@@ -73,7 +72,7 @@ def score_sums(
         products += scores.T @ scores
     total[:, : len(BASE)] -= prior * readings.base * rows / units
 
-    def profile(asked: NDArray[np.intp]) -> Gains:
+    def profile(asked: Indices) -> Gains:
         places = np.append(np.arange(len(BASE)), len(BASE) + asked)
         some, of_some = [candidates[j] for j in asked], information[np.ix_(places, places)]
         return largest_gains(readings, some, of_some, total.sum(axis=0)[places])
@@ -82,13 +81,13 @@ def score_sums(
 
 
 def score_matrix(
-    prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
-) -> _Array:
+    prepared: Prepared, base: Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
+) -> Array:
     """Scores of base and candidates, (n, 8 + candidates)."""
     return _matrix(prepared, prepared.slopes(base, effects), candidates)
 
 
-def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> _Array:
+def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> Array:
     # By columns, as they are filled.
     matrix = np.empty((len(prepared), len(BASE) + len(candidates)), order="F")
     matrix[:, : len(BASE)] = here.by
@@ -99,7 +98,7 @@ def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[Candid
 
 def replicate(
     model: Model,
-    base: _Array,
+    base: Array,
     effects: Sequence[Term],
     contexts: Mapping[str, Any],
     rng: np.random.Generator,
@@ -123,11 +122,11 @@ def replicate(
 
 
 def information_of(
-    prepared: Prepared, base: _Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
-) -> _Array:
+    prepared: Prepared, base: Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
+) -> Array:
     """Information per reading, (8 + candidates, 8 + candidates), from simulated readings."""
     scores = score_matrix(prepared, base, effects, candidates)
-    information: _Array = scores.T @ scores / len(prepared)
+    information: Array = scores.T @ scores / len(prepared)
     return information
 
 
@@ -151,13 +150,13 @@ class Screen:
         Numbers at which a candidate gains most, of those that were asked; NaN for the others.
     """
 
-    z: _Array
-    gain: _Array
-    deviation: _Array
+    z: Array
+    gain: Array
+    deviation: Array
     largest: float
     critical: float
     p_value: float
-    best: _Array
+    best: Array
 
     @property
     def needed_nats(self) -> float:
@@ -167,10 +166,10 @@ class Screen:
 
 def screen(
     measured: ScoreSums,
-    information: _Array,
+    information: Array,
     candidates: Sequence[CandidateEffect],
     accepted: Sequence[int],
-    free: NDArray[np.bool_],
+    free: Flags,
     by_run: bool,
     alpha: float,
     rng: np.random.Generator,
@@ -249,21 +248,21 @@ def screen(
     return Screen(z, 0.5 * z**2, deviation, largest, critical, p_value, best)
 
 
-def _projection(information: _Array, nuisance: NDArray[np.intp], others: NDArray[np.intp]) -> _Array:
+def _projection(information: Array, nuisance: Indices, others: Indices) -> Array:
     """Coefficients of the others' scores on the nuisance's, (others, nuisance)."""
     inner = inverse(information[np.ix_(nuisance, nuisance)])
-    coefficients: _Array = information[np.ix_(others, nuisance)] @ inner
+    coefficients: Array = information[np.ix_(others, nuisance)] @ inner
     return coefficients
 
 
-def _flipped(by_unit: _Array, variance: _Array, rng: np.random.Generator) -> _Array:
+def _flipped(by_unit: Array, variance: Array, rng: np.random.Generator) -> Array:
     """z of sums whose runs have random signs, (draws, candidates)."""
     units = by_unit.shape[0]
     signs = rng.choice((-1.0, 1.0), (rules.SCREEN_DRAWS, units))
     sums = signs @ by_unit
     # A flip keeps the sum of squares, so the spread is that of the flipped sums about their own mean.
     squares = np.maximum((by_unit**2).sum(axis=0) - sums**2 / units, 1e-300)
-    null: _Array = sums / np.sqrt(np.maximum(squares * units / max(units - 1, 1), variance))
+    null: Array = sums / np.sqrt(np.maximum(squares * units / max(units - 1, 1), variance))
     return null
 
 

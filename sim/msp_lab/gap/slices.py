@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from msp_lab.gap import rules
@@ -21,8 +20,7 @@ from msp_lab.gap.cells import Partition
 from msp_lab.gap.findings import Slice, error_name
 from msp_lab.gap.measures import Measures, free_fits
 from msp_lab.gap.prepared import CHANNELS
-
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array
 
 SHOWN = 40
 """Slices that are listed at most; the page shows fewer."""
@@ -106,7 +104,7 @@ def _fits(measured: Measures, wanted: Set[tuple[str, ...]]) -> Mapping[tuple[str
     return {**known, **(free_fits(measured.rows, measured.readings, others) if others else {})}
 
 
-def _contributions(measured: Measures) -> tuple[_Array, _Array]:
+def _contributions(measured: Measures) -> tuple[Array, Array]:
     """The statistic of each slice and number (K, 5), and the units' shares in it (K, 5, U)."""
     scores, stack = measured.scores, measured.stack
     per_cell, about_mean, there = unit_sums(scores[stack.readings], measured.readings.unit, stack)
@@ -128,7 +126,7 @@ def _contributions(measured: Measures) -> tuple[_Array, _Array]:
     return per_cell.sum(axis=1) / deviation, np.moveaxis(shares, 1, 2)
 
 
-def _step_down(statistic: _Array, shares: _Array, rng: np.random.Generator) -> _Array:
+def _step_down(statistic: Array, shares: Array, rng: np.random.Generator) -> Array:
     """Corrected p-values, (m,)."""
     order = np.argsort(-statistic, kind="stable")
     shares = shares[order]

@@ -10,12 +10,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.gap import rules
+from msp_range.arrays import Array, Flags, Indices, Texts
 from msp_sim.effects.base import WORD_COLUMNS
 
-_Array = NDArray[np.float64]
 NO_STRATA = frozenset({"time_s", "reading_cm", "previous_reading_cm", "run"})
 """Columns by which runs are not compared."""
 
@@ -40,33 +39,33 @@ class Splits:
         Blocks of readings stand in for runs.
     """
 
-    runs: NDArray[np.str_]
-    names: NDArray[np.str_]
-    part: NDArray[np.intp]
-    measured: NDArray[np.bool_]
+    runs: Texts
+    names: Texts
+    part: Indices
+    measured: Flags
     messages: tuple[str, ...] = ()
     of_blocks: bool = False
 
     def __len__(self) -> int:
         return int(self.part.shape[0])
 
-    def take(self, rows: NDArray[np.bool_]) -> "Splits":
+    def take(self, rows: Flags) -> "Splits":
         """The splits of some of the readings."""
         return replace(self, runs=self.runs[rows])
 
     @cached_property
-    def unit(self) -> NDArray[np.intp]:
+    def unit(self) -> Indices:
         """Number of each reading's run, (n,)."""
         return np.searchsorted(self.names, self.runs).astype(np.intp)
 
     @cached_property
-    def held_out(self) -> NDArray[np.bool_]:
+    def held_out(self) -> Flags:
         """Readings on which the gap is measured, (n,)."""
-        mask: NDArray[np.bool_] = self.measured[self.unit]
+        mask: Flags = self.measured[self.unit]
         return mask
 
     @property
-    def training(self) -> NDArray[np.bool_]:
+    def training(self) -> Flags:
         """The other readings, (n,): what is left of the gap is measured with a fit of them alone."""
         return ~self.held_out
 
@@ -122,14 +121,14 @@ def _dearer(runs: int) -> float:
     return float(stdtrit(max(runs - 2, 1), rules.DEPENDENT_P) / ndtri(rules.DEPENDENT_P))
 
 
-def _blocks(contexts: Mapping[str, Any], unit: NDArray[np.intp], names: NDArray[np.str_], n: int) -> NDArray[np.str_]:
+def _blocks(contexts: Mapping[str, Any], unit: Indices, names: Texts, n: int) -> Texts:
     order = np.lexsort((np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n), unit))
     block = np.empty(n, dtype=np.int64)
     block[order] = np.arange(n) * min(rules.SPLIT_BLOCKS, max(n // 2, 1)) // max(n, 1)
     return np.array([f"{names[u] or 'all'}#{b:02d}" for u, b in zip(unit.tolist(), block.tolist(), strict=True)])
 
 
-def _means_of_runs(contexts: Mapping[str, Any], unit: NDArray[np.intp], runs: int) -> _Array:
+def _means_of_runs(contexts: Mapping[str, Any], unit: Indices, runs: int) -> Array:
     """Mean of each column in each run in standard deviations of its readings, and the logarithm of their number.
 
     What varies inside runs has nearly the same mean in each, so that what differs between runs decides who is alike.
@@ -152,7 +151,7 @@ def _means_of_runs(contexts: Mapping[str, Any], unit: NDArray[np.intp], runs: in
     return np.stack(columns, axis=1)
 
 
-def _alike(means: _Array, most: int) -> list[NDArray[np.intp]]:
+def _alike(means: Array, most: int) -> list[Indices]:
     """Groups of so many runs that are alike, and one of those that are left; the most unusual run chooses first."""
     left = np.argsort(-((means - means.mean(axis=0)) ** 2).sum(axis=1), kind="stable")
     groups = []
@@ -166,8 +165,8 @@ def _alike(means: _Array, most: int) -> list[NDArray[np.intp]]:
 
 
 def _different(
-    groups: list[NDArray[np.intp]], runs: int, rng: np.random.Generator, most: int = rules.SPLITS
-) -> Iterator[NDArray[np.intp]]:
+    groups: list[Indices], runs: int, rng: np.random.Generator, most: int = rules.SPLITS
+) -> Iterator[Indices]:
     """The part of each run, for up to so many different splits that put the runs of a group into different parts."""
     parts, seen = groups[0].size, set()
     # Few runs allow few splits, each of which is drawn in so many turns all but certainly.

@@ -6,10 +6,9 @@ leaves. Each part of a split is left out once, so that each reading is scored by
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from msp_lab.gap import rules
@@ -18,8 +17,7 @@ from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated, su
 from msp_lab.gap.problem import Problem, State, without
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.splits import Splits
-
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array, Column, Flags, Indices
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class Gain:
         return self.nats_per_reading / self.se if self.se > 0.0 else 0.0
 
 
-def gain(after: _Array, before: _Array, unit: NDArray[np.intp]) -> Gain:
+def gain(after: Array, before: Array, unit: Indices) -> Gain:
     """Gain of one log score over another, with errors of whole runs.
 
     Parameters
@@ -72,7 +70,7 @@ def gain(after: _Array, before: _Array, unit: NDArray[np.intp]) -> Gain:
     return gain_of_runs(np.bincount(unit, after - before), np.bincount(unit))
 
 
-def gain_of_runs(sums: NDArray[Any], counts: NDArray[Any]) -> Gain:
+def gain_of_runs(sums: Column, counts: Column) -> Gain:
     """Gain from its sum over each run, (runs,), and each run's number of readings."""
     sums, counts = sums[counts > 0], counts[counts > 0]
     runs, n = int(sums.size), float(counts.sum())
@@ -117,7 +115,7 @@ class Validated:
 class _Agreement:
     """What the splits say of one term: in which of them it holds, and its gain there."""
 
-    holds: NDArray[np.bool_]
+    holds: Flags
     gain: Gain
     reported: Gain
     recalibrated_nats: float
@@ -164,7 +162,7 @@ class _Crossed:
         return cls(parts, SumsByRun(state.fit, parts.problem.unit, parts.splits.names.size))
 
     @cached_property
-    def steps(self) -> dict[tuple[int, int], _Array]:
+    def steps(self) -> dict[tuple[int, int], Array]:
         """From the fit of all runs to that without a part."""
         return {way: self.sums.step(~self.parts.runs(*way)) for way in self.parts.ways}
 
@@ -259,11 +257,11 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
 class _Excess:
     """By how much single readings of each run gain or lose more than `ROW_NATS`, worked out once for the same fits."""
 
-    unit: NDArray[np.intp]
+    unit: Indices
     runs: int
-    kept: dict[tuple[int, int], _Array] = field(default_factory=dict)
+    kept: dict[tuple[int, int], Array] = field(default_factory=dict)
 
-    def __call__(self, after: _Array, before: _Array) -> _Array:
+    def __call__(self, after: Array, before: Array) -> Array:
         key = id(after), id(before)
         if key not in self.kept:
             difference = after - before

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_lab.logs.log import Array
+from msp_range.arrays import Array
 
 LARGEST_LAG_S = 1.5
 """Lags up to this are tried, both ways [s]: filters and autopilots delay by 0.02 to 0.5 s. A larger one costs time."""

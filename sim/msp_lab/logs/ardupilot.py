@@ -8,10 +8,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.logs.dataflash import PLACE, Messages, Progress, read_messages
 from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3, is_estimate
@@ -32,6 +30,7 @@ from msp_lab.logs.log import (
     tilt_deg,
 )
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
+from msp_range.arrays import Column
 from msp_range.mavlink.orientation import DOWN
 
 _WEEK_S = 604_800.0
@@ -136,9 +135,9 @@ def _rangers(found: Messages, parameters: Mapping[str, float]) -> list[Ranger]:
 
 def _ranger(
     number: int,
-    time_s: NDArray[Any],
-    range_m: NDArray[Any],
-    status: NDArray[Any] | None,
+    time_s: Column,
+    range_m: Column,
+    status: Column | None,
     facing: int,
     parameters: Mapping[str, float],
 ) -> Ranger:
@@ -233,7 +232,7 @@ def _first(found: Messages, message: str, field: str, wanted: float = 0.0) -> Se
     return series(f"{name}.{field}", time_s, values)
 
 
-def _instance(fields: Mapping[str, NDArray[Any]], otherwise: NDArray[Any]) -> NDArray[Any]:
+def _instance(fields: Mapping[str, Column], otherwise: Column) -> Column:
     """Which of several sensors or cores each message is of."""
     return next((fields[name] for name in ("Instance", "I", "C", "IMU") if name in fields), otherwise)
 
@@ -244,11 +243,11 @@ def _up(found: Messages, message: str, field: str) -> Series | None:
     return None if down is None else negative(down)
 
 
-def _has_time(fields: Mapping[str, NDArray[Any]]) -> bool:
+def _has_time(fields: Mapping[str, Column]) -> bool:
     return "TimeUS" in fields or "TimeMS" in fields
 
 
-def _time_s(fields: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+def _time_s(fields: Mapping[str, Column]) -> Column:
     return fields["TimeUS"] / 1e6 if "TimeUS" in fields else fields["TimeMS"] / 1e3
 
 

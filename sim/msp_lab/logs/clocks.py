@@ -7,7 +7,8 @@ step, with its interval, is `msp_lab.logs.alignment`.
 
 import numpy as np
 
-from msp_lab.logs.log import Array, Series
+from msp_lab.logs.log import Series
+from msp_range.arrays import Array
 from msp_range.recording.error import RecordingError
 
 STEP_S = 0.1

@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink import dfindexer
 from pymavlink.DFReader import FORMAT_TO_STRUCT, DFFormat
 
+from msp_range.arrays import Column
 from msp_range.input_file import open_input
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
 
 Progress = Callable[[float], None]
-Messages = Mapping[str, Mapping[str, NDArray[Any]]]
+Messages = Mapping[str, Mapping[str, Column]]
 """Message -> field -> values, numbers as float64 in the unit of the log's format, texts as bytes."""
 
 MAGIC = b"\xa3\x95"
@@ -74,7 +74,7 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
     """
     if not dfindexer.available:
         raise RecordingError(f"{path}: this pymavlink has no indexer for dataflash logs; install one from a wheel")
-    found: dict[str, dict[str, list[NDArray[Any]]]] = {}
+    found: dict[str, dict[str, list[Column]]] = {}
     formats = b""
     bad = 0
     try:
@@ -158,7 +158,7 @@ def _layout(form: Any) -> np.dtype[Any]:
 
 
 def _add_values(
-    found: dict[str, dict[str, list[NDArray[Any]]]],
+    found: dict[str, dict[str, list[Column]]],
     piece: bytes,
     places: Sequence[int],
     form: Any,

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
@@ -21,6 +20,7 @@ from msp_lab.readings.intake import sha256
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_lab.readings.runs import file_names
 from msp_lab.readings.vehicle import others_as_reference
+from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
@@ -435,13 +435,13 @@ def _found(each: Joined) -> FoundRanger:
     )
 
 
-def _span(values: NDArray[np.float64]) -> float | None:
+def _span(values: Array) -> float | None:
     """Between the 2.5 and 97.5 % points of what is known; None: nothing is."""
     known = values[np.isfinite(values)]
     return float(np.ptp(np.quantile(known, (0.025, 0.975)))) if known.size else None
 
 
-def _repeated(reading_cm: NDArray[np.float64]) -> float:
+def _repeated(reading_cm: Array) -> float:
     """Share of readings that are the one before them, where the range changes by a centimetre from one to the next."""
     around = REPEATS_ROWS // 2
     change_cm = np.abs(reading_cm[REPEATS_ROWS:] - reading_cm[:-REPEATS_ROWS])

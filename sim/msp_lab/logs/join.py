@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.logs.alignment import LEAST_READINGS, Alignment, align, reference_std_cm
-from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Array, Ranger, TruthSource, VehicleLog
+from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Ranger, TruthSource, VehicleLog
 from msp_lab.logs.truth import second
 from msp_lab.readings.no_echo import NO_ECHO
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.arrays import Array, Column, Flags
+from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
 
 RATE_STEP_S = 0.1
@@ -213,7 +213,7 @@ def _true(
     alignment: Alignment | None,
     error: TruthAccuracy | None,
     is_shifted: bool,
-    has_ground: NDArray[np.bool_],
+    has_ground: Flags,
 ) -> Mapping[str, Column]:
     """Columns of the true range at these times; empty where the beam does not meet the ground."""
     true_cm = np.where(has_ground, _expected_cm(log, reference, at_s), np.nan)

@@ -8,15 +8,12 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
-from msp_range.recording.csv_form import Column
-
-Array: TypeAlias = NDArray[np.float64]
+from msp_range.arrays import Array, Column, Flags
 
 LONGEST_GAP_S = 1.0
 """Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
@@ -343,7 +340,7 @@ def readings_cm(range_m: Array, maximum_m: float = np.inf) -> Array:
     return np.minimum(rounded_cm(range_m), rounded_cm(maximum_m))
 
 
-def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is_too_near: NDArray[np.bool_]) -> Ranger:
+def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is_too_near: Flags) -> Ranger:
     """A range finder whose log states its limits.
 
     Parameters

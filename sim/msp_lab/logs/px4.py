@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 from pyulog import ULog
 from pyulog.core import ULogException
 
@@ -27,7 +26,6 @@ from msp_lab.logs.log import (
     RTK_FIXED,
     THROTTLE,
     TILT,
-    Array,
     Ranger,
     Series,
     TruthSource,
@@ -40,6 +38,7 @@ from msp_lab.logs.log import (
     tilt_of_quaternion_deg,
 )
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
+from msp_range.arrays import Array, Column
 from msp_range.input_file import open_input
 from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
@@ -75,7 +74,7 @@ MOST_READ = 20
 """A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
 end. A damaged file is searched a few times over."""
 _EVERY_BYTES = 2**20
-_Topics = Mapping[str, Mapping[str, NDArray[Any]]]
+_Topics = Mapping[str, Mapping[str, Column]]
 
 
 def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
@@ -99,7 +98,7 @@ def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "
 def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
     """What was read, as a `VehicleLog`; raises KeyError where a topic lacks a field that every version has."""
     topic, _, field = named_field.partition(".")
-    found: dict[str, dict[str, NDArray[Any]]] = {}
+    found: dict[str, dict[str, Column]] = {}
     for each in log.data_list:
         found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = dict(each.data)
     clock = _make_continuous(found, [_places(log, each) for each in log.data_list])
@@ -132,7 +131,7 @@ def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
     )
 
 
-def _make_continuous(found: dict[str, dict[str, NDArray[Any]]], places: list[NDArray[Any]]) -> tuple[ClockRun, ...]:
+def _make_continuous(found: dict[str, dict[str, Column]], places: list[Column]) -> tuple[ClockRun, ...]:
     """Put the times of all topics on a clock that never steps; the runs between the steps.
 
     The times of the satellites, which are next to the log's own, are the other clock.
@@ -149,7 +148,7 @@ def _make_continuous(found: dict[str, dict[str, NDArray[Any]]], places: list[NDA
     return runs
 
 
-def _places(log: "_InOrder", topic: Any) -> NDArray[Any]:
+def _places(log: "_InOrder", topic: Any) -> Column:
     """Where in the log a topic's messages are; a topic that is added again has lost those before."""
     return np.array(log.places[topic.msg_id])[-topic.data["timestamp"].size :]
 
@@ -308,7 +307,7 @@ def _field(found: _Topics, topic: str, field: str, factor: float = 1.0) -> Serie
     return series(f"{topic}.{field}", _time_s(data), factor * data[field].astype(float))
 
 
-def _time_s(data: Mapping[str, NDArray[Any]]) -> Array:
+def _time_s(data: Mapping[str, Column]) -> Array:
     """When it was measured, where the topic has that next to when it was published."""
     sampled = data.get("timestamp_sample")
     stamps = sampled if sampled is not None and (sampled > 0).all() else data["timestamp"]

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from msp_lab.logs.log import TILT, Array, Ranger, Series, VehicleLog, series, tilt_deg
+from msp_lab.logs.log import TILT, Ranger, Series, VehicleLog, series, tilt_deg
 from msp_lab.readings.clock_runs import with_clock_runs
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.column_map import read_table as read_rows
 from msp_lab.readings.no_echo import without_negative
+from msp_range.arrays import Array
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data

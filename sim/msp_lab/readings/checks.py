@@ -6,9 +6,10 @@ range, hardly any readings, another unit, readings that do not follow the range.
 
 import numpy as np
 
+from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.context_limits import span
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 
 MIN_READINGS = 30

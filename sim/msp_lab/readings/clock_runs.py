@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Flags, Indices
 from msp_range.recording.csv_form import MeasuredData
 
 LEAST_BACK_S = 0.1
@@ -46,8 +47,8 @@ class Stamps:
     """
 
     place: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    other_s: NDArray[np.float64]
+    time_s: Array
+    other_s: Array
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class ClockRun:
         return f"The log's clock goes forward by {self.step_s:.3g} s where another clock does not: a new run begins."
 
 
-def continuous(senders: Iterable[Stamps]) -> tuple[list[NDArray[np.float64]], tuple[ClockRun, ...]]:
+def continuous(senders: Iterable[Stamps]) -> tuple[list[Array], tuple[ClockRun, ...]]:
     """Times on a clock that never steps, sender by sender, and the runs between the steps; no runs without a step.
 
     Examples
@@ -148,11 +149,11 @@ def with_clock_runs(path: Path, table: MeasuredData, run_column: str = "run") ->
     return (MeasuredData({**table.columns, run_column: found.astype(str)}) if notes else table), notes
 
 
-def _stamps(table: MeasuredData, senders: list[NDArray[np.intp]], time_s: NDArray[np.float64]) -> list[Stamps]:
+def _stamps(table: MeasuredData, senders: list[Indices], time_s: Array) -> list[Stamps]:
     return [Stamps(rows, time_s[rows], table.column("uptime_s")[rows]) for rows in senders]
 
 
-def _is_repeated(table: MeasuredData) -> NDArray[np.bool_]:
+def _is_repeated(table: MeasuredData) -> Flags:
     """Rows that are equal to an earlier one in all columns."""
     codes = np.stack([np.unique(column, return_inverse=True)[1] for column in table.columns.values()], axis=1)
     repeated = np.ones(len(table), dtype=bool)

@@ -14,9 +14,10 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
+from msp_range.arrays import Column
 from msp_range.extras import require
 from msp_range.input_file import making, read_text
-from msp_range.recording.csv_form import Column, MeasuredData, join_tables
+from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 
 ORIGIN = "dataset.json"

@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
-
-from numpy.typing import NDArray
+from typing import Literal, TypeAlias
 
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.intake import load_readings
+from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import load_sensor_model
 
 Files: TypeAlias = Path | str | Sequence[Path | str]
@@ -22,7 +21,7 @@ def read_readings(
     *,
     columns: Columns | None = None,
     truth: Literal["recorded", "others"] = "recorded",
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, Column]:
     """Read and check readings.
 
     Parameters

@@ -10,10 +10,9 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.clock_runs import with_clock_runs
@@ -23,9 +22,10 @@ from msp_lab.readings.no_echo import NO_ECHO, in_code_of, without_negative
 from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
+from msp_range.arrays import Column, Flags, Indices
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.context_limits import check_contexts
-from msp_range.recording.csv_form import Column, MeasuredData, join_tables
+from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
@@ -339,14 +339,14 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
     return messages
 
 
-def time_order(columns: Mapping[str, Column]) -> NDArray[np.intp]:
+def time_order(columns: Mapping[str, Column]) -> Indices:
     """Return row numbers by run, sensor and time; rows of one time stay in the order of the file."""
     run, sensor = (np.unique(columns[name], return_inverse=True)[1] for name in ("run", "sensor"))
-    order: NDArray[np.intp] = np.lexsort((columns["time_s"], sensor, run))
+    order: Indices = np.lexsort((columns["time_s"], sensor, run))
     return order
 
 
-def _repeats(columns: Mapping[str, Column], order: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _repeats(columns: Mapping[str, Column], order: Indices) -> tuple[Flags, Flags]:
     """Of sorted rows: those with the time of the one before, and the first of each run and sensor."""
     is_first = np.ones(order.size, dtype=bool)
     is_first[1:] = _changes(columns["sensor"][order]) | _changes(columns["run"][order])
@@ -356,6 +356,6 @@ def _repeats(columns: Mapping[str, Column], order: NDArray[np.intp]) -> tuple[ND
     return same_time, is_first
 
 
-def _changes(words: NDArray[Any]) -> NDArray[np.bool_]:
-    changed: NDArray[np.bool_] = words[1:] != words[:-1]
+def _changes(words: Column) -> Flags:
+    changed: Flags = words[1:] != words[:-1]
     return changed

@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 
+from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import TRUE_RANGE
 
 NO_ECHO = "no_echo_cm"

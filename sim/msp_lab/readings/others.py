@@ -11,17 +11,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.readings.smoother import CLIMB, EAST, GATE, HEIGHT, NORTH, STATES, Smoothed, smooth
+from msp_range.arrays import Array, Column, Flags, Indices
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.geometry import Matrix
-from msp_range.recording.csv_form import Column, MeasuredData
+from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
 from msp_sim.effects.base import OTHERS, REFERENCE, REFERENCE_STD, TRUE_RANGE
 from msp_sim.model.model import Model
-
-_Array = NDArray[np.float64]
 
 FROM_TRUTH = frozenset({"neighbour_range_cm", "target", "target_size_cm", REFERENCE})
 """Columns that only a simulator or a real reference knows; they are left out."""
@@ -85,7 +83,7 @@ class Mounting:
     """
 
     sensors: Mapping[str, DownwardSensor]
-    rotations: Callable[[_Array], Sequence[Matrix | None]]
+    rotations: Callable[[Array], Sequence[Matrix | None]]
 
 
 def side_by_side(names: Collection[str]) -> Mounting:
@@ -137,7 +135,7 @@ def with_others_as_reference(
 
 def _reference(
     columns: Mapping[str, Column], names: Sequence[str], model: Model, mounting: Mounting, trusted: Sequence[bool]
-) -> tuple[dict[str, Column], _Array]:
+) -> tuple[dict[str, Column], Array]:
     """Columns of the reference of each row, in the order of time, and the offset of each sensor [cm]."""
     time_s, reading_cm = (np.asarray(columns[name], dtype=np.float64) for name in ("time_s", "reading_cm"))
     sensor = np.searchsorted(np.array(names), columns["sensor"])
@@ -197,9 +195,7 @@ def _reference(
     return found, offsets_cm
 
 
-def _offsets(
-    off_cm: _Array, expected_cm2: _Array, sensor: NDArray[np.intp], rows: NDArray[np.bool_], sensors: int
-) -> _Array:
+def _offsets(off_cm: Array, expected_cm2: Array, sensor: Indices, rows: Flags, sensors: int) -> Array:
     """By how much more than the others each sensor reads on average [cm], without outliers about its own median.
 
     About the others, a sensor that is off by more than the gate would have no offset, or one of its nearest readings.
@@ -213,7 +209,7 @@ def _offsets(
     return offsets_cm
 
 
-def _around(reading_cm: _Array, rows: NDArray[np.bool_]) -> _Array:
+def _around(reading_cm: Array, rows: Flags) -> Array:
     """The median of seven of these readings around each one [cm], (n,); 0 where there are none."""
     at = np.flatnonzero(rows)
     if not at.size:
@@ -223,7 +219,7 @@ def _around(reading_cm: _Array, rows: NDArray[np.bool_]) -> _Array:
     return np.asarray(np.median(reading_cm[at[seven]], axis=1))
 
 
-def _grounded(time_s: _Array, around_cm: _Array, least_cm: float) -> NDArray[np.bool_]:
+def _grounded(time_s: Array, around_cm: Array, least_cm: float) -> Flags:
     """Where a vehicle is nearer to the ground than `least_cm`, or stands there for `STANDING_S` or longer, (n,)."""
     near = around_cm <= least_cm
     lowest = (around_cm < around_cm.min(initial=np.inf) + STANDING_CM) & (around_cm < LEGS_CM)
@@ -231,16 +227,16 @@ def _grounded(time_s: _Array, around_cm: _Array, least_cm: float) -> NDArray[np.
         return near
     stretch = np.cumsum(np.diff(lowest, prepend=False) != 0)
     first, last = (np.searchsorted(stretch, stretch, side) for side in ("left", "right"))
-    stands: NDArray[np.bool_] = near | (lowest & (time_s[last - 1] - time_s[first] >= STANDING_S))
+    stands: Flags = near | (lowest & (time_s[last - 1] - time_s[first] >= STANDING_S))
     return stands
 
 
-def _view(mounted: DownwardSensor, rotation: Matrix, state: _Array) -> View:
+def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
     found = mounted.view(rotation, float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
     return View(np.nan, 0.0, 0.0, 0.0, 0.0) if found is None else found
 
 
-def _linear(views: Sequence[View], state: _Array) -> tuple[_Array, _Array]:
+def _linear(views: Sequence[View], state: Array) -> tuple[Array, Array]:
     """Derivatives of the readings by the state (n, 5), and what readings have beyond their product with it [m]."""
     geometry = np.zeros((len(views), STATES))
     geometry[:, HEIGHT] = [each.by_height for each in views]
@@ -250,7 +246,7 @@ def _linear(views: Sequence[View], state: _Array) -> tuple[_Array, _Array]:
     return geometry, expected_m - np.einsum("ni,ni->n", geometry, state)
 
 
-def _smoothed(time_s: _Array, reading_m: _Array, geometry: _Array, sets: _Array) -> Smoothed:
+def _smoothed(time_s: Array, reading_m: Array, geometry: Array, sets: Array) -> Smoothed:
     """Smoothing with the powers of jerk and slope that the readings themselves make most likely."""
     whole = sets[-1:]
     tried = np.repeat(whole, len(JERKS), axis=0)
@@ -271,9 +267,7 @@ def _smoothed(time_s: _Array, reading_m: _Array, geometry: _Array, sets: _Array)
     return smooth(time_s, reading_m, geometry, sets, powers, np.full(sets.shape[0], slope))
 
 
-def _excess(
-    off_cm: _Array, expected_cm2: _Array, sensor: NDArray[np.intp], rows: NDArray[np.bool_], sensors: int
-) -> _Array:
+def _excess(off_cm: Array, expected_cm2: Array, sensor: Indices, rows: Flags, sensors: int) -> Array:
     """By how much the others scatter more about each other than their model says [cm^2], for each sensor.
 
     The ground differs below the sensors. It is negative where the model's spread is too large. Medians, since outliers
@@ -290,7 +284,7 @@ def _excess(
     return np.array([np.nanmedian(each) if np.isfinite(each).any() else 0.0 for each in others])
 
 
-def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: _Array) -> float:
+def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: Array) -> float:
     """Angle between a sensor's axis and the ground's normal [deg]."""
     normal = np.array([state[NORTH], state[EAST], 1.0])
     cosine = normal @ np.array(rotation) @ np.array(mounted.boresight) / np.linalg.norm(normal)

@@ -1,13 +1,11 @@
 """The resolution of readings: the step in which a file's readings come, and the one in which they are compared."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Indices
 from msp_range.reading_model.kernel import on_grid
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model
-
-_Array = NDArray[np.float64]
 
 STEPS_CM = (10.0, 5.0, 2.54, 2.0, 1.0, 0.5, 0.254, 0.2, 0.1, 0.05, 0.01)
 """Steps that are looked for, the largest first: usual resolutions of range finders and of files. The step decides how
@@ -18,7 +16,7 @@ TOLERANCE = 0.005
 millimetre; of readings without a step 1 % are within this, so that 30 of them never are."""
 
 
-def step_of(reading_cm: NDArray[np.float64], share: float = 1.0) -> float:
+def step_of(reading_cm: Array, share: float = 1.0) -> float:
     """Return the largest usual step of which this share of the readings are whole multiples [cm]; 0: there is none.
 
     Examples
@@ -67,7 +65,7 @@ theirs. With fewer, some steps hold twice as many readings as others, and readin
 says, which makes the name `stale`; more hides small effects."""
 
 
-def to_step(reading_cm: _Array, step_cm: float) -> _Array:
+def to_step(reading_cm: Array, step_cm: float) -> Array:
     """Return readings as whole multiples of a step, same shape; halves go up.
 
     Halves to the next even number, as `numpy.rint` has them, put a tenth of readings in millimetres on a grid of 2 cm.
@@ -109,7 +107,7 @@ def measured_step(data: MeasuredData, model: Model) -> float:
     return coarse_cm if np.unique(reading_cm[usual & between]).size >= LEAST_VALUES else step_cm
 
 
-def compared_step(reading_cm: _Array, run: NDArray[np.intp], model_step_cm: float) -> float:
+def compared_step(reading_cm: Array, run: Indices, model_step_cm: float) -> float:
     """Return the step in which a file's readings are compared with a model [cm].
 
     The smallest one that leaves out nothing in which they come: in no run are values farther apart. Readings that are
@@ -154,18 +152,18 @@ def compared_step(reading_cm: _Array, run: NDArray[np.intp], model_step_cm: floa
     return steps[-1]
 
 
-def _has_neighbours(gap: _Array, weight: _Array, step_cm: float) -> bool:
+def _has_neighbours(gap: Array, weight: Array, step_cm: float) -> bool:
     """Whether values are one step apart about as often as any other number of steps."""
     steps = np.rint(gap / step_cm).astype(np.intp)
     times = np.bincount(np.minimum(steps, MAX_GAP), weight, MAX_GAP + 1)
     return bool(times[1] > 0.0 and times[1] >= NEIGHBOURS_SHARE * times[2:MAX_GAP].max())
 
 
-def _own_step(reading_cm: _Array, steps: list[float]) -> float:
+def _own_step(reading_cm: Array, steps: list[float]) -> float:
     """The largest of the steps of which these readings are multiples; 0: none."""
     return max((step_cm for step_cm in steps if _share_on(reading_cm, step_cm) >= ON_STEP_SHARE), default=0.0)
 
 
-def _share_on(reading_cm: _Array, step_cm: float) -> float:
+def _share_on(reading_cm: Array, step_cm: float) -> float:
     steps = reading_cm / step_cm
     return float((np.abs(steps - np.rint(steps)) < TOLERANCE).mean()) if steps.size else 1.0

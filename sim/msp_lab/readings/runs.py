@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Texts
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
 
@@ -33,7 +33,7 @@ def file_names(paths: Sequence[Path]) -> list[str]:
 
 def runs_of(
     tables: Sequence[MeasuredData], paths: Sequence[Path], run_column: str | None = None
-) -> tuple[list[NDArray[np.str_]], list[str]]:
+) -> tuple[list[Texts], list[str]]:
     """Return the run of each row, table by table, and messages about runs that were renamed.
 
     Rows without a run, and those whose run has the file's own name, are a run with the name from `file_names`. A name
@@ -69,7 +69,7 @@ def runs_of(
     return runs, messages
 
 
-def _own_runs(table: MeasuredData, path: Path, name: str) -> NDArray[np.str_]:
+def _own_runs(table: MeasuredData, path: Path, name: str) -> Texts:
     if "run" not in table:
         return np.full(len(table), name)
     # A recording calls its run by its file's name.
@@ -77,7 +77,7 @@ def _own_runs(table: MeasuredData, path: Path, name: str) -> NDArray[np.str_]:
     return np.where(of_file, name, table["run"])
 
 
-def _words_of(table: MeasuredData, path: Path, run_column: str) -> NDArray[np.str_]:
+def _words_of(table: MeasuredData, path: Path, run_column: str) -> Texts:
     if run_column not in table:
         raise ConfigError(f"--run-column {run_column}: {path} has the columns {', '.join(table.columns)}")
     column = table[run_column]

@@ -8,9 +8,8 @@ say without it (Rauch, Tung and Striebel 1965).
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-_Array = NDArray[np.float64]
+from msp_range.arrays import Array
 
 STATES = 5
 HEIGHT, CLIMB, ACCELERATION, NORTH, EAST = range(STATES)
@@ -40,23 +39,23 @@ class Smoothed:
         Of each reading given those before it, (B, n); 0 where it is left out.
     """
 
-    mean: _Array
-    covariance: _Array
-    log_likelihood: _Array
+    mean: Array
+    covariance: Array
+    log_likelihood: Array
 
-    def predicted(self, geometry: _Array) -> tuple[_Array, _Array]:
+    def predicted(self, geometry: Array) -> tuple[Array, Array]:
         """What a reading of this geometry should be, and its variance, each (B, n)."""
         expected = np.einsum("bni,ni->bn", self.mean, geometry)
         return expected, np.einsum("ni,bnij,nj->bn", geometry, self.covariance, geometry)
 
 
 def smooth(
-    time_s: _Array,
-    reading_m: _Array,
-    geometry: _Array,
-    variance_m2: _Array,
-    jerk: _Array,
-    slope_per_s: _Array,
+    time_s: Array,
+    reading_m: Array,
+    geometry: Array,
+    variance_m2: Array,
+    jerk: Array,
+    slope_per_s: Array,
     backward: bool = True,
 ) -> Smoothed:
     """Filter forwards, and back.
@@ -116,7 +115,7 @@ def smooth(
     return Smoothed(mean, covariance, log_likelihood)
 
 
-def _steps(time_s: _Array) -> tuple[_Array, _Array]:
+def _steps(time_s: Array) -> tuple[Array, Array]:
     """How the state moves from one time to the next, and what a unit of white jerk adds to its covariance."""
     t = np.minimum(np.diff(time_s, prepend=time_s[0]), MAX_STEP_S)
     moves = np.broadcast_to(np.eye(5), (t.size, 5, 5)).copy()

@@ -8,11 +8,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Indices
 from msp_range.recording.csv_form import MeasuredData
-
-_Array = NDArray[np.float64]
 
 MIN_ROWS = 20
 """Order and rate are looked at in runs of at least so many rows. Noise repeats no sign 20 times. Fewer: short runs are
@@ -54,7 +52,7 @@ def suspicious(data: MeasuredData) -> list[str]:
     return found
 
 
-def _series(data: MeasuredData) -> Iterator[NDArray[np.intp]]:
+def _series(data: MeasuredData) -> Iterator[Indices]:
     """Rows with a true range of each sensor in each run, in the order of the file."""
     known = np.isfinite(data["true_range_cm"]) & np.isfinite(data["time_s"])
     keys = [np.unique(data[name], return_inverse=True)[1] for name in ("run", "sensor") if name in data]
@@ -81,7 +79,7 @@ def _shuffled(data: MeasuredData) -> list[str]:
     return []
 
 
-def _rates(data: MeasuredData) -> tuple[NDArray[np.intp], _Array]:
+def _rates(data: MeasuredData) -> tuple[Indices, Array]:
     """Rows with others shortly before and after them, and the slope of the true range there [cm/s]."""
     places, slopes = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
     for rows in _series(data):
@@ -105,7 +103,7 @@ def _backwards(data: MeasuredData) -> list[str]:
     return []
 
 
-def _correlation(one: _Array, other: _Array) -> float:
+def _correlation(one: Array, other: Array) -> float:
     varies = np.std(one) > 0.0 and np.std(other) > 0.0
     return float(np.corrcoef(one, other)[0, 1]) if varies else 0.0
 

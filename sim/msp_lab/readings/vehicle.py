@@ -8,9 +8,9 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.readings.others import Mounting, Referenced, side_by_side, with_others_as_reference
+from msp_range.arrays import Array
 from msp_range.config import load_airframe_from
 from msp_range.fusion.attitude import RecordedAttitude
 from msp_range.fusion.mounting import DownwardSensor
@@ -40,7 +40,7 @@ def mounting_of(recording: Recording) -> Mounting | None:
     now_s = 0.0
     attitude = RecordedAttitude(recorded_attitudes(recording), lambda: now_s)
 
-    def rotations(time_s: NDArray[np.float64]) -> Sequence[Matrix | None]:
+    def rotations(time_s: Array) -> Sequence[Matrix | None]:
         nonlocal now_s
         found = []
         for each in time_s.tolist():

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_range.acoustics.air import speed_of_sound
+from msp_range.arrays import Indices
 from msp_range.reading_model.sensor_model import Medium, SensorModel
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component
@@ -96,7 +96,7 @@ class Scene:
         self.sensor = sensor
         self._contexts = contexts
         self._known: dict[str, Any] = {}
-        self._run: NDArray[np.intp] | None = None
+        self._run: Indices | None = None
         self.kept: dict[Any, Any] = {}
         """Cache for what an effect computes once for all values of its parameters."""
 

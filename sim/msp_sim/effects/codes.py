@@ -10,12 +10,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Indices
 from msp_range.reading_model.kernel import on_grid
 
-_Array = NDArray[np.float64]
-Origins = list[tuple[_Array, _Array]]
+Origins = list[tuple[Array, Array]]
 """Ranges of sent codes, the first and the last of each, for each received code."""
 PHASES = 10
 """So many places in a step, the multiples among them, are compared. More: slower, and the largest of more gains by
@@ -36,10 +35,10 @@ class CodeFault(Protocol):
     @property
     def order(self) -> int: ...
 
-    def arrives(self, code: _Array) -> _Array:
+    def arrives(self, code: Array) -> Array:
         """The code that is received for each sent code."""
 
-    def origins(self, first: _Array, last: _Array) -> Origins:
+    def origins(self, first: Array, last: Array) -> Origins:
         """Ranges (first, last) of sent codes that are received as codes from first to last; empty if last < first.
 
         A fault that is not monotone supports single codes (first == last) and all codes up to one (first = -inf).
@@ -66,30 +65,30 @@ class Coarser:
         phases = min(int(self.step_cm / self.resolution_cm), PHASES)
         return (replace(self, from_cm=self.step_cm * k / phases) for k in range(1, phases))
 
-    def arrives(self, code: _Array) -> _Array:
+    def arrives(self, code: Array) -> Array:
         return self._arrivals[np.clip(self._place(code) - 1, 0, self._arrivals.size - 1)]
 
-    def origins(self, first: _Array, last: _Array) -> Origins:
+    def origins(self, first: Array, last: Array) -> Origins:
         above = self._above[self._place(first - self.resolution_cm)], self._above[self._place(last)]
         return [(self._code(above[0]), self._code(above[1] - 1))]
 
-    def _place(self, code: _Array) -> NDArray[np.intp]:
+    def _place(self, code: Array) -> Indices:
         """Number of each code, from 0 for one below the shortest."""
         place = np.rint((code - self.minimum_cm) / self.resolution_cm) + 1.0
         return np.clip(place, 0, self._arrivals.size).astype(np.intp)
 
-    def _code(self, number: NDArray[np.intp]) -> _Array:
+    def _code(self, number: Indices) -> Array:
         """The sensor's code of this number, from 0 for the shortest."""
-        code: _Array = on_grid(self.minimum_cm + self.resolution_cm * number, self.resolution_cm)
+        code: Array = on_grid(self.minimum_cm + self.resolution_cm * number, self.resolution_cm)
         return code
 
     @cached_property
-    def _above(self) -> NDArray[np.intp]:
+    def _above(self) -> Indices:
         """Number of the first of the sensor's codes that is received as more than each code of `_place`."""
         return np.searchsorted(self._arrivals, self._code(np.arange(-1, self._arrivals.size)), "right")
 
     @cached_property
-    def _arrivals(self) -> _Array:
+    def _arrivals(self) -> Array:
         """Received code for each of the sensor's codes; never decreasing."""
         code = self._code(np.arange(round((self.maximum_cm - self.minimum_cm) / self.resolution_cm) + 1))
         steps = np.floor((code - self.from_cm) / self.step_cm + 0.5)
@@ -105,10 +104,10 @@ class Saturated:
 
     order = 1
 
-    def arrives(self, code: _Array) -> _Array:
+    def arrives(self, code: Array) -> Array:
         return np.minimum(code, 255.0)
 
-    def origins(self, first: _Array, last: _Array) -> Origins:
+    def origins(self, first: Array, last: Array) -> Origins:
         return [(np.where(first > 255.0, np.inf, first), np.where(last >= 255.0, np.inf, last))]
 
 
@@ -118,10 +117,10 @@ class LostHighByte:
 
     order = 2
 
-    def arrives(self, code: _Array) -> _Array:
+    def arrives(self, code: Array) -> Array:
         return np.mod(code, 256.0)
 
-    def origins(self, first: _Array, last: _Array) -> Origins:
+    def origins(self, first: Array, last: Array) -> Origins:
         first, last = np.maximum(first, 0.0), np.minimum(last, 255.0)
         return [(first + high, np.where(last < first, -1.0, last + high)) for high in (0.0, 256.0, 512.0)]
 
@@ -132,11 +131,11 @@ class OrEd:
 
     order = 3
 
-    def arrives(self, code: _Array) -> _Array:
+    def arrives(self, code: Array) -> Array:
         whole = code.astype(np.int64)
         return ((whole >> 8) | (whole & 0xFF)).astype(np.float64)
 
-    def origins(self, first: _Array, last: _Array) -> Origins:
+    def origins(self, first: Array, last: Array) -> Origins:
         if not (first == last).all():
             return self._origins_below(np.minimum(last + 1.0, 256.0))
         ranges = []
@@ -147,7 +146,7 @@ class OrEd:
                 ranges.append((code, np.where(arrives, code, -1.0)))
         return ranges
 
-    def _origins_below(self, arrived: _Array) -> Origins:
+    def _origins_below(self, arrived: Array) -> Origins:
         """Sent codes that are received as less than ``arrived``."""
         ranges = [(np.zeros_like(arrived), arrived - 1.0)]
         for high, block in ((1, 2.0), (2, 4.0)):
@@ -166,8 +165,8 @@ class ClockFault:
 
     order = 4
 
-    def arrives(self, code: _Array) -> _Array:
+    def arrives(self, code: Array) -> Array:
         return code + CLOCK_FAULT
 
-    def origins(self, first: _Array, last: _Array) -> Origins:
+    def origins(self, first: Array, last: Array) -> Origins:
         return [(first - CLOCK_FAULT, last - CLOCK_FAULT)]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Column, Indices
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene
 
 CurveChannel: TypeAlias = Literal["bias", "spread", "short", "missed", "random"]
@@ -25,7 +25,6 @@ FIELDS: dict[str, str] = {
 """Field of a `Contribution` for each channel."""
 MAX_VALUE = {"bias": 200.0, "spread": 5.0, "short": 15.0, "missed": 15.0, "random": 15.0}
 """Largest magnitude of a curve's values, by channel: far beyond any real effect, so that a fit cannot diverge."""
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -88,12 +87,12 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Knots
     )
 
 
-def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> _Array:
+def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> Array:
     """Interpolation weights of the knots for each row, shape (n, knots); for two variables products of both.
 
     Of a ripple its cosine and sine, which are 0 where the variable is unknown.
     """
-    weights: _Array | None = None
+    weights: Array | None = None
     for variable, places in zip(variables, knots, strict=True):
         own = _hats(np.atleast_1d(scene[variable]), places)
         weights = own if weights is None else (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
@@ -102,10 +101,10 @@ def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> _Array
     return weights if np.ndim(scene[variables[0]]) else weights[0]
 
 
-def _hats(values: NDArray[Any], places: Knots) -> _Array:
+def _hats(values: Column, places: Knots) -> Array:
     if isinstance(places, Ripple):
         turned = np.exp(2j * np.pi * np.where(np.isfinite(values), values, 0.0) / places.period)
-        weights: _Array = np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
+        weights: Array = np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
         return weights
     if isinstance(places[0], str):
         return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
@@ -117,7 +116,7 @@ def _hats(values: NDArray[Any], places: Knots) -> _Array:
     return weights
 
 
-def between(values: NDArray[Any], places: Sequence[float] | _Array) -> tuple[NDArray[np.intp], _Array]:
+def between(values: Column, places: Sequence[float] | Array) -> tuple[Indices, Array]:
     """Place of the knot before each value, and how far it is to the next one, (n,); beyond the last ones the ends."""
     knots = np.asarray(places, dtype=np.float64)
     values = np.clip(np.where(np.isfinite(values), values, knots[0]), knots[0], knots[-1])

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from msp_range.arrays import Array
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, style
 
-_Array = NDArray[np.float64]
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
 USED = (None, "at_minimum")
@@ -152,17 +152,17 @@ def _edges(fused: SensorTrack) -> list[tuple[float, float]]:
     return spans
 
 
-def _interrupted(time_s: ArrayLike, values: _Array) -> tuple[_Array, _Array]:
+def _interrupted(time_s: ArrayLike, values: Array) -> tuple[Array, Array]:
     """A line's points, with a gap where there is none for longer than `GAP_S`."""
     at_s = np.asarray(time_s, dtype=float)
     gaps = np.flatnonzero(np.diff(at_s) > GAP_S) + 1
     return np.insert(at_s, gaps, at_s[gaps]), np.insert(values, gaps, np.nan)
 
 
-def _numbers(values: Sequence[float | None]) -> _Array:
+def _numbers(values: Sequence[float | None]) -> Array:
     return np.array(values, dtype=float)
 
 
-def _unless(track: SensorTrack, why: str, values: _Array) -> _Array:
+def _unless(track: SensorTrack, why: str, values: Array) -> Array:
     """The values, NaN where the track has this reason."""
     return np.where(np.array(track.why, dtype=object) == why, np.nan, values)

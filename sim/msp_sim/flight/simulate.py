@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from msp_range.arrays import Array, Column
 from msp_range.clock import VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.writer import Recorder
@@ -34,8 +34,8 @@ class SimulatedFlight(NamedTuple):
     """
 
     summary: dict[str, Any]
-    readings: dict[str, NDArray[Any]]
-    fused: dict[str, NDArray[Any]]
+    readings: dict[str, Column]
+    fused: dict[str, Column]
 
 
 def simulate_flight(
@@ -91,7 +91,7 @@ def simulate_flight(
     return SimulatedFlight(summarise(flight, loaded.name, seed), _readings(flight.tracks), _track(flight.fused))
 
 
-def _readings(tracks: dict[str, SensorTrack]) -> dict[str, NDArray[Any]]:
+def _readings(tracks: dict[str, SensorTrack]) -> dict[str, Column]:
     """The readings of all sensors, in the order of time."""
     parts = [
         {**_track(track), "range_m": _numbers(track.raw_m), "sensor": np.full(len(track.time_s), name)}
@@ -102,7 +102,7 @@ def _readings(tracks: dict[str, SensorTrack]) -> dict[str, NDArray[Any]]:
     return {name: column[order] for name, column in columns.items()}
 
 
-def _track(track: SensorTrack) -> dict[str, NDArray[Any]]:
+def _track(track: SensorTrack) -> dict[str, Column]:
     return {
         "time_s": _numbers(track.time_s),
         "true_range_m": _numbers(track.truth_m),
@@ -110,5 +110,5 @@ def _track(track: SensorTrack) -> dict[str, NDArray[Any]]:
     }
 
 
-def _numbers(values: Sequence[float | None]) -> NDArray[np.float64]:
+def _numbers(values: Sequence[float | None]) -> Array:
     return np.array(values, dtype=np.float64)

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chisquare, kstest
 
+from msp_range.arrays import Array, Column
 from msp_range.reading_model.kernel import on_grid
 from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel
@@ -29,7 +29,7 @@ UNLIKELY = 1e-4
 """p-value below which draws do not follow the probabilities: a correct effect fails one check in ten thousand."""
 
 
-def codes(sensor: SensorModel) -> NDArray[np.float64]:
+def codes(sensor: SensorModel) -> Array:
     """Every number that a sensor or a fault of its bus can send [cm]; probabilities over them sum to one."""
     step_cm = sensor.resolution_cm
     sent = on_grid(np.arange(round(sensor.maximum_cm / step_cm) + 1) * step_cm, step_cm)
@@ -216,7 +216,7 @@ def _draws_of_one(trial: Trial) -> str | None:
     return None
 
 
-def _grouped(observed: NDArray[Any], expected: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+def _grouped(observed: Column, expected: Column) -> tuple[Column, Column]:
     """Counts of neighbouring codes together, ten or more expected in each group."""
     group = np.floor(np.cumsum(expected) / 10.0).astype(int)
     group = np.unique(group, return_inverse=True)[1]

@@ -5,18 +5,16 @@ A table of contexts enters; what can be computed leaves, with what it follows fr
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Column, Indices
 from msp_range.recording.export import neighbour_lags_ms
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.model.history import History
 from msp_sim.model.model import Model
 
-_Array = NDArray[np.float64]
-_Columns = Mapping[str, NDArray[Any]]
+_Columns = Mapping[str, Column]
 
 PREVIOUS = "previous_reading_cm"
 CLOSEST_S = 1e-6
@@ -36,7 +34,7 @@ LARGEST_CM_S2 = 2000.0
 has no rate there. Vehicles reach half of it."""
 
 
-def derived_columns(names: Collection[str], contexts: _Columns) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+def derived_columns(names: Collection[str], contexts: _Columns) -> tuple[dict[str, Column], dict[str, str]]:
     """Columns of these names that are absent or empty, and follow from others in most rows.
 
     The previous reading is not among them: it is drawn (`sample_in_order`).
@@ -57,7 +55,7 @@ def derived_columns(names: Collection[str], contexts: _Columns) -> tuple[dict[st
     return columns, sources
 
 
-def sample_in_order(model: Model, contexts: _Columns, seed: int) -> _Array:
+def sample_in_order(model: Model, contexts: _Columns, seed: int) -> Array:
     """Draw one reading for each context, each after the one before it of the same sensor and run.
 
     Where a model uses the previous reading and the contexts lack it, it is the one that was drawn. The same random
@@ -91,9 +89,9 @@ def _is_empty(columns: _Columns, name: str) -> bool:
     return not (np.isfinite(column) if column.dtype.kind == "f" else column != "").any()
 
 
-def time_in_run_s(columns: _Columns) -> _Array:
+def time_in_run_s(columns: _Columns) -> Array:
     """Time since the first row of the run [s]."""
-    time_s: _Array = np.asarray(columns["time_s"], dtype=np.float64)
+    time_s: Array = np.asarray(columns["time_s"], dtype=np.float64)
     if "run" not in columns:
         return np.asarray(time_s - time_s.min())
     _, run = np.unique(columns["run"], return_inverse=True)
@@ -102,13 +100,13 @@ def time_in_run_s(columns: _Columns) -> _Array:
     return np.asarray(time_s - first_s[run])
 
 
-def _incidence_deg(columns: _Columns) -> _Array:
+def _incidence_deg(columns: _Columns) -> Array:
     """Angle between the vehicle's down axis and the vertical [deg]."""
     roll, pitch = (np.radians(columns[name]) for name in ("roll_deg", "pitch_deg"))
     return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0))))
 
 
-def _range_rate_cm_s(columns: _Columns) -> _Array:
+def _range_rate_cm_s(columns: _Columns) -> Array:
     """Slope of the true range over the rows near in time, of the same sensor and run [cm/s]; NaN where it jumps."""
     range_cm, time_s = (np.asarray(columns[name], dtype=np.float64) for name in (TRUE_RANGE, "time_s"))
     words = [np.unique(columns[name], return_inverse=True)[1] for name in ("run", "sensor") if name in columns]
@@ -123,7 +121,7 @@ def _range_rate_cm_s(columns: _Columns) -> _Array:
     return rate
 
 
-def _slope_cm_s(time_s: _Array, range_cm: _Array) -> _Array:
+def _slope_cm_s(time_s: Array, range_cm: Array) -> Array:
     """Slope at each row between two rows as many before as after it, within `SLOPE_S` where there are such; at the ends
     between what there is."""
     place, last = np.arange(time_s.size), time_s.size - 1
@@ -133,7 +131,7 @@ def _slope_cm_s(time_s: _Array, range_cm: _Array) -> _Array:
     inner = (before > 0) & (after < last)
     before, after = np.where(inner, place - rows, before), np.where(inner, place + rows, after)
 
-    def between(first: NDArray[np.intp], last: NDArray[np.intp]) -> _Array:
+    def between(first: Indices, last: Indices) -> Array:
         apart_s = time_s[last] - time_s[first]
         return np.where(apart_s > CLOSEST_S, range_cm[last] - range_cm[first], math.nan) / np.maximum(
             apart_s, CLOSEST_S
@@ -144,13 +142,13 @@ def _slope_cm_s(time_s: _Array, range_cm: _Array) -> _Array:
     return np.where(jumps, math.nan, between(before, after))
 
 
-def _neighbour_lag_ms(columns: _Columns) -> _Array:
+def _neighbour_lag_ms(columns: _Columns) -> Array:
     time_s = np.asarray(columns["time_s"], dtype=np.float64)
     runs = columns["run"] if "run" in columns else np.zeros(time_s.size)
     return neighbour_lags_ms(time_s, columns["sensor"].tolist(), runs)
 
 
-DERIVED: dict[str, tuple[tuple[str, ...], str, Callable[[_Columns], _Array]]] = {
+DERIVED: dict[str, tuple[tuple[str, ...], str, Callable[[_Columns], Array]]] = {
     "time_in_run_s": (("time_s",), "time_s since the run's first row", time_in_run_s),
     "range_rate_cm_s": ((TRUE_RANGE, "time_s"), "true_range_cm over time_s", _range_rate_cm_s),
     "incidence_deg": (("roll_deg", "pitch_deg"), "roll_deg and pitch_deg, over level ground", _incidence_deg),

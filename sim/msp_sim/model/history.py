@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Flags, Indices
 from msp_sim.model.streams import RandomStreams
-
-_Array = NDArray[np.float64]
 
 HISTORY_COLUMNS = ("run", "sensor", "time_s")
 """Columns from which the order of readings follows; any may be missing."""
@@ -47,9 +45,9 @@ class History:
         The time to which `correlation` refers [s].
     """
 
-    order: NDArray[np.intp]
-    series: NDArray[np.intp]
-    time_s: _Array
+    order: Indices
+    series: Indices
+    time_s: Array
     names: tuple[str, ...]
     correlation: float
     spacing_s: float
@@ -72,21 +70,21 @@ class History:
             time_s = np.asarray((np.arange(size) - starts[ordered]) * spacing_s, dtype=np.float64)
         return cls(order, ordered, time_s, tuple(str(name) for name in names), correlation, spacing_s)
 
-    def correlation_over(self, time_s: _Array) -> _Array:
+    def correlation_over(self, time_s: Array) -> Array:
         """Correlation of the errors of two hits that are so far apart in time [s], same shape."""
         if self.correlation <= 0.0:
             return np.zeros_like(time_s)
-        powers: _Array = self.correlation ** (np.maximum(time_s, 0.0) / self.spacing_s)
+        powers: Array = self.correlation ** (np.maximum(time_s, 0.0) / self.spacing_s)
         return np.minimum(powers, MAX_CORRELATION)
 
-    def slope_over(self, time_s: _Array) -> _Array:
+    def slope_over(self, time_s: Array) -> Array:
         """Derivative of `correlation_over` by `correlation`."""
         number = max(self.correlation, 1e-3)
         power = np.maximum(time_s, 0.0) / self.spacing_s
-        slope: _Array = power * number ** (power - 1.0)
+        slope: Array = power * number ** (power - 1.0)
         return np.where(number**power < MAX_CORRELATION, slope, 0.0)
 
-    def before(self, is_hit: NDArray[np.bool_]) -> tuple[NDArray[np.intp], _Array]:
+    def before(self, is_hit: Flags) -> tuple[Indices, Array]:
         """The last hit before each reading, and how long before.
 
         Parameters
@@ -112,7 +110,7 @@ class History:
         age_s[self.order[here]] = self.time_s[here] - self.time_s[there]
         return before, age_s
 
-    def correlated(self, normal: _Array, streams: RandomStreams) -> _Array:
+    def correlated(self, normal: Array, streams: RandomStreams) -> Array:
         """Errors of the hits from independent standard normal numbers, (n,); a series goes on where it was left."""
         errors = np.empty(normal.size)
         number, time_s = -1, -np.inf

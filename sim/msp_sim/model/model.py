@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from msp_range.arrays import Array, Column
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, suggest
@@ -33,7 +34,6 @@ from msp_sim.model.history import HISTORY_COLUMNS, History
 from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows, RunOffset
 from msp_sim.model.streams import RandomStreams
 
-_Array = NDArray[np.float64]
 CHUNK = 1 << 16
 """Rows processed at a time, so that the arrays fit into a processor's cache. Affects speed only."""
 LARGEST_SHARE = 1.0 - 1e-12
@@ -137,7 +137,7 @@ class Model:
         history = HISTORY_COLUMNS if self.sensor.reading_model.correlation > 0.0 else ()
         return frozenset({TRUE_RANGE, REFERENCE_STD, *history}).union(*(each.effect.columns for each in self.effects))
 
-    def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> _Array:
+    def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> Array:
         """Draw one reading for each context.
 
         Parameters
@@ -162,7 +162,7 @@ class Model:
         streams = rng if isinstance(rng, RandomStreams) else RandomStreams(rng)
         return np.concatenate([rows.sample(streams) for _, rows in self.chunks(contexts)] or [np.zeros(0)])
 
-    def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> _Array:
+    def log_prob(self, reading_cm: ArrayLike, contexts: Mapping[str, Any]) -> Array:
         """Natural logarithm of each reading's probability given its context.
 
         Parameters
@@ -202,7 +202,7 @@ class Model:
             part = slice(start, min(start + CHUNK, size))
             yield part, self._rows({name: column[part] for name, column in columns.items()})
 
-    def _columns(self, contexts: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    def _columns(self, contexts: Mapping[str, Any]) -> dict[str, Column]:
         # With them the scene knows where the reference leaves the offset of a run open.
         about_runs = {REFERENCE, "run"} if REFERENCE in contexts else set()
         columns = {name: _column(name, contexts[name]) for name in self.columns | about_runs if name in contexts}
@@ -213,7 +213,7 @@ class Model:
             raise ValueError(f"found context columns of different lengths: {sizes}")
         return columns
 
-    def _rows(self, columns: Mapping[str, NDArray[Any]]) -> ModelRows:
+    def _rows(self, columns: Mapping[str, Column]) -> ModelRows:
         """The base mixture for these columns, changed by each effect."""
         scene = Scene(self.sensor, columns)
         return apply_terms(base_rows(self, scene), scene, self.effects)
@@ -433,7 +433,7 @@ def _where(known: Any, contribution: Any) -> Any:
     return contribution if known is True else np.where(known, contribution, 0.0)
 
 
-def _column(name: str, values: Any) -> NDArray[Any]:
+def _column(name: str, values: Any) -> Column:
     column = np.asarray(values)
     # Columns of one's own may hold words, too.
     if column.dtype.kind != "U" and name not in WORD_COLUMNS:

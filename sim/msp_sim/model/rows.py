@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Array, Column, Flags, Indices
 from msp_range.reading_model.kernel import Hit
 from msp_range.reading_model.rows import MixtureRows, Part, among, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
@@ -18,8 +18,6 @@ from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Code, Component, Hits
 from msp_sim.model.history import HIT_SIGMAS, History
 from msp_sim.model.streams import RandomStreams
-
-_Array = NDArray[np.float64]
 
 MIN_PROBABILITY = 1e-12
 """Smallest probability of a reading: one that the model cannot give is treated as this improbable, so that a single
@@ -46,7 +44,7 @@ class RunOffset(NamedTuple):
     """An offset common to the readings of a run: its standard deviation [cm], and the run of each row ("": none)."""
 
     deviation_cm: float
-    runs: NDArray[Any]
+    runs: Column
     stream: str
 
 
@@ -66,11 +64,11 @@ class Carry:
         Derivatives by the correlation, of the centre [cm] and of the logarithm of the spread.
     """
 
-    before: NDArray[np.intp]
-    factor: _Array
-    shift_cm: _Array
-    correlation_shift_cm: _Array
-    log_sigma_slope: _Array
+    before: Indices
+    factor: Array
+    shift_cm: Array
+    correlation_shift_cm: Array
+    log_sigma_slope: Array
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,7 @@ class ModelRows(MixtureRows):
         """Each reading's distribution without what the readings before it say."""
         return replace(self, history=None)
 
-    def given(self, reading_cm: _Array) -> tuple[Self, "Carry | None"]:
+    def given(self, reading_cm: Array) -> tuple[Self, "Carry | None"]:
         """The distribution of each reading after the readings before it, and what it carries over from them."""
         history = self.history
         if history is None:
@@ -165,7 +163,7 @@ class ModelRows(MixtureRows):
         )
         return rows, replace(carry, log_sigma_slope=-carry.log_sigma_slope / left)
 
-    def _is_code(self, reading_cm: _Array, off_sigmas: _Array, sigma_cm: _Array) -> NDArray[np.bool_]:
+    def _is_code(self, reading_cm: Array, off_sigmas: Array, sigma_cm: Array) -> Flags:
         """Readings that are rather the code of a component than hits, (n,): a repeated one has no error of its own."""
         found = np.zeros(reading_cm.size, dtype=bool)
         weights = self.weights()
@@ -176,11 +174,11 @@ class ModelRows(MixtureRows):
                     found |= (component.code_cm == reading_cm) & (odds > share)
         return found
 
-    def log_prob(self, reading_cm: _Array) -> _Array:
+    def log_prob(self, reading_cm: Array) -> Array:
         """log of the probability of each reading, after those before it; -inf for what cannot be read."""
         return super(ModelRows, self.given(reading_cm)[0]).log_prob(reading_cm)
 
-    def of_readings(self, reading_cm: _Array, part: Part) -> _Array:
+    def of_readings(self, reading_cm: Array, part: Part) -> Array:
         """What ``part`` is of each reading, after those before it, (m, n); 0 for what is no multiple of the step."""
         return super(ModelRows, self.given(reading_cm)[0]).of_readings(reading_cm, part)
 
@@ -195,7 +193,7 @@ class ModelRows(MixtureRows):
             reference_cm2=take(self.reference_cm2, rows),
         )
 
-    def sample(self, streams: RandomStreams) -> _Array:
+    def sample(self, streams: RandomStreams) -> Array:
         """Draw one reading per row [cm]; each part uses its own random stream."""
         n = len(self)
         centre_cm, sigma_cm = self._with_run_offsets(streams)
@@ -218,7 +216,7 @@ class ModelRows(MixtureRows):
             reading_cm = np.where(streams[stream].random(n) < share, fault.arrives(reading_cm), reading_cm)
         return reading_cm
 
-    def _with_run_offsets(self, streams: RandomStreams) -> tuple[_Array, _Array]:
+    def _with_run_offsets(self, streams: RandomStreams) -> tuple[Array, Array]:
         """Centres including each run's own offset, and the spread within runs."""
         if not self.run_offsets:
             return self.centre_cm, self.sigma_cm
@@ -229,11 +227,11 @@ class ModelRows(MixtureRows):
             centre_cm = centre_cm + deviation_cm * offset_cm[index]
         return centre_cm, np.sqrt(np.maximum(self.sigma_cm**2 - self.between_cm2, 0.0))
 
-    def arrives(self, first: _Array, last: _Array, part: Part) -> _Array:
+    def arrives(self, first: Array, last: Array, part: Part) -> Array:
         """As the base class, after the faults of the code."""
         return self._after(len(self.faults), first, last, part)
 
-    def _after(self, count: int, first: _Array, last: _Array, part: Part) -> _Array:
+    def _after(self, count: int, first: Array, last: Array, part: Part) -> Array:
         """After the first faults, so many."""
         if not count:
             return super().arrives(first, last, part)
@@ -248,15 +246,15 @@ class ModelRows(MixtureRows):
             return np.asarray(faulty)
         return np.asarray((1.0 - share) * self._after(count - 1, first, last, part) + share * faulty)
 
-    def probability(self, first: _Array, last: _Array) -> _Array:
+    def probability(self, first: Array, last: Array) -> Array:
         """Probability g of the codes from first to last, within the limits, before saturation and faults, (1, n)."""
         return self._mixed_in(super().probability(first, last), first, last)
 
-    def slopes(self, first: _Array, last: _Array) -> _Array:
+    def slopes(self, first: Array, last: Array) -> Array:
         """g and its derivatives in the order of `FREE`, (8, n); that by the saturated fraction is 0."""
         return self._mixed_in(super().slopes(first, last), first, last)
 
-    def _mixed_in(self, parts: _Array, first: _Array, last: _Array) -> _Array:
+    def _mixed_in(self, parts: Array, first: Array, last: Array) -> Array:
         """Add the components to the mixture's probability, or to the probability and its slopes."""
         if not self.added:
             return parts
@@ -269,7 +267,7 @@ class ModelRows(MixtureRows):
             parts[: len(own)] += np.where(each > 0.0, each * own, 0.0)
         return np.asarray(parts / odds)
 
-    def last_added(self, first: _Array, last: _Array) -> _Array:
+    def last_added(self, first: Array, last: Array) -> Array:
         """Probability under the last component alone, (1, n)."""
         with np.errstate(invalid="ignore"):
             found = self.added[-1].component.prob(first, last, self.hits)
@@ -277,7 +275,7 @@ class ModelRows(MixtureRows):
         return np.nan_to_num(found)
 
 
-def slopes(rows: ModelRows, reading_cm: _Array) -> tuple[_Array, _Array]:
+def slopes(rows: ModelRows, reading_cm: Array) -> tuple[Array, Array]:
     """Log probabilities and their derivatives.
 
     Parameters
@@ -303,27 +301,27 @@ def slopes(rows: ModelRows, reading_cm: _Array) -> tuple[_Array, _Array]:
     return np.log(p), np.ascontiguousarray(by.T)
 
 
-def log_prob(rows: ModelRows, reading_cm: _Array) -> _Array:
+def log_prob(rows: ModelRows, reading_cm: Array) -> Array:
     """Log probabilities alone, (n,): as `ModelRows.log_prob`, but at least log `MIN_PROBABILITY`."""
     return np.asarray(np.log(np.maximum(rows.of_readings(reading_cm, ModelRows.probability)[0], MIN_PROBABILITY)))
 
 
-def score_of_component(rows: ModelRows, reading_cm: _Array, component: Component, log_p: _Array) -> _Array:
+def score_of_component(rows: ModelRows, reading_cm: Array, component: Component, log_p: Array) -> Array:
     """Derivative of the log probabilities by the odds of one more component, at odds of 0, (n,)."""
     others = 1.0 + sum(np.asarray(each.odds) for each in rows.added)
     own = replace(rows, added=(AddedComponent(1.0, component, ""),)).of_readings(reading_cm, ModelRows.last_added)[0]
     return _ratio(own, log_p) / others
 
 
-def score_of_fault(rows: ModelRows, reading_cm: _Array, fault: CodeFault, log_p: _Array) -> _Array:
+def score_of_fault(rows: ModelRows, reading_cm: Array, fault: CodeFault, log_p: Array) -> Array:
     """Derivative of the log probabilities by the share of one more fault, at a share of 0, (n,)."""
     faults = sorted((*rows.faults, AppliedFault(1.0, fault, "")), key=lambda each: each.fault.order)
     own = replace(rows, faults=tuple(faults)).of_readings(reading_cm, ModelRows.probability)[0]
     return _ratio(own, log_p)
 
 
-def _ratio(own: _Array, log_p: _Array) -> _Array:
+def _ratio(own: Array, log_p: Array) -> Array:
     """The added probability divided by the present one, minus 1; an impossible reading cannot become less probable."""
     p = np.exp(log_p)
-    score: _Array = np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))
+    score: Array = np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))
     return score

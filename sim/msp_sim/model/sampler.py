@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Column
 from msp_range.reading_model.kernel import Hit, Random, Short, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Scene
@@ -100,7 +100,7 @@ class Sampler:
         return SATURATED_CM if reading_cm == maximum_cm and saturated else reading_cm
 
 
-def _column(name: str, value: Any) -> NDArray[Any]:
+def _column(name: str, value: Any) -> Column:
     if name in WORD_COLUMNS or isinstance(value, str):
         return np.array(["" if value is None else value])
     return np.array([value], dtype=np.float64)

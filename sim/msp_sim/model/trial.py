@@ -2,17 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
 from msp_sim.model.model import Model, Term
 from msp_sim.model.rows import MIN_PROBABILITY
 
-Columns: TypeAlias = dict[str, NDArray[Any]]
+Columns: TypeAlias = dict[str, Column]
 STRENGTHS = (0.3, 0.6, 1.0)
 """Fractions of the way from the neutral value to the farther bound; an effect is checked at the first one at which it
 is visible. Weaker effects hide errors in the noise; at the bound itself some effects saturate."""

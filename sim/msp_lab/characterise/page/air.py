@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
@@ -13,6 +12,7 @@ from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Picture
 from msp_lab.characterise.page.text import interval, number, sentence
 from msp_lab.characterise.question_findings import CompensationRow
 from msp_range.acoustics.air import compensate_range
+from msp_range.arrays import Array
 from msp_sim.page.page import PageTable
 
 MAX_BOXES = 3
@@ -53,7 +53,7 @@ def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
     )
 
 
-def _reference_errors(rows: PictureData, tested_cm: NDArray[np.float64], after: bool) -> list[Line]:
+def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> list[Line]:
     """A reference's mean errors where they can be compared: next to a range that was measured."""
     earlier = rows.reference
     if earlier is None:

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.beam import Sweep, draw_beam, draw_sweep
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed
 from msp_lab.characterise.page.text import half_interval, sentence
+from msp_range.arrays import Array
 
 MAX_SWEEPS = 8
 """Pictures of the field of view that the page has at most; a bench has four ranges, a flight may have hundreds."""
@@ -31,7 +31,7 @@ def measured_ranges_cm(rows: PictureData) -> list[float]:
         return []
 
 
-def _sweep_ranges(rows: PictureData) -> NDArray[np.float64]:
+def _sweep_ranges(rows: PictureData) -> Array:
     found = rows.of("field_of_view")
     incidence = rows.data.column("incidence_deg")
     if not np.any(np.isfinite(incidence[found])):

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.readings import FixedRange, draw_histogram, draw_in_order
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, placement_error_cm
 from msp_lab.characterise.page.text import are, interval
+from msp_range.arrays import Array
 from msp_range.reading_model.mixture import ReadingModel
 
 PEAK_RANGE_CM = 1.0
@@ -88,7 +88,7 @@ def histogram(findings: Findings, rows: PictureData, masked: bool) -> Drawn:
     return Drawn(figure, caption, "How often each centimetre was read at the longest range.")
 
 
-def _probabilities(findings: Findings, rows: PictureData, true_cm: float) -> NDArray[np.float64]:
+def _probabilities(findings: Findings, rows: PictureData, true_cm: float) -> Array:
     """Probability of each reading from 0 cm on by the fitted model, about the range that the fit took it to be."""
     expected_cm = float(np.mean(rows.apparent_cm[rows.of("maximum_range") & (rows.true_cm == true_cm)]))
     expected_cm += placement_error_cm(findings, "maximum_range", true_cm)

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings, Mixture
 from msp_lab.characterise.page.draw.mixture import (
@@ -22,6 +21,7 @@ from msp_lab.characterise.page.draw.mixture import (
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, placement_error_cm
 from msp_lab.characterise.page.text import interval, sentence
 from msp_lab.readings.resolution import to_step
+from msp_range.arrays import Array
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.page.page import PageTable
@@ -59,7 +59,7 @@ def entries() -> Iterator[Entry]:
     yield "pit", "Goodness of fit: probability integral transform", _pit
 
 
-def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray[np.float64]]:
+def densities(findings: Findings, rows: PictureData) -> tuple[Densities, Array]:
     """The fitted mixture at one range, and the probability of each reading by all of it."""
     condition, true_cm = _one_range(rows)
     chosen = rows.of(condition) & (rows.true_cm == true_cm)
@@ -89,7 +89,7 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, NDArray
     return fitted, total
 
 
-def _probabilities(whole: ReadingModel, k: NDArray[np.float64], apparent_cm: float) -> list[NDArray[np.float64]]:
+def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:
     """Probability of each reading by each kind alone, and by all of the mixture, at a range."""
     contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
     mixture = whole.rows(contexts["true_range_cm"])

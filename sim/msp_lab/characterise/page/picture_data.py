@@ -11,18 +11,16 @@ from typing import TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.draw.errors import Errors
 from msp_lab.characterise.page.text import plus, sentence
 from msp_lab.characterise.points import PointReadings, conditions, sort_into_points
 from msp_lab.characterise.reference import ReferenceNumbers
+from msp_range.arrays import Array, Flags, Texts
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
-_Array = NDArray[np.float64]
-_Mask = NDArray[np.bool_]
 Part = TypeVar("Part")
 
 CONDITIONS = {
@@ -85,17 +83,17 @@ class PictureData:
     reference: ReferenceNumbers | None = None
 
     @cached_property
-    def true_cm(self) -> _Array:
+    def true_cm(self) -> Array:
         """True ranges [cm]."""
         return self.data.column("true_range_cm")
 
     @cached_property
-    def reading_cm(self) -> _Array:
+    def reading_cm(self) -> Array:
         """Readings [cm]."""
         return self.data.column("reading_cm")
 
     @cached_property
-    def sensor(self) -> NDArray[np.str_]:
+    def sensor(self) -> Texts:
         """Names of the sensors."""
         return self.data.column("sensor")
 
@@ -104,7 +102,7 @@ class PictureData:
         return sort_into_points(self.data, self.model)
 
     @cached_property
-    def missed(self) -> _Mask:
+    def missed(self) -> Flags:
         """Rows without an answer, and those that read a code for no echo, as the analyses take them."""
         missed = np.ones(len(self.data), dtype=bool)
         for point in self._points:
@@ -112,7 +110,7 @@ class PictureData:
         return missed
 
     @cached_property
-    def level(self) -> NDArray[np.str_]:
+    def level(self) -> Texts:
         """What each row's experiment varies, as a word."""
         level = np.full(len(self.data), "", dtype="<U48")
         for point in self._points:
@@ -120,7 +118,7 @@ class PictureData:
         return level
 
     @cached_property
-    def apparent_cm(self) -> _Array:
+    def apparent_cm(self) -> Array:
         """True ranges in the centimetres of a sensor that assumes its calibration temperature [cm].
 
         Where the air's temperature is unknown, the true range as it is. A calibration in the sensor model comes on top.
@@ -131,10 +129,10 @@ class PictureData:
         return apparent_cm
 
     @cached_property
-    def _condition(self) -> NDArray[np.str_]:
+    def _condition(self) -> Texts:
         return conditions(self.data)
 
-    def of(self, condition: str) -> _Mask:
+    def of(self, condition: str) -> Flags:
         """Rows of an experiment that have a true range.
 
         Raises
@@ -152,7 +150,7 @@ class PictureData:
             raise Absent(f"No readings of {what} are in the data{hint}.")
         return np.asarray(rows)
 
-    def errors(self, rows: _Mask, label: str = "", reading_cm: _Array | None = None) -> Errors:
+    def errors(self, rows: Flags, label: str = "", reading_cm: Array | None = None) -> Errors:
         """Errors of some rows, for drawing.
 
         Parameters

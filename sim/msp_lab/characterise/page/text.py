@@ -3,9 +3,9 @@
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_range.arrays import Array
 
 
 def interval(estimate: IntervalEstimate) -> str:
@@ -39,7 +39,7 @@ def half_interval(estimate: IntervalEstimate) -> str:
     return f"{estimate.value:.1f}° (up to {estimate.high:.1f}°)"
 
 
-def span(values: NDArray[np.float64]) -> str:
+def span(values: Array) -> str:
     """Return the smallest and the largest known value, or one of them where they are the same."""
     known = values[np.isfinite(values)]
     if not known.size:

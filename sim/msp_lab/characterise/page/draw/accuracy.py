@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.findings import CalibrationFindings
@@ -16,9 +15,6 @@ from msp_lab.characterise.question_findings import CompensationRow, HotBox
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.correction.calibration import PiecewiseLinear
 from msp_sim.page.style import DOTS, GREEN, GREY, OURS, PALE, PURPLE, REFERENCE, SERIES, legend_below, new_figure
-
-_Array = NDArray[np.float64]
-
 
 CROWDED = 60
 """With more points than this they are drawn smaller and paler than the lines."""

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, SonarFit
 from msp_lab.characterise.page.draw.errors import share_bars, with_reach
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
+from msp_range.arrays import Array, Flags
 from msp_sim.page.style import (
     GREEN,
     GREY,
@@ -27,8 +27,6 @@ from msp_sim.page.style import (
     legend_below,
     new_figure,
 )
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -46,9 +44,9 @@ class Sweep:
     """
 
     range_cm: float
-    incidence_deg: _Array
-    reading_cm: _Array
-    missed: NDArray[np.bool_]
+    incidence_deg: Array
+    reading_cm: Array
+    missed: Flags
 
 
 def draw_sweep(
@@ -119,7 +117,7 @@ def draw_sweep(
     return figure
 
 
-def _shares(top: Axes, sweep: Sweep, angle_deg: _Array, room: float, low: float, high: float) -> None:
+def _shares(top: Axes, sweep: Sweep, angle_deg: Array, room: float, low: float, high: float) -> None:
     """Each angle's readings as a histogram on its side, whole centimetres."""
     lefts, read_cm, widths = [], [], []
     for angle in angle_deg.tolist():

@@ -12,13 +12,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_range.arrays import Array, Flags
 from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, edges_between, legend_below, new_figure, signed
-
-_Array = NDArray[np.float64]
 
 ERROR_LABEL = "reading − true range [cm]"
 
@@ -46,9 +45,9 @@ class Errors:
     """
 
     label: str
-    true_range_cm: _Array
-    error_cm: _Array
-    missed: NDArray[np.bool_]
+    true_range_cm: Array
+    error_cm: Array
+    missed: Flags
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,8 @@ class Line:
     """Mean errors of a reference, to compare with."""
 
     label: str
-    range_cm: _Array
-    error_cm: _Array
+    range_cm: Array
+    error_cm: Array
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class ErrorAxes:
     band_label: str = ""
 
 
-def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[_Array, _Array]:
+def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
     """Values, (n,), and how far their intervals reach below and above them, (2, n); 0 where an end is unknown."""
     values = np.array([each.value for each in estimates])
     ends = [[each.value if end is None else end for end in (each.low, each.high)] for each in estimates]
@@ -133,7 +132,7 @@ def shared_limits_cm(panels: Sequence[Errors], points: Sequence[Line] = ()) -> t
     return low, high
 
 
-def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, float], ranges_cm: _Array) -> None:
+def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, float], ranges_cm: Array) -> None:
     low, high = limits_cm
     compressed = max(-low, high) > 6.0 * LINEAR_CM
     if compressed:
@@ -157,7 +156,7 @@ def _panel(row: Axes, each: Errors, axes: ErrorAxes, limits_cm: tuple[float, flo
         row.plot(line.range_cm, line.error_cm, linestyle="none", label=line.label, zorder=6, **looks)
 
 
-def _bars(row: Axes, each: Errors, ranges_cm: _Array, limits_cm: tuple[float, float], compressed: bool) -> None:
+def _bars(row: Axes, each: Errors, ranges_cm: Array, limits_cm: tuple[float, float], compressed: bool) -> None:
     """Each range's errors as a histogram on its side, its mean, and how many were missed above.
 
     Where the axis is compressed the errors have several peaks: there the median stands for the mean, and what lies

@@ -7,10 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
+from msp_range.arrays import Array, Flags
 from msp_sim.page.style import (
     DOTS,
     GREEN,
@@ -25,8 +26,6 @@ from msp_sim.page.style import (
     p_text,
     signed,
 )
-
-_Array = NDArray[np.float64]
 
 KINDS = ("hit", "short", "missed", "random")
 
@@ -58,10 +57,10 @@ class Densities:
     """
 
     true_range_cm: float
-    reading_cm: _Array
-    density: dict[str, _Array]
+    reading_cm: Array
+    density: dict[str, Array]
     weight: dict[str, float]
-    counts: _Array | None
+    counts: Array | None
 
 
 def draw_hit(densities: Densities) -> Figure:
@@ -155,7 +154,7 @@ def draw_random(densities: Densities) -> Figure:
     return _finish(figure, axes, densities)
 
 
-def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) -> Figure:
+def draw_mixture(densities: Densities, total: Array, codes: Sequence[float]) -> Figure:
     """All four together on a logarithmic scale, with what was read.
 
     Parameters
@@ -202,7 +201,7 @@ def draw_mixture(densities: Densities, total: _Array, codes: Sequence[float]) ->
     return figure
 
 
-def draw_pit(counts: _Array, p_value: float) -> Figure:
+def draw_pit(counts: Array, p_value: float) -> Figure:
     """Histogram of the randomised PIT: flat where the model fits.
 
     Parameters
@@ -251,13 +250,13 @@ def _finish(figure: Figure, axes: Axes, densities: Densities, label: str = "prob
     return figure
 
 
-def _curve(axes: Axes, reading_cm: _Array, p: _Array, colour: str, alpha: float) -> None:
+def _curve(axes: Axes, reading_cm: Array, p: Array, colour: str, alpha: float) -> None:
     """Probabilities of centimetres as a line with the ground below it."""
     axes.fill_between(reading_cm, 0.0, p, step="mid", color=colour, alpha=alpha, linewidth=0)
     axes.step(reading_cm, p, where="mid", color=colour, label="fitted, if a reading is of this kind")
 
 
-def _bulk(p: _Array, share_of_peak: float) -> NDArray[np.bool_]:
+def _bulk(p: Array, share_of_peak: float) -> Flags:
     """Readings with a probability that is visible next to the peak's."""
     return np.asarray(p > share_of_peak * np.max(p))
 
@@ -279,7 +278,7 @@ def _dots(
     axes.errorbar([k for k, _ in read], shares, yerr=[shares - low, high - shares], label=label, **DOTS)
 
 
-def _binned(axes: Axes, densities: Densities, where: NDArray[np.bool_], kind: str) -> None:
+def _binned(axes: Axes, densities: Densities, where: Flags, kind: str) -> None:
     """What was read in a stretch, in broad bins, as the density of one kind.
 
     The readings of a kind cannot be identified one by one: a bin's count is multiplied by the share of the kind in it,

@@ -7,12 +7,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from msp_lab.characterise.estimates import Z
+from msp_range.arrays import Array, Flags
 from msp_sim.page.style import DOTS, GREY, INK, ORANGE, OURS, REFERENCE, legend_below, new_figure, note
-
-_Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -30,11 +28,11 @@ class FixedRange:
     """
 
     true_range_cm: float
-    reading_cm: _Array
-    missed: NDArray[np.bool_]
+    reading_cm: Array
+    missed: Flags
 
     @property
-    def kept_cm(self) -> _Array:
+    def kept_cm(self) -> Array:
         """The readings that are a distance [cm]."""
         return self.reading_cm[~self.missed & np.isfinite(self.reading_cm)]
 
@@ -90,7 +88,7 @@ def draw_in_order(fixed: FixedRange, masked: bool) -> Figure:
 
 
 def draw_histogram(
-    fixed: FixedRange, masked: bool, fitted: _Array | None = None, reference: tuple[str, float] | None = None
+    fixed: FixedRange, masked: bool, fitted: Array | None = None, reference: tuple[str, float] | None = None
 ) -> Figure:
     """How often each whole centimetre was read; with a logarithmic scale where the codes are in it.
 
@@ -157,7 +155,7 @@ def draw_histogram(
     return figure
 
 
-def _running_mean(axes: Axes, number: _Array, reading_cm: _Array) -> list[Any]:
+def _running_mean(axes: Axes, number: Array, reading_cm: Array) -> list[Any]:
     """Means of a fiftieth of the readings each, which show a drift that single centimetres hide."""
     each = number.size // 50
     if each < 10:
