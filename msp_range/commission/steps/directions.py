@@ -85,7 +85,7 @@ def rotation_of(boresight: tuple[float, float, float], to_deg: float) -> tuple[i
 
     Examples
     --------
-    >>> rotation_of((0.0, 0.0, 1.0)), rotation_of((0.0, 0.5, 0.866)), rotation_of((-0.1, 0.0, 0.995), 7.0)
+    >>> rotation_of((0.0, 0.0, 1.0), 0.0), rotation_of((0.0, 0.5, 0.866), 0.0), rotation_of((-0.1, 0.0, 0.995), 7.0)
     ((-90, 0), (-60, 90), (-90, 0))
     """
     forward, to_right, down = boresight
