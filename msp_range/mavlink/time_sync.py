@@ -122,7 +122,7 @@ class AutopilotClock:
         if self._offset_s is not None:
             error_s = (sample.error_s + (self.round_trip_s or 0.0)) / 2
             if abs(sample.offset_s - self._offset_s) > error_s + STEP_S:
-                # It has booted if its time went back, or began since it was last heard. A slow simulator's only lags.
+                # A reboot: its time went back, or began since it was last received. A slow simulator's clock only lags.
                 booted_s = sample.error_s / 2 - sample.offset_s
                 last = self._exchanges[-1] if self._exchanges else sample
                 self._forget(self._goes_back(tc1_ns * 1e-9) or booted_s > last.received_s - last.error_s)

@@ -28,7 +28,7 @@ FRESH = {
     "RNGFND1_GNDCLR": 0.1,
     "RNGFND1_POS_Z": 0.0,
 }
-"""ArduCopter 4.7 as it comes, but for the address of an MB1242 on its own I2C."""
+"""ArduCopter 4.7 with its defaults, apart from the address of an MB1242 on its own I2C."""
 FRESH_BEFORE = {"RNGFND1_MIN_CM": 20.0, "RNGFND1_MAX_CM": 700.0, "RNGFND1_GNDCLEAR": 10.0} | {
     name: FRESH[name] for name in ("RNGFND1_TYPE", "RNGFND1_ORIENT", "RNGFND1_ADDR", "RNGFND1_POS_Z")
 }

@@ -39,7 +39,7 @@ SYSTEM = 7
 STANDING_RANGE_M = 0.20
 """What configs/loopback.yaml's fused stream reads on the ground: by default the sensors stand at their minimum."""
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 2.5
-"""Of the point mass, up and down: ArduCopter climbs at 2.5 m/s as it comes, and accelerates less."""
+"""Of the point mass, up and down: ArduCopter climbs at 2.5 m/s by default, and accelerates less."""
 CLIMB_S, SILENT_S, HEARD_S, LANDED_S = 0.3, 4.2, 6.2, 8.8
 """Times of the flight: it leaves the ground, falls silent, sends poses again, has landed [s]."""
 SILENCE_TARGET_M, TOP_M = 3.5, 6.0

@@ -100,17 +100,21 @@ class HeldCopter(ArduCopter):
         return [*words, "--sim-port-out", str(self._physics.getsockname()[1])], environment
 
     def _run(self) -> None:
-        """Answer each of its outputs, at the pace of the clock."""
+        """Answer each of its outputs, at the pace of the clock.
+
+        A step that comes late is as long as it took: a simulation that fell behind would feel the vehicle where its
+        sensors saw it before.
+        """
         clock = SystemClock()
-        start_s, steps = clock.now(), 0
+        start_s = now_s = clock.now()
         while not self._ended:
             try:
                 _, program = self._physics.recvfrom(256)
             except TimeoutError:
                 continue
-            steps += 1
-            clock.sleep_until(start_s + steps * STEP_S)
-            self._physics.sendto(self._felt(start_s + steps * STEP_S, steps * STEP_S).encode(), program)
+            clock.sleep_until(now_s + STEP_S)
+            now_s = max(now_s + STEP_S, clock.now())
+            self._physics.sendto(self._felt(now_s, now_s - start_s).encode(), program)
 
     def _felt(self, now_s: float, time_s: float) -> str:
         """What its sensors feel at a time of the clock, and of its simulation."""

@@ -13,10 +13,8 @@ degrees."""
 WIDEST_M = 0.10
 """Wider intervals [m] do not check a place: the vehicle was hardly tilted."""
 
-LATE_S = 0.20
-"""Attitudes that are later than this [s] are wrong: at 20 deg/s a sensor 0.25 m away is off by `DEEPER_M`. The places
-are measured with the delay. Less calls those of ArduPilot's simulator wrong, ten a second and up to 0.16 s late; more
-lets a slow link pass."""
+LATE_S = 0.10
+"""Attitudes that are later than this [s] are reported: at 20 deg/s a sensor 0.25 m away is 1 cm off."""
 
 
 def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim: Sequence[str] = ()) -> None:
