@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import socket
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -148,6 +149,14 @@ def test_no_user_of_the_computer_keeps_the_others_out(feed: Feed, monkeypatch: p
         feed.publish("/range/a", 1.0, MESSAGE)
         assert all(map(is_served, [*own, *greedy[3:]]))
         assert not any(map(is_served, greedy[:3]))
+        own.append(comes())
+        user = 1
+        comes()
+        assert sorted(Counter(map(feed_module._user_of, feed._watchers)).values()) == [1, 3, 4]
+        user = 0
+        assert not is_served(comes())
+        user = 1000
+        assert not is_served(comes()), "nobody takes a place to have as many as the other had"
 
 
 def test_a_watcher_that_goes_is_forgotten(feed: Feed) -> None:
