@@ -64,8 +64,9 @@ class ReadingGrid:
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "ReadingGrid":
-        """The grid of a sensor model file: 255 is a second code if the longest reading is larger."""
-        second_cm = SATURATED_CM if sensor.minimum_cm <= SATURATED_CM < sensor.maximum_cm else None
+        """The grid of a sensor model file: 255 is a second code if some missed echoes arrive as it."""
+        saturates = sensor.reading_model.saturated_fraction > 0.0
+        second_cm = SATURATED_CM if saturates and sensor.minimum_cm <= SATURATED_CM < sensor.maximum_cm else None
         return cls(sensor.minimum_cm, sensor.maximum_cm, sensor.resolution_cm, second_cm)
 
     @cached_property

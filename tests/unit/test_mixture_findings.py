@@ -58,3 +58,17 @@ def test_255_is_a_reading_like_others_of_a_sensor_that_has_no_such_code() -> Non
         weights[share] = found.parameters.weights
     assert weights[0.25].missed == pytest.approx(0.05, abs=0.015)
     assert weights[0.0].missed < 0.005
+
+
+def test_a_sensor_without_255_among_its_readings_is_fitted_unless_its_file_has_the_code() -> None:
+    """A step that does not meet 255 from the shortest reading ended the command with a traceback."""
+    rng = np.random.default_rng(4)
+    points = sort_into_points(table(*[point(rng, z, n=300) for z in range(100, 501, 100)]), SENSOR)
+    limits = {"minimum_cm": 20, "maximum_cm": 764, "resolution_cm": 2.0}
+    found = {}
+    for share in (0.0, 0.25):
+        parameters = SENSOR.reading_model.model_copy(update={"saturated_fraction": share})
+        sensor = SENSOR.model_copy(update={**limits, "reading_model": parameters})
+        found[share] = fit_mixture(points, IDENTITY, sensor, np.random.default_rng(4))
+    assert not isinstance(found[0.0], str)
+    assert found[0.25] == "expected a second code outside of the limits or on the grid, found 255 cm"

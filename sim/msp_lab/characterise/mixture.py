@@ -86,9 +86,10 @@ def fit_mixture(
     answered = ~np.isnan(reading_cm)
     reading_cm, expected_cm = reading_cm[answered], expected_cm[answered]
     reference_std_cm = np.concatenate(reference_cm or [np.empty(0)])[answered]
-    grid = ReadingGrid.of(sensor)
-    if sensor.reading_model.saturated_fraction == 0.0:
-        grid = replace(grid, second_no_echo_cm=None)
+    try:
+        grid = ReadingGrid.of(sensor)
+    except ValueError as error:
+        return str(error)
     whole = grid.nearest(reading_cm)
     notes = []
     if not np.array_equal(whole, reading_cm):
