@@ -103,15 +103,27 @@ class LimitedLoader(Composer, _Parser, SafeConstructor, Resolver):
         return node
 
     def compose_mapping_node(self, anchor: Any) -> Any:
-        """A mapping, whose keys are text or numbers, each given once."""
+        """A mapping, whose keys are text or numbers, each given once; what it merges stands before its own.
+
+        Merged here and not by PyYAML: its 6.0.4 takes a key of one letter from what a mapping had merged itself.
+        """
         node = super().compose_mapping_node(anchor)
-        seen = set()
-        for key, _ in node.value:
+        own: dict[str, Any] = {}
+        merged: dict[str, Any] = {}
+        for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise _error(f"found a {'list' if key.id == 'sequence' else key.id} as a key, expected a word", key)
-            if key.value in seen:
+            if key.value in own:
                 raise _error(f"the key {key.value!r} is given twice", key)
-            seen.add(key.value)
+            own[key.value] = (key, value)
+            if key.tag == _TAG + "merge":
+                for each in reversed(value.value if isinstance(value, yaml.SequenceNode) else [value]):
+                    if not isinstance(each, yaml.MappingNode):
+                        raise _error(f"expected a mapping or list of mappings for merging, but found {each.id}", each)
+                    merged |= {pair[0].value: pair for pair in each.value}
+        if merged:
+            del own["<<"]
+            node.value = list((merged | own).values())
         return node
 
     def construct_int(self, node: Any) -> int | str:

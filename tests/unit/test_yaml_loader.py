@@ -62,7 +62,9 @@ def merges(levels: int) -> str:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[" * 100_000, "a.yaml:1:33: not valid YAML: found more than 32 mappings and lists inside each other"),
+        ("[" * 900, "a.yaml:1:33: not valid YAML: found more than 32 mappings and lists inside each other"),
+        # Of more, libyaml's own limit comes first in some versions.
+        ("[" * 100_000, "not valid YAML: "),
         ("{a: " * 100_000, "found more than 32 mappings and lists inside each other"),
         ("- " * 100_000, "found more than 32 mappings and lists inside each other"),
         (laughs(60), "found more than 20000 values, aliases counted as what they stand for"),
