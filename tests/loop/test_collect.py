@@ -351,6 +351,7 @@ def test_the_command_end_to_end(tmp_path: Path) -> None:
     assert max(map(abs, medians)) < 2.0
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path: Path) -> None:
     path = written(tmp_path, *SEVERAL)
     program = "from msp_lab.cli import main; main()"

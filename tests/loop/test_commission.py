@@ -33,6 +33,7 @@ from tests.support import hand_held
 from tests.support.fake_computer import FakeComputer
 from tests.support.hand_held import EmulatedBus, HandHeld, Person
 from tests.support.parameter_autopilot import RANGE_FINDER
+from tests.support.slow import slow_but
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 GOOD = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
@@ -132,9 +133,11 @@ def test_a_vehicle_that_is_mounted_as_its_file_says_passes_without_a_change(tmp_
     ("mounted", "in_file", "step", "words"),
     [
         pytest.param(GOOD, SWAPPED, "addresses", "exchanged: front_left", id="swapped addresses"),
-        pytest.param(GOOD, REVERSED, "lift", "rear_left looks to pitch -90", id="reversed pitch"),
-        pytest.param(GOOD, LOW, "bench", "rear_right: 0.0", id="wrong height"),
-        pytest.param(GOOD, WRONG_SIGN, "lift", "wrong sign", id="wrong sign of y"),
+        pytest.param(
+            GOOD, REVERSED, "lift", "rear_left looks to pitch -90", id="reversed pitch", marks=pytest.mark.slow
+        ),
+        pytest.param(GOOD, LOW, "bench", "rear_right: 0.0", id="wrong height", marks=pytest.mark.slow),
+        pytest.param(GOOD, WRONG_SIGN, "lift", "wrong sign", id="wrong sign of y", marks=pytest.mark.slow),
         pytest.param(ROTATED, GOOD, "lift", "front_right looks to pitch -", id="one sensor rotated"),
     ],
 )
@@ -176,7 +179,7 @@ OTHER_FILES = {
 }
 
 
-@pytest.mark.parametrize("name", OTHER_FILES)
+@pytest.mark.parametrize("name", slow_but(list(OTHER_FILES)[:1], OTHER_FILES))
 def test_several_wrong_values_are_explained_together(tmp_path: Path, name: str) -> None:
     in_file, words, changes = OTHER_FILES[name]
     vehicle = Vehicle(tmp_path, GOOD, in_file, seed=2)
@@ -212,7 +215,7 @@ def test_an_autopilot_that_is_mounted_backwards_is_not_the_file_s_fault(
     assert vehicle.person.asked == []
 
 
-@pytest.mark.parametrize("in_file", [GOOD, WRONG_SIGN])
+@pytest.mark.parametrize("in_file", slow_but([WRONG_SIGN], [GOOD, WRONG_SIGN]))
 def test_nothing_is_proposed_from_an_attitude_that_is_late(tmp_path: Path, in_file: str) -> None:
     """A wrong place in the file stays too: the same command finds it as soon as the attitude is right."""
     vehicle = Vehicle(tmp_path, GOOD, in_file, seed=4)

@@ -27,6 +27,7 @@ from msp_sim.flight.recorded import recorded_flight
 from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 from msp_sim.model.model import load_model
+from tests.support.slow import slow_but
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = CONFIGS / "scenarios"
@@ -91,6 +92,7 @@ def test_every_scenario_flies_to_its_end() -> None:
         assert all(track.time_s for track in flight.tracks.values()), path.name
 
 
+@pytest.mark.slow
 def test_a_flight_leaves_nothing_to_the_garbage_collector() -> None:
     """A collection stops the loop, for 10 ms and more where it is a full one; faults and failed transfers included."""
     simulation = Simulation(load_scenario(SCENARIOS / "faults.yaml"), VirtualClock(), 1)
@@ -258,6 +260,7 @@ def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
     assert names.count("HEARTBEAT") >= 30
 
 
+@pytest.mark.slow
 def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -> None:
     """As a simulator recorded it, and as a vehicle would have: replayed, there is no truth."""
     run("fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
@@ -303,7 +306,7 @@ def test_another_model_flies(tmp_path: Path, resolution_cm: float) -> None:
         assert sensor["error_before"]["rms_cm"] < 1.5
 
 
-@pytest.mark.parametrize("effect", ["lost_high_byte", "clock_fault"])
+@pytest.mark.parametrize("effect", slow_but(["clock_fault"], ["lost_high_byte", "clock_fault"]))
 def test_words_that_are_no_range_of_the_sensor_arrive_on_the_bus(tmp_path: Path, effect: str) -> None:
     """300 cm without its high byte is 44, and 268 is 12: a word that an MB1242 never ranges."""
     model = yaml.safe_load((SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text())

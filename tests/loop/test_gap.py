@@ -86,6 +86,7 @@ def test_the_page_needs_nothing_but_itself(folder: Path) -> None:
         assert (folder / "out" / name).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_steps_alone_end_with_the_same(folder: Path) -> None:
     out = folder / "steps"
     run("compare", folder / "flights.csv", "--model", MODEL, "--out", out)

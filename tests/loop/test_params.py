@@ -151,7 +151,7 @@ def test_the_file_is_read_by_pymavlink(tmp_path: Path) -> None:
     [
         (FRESH, False, Firmware("ardupilot")),
         pytest.param(FRESH_BEFORE, False, Firmware("ardupilot", centimetres=True), marks=pytest.mark.slow),
-        (FRESH_PX4, True, Firmware("px4")),
+        pytest.param(FRESH_PX4, True, Firmware("px4"), marks=pytest.mark.slow),
     ],
     ids=["4.7", "before 4.7", "PX4"],
 )

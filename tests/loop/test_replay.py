@@ -61,6 +61,7 @@ def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     assert ranges(again) == ranges(flight)
 
 
+@pytest.mark.slow
 def test_a_replay_has_the_air_of_the_flight_and_how_well_it_was_known(tmp_path: Path) -> None:
     """A thermometer that dies in flight: what was sent, variances and all, is sent again, and nothing is reported."""
     thermometer = tmp_path / "temp1_input"
@@ -114,6 +115,7 @@ def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:
     assert ranges(tmp_path / "closed.mcap") == part
 
 
+@pytest.mark.slow
 def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Path) -> None:
     whole = len(list(Recording(flight)))
     assert f"{whole} messages and 2 attached files; lost: nothing" in run("recover", flight, tmp_path / "a.mcap").output

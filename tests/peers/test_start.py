@@ -97,6 +97,7 @@ def test_each_command_imports_that_first(command: str) -> None:
     assert f"{command.replace('-', '_')}.cli" in own
 
 
+@pytest.mark.slow
 def test_the_functions_for_programs_compute_with_one_thread_of_blas(tmp_path: Path) -> None:
     """Also where numpy is imported before: a notebook's first line."""
     (tmp_path / "a.csv").touch()

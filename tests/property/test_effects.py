@@ -15,6 +15,7 @@ from msp_sim.model.contract import CHECKS, Check, codes, uniformity
 from msp_sim.model.model import Model
 from msp_sim.model.trial import Trial, contexts
 from tests.support.curves import with_curve
+from tests.support.slow import slow_but
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 CODES = codes(SENSOR)
@@ -33,7 +34,7 @@ def strong(name: str, on: Model | None = None) -> Model:
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.find.__name__)
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", slow_but(list(CATALOGUE)[::3], CATALOGUE))
 def test_an_effect_keeps_the_contract(name: str, check: Check) -> None:
     assert check.find(TRIALS[name]) is None, check.advice
 

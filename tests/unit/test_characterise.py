@@ -314,6 +314,7 @@ def test_angles_of_a_real_sensor(tmp_path: Path) -> None:
     assert "the axis of the turning plate is not documented" in output
 
 
+@pytest.mark.slow
 def test_mixture_of_real_beams_whose_hits_are_flattered(tmp_path: Path) -> None:
     output, out = on_real_data(tmp_path, "carmen-fhw/fhw-pairs-derived.csv.gz", "carmen-fhw.yaml", "lidar_sick.yaml")
     weights = load_sensor_model(out).reading_model.weights

@@ -131,6 +131,7 @@ def nothing_found(data: MeasuredData) -> Findings:
     return Findings("other", "2026-10-05", 22.5, (), (), absent={"mixture": "too few readings"})
 
 
+@pytest.mark.slow
 def test_every_picture_is_there(complete: Complete) -> None:
     folder, page, _ = complete
     assert names_of(folder) == PICTURES

@@ -285,6 +285,7 @@ def test_a_factor_and_a_delay_together_are_found(tmp_path: Path) -> None:
     assert not found
 
 
+@pytest.mark.slow
 def test_what_nothing_explains_is_reported_as_unexplained(tmp_path: Path) -> None:
     """Each scenario with another fault."""
     text = table_of({"kalman 2": lambda x: kalman(x, 1.0)}, 8).splitlines()

@@ -85,6 +85,7 @@ def test_a_slip_is_named_next_to_tails_and_not_in_their_place(share: float, star
     assert names_of(after_exchange(problem, start)) == found
 
 
+@pytest.mark.slow
 def test_a_slip_of_which_offset_and_spread_have_taken_most_is_found() -> None:
     """A quarter of the echoes is 1.6 cm late: more scatter, 0.4 cm too far, and nothing that a small share improves."""
     rng = np.random.default_rng(5)
@@ -102,6 +103,7 @@ def test_a_slip_of_which_offset_and_spread_have_taken_most_is_found() -> None:
     assert term.active.values["cycles"] == pytest.approx(4.0, abs=0.3)
 
 
+@pytest.mark.slow
 def test_a_slip_is_no_name_for_noise_that_is_only_wider_and_off() -> None:
     rng = np.random.default_rng(6)
     true_cm = rng.uniform(60.0, 500.0, 3 * N)
@@ -241,6 +243,7 @@ def test_what_another_column_explains_as_well_is_an_alternative_whatever_its_num
     assert {"vibration", "rotor_noise"} <= {term.key[0], *others}
 
 
+@pytest.mark.slow
 def test_a_search_that_had_no_room_goes_on_without_what_did_not_hold() -> None:
     problem = problem_of((200.0, 240.0), 25.0)
     full = select(problem, 1)
@@ -251,6 +254,7 @@ def test_a_search_that_had_no_room_goes_on_without_what_did_not_hold() -> None:
     assert "range_rate_cm_s" in name
 
 
+@pytest.mark.slow
 def test_without_the_offset_of_one_sensor_that_of_another_is_still_sought() -> None:
     rng = np.random.default_rng(6)
     sensor_of = rng.choice(["a", "b", "c"], N)

@@ -264,6 +264,7 @@ def test_values_are_those_of_all_runs() -> None:
     assert 3.4 * error_ms < smallest_ms < 5.5 * error_ms
 
 
+@pytest.mark.slow
 def test_what_one_run_has_is_dropped_and_the_rest_is_kept() -> None:
     """Fitted on the part that has it, the other part scores worse for it; that part does not have it to fit."""
     contexts = flown(5)

@@ -17,6 +17,7 @@ from msp_range.recording.csv_form import MeasuredData, write_csv
 from tests.support.flight_logs import FORMS, Clock, right, set_by, write_bag, write_log
 from tests.support.log_import import imported
 from tests.support.measured import MODEL, readings
+from tests.support.slow import slow_but
 
 TRUTH = {"tlog": "ekf", "ros1": "mocap", "sqlite3": "mocap", "mcap": "mocap", "bin": "simulator", "ulg": "simulator"}
 """Form of a log -> the reference that it has."""
@@ -40,7 +41,7 @@ def assert_same(found: MeasuredData, expected: MeasuredData) -> None:
     assert np.abs(found["true_range_cm"] - expected["true_range_cm"])[there].max() < 4.0
 
 
-@pytest.mark.parametrize("step_s", [-0.6, -14.0])
+@pytest.mark.parametrize("step_s", slow_but([-0.6], [-0.6, -14.0]))
 @pytest.mark.parametrize("form", FORMS)
 def test_a_clock_that_is_set_back_begins_a_run(tmp_path: Path, form: str, step_s: float) -> None:
     _, whole = read(tmp_path / "right", form, right)

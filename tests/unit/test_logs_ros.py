@@ -56,6 +56,7 @@ def test_any_field_of_a_topic(tmp_path: Path) -> None:
         open_log(path, nothing, field="/vrpn/drone/pose.orientation.w")
 
 
+@pytest.mark.slow
 def test_messages_that_are_not_read_take_no_memory(tmp_path: Path) -> None:
     """rosbags keeps 170 bytes for each message of a bag of ROS 1: 5 million small ones were 1 GB."""
     peak_bytes = []
