@@ -66,7 +66,7 @@ class _Sensor:
         self.below = Below()
         self.stuck = StuckWatch()
         self.is_ground_in_doubt = False
-        self.foot_m = (0.0, 0.0)
+        self.foot_m = mounted.foot_m(0.0)
 
 
 class Fusion:

@@ -34,6 +34,7 @@ LAYOUTS = {
     "two across": [(0.0, -0.2), (0.0, 0.2)],
     "two at opposite corners": CORNERS[::3],
     "three on a line": [(0.25, 0.0), (0.0, 0.0), (-0.25, 0.0)],
+    "three on a line ahead": [(0.25, -0.2), (0.25, 0.0), (0.25, 0.2)],
     "four on a line": [(0.0, -0.3), (0.0, -0.1), (0.0, 0.1), (0.0, 0.3)],
     "three": CORNERS[:3],
     "four": CORNERS,
@@ -125,6 +126,7 @@ def fly(
 MORE = (
     "two at opposite corners",
     "three on a line",
+    "three on a line ahead",
     "four on a line",
     *(f"{count} in a ring" for count in (5, 6, 7, 8)),
 )
@@ -145,6 +147,11 @@ def test_two_of_four_that_get_an_echo_learn_no_slope(reads: tuple[Oblique, str])
     errors = fly("four", reads, witnesses=False, echo_from=2)
     assert errors.slope == 0.0
     assert np.abs(errors.off_m).max() < 0.08
+
+
+@pytest.mark.parametrize("layout", ["two across", "three on a line ahead", "four on a line"])
+def test_sensors_on_a_line_learn_no_slope(layout: str) -> None:
+    assert fly(layout, ("nearest", "nearest"), witnesses=False).slope == 0.0
 
 
 @pytest.mark.parametrize("layout", ["four", *slow("three")])
