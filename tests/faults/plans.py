@@ -12,7 +12,9 @@ import yaml
 
 from msp_range.yaml_file import read_yaml
 from msp_sim.flight.autopilot import BAROMETER_WARMER_C
+from tests.faults import families
 from tests.faults.dice import Dice
+from tests.faults.families import FAMILIES
 from tests.faults.faults import ADD, ATTITUDE_KINDS, COMMON_KINDS, SENSOR_KINDS
 from tests.faults.profiles import draw_flight
 
@@ -93,12 +95,16 @@ class Plan:
 
 
 def group_of(index: int) -> str:
-    """The group of a flight."""
+    """The group or the hostile family of a flight."""
+    if index >= families.FIRST:
+        return families.family_of(index)
     return _GROUPS[index * STRIDE % len(_GROUPS)]
 
 
 def turn_of(index: int) -> str:
     """Which of its group's kinds a flight is; empty where there are none."""
+    if index >= families.FIRST:
+        return families.turn_of(index)
     group = group_of(index)
     kinds = TURNS.get(group, [""])
     cycles, rest = divmod(index, len(_GROUPS))
@@ -108,6 +114,8 @@ def turn_of(index: int) -> str:
 
 def row_of(index: int) -> str:
     """The row of the table that a flight counts in."""
+    if index >= families.FIRST:
+        return families.row_of(index)
     group = group_of(index)
     return f"{group}: {turn_of(index)}" if group in ROWS_BY_TURN else group
 
@@ -115,8 +123,13 @@ def row_of(index: int) -> str:
 def draw_plan(seed: int, index: int, sends_motion: bool = True) -> Plan:
     """Draw one flight of a campaign; ``sends_motion``: of an autopilot that sends acceleration and pressure."""
     dice, group, turn = Dice(seed, index), group_of(index), turn_of(index)
-    airframe = _airframe(dice, turn if group == "airframe" else "quad")
-    flight = draw_flight(dice, hover=group == "hover")
+    family = FAMILIES.get(group)
+    if family is None:
+        airframe = _airframe(dice, turn if group == "airframe" else "quad")
+        flight = draw_flight(dice, hover=group == "hover")
+    else:
+        airframe = _airframe(dice, family.airframe(dice, turn))
+        flight = family.fly(dice, turn)
     on_air = group in ("temperature", "thermometer")
     source = turn if on_air else "file"
     if source == "none":
@@ -140,8 +153,11 @@ def draw_plan(seed: int, index: int, sends_motion: bool = True) -> Plan:
     names = [sensor["name"] for sensor in airframe["sensors"]]
     if group in ADD:
         ADD[group](dice, scenario, names, turn)
+    if family is not None:
+        scenario["autopilot"]["barometer"] = families.draw_barometer(dice)
+        family.add(dice, scenario, names, turn)
     interval_s = airframe.get("polling", {}).get("ping_interval_s")
-    facts = {"flight": flight.kind, "ground": flight.ground, "source": source, "air_c": ground_c}
+    facts = {"flight": flight.kind, "ground": flight.ground, "source": source, "air_c": air["ground_c"]}
     facts |= {"sensors": len(names), "ping_interval_s": interval_s}
     return Plan(seed, index, airframe, scenario, dice.seed(), facts)
 
