@@ -8,7 +8,7 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -86,15 +86,12 @@ def conditions_of(scenario: Scenario, family: Family | None = None) -> Condition
     reboots_s = sorted(scenario.autopilot.reboots_at_s) if scenario.autopilot else []
     starts_s = [0.0, *(each + REBOOT_S for each in reboots_s)]
     limit_s = max(1.0, 2.0 * turn_s)
-    tolerance = {}
-    if family is not None:
-        tolerance = {"wrong_m": HOSTILE_WRONG_M, "wrong_share": HOSTILE_WRONG_SHARE}
-        if family.silence_s is not None:
-            starts_s[0], limit_s = limit_s, family.silence_s
+    if family is not None and family.silence_s is not None:
+        starts_s[0], limit_s = limit_s, family.silence_s
     faulty_from_s = dict.fromkeys([sensor.name for sensor in airframe.sensors], math.inf)
     for fault in scenario.faults:
         faulty_from_s[fault.sensor] = min(faulty_from_s[fault.sensor], fault.from_s)
-    return Conditions(
+    conditions = Conditions(
         scenario.duration_s,
         limit_s,
         ON_THE_GROUND_M,
@@ -102,8 +99,10 @@ def conditions_of(scenario: Scenario, family: Family | None = None) -> Condition
         list(zip(starts_s, [*reboots_s, scenario.duration_s], strict=True)),
         [(fault.from_s, fault.to_s) for fault in scenario.faults],
         faulty_from_s,
-        **tolerance,
     )
+    if family is None:
+        return conditions
+    return replace(conditions, wrong_m=HOSTILE_WRONG_M, wrong_share=HOSTILE_WRONG_SHARE, stamp_counts=True)
 
 
 def _farthest_m(airframe: Airframe, i: int, air_c: float) -> float:

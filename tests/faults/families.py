@@ -6,9 +6,8 @@ that those of the groups stay what they are; docs/faults.md says what each famil
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from msp_range.config import load_airframe
 from tests.faults.dice import Dice
 from tests.faults.faults import (
     ATTITUDE_KINDS,
@@ -17,7 +16,6 @@ from tests.faults.faults import (
     attitude_fault,
     sensor_fault,
     thermometer_fault,
-    window,
 )
 from tests.faults.profiles import Flown, Segments, climb, draw_flight, flown, hold, lasts_s
 
@@ -29,8 +27,11 @@ SENSORS_DOWN_M = 0.05
 """How far below the body's origin the sensors are [m]."""
 NEW_KINDS = ["drift", "constant", "previous_ping", "fixed_object", "dust"]
 PAIR_KINDS = [*SENSOR_KINDS, *NEW_KINDS, "thermometer", "attitude"]
-ECHO_MARGIN_RAD = math.radians(2.0)
-"""A vehicle that follows a slope stays so low that the slope is this much within the sensors' beam: its sway [rad]."""
+FOLLOW_FROM_S = 4.0
+"""A vehicle that follows a slope waits for so long first [s]."""
+GRASS = {"breakaway": [{"range_cm": 50, "half_angle_deg": 35.0}, {"range_cm": 400, "half_angle_deg": 30.0}]}
+"""Breakaway angles over ground that scatters the sound, in the form of a sensor model [deg]: a wall's of 11 deg, which
+the model has, would leave no echo of a slope of 20 %."""
 
 
 def _fly_low(dice: Dice, turn: str) -> Flown:
@@ -60,33 +61,21 @@ def _add_fixed(dice: Dice, scenario: Content, names: list[str], turn: str) -> No
 
 
 def _fly_follow(dice: Dice, turn: str) -> Flown:
-    """60 s up and down a slope at a constant height above it."""
-    slope_rad = math.atan(dice.between(0.05, 0.30))
-    sway_deg = 0.5
-    height_m = dice.between(0.7, 1.0) * min(_highest_m(slope_rad), 4.0)
-    segments = [climb(round(height_m, 2), 0.7), hold(2.0)]
-    segments.append({"kind": "terrain", "height_m": round(height_m, 2), "duration_s": 60.0})
+    """60 s up and down a slope at a constant height above it, from a start of the bridge in the air on."""
+    height_m = dice.between(0.8, 4.0)
+    segments = [{"kind": "step", "to_m": height_m}, hold(FOLLOW_FROM_S)]
+    segments.append({"kind": "terrain", "height_m": height_m, "duration_s": 60.0})
     uphill_deg, speed_m_s = dice.between(-180.0, 180.0), dice.between(0.3, 1.0)
-    ground = {"slope_deg": round(math.degrees(slope_rad), 2), "uphill_deg": uphill_deg}
-    wait_s = round(lasts_s(segments[:2], ground), 2)
+    slope_deg = round(math.degrees(math.atan(dice.between(0.05, 0.30))), 2)
+    ground = {"slope_deg": slope_deg, "uphill_deg": uphill_deg}
     legs: Segments = [
-        {"duration_s": wait_s},
+        {"duration_s": FOLLOW_FROM_S},
         {"duration_s": 30.0, "speed_m_s": speed_m_s, "heading_deg": uphill_deg},
         {"duration_s": 28.0, "speed_m_s": speed_m_s, "heading_deg": uphill_deg + 180.0},
     ]
-    segments += [hold(2.0), {"kind": "land", "speed_m_s": dice.between(0.4, 0.8)}]
-    flight = flown(dice, "follow", "slope", segments, ground, legs, sway_deg)
+    flight = flown(dice, "follow", "slope", segments, ground, legs)
     flight.scenario["flight"]["heave"] = {"rms_m": dice.between(0.02, 0.15), "period_s": dice.between(1.5, 4.0)}
     return flight
-
-
-def _highest_m(slope_rad: float) -> float:
-    """Greatest height at which a slope still returns an echo to a sensor that looks straight down [m]."""
-    beam = load_airframe("quad_pallet").sensors[0].sensor_model.beam
-    highest_m = 0.5
-    while highest_m < 7.0 and beam.half_angle_rad(highest_m + 0.1) > slope_rad + ECHO_MARGIN_RAD:
-        highest_m += 0.1
-    return highest_m
 
 
 def _add_nothing(dice: Dice, scenario: Content, names: list[str], turn: str) -> None:
@@ -199,7 +188,8 @@ def _fly_edge(dice: Dice, turn: str) -> Flown:
     flight = flown(dice, "terrain" if follows else "level", "edges", segments, {"steps": steps}, legs)
     if dice.happens(0.5):
         # Two sensors over the edge before the other two, as a vehicle that flies where its nose points.
-        flight.scenario["flight"]["attitude"]["yaw_deg"] = dice.one_of([0.0, 90.0, 180.0, -90.0]) + dice.around(0.0, 2.0)
+        heading_deg = dice.one_of([0.0, 90.0, 180.0, -90.0]) + dice.around(0.0, 2.0)
+        flight.scenario["flight"]["attitude"]["yaw_deg"] = heading_deg
     return flight
 
 
@@ -210,15 +200,19 @@ def _add_edge(dice: Dice, scenario: Content, names: list[str], turn: str) -> Non
 
 
 def _fly_boxes(dice: Dice, turn: str) -> Flown:
-    """Over two boxes, each below the two sensors of one side: the ground below the middle stays the ground."""
-    boxes, north_m = [], 2.0
+    """Over two boxes, each below the two sensors of one side: the ground below the middle stays the ground.
+
+    The vehicle is so low over them, and they end so far from the middle, that the beams of the other two miss them.
+    """
+    boxes: list[Content] = []
+    north_m, top_m = 2.0, 0.0
     for _ in range(2):
-        length_m, inner_m, outer_m = dice.between(0.4, 1.5), dice.between(0.06, 0.12), dice.between(0.4, 0.9)
+        length_m, inner_m, outer_m = dice.between(0.4, 1.5), dice.between(0.18, 0.24), dice.between(0.5, 0.9)
         centre_m = [round(north_m + length_m / 2, 2), round(dice.one_of([-1, 1]) * (inner_m + outer_m) / 2, 3)]
-        size_m = [length_m, round(outer_m - inner_m, 2)]
-        boxes.append({"centre_m": centre_m, "size_m": size_m, "height_m": dice.between(0.3, 1.0)})
-        north_m += length_m + dice.between(0.5, 3.0)
-    height_m, speed_m_s = dice.between(2.0, 4.0), dice.magnitude(0.2, 1.5)
+        box_m = round(top_m + dice.between(-0.1, 0.1), 2) if boxes else dice.between(0.4, 1.0)
+        boxes.append({"centre_m": centre_m, "size_m": [length_m, round(outer_m - inner_m, 2)], "height_m": box_m})
+        north_m, top_m = round(north_m + length_m + dice.between(0.5, 3.0), 2), max(top_m, box_m)
+    height_m, speed_m_s = round(top_m + dice.between(0.6, 1.0), 2), dice.magnitude(0.2, 1.5)
     way_s = round((north_m + 1.0) / speed_m_s + 2.0, 2)
     segments = [climb(height_m, 1.0), hold(2.0), hold(way_s + 3.0), {"kind": "land", "speed_m_s": 0.6}]
     legs: Segments = [
@@ -295,6 +289,8 @@ class Family:
         Longest silence that does not count [s]; None: as in the groups.
     objects_are_objects
         Whether a distance to the top of an object is a wrong one: the ground below the middle of the vehicle is true.
+    sensor_model
+        Changes of the sensor model's file.
     """
 
     turns: Sequence[str]
@@ -304,6 +300,7 @@ class Family:
     healthy: Sequence[str] = ()
     silence_s: float | None = None
     objects_are_objects: bool = False
+    sensor_model: Content = field(default_factory=dict)
 
 
 EDGE_SILENCE_S = 0.3
@@ -312,7 +309,13 @@ ArduPilot's own limit is 0.5 s."""
 
 FAMILIES = {
     "fixed": Family(["all four", "three of four", *NUMBERS], _fly_low, _add_fixed, _as_turn),
-    "follow": Family(["4 sensors", "1 sensor"], _fly_follow, airframe=_as_turn, healthy=["4 sensors", "1 sensor"]),
+    "follow": Family(
+        ["4 sensors", "1 sensor"],
+        _fly_follow,
+        airframe=_as_turn,
+        healthy=["4 sensors", "1 sensor"],
+        sensor_model=GRASS,
+    ),
     "drift": Family(["longer", "shorter"], _fly_low, _add_drift),
     "common": Family(["constant", "previous ping", "saturated", "dust"], _fly_common, _add_common, _mostly_quad),
     "minimum": Family(
@@ -320,9 +323,7 @@ FAMILIES = {
     ),
     "banked": Family(["banked"], _fly_banked, airframe=_mostly_quad),
     "edge": Family(["healthy", "one dead"], _fly_edge, _add_edge, healthy=["healthy"], silence_s=EDGE_SILENCE_S),
-    "boxes": Family(
-        ["boxes"], _fly_boxes, healthy=["boxes"], silence_s=EDGE_SILENCE_S, objects_are_objects=True
-    ),
+    "boxes": Family(["boxes"], _fly_boxes, healthy=["boxes"], silence_s=EDGE_SILENCE_S, objects_are_objects=True),
     "outside air": Family(["settles", "flaps"], _fly_low, _add_thermometer, _mostly_quad),
     "pairs": Family(["pairs"], _fly_low, _add_pair),
 }

@@ -24,8 +24,8 @@ SENSOR_KINDS = [
     "silent",
     "power_cycle",
 ]
-"""Faults of one sensor. A locked-up bus takes all of them away and is flown in the group 'three or four'. The simulator's
-other kinds are those of `tests.faults.families`."""
+"""Faults of one sensor. A locked-up bus takes all of them away and is flown in the group 'three or four'. The other
+kinds of the simulator are flown in the hostile families."""
 COMMON_KINDS = ["or_ed", "lost_high_byte", "saturated", "stuck", "offset"]
 """Faults that give two sensors the same wrong height. The first three are alike: they leave eight bits, and 765 reads
 255 or 253."""

@@ -11,8 +11,10 @@ Above the maximum
     maximum by more than the tolerance.
 Wrong distance
     The held distance is off by more than the tolerance, or a wrong 'above the maximum', for over 0.5 s without a break.
-    A valid one is compared with the truth now. The tolerance is 50 cm, in the hostile families max(20 cm, 5 %) of the
-    true distance.
+    A valid one is compared with the truth now. The tolerance is 50 cm.
+Hostile families
+    The tolerance is max(20 cm, 5 % of the true distance). It is less than what a vehicle that climbs at 2 m/s moves
+    between an echo and the next message, so that the truth at the message's own time stamp counts as well as that now.
 Honest, covered
     A valid message's error is within 3, or 1.96, stated deviations: the root of the covariance in cm^2. Compared with
     the truth at the message's own time stamp, since a deviation is that of a measurement and not of its age; where the
@@ -233,6 +235,8 @@ class Conditions:
         By sensor, the time from which it is faulty [s], infinite for a healthy one; None: unknown.
     wrong_m, wrong_share
         The tolerance: so far off [m], or by this share of the true distance, whichever is more.
+    stamp_counts
+        Whether a distance that was right at its own time stamp is right as long as it holds.
     """
 
     duration_s: float
@@ -244,6 +248,7 @@ class Conditions:
     faulty_from_s: Mapping[str, float] | None = None
     wrong_m: float = WRONG_M
     wrong_share: float = 0.0
+    stamp_counts: bool = False
 
     def tolerance_m(self, true_m: float) -> float:
         """How far off a distance may be [m]."""
@@ -269,7 +274,9 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         held = distances[index] if index >= 0 and time_s - distances[index].time_s < TIME_OUT_S else None
         trues_m = truth.distances_m(time_s)
         if held is not None and held.is_valid:
-            off_m = nearest_error_m(held.current_m, trues_m)
+            off_m, stamp_off_m = nearest_error_m(held.current_m, trues_m), errors_m[index]
+            if conditions.stamp_counts and stamp_off_m is not None:
+                off_m = min(off_m, stamp_off_m, key=abs)
             if abs(off_m) > conditions.tolerance_m(held.current_m - off_m):
                 off.append((time_s, off_m))
         if held is not None and above_wrong[index]:
@@ -300,7 +307,10 @@ def _is_above_wrong(distance: Distance, truth: Truth, conditions: Conditions) ->
     """Whether a message is 'above the maximum' while the ground is nearer."""
     if not distance.is_above:
         return False
-    true_m = max(truth.distances_m(distance.time_s))
+    trues_m = truth.distances_m(distance.time_s)
+    if conditions.stamp_counts:
+        trues_m = [*trues_m, *truth.distances_m(distance.stamp_s)]
+    true_m = max(trues_m)
     return true_m < distance.maximum_m - conditions.tolerance_m(true_m)
 
 

@@ -4,7 +4,7 @@ A campaign's seed and the index of a flight enter; a `Plan` leaves, whose two fi
 plan depends on seed and index alone, so that a flight can be flown again whatever else was flown with it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +75,8 @@ class Plan:
         Random seed of the simulated flight.
     facts
         What was drawn, for those who look for a pattern.
+    sensor_model
+        Changes of the sensor model's file.
     """
 
     seed: int
@@ -83,14 +85,16 @@ class Plan:
     scenario: dict[str, Any]
     flight_seed: int
     facts: dict[str, Any]
+    sensor_model: dict[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path) -> Path:
         """Write airframe, sensor model and scenario; the path of the scenario."""
         (folder / "sensors").mkdir(parents=True, exist_ok=True)
-        (folder / SENSOR_MODEL).write_bytes((CONFIGS / SENSOR_MODEL).read_bytes())
-        for name, content in (("airframe", self.airframe), ("scenario", self.scenario)):
+        sensor_model = read_yaml(CONFIGS / SENSOR_MODEL) | self.sensor_model
+        files = {SENSOR_MODEL: sensor_model, "airframe.yaml": self.airframe, "scenario.yaml": self.scenario}
+        for name, content in files.items():
             text = yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False)
-            (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+            (folder / name).write_text(text, encoding="utf-8")
         return folder / "scenario.yaml"
 
 
@@ -159,7 +163,7 @@ def draw_plan(seed: int, index: int, sends_motion: bool = True) -> Plan:
     interval_s = airframe.get("polling", {}).get("ping_interval_s")
     facts = {"flight": flight.kind, "ground": flight.ground, "source": source, "air_c": air["ground_c"]}
     facts |= {"sensors": len(names), "ping_interval_s": interval_s}
-    return Plan(seed, index, airframe, scenario, dice.seed(), facts)
+    return Plan(seed, index, airframe, scenario, dice.seed(), facts, family.sensor_model if family else {})
 
 
 def _airframe(dice: Dice, name: str) -> dict[str, Any]:

@@ -202,9 +202,7 @@ class RangeFinder(ABC):
         chance: random.Random | None = None,
     ) -> None:
         if chance is None and any(fault.probability < 1.0 or fault.kind in DRAWN for fault in faults):
-            raise ValueError(
-                "a fault has a probability below one, or random errors: pass the random.Random that draws them as chance"
-            )
+            raise ValueError("a fault has a probability below one, or random errors: pass a random.Random as chance")
         for fault in faults:
             self.check_fault(fault)
         self.address = address

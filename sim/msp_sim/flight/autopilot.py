@@ -71,6 +71,10 @@ class BarometerErrors(NamedTuple):
     air_c: float = STANDARD_C
 
 
+NO_ERRORS = BarometerErrors()
+"""A barometer that only noise and drift disturb, in standard air."""
+
+
 class LoopbackAutopilot:
     """An autopilot in this process; a `Transport` of the bridge.
 
@@ -112,7 +116,7 @@ class LoopbackAutopilot:
         first_heartbeat_s: float = 0.0,
         reboots_at_s: Sequence[float] = (),
         sends_motion: bool = True,
-        barometer: BarometerErrors = BarometerErrors(),
+        barometer: BarometerErrors = NO_ERRORS,
         clearance_m: Callable[[float], float] = lambda time_s: math.inf,
     ) -> None:
         self.stats = TransportStats()
