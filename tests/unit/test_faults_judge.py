@@ -251,13 +251,15 @@ def test_a_hostile_flight_is_judged_by_20_cm_or_5_percent(true_cm: int, error_cm
     assert len(verdict_on(stream(lambda time_s: true_cm + error_cm), truth, **HOSTILE).wrong) == wrong
 
 
-def test_a_hostile_flight_is_not_judged_by_the_age_of_a_message() -> None:
-    """At 2.5 m/s a message of a tenth of a second is 35 cm behind when the next one comes; one echo late is 25 more."""
+@pytest.mark.parametrize(("age_s", "stamp_counts", "wrong"), [(0.14, True, 0), (0.14, False, 1), (0.30, True, 1)])
+def test_a_distance_may_be_as_old_as_its_time_stamp_says(age_s: float, stamp_counts: bool, wrong: int) -> None:
+    """At 2.5 m/s, 0.14 s are 35 cm; a distance of 0.30 s ago that is said to be of 0.14 s ago is 40 cm off."""
     truth = StatedTruth(lambda time_s: 1.0 + 2.5 * time_s)
-    prompt = stream(lambda time_s: round(100 + 250 * (time_s - 0.04)), to_s=2.0)
-    late = stream(lambda time_s: round(100 + 250 * (time_s - 0.14)), to_s=2.0)
-    assert verdict_on(prompt, truth, end_s=2.0, **HOSTILE).wrong == []
-    assert len(verdict_on(late, truth, end_s=2.0, **HOSTILE).wrong) == 1
+    messages = stream(lambda time_s: round(100 + 250 * (time_s - age_s)), to_s=2.0)
+    for _, message in messages:
+        message.time_boot_ms -= 100
+    verdict = verdict_on(messages, truth, end_s=2.0, **HOSTILE | {"stamp_counts": stamp_counts})
+    assert len(verdict.wrong) == wrong
 
 
 def test_above_the_maximum_in_a_hostile_flight_is_wrong_5_percent_below() -> None:
