@@ -25,6 +25,8 @@ NUMBERS = ["1 sensor", "2 sensors", "3 sensors", "8 sensors"]
 """Other airframes than the quad with four."""
 SENSORS_DOWN_M = 0.05
 """How far below the body's origin the sensors are [m]."""
+SATURATED_M = 2.7
+"""Sensors that saturate at 255 cm are wrong above this height [m]."""
 NEW_KINDS = ["drift", "constant", "previous_ping", "fixed_object", "dust"]
 PAIR_KINDS = [*SENSOR_KINDS, *NEW_KINDS, "thermometer", "attitude"]
 FOLLOW_FROM_S = 4.0
@@ -102,7 +104,10 @@ def _fly_common(dice: Dice, turn: str) -> Flown:
         segments.append({"kind": "land", "speed_m_s": dice.between(0.5, 1.0)})
         return flown(dice, "climbs", "flat", segments, {}, [])
     if turn == "saturated":
-        return draw_flight(dice, ["hover", "cruise", "cruise"])
+        while True:
+            flight = draw_flight(dice, ["hover", "cruise", "cruise"], ["flat", "slope", "boxes", "boxes"])
+            if max(each.get("to_m", 0.0) for each in flight.scenario["flight"]["altitude"]) > SATURATED_M:
+                return flight
     if turn == "dust":
         segments = [hold(2.0), climb(dice.between(0.7, 3.0), dice.between(0.3, 1.0)), hold(dice.between(20.0, 40.0))]
         segments += [{"kind": "land", "speed_m_s": dice.between(0.3, 0.8)}, hold(3.0)]

@@ -37,14 +37,16 @@ class Flown:
     scenario: dict[str, Any]
 
 
-def draw_flight(dice: Dice, kinds: Sequence[str] = (), *, hover: bool = False) -> Flown:
-    """Draw a profile, one of ``kinds`` or of all, and the ground below it; with ``hover`` a long hover over level
-    ground."""
+def draw_flight(
+    dice: Dice, kinds: Sequence[str] = (), grounds: Sequence[str] = GROUNDS, *, hover: bool = False
+) -> Flown:
+    """Draw a profile, one of ``kinds`` or of all, and the ground below it, one of ``grounds`` where it moves; with
+    ``hover`` a long hover over level ground."""
     kind = "hover" if hover else dice.one_of(kinds or list(_PROFILES))
     moving = kind in ("cruise", "high")
     name = "flat"
     if moving:
-        name = dice.one_of(GROUNDS)
+        name = dice.one_of(grounds)
     elif not hover and dice.happens(0.3):
         name = dice.one_of(["slope", "rough"])
     ground = _ground(dice, name)
