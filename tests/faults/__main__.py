@@ -18,8 +18,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 from msp_range.clock import SystemClock
 from msp_range.terminal import Bar
 from tests.faults.campaign import fly_all, fly_plan
+from tests.faults.families import FAMILIES, FIRST
 from tests.faults.plans import SHARES, draw_plan, group_of, row_of
-from tests.faults.report import Line, goals_table, groups_table, markdown, shown, worst_table
+from tests.faults.report import (
+    Line,
+    edges_table,
+    families_table,
+    goals_table,
+    groups_table,
+    markdown,
+    shown,
+    worst_table,
+)
 
 WIDTH = 260
 """Of the tables where there is no terminal [characters]: no heading is wrapped."""
@@ -34,7 +44,13 @@ def main() -> None:
     )
     parser.add_argument("--flights", type=int, default=700, help="how many (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the campaign (default: %(default)s)")
-    parser.add_argument("--only", nargs="+", metavar="GROUP", help=f"groups or rows: {', '.join(SHARES)}, 'one: stuck'")
+    parser.add_argument("--hostile", action="store_true", help="fly the hostile families instead of the groups")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="GROUP",
+        help=f"groups or rows: {', '.join(SHARES)}, 'one: stuck'; or hostile families: {', '.join(FAMILIES)}",
+    )
     parser.add_argument("--out", type=Path, default=Path("build/faults"), help="folder (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
     parser.add_argument(
@@ -48,13 +64,12 @@ def main() -> None:
         seed, index = map(int, given.again.split(":"))
         print(json.dumps(fly_plan(draw_plan(seed, index, not given.without_motion), given.out), indent=2))
         return
-    only = given.only
-    if only is not None:
-        known = {name for index in range(2000) for name in (group_of(index), row_of(index))}
-        for name in only:
-            if name not in known:
-                parser.error(f"--only: found {name!r}; expected some of: {'; '.join(sorted(known))}")
-    wanted = (index for index in count() if only is None or group_of(index) in only or row_of(index) in only)
+    only = given.only or []
+    first = FIRST if given.hostile or set(only) & _names_from(FIRST) else 0
+    for name in only:
+        if name not in _names_from(first):
+            parser.error(f"--only: found {name!r}; expected some of: {'; '.join(sorted(_names_from(first)))}")
+    wanted = (index for index in count(first) if not only or {group_of(index), row_of(index)} & set(only))
     try:
         indices = list(islice(wanted, given.flights))
         lines = _fly(given.seed, indices, given.jobs, given.out, not given.without_motion)
@@ -62,11 +77,17 @@ def main() -> None:
         sys.exit(130)
     console = Console()
     console = console if console.is_terminal else Console(width=WIDTH)
-    tables = [groups_table(lines), goals_table(lines), worst_table(lines)]
+    tables = [families_table(lines), edges_table(lines)] if first else [groups_table(lines), goals_table(lines)]
+    tables.append(worst_table(lines))
     for table in tables:
         console.print(shown(table))
     (given.out / "tables.md").write_text("\n".join(map(markdown, tables)), encoding="utf-8")
     print(f"tables: {given.out / 'tables.md'}\nevery flight: {given.out / 'flights.jsonl'}")
+
+
+def _names_from(first: int) -> set[str]:
+    """Groups, or families, and rows of a campaign that begins with an index."""
+    return {name for index in range(first, first + 2000) for name in (group_of(index), row_of(index))}
 
 
 def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool) -> list[Line]:

@@ -6,13 +6,26 @@
 from collections.abc import Callable
 from typing import Any
 
-from msp_sim.device.device import FAULT_KINDS
 from tests.faults.dice import Dice
 
 Content = dict[str, Any]
 
-SENSOR_KINDS = [kind for kind in FAULT_KINDS if kind != "locked_up"]
-"""Faults of one sensor. A locked-up bus takes all of them away and is flown in the group 'three or four'."""
+SENSOR_KINDS = [
+    "clock_fault",
+    "or_ed",
+    "saturated",
+    "lost_high_byte",
+    "impossible",
+    "missed_read",
+    "stuck",
+    "no_echo",
+    "noisy",
+    "offset",
+    "silent",
+    "power_cycle",
+]
+"""Faults of one sensor. A locked-up bus takes all of them away and is flown in the group 'three or four'. The other
+kinds of the simulator are flown in the hostile families."""
 COMMON_KINDS = ["or_ed", "lost_high_byte", "saturated", "stuck", "offset"]
 """Faults that give two sensors the same wrong height. The first three are alike: they leave eight bits, and 765 reads
 255 or 253."""
@@ -33,6 +46,8 @@ def sensor_fault(dice: Dice, sensor: str, kind: str, when: Content) -> Content:
     lasts_s = {"power_cycle": (0.0, 5.0), "locked_up": (1.0, 10.0)}.get(kind)
     if lasts_s is not None:
         return fault | {"to_s": round(when["from_s"] + dice.between(*lasts_s), 2)}
+    if kind in _DRAW_VALUES:
+        return fault | _DRAW_VALUES[kind](dice)
     fault["probability"] = dice.one_of([1.0, 0.5, 0.2])
     if kind == "impossible":
         fault["word"] = dice.one_of([0, 1, 10, 19, 766, 1000, 5000, 0x7FFF, 0xFFFF])
@@ -40,6 +55,31 @@ def sensor_fault(dice: Dice, sensor: str, kind: str, when: Content) -> Content:
         fault["spread_cm"] = dice.magnitude(30.0, 500.0)
     elif kind == "offset":
         fault["offset_cm"] = dice.one_of([-1, 1]) * dice.between(30.0, 300.0)
+    return fault
+
+
+_DRAW_VALUES: dict[str, Callable[[Dice], Content]] = {
+    "drift": lambda dice: {"rate_cm_s": dice.one_of([-1, 1]) * dice.between(1.5, 3.0)},
+    "constant": lambda dice: {"constant_cm": round(dice.between(20.0, 700.0))},
+    "previous_ping": lambda dice: {},
+    "fixed_object": lambda dice: {"object_cm": dice.between(20.0, 60.0), "jitter_cm": dice.between(0.0, 1.5)},
+    "dust": lambda dice: {"probability": dice.between(0.2, 0.9), "dust_cm": dice.between(50.0, 250.0)},
+}
+"""Values of the kinds of the hostile families."""
+
+
+def thermometer_fault(dice: Dice, when: Content) -> Content:
+    """A thermometer that jumps or freezes."""
+    if dice.happens(0.75):
+        return {"kind": "jump", **when, "by_c": dice.one_of([-1, 1]) * dice.between(10.0, 60.0)}
+    return {"kind": "freeze", **when}
+
+
+def attitude_fault(dice: Dice, kind: str, when: Content) -> Content:
+    """Attitude messages that make no sense."""
+    fault = {"kind": kind, **when}
+    if kind == "roll":
+        fault["roll_deg"] = dice.one_of([-1, 1]) * dice.between(85.0, 180.0)
     return fault
 
 
@@ -87,17 +127,11 @@ def _all_at_255(dice: Dice, scenario: Content, names: list[str], turn: str) -> N
 
 
 def _thermometer(dice: Dice, scenario: Content, names: list[str], turn: str) -> None:
-    fault = {"kind": "freeze", **window(dice, scenario["duration_s"])}
-    if dice.happens(0.75):
-        fault |= {"kind": "jump", "by_c": dice.one_of([-1, 1]) * dice.between(10.0, 60.0)}
-    scenario["thermometer"]["faults"] = [fault]
+    scenario["thermometer"]["faults"] = [thermometer_fault(dice, window(dice, scenario["duration_s"]))]
 
 
 def _attitude(dice: Dice, scenario: Content, names: list[str], turn: str) -> None:
-    fault = {"kind": turn, **window(dice, scenario["duration_s"])}
-    if turn == "roll":
-        fault["roll_deg"] = dice.one_of([-1, 1]) * dice.between(85.0, 180.0)
-    scenario["autopilot"]["attitude_faults"] = [fault]
+    scenario["autopilot"]["attitude_faults"] = [attitude_fault(dice, turn, window(dice, scenario["duration_s"]))]
 
 
 def _reboot(dice: Dice, scenario: Content, names: list[str], turn: str) -> None:

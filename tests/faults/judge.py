@@ -8,10 +8,13 @@ Valid
     until the next one of that orientation, and for 0.5 s at most, ArduPilot's time-out.
 Above the maximum
     current > max, whatever the quality. It is wrong where every true distance at its receipt is less than the
-    maximum - 0.5 m.
+    maximum by more than the tolerance.
 Wrong distance
-    The held distance is over 50 cm off, or a wrong 'above the maximum', for over 0.5 s without a break. A valid one is
-    compared with the truth now.
+    The held distance is off by more than the tolerance, or a wrong 'above the maximum', for over 0.5 s without a break.
+    A valid one is compared with the truth now. The tolerance is 50 cm.
+Hostile families
+    The tolerance is max(20 cm, 5 % of the true distance). It is less than what a vehicle that climbs at 2 m/s moves
+    between an echo and the next message, so that the truth at the message's own time stamp counts as well as that now.
 Honest, covered
     A valid message's error is within 3, or 1.96, stated deviations: the root of the covariance in cm^2. Compared with
     the truth at the message's own time stamp, since a deviation is that of a measurement and not of its age; where the
@@ -35,7 +38,7 @@ False object
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -47,7 +50,6 @@ from tests.faults.truth import Truth, nearest_error_m
 TIME_OUT_S = 0.5
 """ArduPilot's AP_RangeFinder takes a MAVLink range finder for gone after this [s]."""
 WRONG_M, WRONG_S = 0.5, 0.5
-ABOVE_MARGIN_M = 0.5
 REPORT_AFTER_LIMIT_S = 0.5
 REPORT_WRONG_S = 2.0
 REPORT_BEFORE_S = 1.0
@@ -55,9 +57,12 @@ REPORT_BEFORE_S = 1.0
 LATEST_STAMP_S = 0.5
 GRID_S = 0.025
 """Time between two comparisons with the truth [s]; what is shorter is not seen."""
+EDGE_GRID_S = 0.1
+"""Time between two looks for an edge below [s]: an edge lasts 2 s at least."""
 COVARIANCE_UNKNOWN, QUALITY_INVALID = 255, 1
 
 _ON_OBJECTS = re.compile(r"\b(object|hole|ground below)\b", re.IGNORECASE)
+_IS_OBJECT = re.compile(r"\b(object|hole)\b")
 _ON_AIR = re.compile(r"\b(air temp|temperature|thermometer)", re.IGNORECASE)
 
 
@@ -123,8 +128,10 @@ class Verdict:
         Between two messages that an autopilot can use, whether longer than the limit or not.
     above_wrong, above_wrong_s
         Wrong messages 'above the maximum', and how long they held.
-    false_objects
+    false_objects, warnings
         Texts.
+    edges
+        Beginning and longest silence of each edge.
     messages
         DISTANCE_SENSOR that look down.
     """
@@ -145,6 +152,8 @@ class Verdict:
     above_wrong: int = 0
     above_wrong_s: float = 0.0
     false_objects: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    edges: list[tuple[float, float]] = field(default_factory=list)
     messages: int = 0
 
 
@@ -173,10 +182,19 @@ class Received:
             elif kind == "HEARTBEAT":
                 self._states.append((time_s, message.system_status))
 
-    def report(self, from_s: float, to_s: float, *, air_counts: bool) -> str | None:
-        """How something was reported between two times: 'text', 'critical' or None."""
+    def report(
+        self, from_s: float, to_s: float, *, air_counts: bool, faulty_from_s: Mapping[str, float] | None = None
+    ) -> str | None:
+        """How something was reported between two times: 'text', 'critical' or None.
+
+        ``faulty_from_s`` has the names of the sensors, each with the time from which it is faulty [s]; with it a text
+        about sensors that are healthy at its time does not count.
+        """
         for time_s, severity, text in self.texts:
             about_another = _ON_OBJECTS.search(text) or (_ON_AIR.search(text) and not air_counts)
+            named = [name for name in faulty_from_s or () if re.search(rf"\b{name}\b", text)]
+            if faulty_from_s and named and all(faulty_from_s[name] > time_s for name in named):
+                continue
             if from_s <= time_s <= to_s and severity <= mavlink.MAV_SEVERITY_WARNING and not about_another:
                 return "text"
         before = [state for time_s, state in self._states if time_s <= to_s]
@@ -213,6 +231,12 @@ class Conditions:
         True distances that the sensors can measure in this air [m].
     listens_s, faulty_s
         From when to when the autopilot listened, and when sensors are faulty [s].
+    faulty_from_s
+        By sensor, the time from which it is faulty [s], infinite for a healthy one; None: unknown.
+    wrong_m, wrong_share
+        The tolerance: so far off [m], or by this share of the true distance, whichever is more.
+    stamp_counts
+        Whether a distance that was right at its own time stamp is right as long as it holds.
     """
 
     duration_s: float
@@ -221,6 +245,14 @@ class Conditions:
     farthest_m: float
     listens_s: Sequence[tuple[float, float]]
     faulty_s: Sequence[tuple[float, float]] = ()
+    faulty_from_s: Mapping[str, float] | None = None
+    wrong_m: float = WRONG_M
+    wrong_share: float = 0.0
+    stamp_counts: bool = False
+
+    def tolerance_m(self, true_m: float) -> float:
+        """How far off a distance may be [m]."""
+        return max(self.wrong_m, self.wrong_share * true_m)
 
 
 def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
@@ -231,7 +263,7 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         nearest_error_m(each.current_m, truth.distances_m(each.stamp_s)) if each.is_valid else None
         for each in distances
     ]
-    above_wrong = [_is_above_wrong(each, truth) for each in distances]
+    above_wrong = [_is_above_wrong(each, truth, conditions) for each in distances]
     verdict.above_wrong = sum(above_wrong)
     off: list[tuple[float, float]] = []
     index = -1
@@ -242,8 +274,10 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         held = distances[index] if index >= 0 and time_s - distances[index].time_s < TIME_OUT_S else None
         trues_m = truth.distances_m(time_s)
         if held is not None and held.is_valid:
-            off_m = nearest_error_m(held.current_m, trues_m)
-            if abs(off_m) > WRONG_M:
+            off_m, stamp_off_m = nearest_error_m(held.current_m, trues_m), errors_m[index]
+            if conditions.stamp_counts and stamp_off_m is not None:
+                off_m = min(off_m, stamp_off_m, key=abs)
+            if abs(off_m) > conditions.tolerance_m(held.current_m - off_m):
                 off.append((time_s, off_m))
         if held is not None and above_wrong[index]:
             verdict.above_wrong_s += GRID_S
@@ -254,23 +288,46 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         in_range = conditions.nearest_m <= trues_m[0] <= conditions.farthest_m
         faulty = any(start_s <= time_s < end_s for start_s, end_s in conditions.faulty_s)
         _count(verdict, held, error_m, in_range, faulty)
-    verdict.wrong = _wrong(off, received)
+    verdict.wrong = _wrong(off, received, conditions)
     usable_s = [each.time_s for each in distances if each.is_usable]
     for start_s, end_s in conditions.listens_s:
         _silences(verdict, [each for each in usable_s if start_s <= each < end_s], start_s, end_s, received, conditions)
-    verdict.false_objects = [
-        f"{time_s:.1f} s: {text}"
+    warnings = [
+        (f"{time_s:.1f} s: {text}", _IS_OBJECT.search(text), truth.is_uneven(time_s))
         for time_s, severity, text in received.texts
-        if severity <= mavlink.MAV_SEVERITY_WARNING and re.search(r"\b(object|hole)\b", text)
-        if not truth.is_uneven(time_s)
+        if severity <= mavlink.MAV_SEVERITY_WARNING
     ]
+    verdict.false_objects = [text for text, is_object, is_uneven in warnings if is_object and not is_uneven]
+    verdict.warnings = [text for text, is_object, is_uneven in warnings if not (is_object and is_uneven)]
+    verdict.edges = _edges(usable_s, truth, conditions)
     return verdict
 
 
-def _is_above_wrong(distance: Distance, truth: Truth) -> bool:
+def _is_above_wrong(distance: Distance, truth: Truth, conditions: Conditions) -> bool:
     """Whether a message is 'above the maximum' while the ground is nearer."""
-    nearest_m = distance.maximum_m - ABOVE_MARGIN_M
-    return distance.is_above and max(truth.distances_m(distance.time_s)) < nearest_m
+    if not distance.is_above:
+        return False
+    trues_m = truth.distances_m(distance.time_s)
+    if conditions.stamp_counts:
+        trues_m = [*trues_m, *truth.distances_m(distance.stamp_s)]
+    true_m = max(trues_m)
+    return true_m < distance.maximum_m - conditions.tolerance_m(true_m)
+
+
+def _edges(usable_s: Sequence[float], truth: Truth, conditions: Conditions) -> list[tuple[float, float]]:
+    """Beginning of each edge and its longest silence [s]."""
+    edges: list[tuple[float, float]] = []
+    began_s = None
+    for i in range(math.ceil(conditions.duration_s / EDGE_GRID_S) + 1):
+        time_s = i * EDGE_GRID_S
+        if truth.is_uneven(time_s) and time_s < conditions.duration_s:
+            began_s = time_s if began_s is None else began_s
+        elif began_s is not None:
+            gaps = zip([0.0, *usable_s], [*usable_s, conditions.duration_s], strict=True)
+            longest_s = max(to_s - from_s for from_s, to_s in gaps if to_s > began_s and from_s < time_s)
+            edges.append((round(began_s, 3), round(longest_s, 3)))
+            began_s = None
+    return edges
 
 
 def _count(verdict: Verdict, held: Distance | None, error_m: float | None, in_range: bool, faulty: bool) -> None:
@@ -289,7 +346,7 @@ def _count(verdict: Verdict, held: Distance | None, error_m: float | None, in_ra
         verdict.covered_s += GRID_S * (abs(error_m) <= 1.96 * held.std_m)
 
 
-def _wrong(off: Sequence[tuple[float, float]], received: Received) -> list[Event]:
+def _wrong(off: Sequence[tuple[float, float]], received: Received, conditions: Conditions) -> list[Event]:
     events = []
     if off:
         times_s, errors_m = np.array(off).T
@@ -297,7 +354,12 @@ def _wrong(off: Sequence[tuple[float, float]], received: Received) -> list[Event
         for some_s, some_m in zip(np.split(times_s, breaks), np.split(errors_m, breaks), strict=True):
             from_s, for_s = float(some_s[0]), float(some_s[-1] - some_s[0]) + GRID_S
             if for_s > WRONG_S + GRID_S / 2:
-                report = received.report(from_s - REPORT_BEFORE_S, from_s + REPORT_WRONG_S, air_counts=True)
+                report = received.report(
+                    from_s - REPORT_BEFORE_S,
+                    from_s + REPORT_WRONG_S,
+                    air_counts=True,
+                    faulty_from_s=conditions.faulty_from_s,
+                )
                 worst_m = float(some_m[np.argmax(np.abs(some_m))])
                 events.append(Event(round(from_s, 3), round(for_s, 3), round(worst_m, 2), report))
     return events

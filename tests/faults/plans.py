@@ -4,7 +4,7 @@ A campaign's seed and the index of a flight enter; a `Plan` leaves, whose two fi
 plan depends on seed and index alone, so that a flight can be flown again whatever else was flown with it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,9 @@ import yaml
 
 from msp_range.yaml_file import read_yaml
 from msp_sim.flight.autopilot import BAROMETER_WARMER_C
+from tests.faults import families
 from tests.faults.dice import Dice
+from tests.faults.families import FAMILIES
 from tests.faults.faults import ADD, ATTITUDE_KINDS, COMMON_KINDS, SENSOR_KINDS
 from tests.faults.profiles import draw_flight
 
@@ -73,6 +75,8 @@ class Plan:
         Random seed of the simulated flight.
     facts
         What was drawn, for those who look for a pattern.
+    sensor_model
+        Changes of the sensor model's file.
     """
 
     seed: int
@@ -81,24 +85,30 @@ class Plan:
     scenario: dict[str, Any]
     flight_seed: int
     facts: dict[str, Any]
+    sensor_model: dict[str, Any] = field(default_factory=dict)
 
     def write(self, folder: Path) -> Path:
         """Write airframe, sensor model and scenario; the path of the scenario."""
         (folder / "sensors").mkdir(parents=True, exist_ok=True)
-        (folder / SENSOR_MODEL).write_bytes((CONFIGS / SENSOR_MODEL).read_bytes())
-        for name, content in (("airframe", self.airframe), ("scenario", self.scenario)):
+        sensor_model = read_yaml(CONFIGS / SENSOR_MODEL) | self.sensor_model
+        files = {SENSOR_MODEL: sensor_model, "airframe.yaml": self.airframe, "scenario.yaml": self.scenario}
+        for name, content in files.items():
             text = yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False)
-            (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
+            (folder / name).write_text(text, encoding="utf-8")
         return folder / "scenario.yaml"
 
 
 def group_of(index: int) -> str:
-    """The group of a flight."""
+    """The group or the hostile family of a flight."""
+    if index >= families.FIRST:
+        return families.family_of(index)
     return _GROUPS[index * STRIDE % len(_GROUPS)]
 
 
 def turn_of(index: int) -> str:
     """Which of its group's kinds a flight is; empty where there are none."""
+    if index >= families.FIRST:
+        return families.turn_of(index)
     group = group_of(index)
     kinds = TURNS.get(group, [""])
     cycles, rest = divmod(index, len(_GROUPS))
@@ -108,6 +118,8 @@ def turn_of(index: int) -> str:
 
 def row_of(index: int) -> str:
     """The row of the table that a flight counts in."""
+    if index >= families.FIRST:
+        return families.row_of(index)
     group = group_of(index)
     return f"{group}: {turn_of(index)}" if group in ROWS_BY_TURN else group
 
@@ -115,8 +127,13 @@ def row_of(index: int) -> str:
 def draw_plan(seed: int, index: int, sends_motion: bool = True) -> Plan:
     """Draw one flight of a campaign; ``sends_motion``: of an autopilot that sends acceleration and pressure."""
     dice, group, turn = Dice(seed, index), group_of(index), turn_of(index)
-    airframe = _airframe(dice, turn if group == "airframe" else "quad")
-    flight = draw_flight(dice, hover=group == "hover")
+    family = FAMILIES.get(group)
+    if family is None:
+        airframe = _airframe(dice, turn if group == "airframe" else "quad")
+        flight = draw_flight(dice, hover=group == "hover")
+    else:
+        airframe = _airframe(dice, family.airframe(dice, turn))
+        flight = family.fly(dice, turn)
     on_air = group in ("temperature", "thermometer")
     source = turn if on_air else "file"
     if source == "none":
@@ -140,10 +157,13 @@ def draw_plan(seed: int, index: int, sends_motion: bool = True) -> Plan:
     names = [sensor["name"] for sensor in airframe["sensors"]]
     if group in ADD:
         ADD[group](dice, scenario, names, turn)
+    if family is not None:
+        scenario["autopilot"]["barometer"] = families.draw_barometer(dice)
+        family.add(dice, scenario, names, turn)
     interval_s = airframe.get("polling", {}).get("ping_interval_s")
-    facts = {"flight": flight.kind, "ground": flight.ground, "source": source, "air_c": ground_c}
+    facts = {"flight": flight.kind, "ground": flight.ground, "source": source, "air_c": air["ground_c"]}
     facts |= {"sensors": len(names), "ping_interval_s": interval_s}
-    return Plan(seed, index, airframe, scenario, dice.seed(), facts)
+    return Plan(seed, index, airframe, scenario, dice.seed(), facts, family.sensor_model if family else {})
 
 
 def _airframe(dice: Dice, name: str) -> dict[str, Any]:

@@ -37,13 +37,16 @@ class Flown:
     scenario: dict[str, Any]
 
 
-def draw_flight(dice: Dice, *, hover: bool = False) -> Flown:
-    """Draw a profile and the ground below it; with ``hover`` a long hover over level ground."""
-    kind = "hover" if hover else dice.one_of(list(_PROFILES))
+def draw_flight(
+    dice: Dice, kinds: Sequence[str] = (), grounds: Sequence[str] = GROUNDS, *, hover: bool = False
+) -> Flown:
+    """Draw a profile, one of ``kinds`` or of all, and the ground below it, one of ``grounds`` where it moves; with
+    ``hover`` a long hover over level ground."""
+    kind = "hover" if hover else dice.one_of(kinds or list(_PROFILES))
     moving = kind in ("cruise", "high")
     name = "flat"
     if moving:
-        name = dice.one_of(GROUNDS)
+        name = dice.one_of(grounds)
     elif not hover and dice.happens(0.3):
         name = dice.one_of(["slope", "rough"])
     ground = _ground(dice, name)
@@ -51,62 +54,71 @@ def draw_flight(dice: Dice, *, hover: bool = False) -> Flown:
     if kind == "cruise":
         height_m = segments[0]["to_m"]
         follow = {"kind": "terrain", "height_m": height_m, "duration_s": CRUISE_S}
-        segments.append(follow if name == "slope" or dice.happens(0.3) else _hold(CRUISE_S))
+        segments.append(follow if name == "slope" or dice.happens(0.3) else hold(CRUISE_S))
     legs: Segments = []
     if moving:
         speed_m_s = dice.between(0.4, 0.8 if name == "slope" else 1.5)
-        wait_s = round(_lasts_s(segments[:1], ground) + 1.0, 2)
+        wait_s = round(lasts_s(segments[:1], ground) + 1.0, 2)
         legs = [{"duration_s": wait_s}, {"duration_s": CRUISE_S - 8.0, "speed_m_s": speed_m_s}]
     wanted_s = HOVER_S if hover else dice.between(SHORTEST_S, LONGEST_S)
-    segments.append(_hold(max(wanted_s - _lasts_s(segments, ground) - 10.0, 3.0)))
+    segments.append(hold(max(wanted_s - lasts_s(segments, ground) - 10.0, 3.0)))
     segments.append({"kind": "land", "speed_m_s": dice.between(0.4, 0.8)})
-    sway_deg = dice.between(0.0, 1.5)
+    return flown(dice, kind, name, segments, ground, legs)
+
+
+def flown(
+    dice: Dice, kind: str, name: str, segments: Segments, ground: dict[str, Any], legs: Segments, most_deg: float = 1.5
+) -> Flown:
+    """A flight of these segments over a ground, with a drawn heading and a sway of up to ``most_deg`` rms."""
+    sway_deg = dice.between(0.0, most_deg)
     sway = {"roll_rms_deg": sway_deg, "pitch_rms_deg": sway_deg, "period_s": 2.5}
     attitude = {"yaw_deg": dice.between(-180.0, 180.0), "sway": sway}
     flight = {"altitude": segments, "track": {"legs": legs}, "attitude": attitude}
-    duration_s = round(_lasts_s(segments, ground, legs) + 1.5, 2)
+    duration_s = round(lasts_s(segments, ground, legs) + 1.5, 2)
     return Flown(kind, name, {"duration_s": duration_s, "flight": flight, "ground": ground})
 
 
-def _climb(to_m: float, speed_m_s: float, acceleration_m_s2: float = 1.0) -> dict[str, Any]:
+def climb(to_m: float, speed_m_s: float, acceleration_m_s2: float = 1.0) -> dict[str, Any]:
+    """Take off, climb or descend."""
     return {"kind": "climb", "to_m": to_m, "speed_m_s": speed_m_s, "acceleration_m_s2": acceleration_m_s2}
 
 
-def _hold(duration_s: float) -> dict[str, Any]:
+def hold(duration_s: float) -> dict[str, Any]:
+    """Keep the height."""
     return {"kind": "hold", "duration_s": round(duration_s, 2)}
 
 
 def _hover(dice: Dice) -> Segments:
-    return [_hold(2.0), _climb(dice.between(1.0, 7.0), dice.between(0.5, 1.5))]
+    return [hold(2.0), climb(dice.between(1.0, 7.0), dice.between(0.5, 1.5))]
 
 
 def _levels(dice: Dice) -> Segments:
     """Several heights, at the speeds of everyday flying."""
-    segments = [_hold(2.0)]
+    segments = [hold(2.0)]
     for _ in range(3):
-        segments += [_climb(dice.between(0.8, 7.0), dice.between(0.5, 1.5)), _hold(dice.between(3.0, 8.0))]
+        segments += [climb(dice.between(0.8, 7.0), dice.between(0.5, 1.5)), hold(dice.between(3.0, 8.0))]
     return segments
 
 
 def _fast(dice: Dice) -> Segments:
     """Climbs of up to 5 m/s and descents of 2 to 3 m/s."""
-    segments = [_climb(dice.between(0.8, 2.0), 1.0), _hold(3.0)]
+    segments = [climb(dice.between(0.8, 2.0), 1.0), hold(3.0)]
     for _ in range(2):
-        up = _climb(dice.between(5.0, 7.0), dice.between(2.0, 5.0), dice.between(2.0, 4.0))
-        down = _climb(dice.between(0.8, 2.0), dice.between(2.0, 3.0), dice.between(2.0, 3.0))
-        segments += [up, _hold(dice.between(2.0, 6.0)), down, _hold(dice.between(2.0, 6.0))]
+        up = climb(dice.between(5.0, 7.0), dice.between(2.0, 5.0), dice.between(2.0, 4.0))
+        down = climb(dice.between(0.8, 2.0), dice.between(2.0, 3.0), dice.between(2.0, 3.0))
+        segments += [up, hold(dice.between(2.0, 6.0)), down, hold(dice.between(2.0, 6.0))]
     return segments
 
 
 def _high(dice: Dice) -> Segments:
     """Above what the sensors can measure, and back."""
-    up = _climb(dice.between(8.5, 12.0), dice.between(1.0, 3.0), 2.0)
-    down = _climb(dice.between(2.5, 5.0), dice.between(0.8, 3.0), 2.0)
-    return [up, _hold(dice.between(8.0, 20.0)), down, _hold(CRUISE_S / 2)]
+    up = climb(dice.between(8.5, 12.0), dice.between(1.0, 3.0), 2.0)
+    down = climb(dice.between(2.5, 5.0), dice.between(0.8, 3.0), 2.0)
+    return [up, hold(dice.between(8.0, 20.0)), down, hold(CRUISE_S / 2)]
 
 
 def _cruise(dice: Dice) -> Segments:
-    return [_climb(dice.between(LOWEST_CRUISE_M, 6.0), dice.between(0.7, 1.5)), _hold(2.0)]
+    return [climb(dice.between(LOWEST_CRUISE_M, 6.0), dice.between(0.7, 1.5)), hold(2.0)]
 
 
 def _restart(dice: Dice) -> Segments:
@@ -117,13 +129,13 @@ def _restart(dice: Dice) -> Segments:
     from_m, moves = {
         "above": (
             dice.between(8.5, 12.0),
-            [_hold(dice.between(5.0, 10.0)), _climb(dice.between(2.0, 5.0), dice.between(1.0, 3.0), 2.0)],
+            [hold(dice.between(5.0, 10.0)), climb(dice.between(2.0, 5.0), dice.between(1.0, 3.0), 2.0)],
         ),
         "descent": (high_m, [{"kind": "ramp", "to_m": low_m, "duration_s": ramp_s}]),
         "climb": (low_m, [{"kind": "ramp", "to_m": high_m, "duration_s": ramp_s}]),
         "rest": (dice.between(1.0, 7.0), []),
     }[start]
-    then = [_hold(dice.between(8.0, 15.0)), _climb(dice.between(1.0, 6.0), 1.0)]
+    then = [hold(dice.between(8.0, 15.0)), climb(dice.between(1.0, 6.0), 1.0)]
     return [{"kind": "step", "to_m": from_m}, *moves, *then]
 
 
@@ -160,7 +172,7 @@ def _ground(dice: Dice, name: str) -> dict[str, Any]:
     return {}
 
 
-def _lasts_s(segments: Segments, ground: dict[str, Any], legs: Sequence[dict[str, Any]] = ()) -> float:
+def lasts_s(segments: Segments, ground: dict[str, Any], legs: Sequence[dict[str, Any]] = ()) -> float:
     """How long segments take [s], at rest over the start where there are no legs."""
     flight = FlightSection.model_validate({"altitude": segments, "track": {"legs": legs}})
     return Vehicle(

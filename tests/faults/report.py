@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from statistics import stdev
 from typing import Any
 
+import numpy as np
 from rich import box
 from rich.table import Table
 
+from tests.faults.families import FAMILIES
 from tests.faults.plans import ROWS_BY_TURN, SHARES, SOURCES, TURNS
 
 Line = dict[str, Any]
@@ -41,6 +43,28 @@ class Sum:
     def wrong_s(self) -> float:
         """Time with wrong distances [s]."""
         return float(sum(event[FOR_S] for event in self.events("wrong")))
+
+    @property
+    def unreported_wrong_s(self) -> float:
+        """Time with wrong distances that were not reported [s]."""
+        return float(sum(event[FOR_S] for event in self.events("wrong") if event[REPORTED] is None))
+
+    @property
+    def flights_unreported(self) -> int:
+        """Flights with a wrong distance that was not reported."""
+        wrong = [line["verdict"]["wrong"] for line in self.lines]
+        return sum(any(event[REPORTED] is None for event in events) for events in wrong)
+
+    @property
+    def silent_s(self) -> float:
+        """Time of the silences [s]."""
+        return float(sum(event[FOR_S] for event in self.events("silences")))
+
+    @property
+    def false_warnings(self) -> int | None:
+        """Warnings in flights in which nothing is wrong; None: there is no such flight."""
+        healthy = [line for line in self.lines if line["healthy"]]
+        return sum(len(line["verdict"]["warnings"]) for line in healthy) if healthy else None
 
     @property
     def reported(self) -> int:
@@ -86,6 +110,23 @@ _COLUMNS: dict[str, Callable[[Sum], str]] = {
 }
 
 
+_HOSTILE_COLUMNS: dict[str, Callable[[Sum], str]] = {
+    "flights": lambda some: str(len(some.lines)),
+    "flights wrong and unreported": lambda some: str(some.flights_unreported),
+    "wrong distances": lambda some: str(len(some.events("wrong"))),
+    "reported": lambda some: f"{some.reported} of {len(some.events('wrong'))}" if some.events("wrong") else "",
+    "wrong, s": lambda some: f"{some.wrong_s:.1f}",
+    "unreported, s": lambda some: f"{some.unreported_wrong_s:.1f}",
+    "longest, s": lambda some: f"{max((event[FOR_S] for event in some.events('wrong')), default=0.0):.1f}",
+    "silent, s": lambda some: f"{some.silent_s:.1f}",
+    "longest silence, s": lambda some: f"{max(line['verdict']['longest_gap_s'] for line in some.lines):.1f}",
+    "unreported silences": lambda some: f"{some.unreported} of {len(some.events('silences'))}",
+    "within 3 s.d., %": lambda some: _percent(some.share("honest_s", "valid_s")),
+    "false objects": lambda some: str(some.false_objects),
+    "false warnings": lambda some: "" if some.false_warnings is None else str(some.false_warnings),
+}
+
+
 def _percent(share: float | None) -> str:
     return "" if share is None else f"{share:.1f}"
 
@@ -108,10 +149,38 @@ def groups_table(lines: Sequence[Line]) -> Cells:
     rows: list[str] = []
     for group in SHARES:
         rows += [f"{group}: {kind}" for kind in TURNS[group]] if group in ROWS_BY_TURN else [group]
-    parts = [(row, [line for line in lines if line["row"] == row]) for row in rows] + [("all", list(lines))]
+    return _table("group", _COLUMNS, [(row, _in(lines, "row", row)) for row in rows] + [("all", list(lines))])
+
+
+def families_table(lines: Sequence[Line]) -> Cells:
+    """One row for each hostile family, and where it has several kinds of flight one for each."""
+    parts: list[tuple[str, list[Line]]] = []
+    for name in FAMILIES:
+        some = _in(lines, "group", name)
+        rows = sorted({line["row"] for line in some})
+        parts += [(name, some), *((row, _in(some, "row", row)) for row in rows if row != name)]
+    return _table("family", _HOSTILE_COLUMNS, [*parts, ("all", list(lines))])
+
+
+def edges_table(lines: Sequence[Line]) -> Cells:
+    """Longest silences at edges: of the flights with edges of each row."""
+    table = [["row", "edges", "median, s", "90 %, s", "longest, s", "over 0.3 s", "over 0.5 s"]]
+    for row in dict.fromkeys(line["row"] for line in lines if line["group"] in ("edge", "boxes")):
+        longest_s = np.array([each_s for line in _in(lines, "row", row) for _, each_s in line["verdict"]["edges"]])
+        quantiles = [f"{each:.2f}" for each in np.quantile(longest_s, [0.5, 0.9, 1.0])]
+        table.append([row, str(len(longest_s)), *quantiles, *(str((longest_s > limit).sum()) for limit in (0.3, 0.5))])
+    return table
+
+
+def _in(lines: Iterable[Line], key: str, value: str) -> list[Line]:
+    return [line for line in lines if line[key] == value]
+
+
+def _table(heading: str, columns: dict[str, Callable[[Sum], str]], parts: Sequence[tuple[str, list[Line]]]) -> Cells:
+    """A row for each part that has flights."""
     return [
-        ["group", *_COLUMNS],
-        *([name, *(cell(Sum(some)) for cell in _COLUMNS.values())] for name, some in parts if some),
+        [heading, *columns],
+        *([name, *(cell(Sum(some)) for cell in columns.values())] for name, some in parts if some),
     ]
 
 

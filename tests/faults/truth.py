@@ -34,12 +34,15 @@ class Truth:
 
     With h the height of the reference point over the ground's mean plane, and e the down axis, a ground with relief r
     over that plane is at d = (h - r) / (e_d + g . e), g the plane's rise per metre.
+
+    With ``only_below`` the ground that the down axis meets is the only one that is true: objects below some sensors
+    are objects.
     """
 
-    def __init__(self, scenario: Scenario, world: World, vehicle: Vehicle) -> None:
+    def __init__(self, scenario: Scenario, world: World, vehicle: Vehicle, *, only_below: bool = False) -> None:
         airframe: Airframe = scenario.airframe
         ground = scenario.ground
-        self._world, self._vehicle = world, vehicle
+        self._world, self._vehicle, self._only_below = world, vehicle, only_below
         self._reference_m = airframe.send.fused.reference_down_m if airframe.send.fused else 0.0
         grade = math.tan(math.radians(ground.slope_deg))
         uphill_rad = math.radians(ground.uphill_deg)
@@ -57,7 +60,7 @@ class Truth:
         pose = self._vehicle.pose(time_s)
         below_m = self._world.down_axis_m(pose)
         own_m = math.inf if below_m is None else below_m - self._reference_m
-        if not self._reliefs:
+        if self._only_below or not self._reliefs:
             return [own_m]
         height_m, rate, _ = self._reference(time_s)
         return [own_m, *((height_m - relief_m) / rate for relief_m in self._recent(time_s, MEMORY_S))]

@@ -12,14 +12,26 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.faults.campaign import fly_all
-from tests.faults.plans import row_of
-from tests.faults.report import REPORTED, Sum, goals_table, groups_table, markdown, worst_table
+from tests.faults.campaign import fly_all, fly_plan
+from tests.faults.families import FAMILIES
+from tests.faults.families import FIRST as FIRST_HOSTILE
+from tests.faults.plans import draw_plan, row_of
+from tests.faults.report import (
+    REPORTED,
+    Sum,
+    edges_table,
+    families_table,
+    goals_table,
+    groups_table,
+    markdown,
+    worst_table,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -78,6 +90,48 @@ def test_the_tables_can_be_made(lines: list[dict[str, Any]]) -> None:
     assert len({row.count("|") for row in groups}) == 1
     assert len(goals_table(lines)) >= 9
     assert {flight for _, flight, *_ in worst_table(lines)[1:]} <= {line["again"] for line in lines}
+
+
+@pytest.fixture(scope="module")
+def hostile() -> list[dict[str, Any]]:
+    """The first flight of each hostile family."""
+    return list(fly_all(SEED, range(FIRST_HOSTILE, FIRST_HOSTILE + len(FAMILIES)), jobs=1))
+
+
+def test_the_bridge_survives_every_family(hostile: list[dict[str, Any]]) -> None:
+    assert [line["group"] for line in hostile] == list(FAMILIES)
+    assert [line["crashed"] for line in hostile] == [None] * len(FAMILIES)
+
+
+def test_following_a_slope_passes_without_a_silence_or_a_warning(hostile: list[dict[str, Any]]) -> None:
+    (follow,) = [line for line in hostile if line["group"] == "follow"]
+    assert follow["healthy"]
+    verdict = follow["verdict"]
+    assert (verdict["wrong"], verdict["silences"], verdict["warnings"]) == ([], [], [])
+    assert verdict["valid_s"] > 60.0
+
+
+def test_every_edge_has_its_longest_silence(hostile: list[dict[str, Any]]) -> None:
+    (edge,) = [line for line in hostile if line["group"] == "edge"]
+    assert 1 <= len(edge["verdict"]["edges"]) <= len(draw_plan(SEED, FIRST_HOSTILE + 6).scenario["ground"]["steps"])
+    assert all(0.0 < longest_s < 5.0 for _, longest_s in edge["verdict"]["edges"])
+
+
+def test_what_is_fixed_to_the_vehicle_hides_the_ground() -> None:
+    """Four sensors with an object 40 cm below them from the start: a vehicle that climbs to 3 m reads the object."""
+    plan = draw_plan(SEED, FIRST_HOSTILE)
+    faults = [{**fault, "from_s": 0.0, "to_s": plan.scenario["duration_s"]} for fault in plan.scenario["faults"]]
+    line = fly_plan(replace(plan, scenario={**plan.scenario, "faults": faults}))
+    still = fly_plan(replace(plan, scenario={**plan.scenario, "faults": []}))
+    assert (len(still["verdict"]["wrong"]), still["verdict"]["silences"]) == (0, [])
+    assert line["verdict"]["honest_s"] < 0.5 * still["verdict"]["honest_s"]
+
+
+def test_the_tables_of_the_families_can_be_made(hostile: list[dict[str, Any]]) -> None:
+    families = markdown(families_table(hostile)).splitlines()
+    assert {row.split(" | ")[0].removeprefix("| ") for row in families[2:]} >= {*FAMILIES, "fixed: all four", "all"}
+    assert len({row.count("|") for row in families}) == 1
+    assert [row[0] for row in edges_table(hostile)[1:]] == ["edge: healthy", "boxes"]
 
 
 def test_a_flight_of_a_campaign_is_flown_again_with_all_its_files(lines: list[dict[str, Any]], tmp_path: Path) -> None:

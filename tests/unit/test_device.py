@@ -262,7 +262,63 @@ def test_noise_has_its_spread_and_leaves_no_echo_alone() -> None:
     assert bench.range() == 765
 
 
-@pytest.mark.parametrize("kind", ["clock_fault", "missed_read", "stuck", "silent", "no_echo", "offset"])
+def test_a_drift_grows_from_its_beginning() -> None:
+    """At 0.07 s a ranging and 100 cm/s, 7 cm more each time; no echo stays no echo."""
+    bench = Bench([300, 300, 300, 765], [Fault("drift", 0.07, FOR_EVER, rate_cm_s=-100.0)])
+    assert [bench.range() for _ in range(4)] == [300, 300, 293, 765]
+
+
+def test_a_constant_reading_whatever_is_there() -> None:
+    bench = Bench([300, 300, 765, 310], [Fault("constant", 0.07, 0.2, constant_cm=457)])
+    assert [bench.range() for _ in range(4)] == [300, 457, 457, 310]
+    assert len(bench.ping_times_s) == 4
+
+
+def test_the_answer_of_the_ping_before() -> None:
+    bench = Bench([100, 200, 300, 400, 500], [Fault("previous_ping", 0.07, 0.2)])
+    assert [bench.range() for _ in range(5)] == [100, 100, 200, 400, 500]
+
+
+def test_an_answer_of_the_ping_before_needs_one() -> None:
+    bench = Bench([100, 200, 300], [Fault("previous_ping", 0.0, FOR_EVER), Fault("power_cycle", 1.0, 1.0)])
+    assert [bench.range(), bench.range()] == [100, 100]
+    bench.time_s = 2.0
+    assert bench.range() == 300
+
+
+def test_a_fixed_object_hides_what_is_behind_it() -> None:
+    """The nearest echo counts, no echo is none from the object, and the object is never nearer than the minimum."""
+    fault = Fault("fixed_object", 0.0, FOR_EVER, object_cm=40.0, jitter_cm=0.0)
+    bench = Bench([25, 39, 41, 500, 765], [fault])
+    assert [bench.range() for _ in range(5)] == [25, 39, 40, 40, 40]
+    nearer = Fault("fixed_object", 0.0, FOR_EVER, object_cm=12.0, jitter_cm=0.0)
+    assert Bench([500], [nearer]).range() == 20
+
+
+def test_a_fixed_object_swings_and_jitters() -> None:
+    """Over whole periods a sine of 6 cm has a deviation of 6 / sqrt(2) cm; jitter adds its own square."""
+    count = 400
+    fault = Fault("fixed_object", 0.0, FOR_EVER, object_cm=50.0, jitter_cm=3.0, swing_cm=6.0, swing_period_s=2.8)
+    bench = Bench([300] * count, [fault])
+    seen_cm = [bench.range() for _ in range(count)]
+    assert statistics.mean(seen_cm) == pytest.approx(50.0, abs=4 * 5.2 / count**0.5)
+    assert statistics.pstdev(seen_cm) == pytest.approx((6.0**2 / 2 + 3.0**2) ** 0.5, rel=0.1)
+    assert max(seen_cm) - min(seen_cm) > 12
+
+
+def test_dust_is_anywhere_above_the_ground() -> None:
+    count = 400
+    bench = Bench([765] * count + [60] * count, [Fault("dust", 0.0, FOR_EVER, dust_cm=120.0)])
+    seen_cm = [bench.range() for _ in range(count)]
+    assert statistics.mean(seen_cm) == pytest.approx(70.0, abs=4 * 28.9 / count**0.5)
+    assert (min(seen_cm) < 25, max(seen_cm) > 115, max(seen_cm) <= 120) == (True, True, True)
+    assert max(bench.range() for _ in range(count)) == 60
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["clock_fault", "missed_read", "stuck", "silent", "no_echo", "offset", "previous_ping", "fixed_object", "dust"],
+)
 def test_probability(kind: str) -> None:
     """How often the fault shows lies within five standard deviations of its probability, and a seed repeats it."""
     count, probability = 600, 0.3
@@ -294,6 +350,11 @@ def test_probability(kind: str) -> None:
         ({"kind": "locked_up", "probability": 0.5}, "always happens"),
         ({"kind": "impossible", "word": 0x10000}, "16 bits"),
         ({"kind": "noisy", "spread_cm": 0.0}, "more than 0"),
+        ({"kind": "constant", "constant_cm": 0}, "constant_cm 0: expected more than 0"),
+        ({"kind": "fixed_object", "object_cm": 0.0}, "object_cm 0.0: expected more than 0"),
+        ({"kind": "fixed_object", "jitter_cm": -1.0}, "jitter_cm -1.0: expected 0 or more"),
+        ({"kind": "fixed_object", "swing_period_s": 0.0}, "swing_period_s 0.0: expected more than 0"),
+        ({"kind": "dust", "dust_cm": 0.0}, "dust_cm 0.0: expected more than 0"),
     ],
 )
 def test_a_fault_that_makes_no_sense_is_refused(arguments: dict[str, object], message: str) -> None:
@@ -307,7 +368,9 @@ def test_a_word_that_a_healthy_sensor_gives_is_not_impossible(word: int) -> None
         Bench(faults=[Fault("impossible", 1.0, 2.0, word=word)])
 
 
-@pytest.mark.parametrize("fault", [Fault("silent", 0.0, 1.0, 0.5), Fault("noisy", 0.0, 1.0)])
+@pytest.mark.parametrize(
+    "fault", [Fault("silent", 0.0, 1.0, 0.5), *(Fault(kind, 0.0, 1.0) for kind in ("noisy", "fixed_object", "dust"))]
+)
 def test_a_random_generator_has_to_be_given(fault: Fault) -> None:
     with pytest.raises(ValueError, match=r"random\.Random"):
         EmulatedMB1242(0x70, lambda: 0.0, lambda ping_time_s: 100, faults=[fault])

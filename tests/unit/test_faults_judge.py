@@ -2,15 +2,17 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from msp_sim.flight.scenario import Scenario
+from msp_sim.flight.scenario import Scenario, load_scenario
+from tests.faults.families import FAMILIES, FIRST
 from tests.faults.judge import Conditions, Received, Verdict, judge
-from tests.faults.plans import CONFIGS, SHARES, draw_plan, group_of, row_of
+from tests.faults.plans import CONFIGS, SHARES, draw_plan, group_of, row_of, turn_of
 from tests.faults.truth import Truth
 
 pytestmark = pytest.mark.slow
@@ -224,6 +226,65 @@ def test_a_wrong_distance_is_reported_within_two_seconds_or_not() -> None:
         assert event.reported == reported
 
 
+@pytest.mark.parametrize(
+    ("words", "reported"),
+    [
+        ("Range rear_left: stuck at one value", None),
+        ("Range front_left: stuck at one value", "text"),
+        ("Range front_left_2: stuck at one value", None),
+        ("Range: readings disagree", "text"),
+    ],
+)
+def test_a_text_on_a_healthy_sensor_alone_reports_no_wrong_distance(words: str, reported: str | None) -> None:
+    wrong = stream(lambda time_s: 300 if time_s >= 5.0 else 200)
+    faulty_from_s = {"front_left": 4.0, "front_left_2": 9.0, "rear_left": math.inf}
+    (event,) = verdict_on([*wrong, text(6.0, words)], faulty_from_s=faulty_from_s).wrong
+    assert event.reported == reported
+
+
+HOSTILE = {"wrong_m": 0.2, "wrong_share": 0.05, "stamp_counts": True}
+
+
+@pytest.mark.parametrize(("true_cm", "error_cm", "wrong"), [(200, 19, 0), (200, 21, 1), (600, 29, 0), (600, -31, 1)])
+def test_a_hostile_flight_is_judged_by_20_cm_or_5_percent(true_cm: int, error_cm: int, wrong: int) -> None:
+    truth = StatedTruth(lambda time_s: true_cm / 100)
+    assert len(verdict_on(stream(lambda time_s: true_cm + error_cm), truth, **HOSTILE).wrong) == wrong
+
+
+@pytest.mark.parametrize(("age_s", "stamp_counts", "wrong"), [(0.14, True, 0), (0.14, False, 1), (0.30, True, 1)])
+def test_a_distance_may_be_as_old_as_its_time_stamp_says(age_s: float, stamp_counts: bool, wrong: int) -> None:
+    """At 2.5 m/s, 0.14 s are 35 cm; a distance of 0.30 s ago that is said to be of 0.14 s ago is 40 cm off."""
+    truth = StatedTruth(lambda time_s: 1.0 + 2.5 * time_s)
+    messages = stream(lambda time_s: round(100 + 250 * (time_s - age_s)), to_s=2.0)
+    for _, message in messages:
+        message.time_boot_ms -= 100
+    verdict = verdict_on(messages, truth, end_s=2.0, **HOSTILE | {"stamp_counts": stamp_counts})
+    assert len(verdict.wrong) == wrong
+
+
+def test_above_the_maximum_in_a_hostile_flight_is_wrong_5_percent_below() -> None:
+    messages = stream(lambda time_s: 766, quality=1)
+    assert verdict_on(messages, StatedTruth(lambda time_s: 7.2), **HOSTILE).above_wrong == 99
+    assert verdict_on(messages, StatedTruth(lambda time_s: 7.3), **HOSTILE).above_wrong == 0
+
+
+def test_warnings_count_but_for_those_on_an_object_that_is_there() -> None:
+    truth = StatedTruth(lambda time_s: 2.0, uneven=lambda time_s: time_s < 5.0)
+    texts = [text(time_s, "Range front_left: object below, 0.5 m high") for time_s in (4.0, 6.0)]
+    info = text(7.0, "Range: all 4 sensors good", mavlink.MAV_SEVERITY_INFO)
+    stuck = text(8.0, "Range front_left: stuck at one value")
+    verdict = verdict_on([*stream(lambda time_s: 200), *texts, info, stuck], truth)
+    assert [each.split(":")[0] for each in verdict.warnings] == ["6.0 s", "8.0 s"]
+
+
+def test_the_silence_of_an_edge_is_the_longest_that_reaches_into_it() -> None:
+    """One ends 0.4 s after an edge, one lies between two edges, one begins 0.6 s before an edge."""
+    truth = StatedTruth(lambda time_s: 2.0, uneven=lambda time_s: 3.0 <= time_s < 5.0 or 7.0 <= time_s < 8.0)
+    silent_s = [(4.7, 5.4), (5.4, 6.3), (6.4, 7.4)]
+    sent = [each for each in stream(lambda time_s: 200) if not any(a + 0.05 < each[0] < b - 0.05 for a, b in silent_s)]
+    assert verdict_on(sent, truth).edges == [pytest.approx((3.0, 0.7)), pytest.approx((7.0, 1.0))]
+
+
 def test_objects_count_where_there_is_none() -> None:
     truth = StatedTruth(lambda time_s: 2.0, uneven=lambda time_s: time_s < 5.0)
     warning = mavlink.MAV_SEVERITY_WARNING
@@ -233,7 +294,7 @@ def test_objects_count_where_there_is_none() -> None:
     assert verdict.false_objects == ["6.0 s: Range front_left: object of 0.5 m below"]
 
 
-def flown(ground: dict[str, Any], **flight: Any) -> Truth:
+def flown(ground: dict[str, Any], only_below: bool = False, **flight: Any) -> Truth:
     """The truth of a vehicle at 2.75 m over a ground, 2.7 m below the fused stream's reference point."""
     content = {
         "name": "truth",
@@ -244,7 +305,7 @@ def flown(ground: dict[str, Any], **flight: Any) -> Truth:
     }
     scenario = Scenario.model_validate(content, context={"folder": CONFIGS})
     world = scenario.world()
-    return Truth(scenario, world, scenario.vehicle(world, np.random.default_rng(0)))
+    return Truth(scenario, world, scenario.vehicle(world, np.random.default_rng(0)), only_below=only_below)
 
 
 def test_the_truth_over_a_slope_is_along_the_down_axis() -> None:
@@ -281,6 +342,35 @@ def test_before_and_behind_a_step_both_heights_are_true_for_a_second() -> None:
     assert heights_m[12.0] == [2.2]
     assert truth.distances_m(12.0)[0] == pytest.approx(2.2)
     assert [truth.is_uneven(time_s) for time_s in (5.0, 10.0, 12.0, 14.0)] == [False, True, True, False]
+
+
+def test_the_top_of_a_box_below_one_side_is_true_only_where_objects_are_ground() -> None:
+    ground = {"boxes": [{"centre_m": [0.0, 0.5], "size_m": [2.0, 0.6], "height_m": 0.4}]}
+    assert {round(each_m, 1) for each_m in flown(ground).distances_m(1.0)} == {2.3, 2.7}
+    below = flown(ground, only_below=True)
+    assert below.distances_m(1.0) == pytest.approx([2.7])
+    assert below.is_uneven(1.0)
+
+
+def test_hostile_flights_have_indices_of_their_own() -> None:
+    assert draw_plan(3, FIRST + 7) == draw_plan(3, FIRST + 7)
+    assert draw_plan(3, FIRST + 7) != draw_plan(4, FIRST + 7)
+    first = range(FIRST, FIRST + 6 * len(FAMILIES))
+    assert {group_of(index) for index in first} == set(FAMILIES)
+    rows = {row_of(index) for index in first}
+    assert {"fixed: all four", "fixed: 8 sensors", "edge: one dead", "pairs"} <= rows
+    assert not {row_of(index) for index in range(700)} & (rows | set(FAMILIES))
+
+
+def test_every_family_draws_flights_that_can_be_flown(tmp_path: Path) -> None:
+    healthy = {name: family.healthy for name, family in FAMILIES.items()}
+    for index in range(FIRST, FIRST + 6 * len(FAMILIES)):
+        plan = draw_plan(5, index)
+        scenario = load_scenario(plan.write(tmp_path))
+        is_healthy = turn_of(index) in healthy[group_of(index)]
+        assert not (is_healthy and (scenario.faults or scenario.thermometer.faults))
+        assert scenario.autopilot is not None
+        assert scenario.autopilot.barometer.ground_effect_m
 
 
 def test_a_plan_depends_on_seed_and_index_alone_and_every_group_has_its_share() -> None:

@@ -25,7 +25,7 @@ from msp_sim.world.profiles import (
     TrackSection,
     altitude,
 )
-from msp_sim.world.vehicle import AttitudeSection, FlightSection, Sway, Vehicle
+from msp_sim.world.vehicle import AttitudeSection, FlightSection, Heave, Lean, Sway, Vehicle
 
 FINE_S = 0.001
 
@@ -266,6 +266,33 @@ def test_sway_has_its_size_and_follows_its_seed() -> None:
     assert rolls_deg.std() == pytest.approx(1.5, rel=0.05)
     assert pitches_deg.std() == pytest.approx(0.5, rel=0.05)
     assert np.abs(rolls_deg - 1.0).max() <= 2.5 * 1.5
+
+
+def test_heave_has_its_size_and_its_velocity_is_that_of_the_position() -> None:
+    """Also while it grows with the height, in the first half metre of a climb."""
+    flight = FlightSection(
+        altitude=(ClimbSegment(kind="climb", to_m=3.0, speed_m_s=0.2), HoldSegment(kind="hold", duration_s=600)),
+        heave=Heave(rms_m=0.1, period_s=3.0),
+    )
+    flying = Vehicle(flight, lambda north_m, east_m: 0.0, np.random.default_rng(3))
+    heights_m = [-flying.pose(time_s).position_ned_m[2] - 0.25 for time_s in np.arange(20.0, 600.0, 0.05)]
+    assert np.mean(heights_m) == pytest.approx(3.0, abs=0.01)
+    assert np.std(heights_m) == pytest.approx(0.1, rel=0.05)
+    assert flying.pose(0.0).position_ned_m[2] == -0.25
+    for time_s in (1.0, 1.7, 2.2, 30.0):
+        before, after = flying.pose(time_s - 1e-5), flying.pose(time_s + 1e-5)
+        climb_m_s = (before.position_ned_m[2] - after.position_ned_m[2]) / 2e-5
+        assert -flying.pose(time_s).velocity_ned_m_s[2] == pytest.approx(climb_m_s, abs=1e-6)
+
+
+def test_a_vehicle_leans_for_a_while() -> None:
+    """20 deg from 5 to 15 s, with two seconds to lean over and to straighten up."""
+    lean = Lean(from_s=5.0, to_s=15.0, roll_deg=20.0, pitch_deg=-10.0, change_s=2.0)
+    leaning = vehicle(attitude=AttitudeSection(roll_deg=1.0, leans=(lean,)))
+    turned_deg = [np.degrees(leaning.pose(time_s)[2:4]) for time_s in (4.0, 6.0, 10.0, 14.0, 16.0)]
+    assert np.array(turned_deg) == pytest.approx(
+        np.array([[1.0, 0.0], [11.0, -5.0], [21.0, -10.0], [11.0, -5.0], [1.0, 0.0]])
+    )
 
 
 def test_a_vehicle_that_stands_does_not_sway() -> None:

@@ -11,6 +11,7 @@ import yaml
 
 from msp_range.yaml_file import ConfigError
 from msp_sim.device.device import FAULT_KINDS
+from msp_sim.flight.autopilot import NO_ERRORS, BarometerErrors
 from msp_sim.flight.scenario import AutopilotSection, PlannedFault, Scenario, Thermometer, load_scenario
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import MountedBeam, Ping
@@ -129,6 +130,47 @@ def test_a_planned_fault_keeps_its_size() -> None:
     planned = PlannedFault(sensor="a", kind="noisy", from_s=1.0, to_s=2.0, spread_cm=40.0)
     assert planned.on_device().spread_cm == 40.0
     assert PlannedFault(sensor="a", kind="offset", from_s=1.0, to_s=2.0, offset_cm=-30.0).on_device().offset_cm == -30.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "values"),
+    [
+        ("drift", {"rate_cm_s": -2.5}),
+        ("constant", {"constant_cm": 333}),
+        ("fixed_object", {"object_cm": 31.0, "jitter_cm": 1.5, "swing_cm": 4.0, "swing_period_s": 3.0}),
+        ("dust", {"dust_cm": 70.0}),
+    ],
+)
+def test_a_planned_fault_has_the_values_of_its_kind_and_of_no_other(kind: str, values: dict[str, float]) -> None:
+    planned = PlannedFault.model_validate({"sensor": "a", "kind": kind, "from_s": 1.0, "to_s": 2.0, **values})
+    on_device = planned.on_device()
+    assert {name: getattr(on_device, name) for name in values} == values
+    for name, value in values.items():
+        with pytest.raises(ValueError, match=f"{name}: found {value:g}; expected none with the kind 'silent'"):
+            PlannedFault.model_validate({"sensor": "a", "kind": "silent", "from_s": 1.0, "to_s": 2.0, name: value})
+
+
+def test_a_thermometer_in_a_housing_settles() -> None:
+    """From 20 C to -15 C with a time constant of 60 s."""
+    fault = {"kind": "settle", "from_s": 0.0, "to_s": 600.0, "by_c": 35.0, "time_constant_s": 60.0}
+    thermometer = Thermometer.model_validate({"faults": [fault]})
+    read_c = [thermometer.reading_c(time_s, lambda time_s: -15.0) for time_s in (0.0, 60.0, 120.0, 600.0)]
+    assert read_c == pytest.approx([20.0, -15.0 + 35.0 / math.e, -15.0 + 35.0 / math.e**2, -15.0])
+
+
+def test_a_thermometer_flaps_between_two_values() -> None:
+    fault = {"kind": "flap", "from_s": 10.0, "to_s": 20.0, "by_c": -8.0, "period_s": 3.0}
+    thermometer = Thermometer.model_validate({"faults": [fault]})
+    read_c = [thermometer.reading_c(time_s, lambda time_s: 5.0) for time_s in (9.9, 10.0, 11.4, 11.6, 12.9, 13.1, 20.0)]
+    assert read_c == pytest.approx([5.0, 5.0, 5.0, -3.0, -3.0, 5.0, 5.0])
+
+
+def test_a_barometer_has_no_errors_unless_the_scenario_says_so() -> None:
+    assert AutopilotSection().barometer.errors(-15.0) == NO_ERRORS
+    barometer = AutopilotSection.model_validate(
+        {"barometer": {"ground_effect_m": -2.0, "gust_m": 0.4, "in_air_temperature": True}}
+    ).barometer
+    assert barometer.errors(-15.0) == BarometerErrors(-2.0, 1.0, 0.4, 3.0, -15.0)
 
 
 def test_a_thermometer_is_warmer_jumps_and_freezes() -> None:

@@ -58,6 +58,11 @@ FAULT_KINDS = {
     "no_echo": "the ranging receives no echo: it takes the whole cycle and reads the code for it",
     "noisy": "ranges scatter about the true one, normally distributed with `spread_cm`",
     "offset": "ranges are off by `offset_cm`",
+    "drift": "ranges are off by an error that grows from zero by `rate_cm_s`",
+    "constant": "every ranging reads `constant_cm`, whatever is there",
+    "previous_ping": "the answer is that of the ranging before: late by one turn",
+    "fixed_object": "something on the vehicle is in the beam at `object_cm`, a strap or ice: the nearest echo counts",
+    "dust": "dust in the beam: an echo from anywhere between the sensor's shortest range and `dust_cm`, if the nearest",
     "silent": "nothing is acknowledged",
     "power_cycle": "without power from start_s to end_s, then part info until the next ping",
     "locked_up": "the data line is held low: every transfer of the bus times out, until a re-open after end_s",
@@ -66,6 +71,8 @@ FAULT_KINDS = {
 
 ALWAYS_HAPPEN = frozenset({"power_cycle", "locked_up"})
 """Faults with a probability of 1."""
+DRAWN = frozenset({"noisy", "fixed_object", "dust"})
+"""Faults that draw an error for every ping, even with a probability of 1."""
 
 
 @dataclass(frozen=True)
@@ -80,19 +87,30 @@ class Fault:
         When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length.
     probability
         That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
-        "missed_read" and those that change the ranging ("no_echo", "noisy", "offset"), one transfer for "silent". A
-        power cycle and a lock-up always happen.
+        "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift",
+        "constant", "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen.
     word
         The 16-bit answer of the kind "impossible".
     spread_cm
         Standard deviation of the error of the kind "noisy" [cm].
     offset_cm
         Error of the kind "offset" [cm].
+    rate_cm_s
+        How fast the error of the kind "drift" grows [cm/s]; negative: ranges become too short.
+    constant_cm
+        Reading of the kind "constant" [cm].
+    object_cm, jitter_cm
+        Mean range of the object of the kind "fixed_object", and standard deviation from ping to ping [cm].
+    swing_cm, swing_period_s
+        The object swings about its mean range with this amplitude [cm] and period [s].
+    dust_cm
+        How far down the dust of the kind "dust" is [cm].
 
     Raises
     ------
     ValueError
-        An unknown kind, a window that does not last, a word of more than 16 bits, or a spread that is not positive.
+        An unknown kind, a window that does not last, a word of more than 16 bits, a spread, range or period that is not
+        positive, or a jitter or swing below zero.
     """
 
     kind: str
@@ -102,6 +120,13 @@ class Fault:
     word: int = 1000
     spread_cm: float = 100.0
     offset_cm: float = 100.0
+    rate_cm_s: float = 2.0
+    constant_cm: int = 100
+    object_cm: float = 40.0
+    jitter_cm: float = 0.5
+    swing_cm: float = 0.0
+    swing_period_s: float = 2.0
+    dust_cm: float = 100.0
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
@@ -113,8 +138,12 @@ class Fault:
             raise ValueError(f"fault {self.kind}: probability {self.probability}: expected {expected}")
         if not 0 <= self.word <= 0xFFFF:
             raise ValueError(f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits")
-        if not self.spread_cm > 0:
-            raise ValueError(f"fault {self.kind}: spread_cm {self.spread_cm}: expected more than 0")
+        for name in ("spread_cm", "constant_cm", "object_cm", "swing_period_s", "dust_cm"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"fault {self.kind}: {name} {getattr(self, name)}: expected more than 0")
+        for name in ("jitter_cm", "swing_cm"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"fault {self.kind}: {name} {getattr(self, name)}: expected 0 or more")
 
 
 class RangeFinder(ABC):
@@ -134,7 +163,7 @@ class RangeFinder(ABC):
     faults
         What is wrong with it, and when.
     chance
-        Draws for faults with a probability below one and for the errors of the kind "noisy".
+        Draws for faults with a probability below one and for the errors of the kinds in `DRAWN`.
 
     Attributes
     ----------
@@ -172,10 +201,8 @@ class RangeFinder(ABC):
         faults: Sequence[Fault] = (),
         chance: random.Random | None = None,
     ) -> None:
-        if chance is None and any(fault.probability < 1.0 or fault.kind == "noisy" for fault in faults):
-            raise ValueError(
-                "a fault has a probability below one, or is noisy: pass the random.Random that draws for it as chance"
-            )
+        if chance is None and any(fault.probability < 1.0 or fault.kind in DRAWN for fault in faults):
+            raise ValueError("a fault has a probability below one, or random errors: pass a random.Random as chance")
         for fault in faults:
             self.check_fault(fault)
         self.address = address
@@ -218,6 +245,7 @@ class RangeFinder(ABC):
         """Lose the last ranging and whatever was going on."""
         self._answer = b""
         self._ranged = False
+        self._ranging = b""
         self._busy_until_s = float("-inf")
         self._may_miss_read = True
 
@@ -248,8 +276,10 @@ class RangeFinder(ABC):
         self.pings += 1
         self._busy_until_s = now_s + self._timing.ranging_s(reading_cm, self.no_echo_cm)
         self._may_miss_read = True
+        before, self._ranging = self._ranging, reading_cm.to_bytes(2, "big")
         if not (self._ranged and self.faults and self._strikes("stuck", now_s)):
-            self._answer = reading_cm.to_bytes(2, "big")
+            is_late = self._ranged and self.faults and self._strikes("previous_ping", now_s)
+            self._answer = before if is_late else self._ranging
             self._ranged = True
 
     def _read_answer(self, now_s: float) -> bytes:
@@ -273,12 +303,21 @@ class RangeFinder(ABC):
     def _misrange(self, reading_cm: int, now_s: float) -> int:
         """Return what is ranged instead, each fault on top of those before it in the list; busy times follow it."""
         for fault in self.faults:
-            if fault.kind in _MISRANGINGS and self._fault_strikes(fault, now_s):
-                error_cm = _MISRANGINGS[fault.kind](fault, self._chance)
-                if error_cm == math.inf or reading_cm not in (self.no_echo_cm, *self.no_echo_codes):
-                    # Within what the sensor can answer; no echo stays no echo.
-                    reading_cm = round(min(max(reading_cm + error_cm, self.minimum_cm), self.no_echo_cm))
+            if fault.kind in _ERRORS and self._fault_strikes(fault, now_s):
+                error_cm = _ERRORS[fault.kind](fault, now_s, self._chance)
+                # No echo stays no echo.
+                if reading_cm not in (self.no_echo_cm, *self.no_echo_codes):
+                    reading_cm = self._within_limits(reading_cm + error_cm)
+            elif fault.kind in _NEAREST and self._fault_strikes(fault, now_s):
+                nearest_cm = self._within_limits(_NEAREST[fault.kind](fault, now_s, self._chance, self.minimum_cm))
+                reading_cm = min(reading_cm, nearest_cm)
+            elif fault.kind in _INSTEAD and self._fault_strikes(fault, now_s):
+                reading_cm = self._within_limits(_INSTEAD[fault.kind](fault))
         return reading_cm
+
+    def _within_limits(self, range_cm: float) -> int:
+        """What the sensor answers for a range [cm]."""
+        return round(min(max(range_cm, self.minimum_cm), self.no_echo_cm))
 
     def _corrupt(self, answer: bytes, now_s: float) -> bytes:
         """Return the answer as the master sees it, each fault on top of those before it in the list."""
@@ -298,14 +337,34 @@ _CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
 }
 
 
-def _scatter_cm(fault: Fault, chance: random.Random | None) -> float:
-    assert chance is not None  # A range finder refuses a noisy fault without it.
-    return chance.gauss(0.0, fault.spread_cm)
+def _gauss_cm(std_cm: float, chance: random.Random | None) -> float:
+    assert chance is not None  # A range finder refuses a fault that draws its errors without it.
+    return chance.gauss(0.0, std_cm)
 
 
-_MISRANGINGS: dict[str, Callable[[Fault, random.Random | None], float]] = {
-    "no_echo": lambda fault, chance: math.inf,
-    "noisy": _scatter_cm,
-    "offset": lambda fault, chance: fault.offset_cm,
+def _object_cm(fault: Fault, now_s: float, chance: random.Random | None, minimum_cm: int) -> float:
+    swing_cm = fault.swing_cm * math.sin(2 * math.pi * now_s / fault.swing_period_s)
+    return fault.object_cm + swing_cm + _gauss_cm(fault.jitter_cm, chance)
+
+
+def _dust_cm(fault: Fault, now_s: float, chance: random.Random | None, minimum_cm: int) -> float:
+    assert chance is not None  # As in _gauss_cm.
+    return chance.uniform(minimum_cm, max(fault.dust_cm, minimum_cm))
+
+
+_ERRORS: dict[str, Callable[[Fault, float, random.Random | None], float]] = {
+    "noisy": lambda fault, now_s, chance: _gauss_cm(fault.spread_cm, chance),
+    "offset": lambda fault, now_s, chance: fault.offset_cm,
+    "drift": lambda fault, now_s, chance: fault.rate_cm_s * (now_s - fault.start_s),
 }
-"""What a fault adds to a reading [cm]."""
+"""What a fault adds to a range [cm]."""
+_NEAREST: dict[str, Callable[[Fault, float, random.Random | None, int], float]] = {
+    "fixed_object": _object_cm,
+    "dust": _dust_cm,
+}
+"""Ranges of what a fault puts into the beam [cm]: the sensor reads the nearest."""
+_INSTEAD: dict[str, Callable[[Fault], float]] = {
+    "no_echo": lambda fault: math.inf,
+    "constant": lambda fault: fault.constant_cm,
+}
+"""Ranges that a fault gives instead [cm]."""

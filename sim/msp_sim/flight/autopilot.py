@@ -10,7 +10,7 @@ import math
 import random
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from msp_range.clock import Clock
 from msp_range.geometry import Vector, rotate_back, rotation_matrix
@@ -18,7 +18,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import pack_values
 from msp_range.mavlink.transport import Transport, TransportStats, Wrapped
-from msp_sim.world.vehicle import GRAVITY_M_S2, Pose
+from msp_sim.world.vehicle import GRAVITY_M_S2, HOVER_THROTTLE, Pose
 
 BOOTED_BEFORE_S = 42.5
 """Time between the autopilot's start and the flight [s], so that its clock differs from the bridge's. Any value will
@@ -30,6 +30,8 @@ BAROMETER_WARMER_C = 15.0
 """Difference between the barometer's chip and the air [K]; typical for autopilots."""
 BAROMETER_STD_M, BAROMETER_DRIFT_M = 0.15, 0.05
 """Noise of a pressure as a height [m], and random walk of its error [m per root second]; assumed, a good barometer."""
+SCALE_HEIGHT_M, STANDARD_C = 8434.0, 15.0
+"""Scale height R T / g of the standard atmosphere, and the temperature that it is for [m, deg C]."""
 ACCELEROMETER_STD_M_S2, ACCELEROMETER_BIAS_M_S2 = 0.3, 0.1
 """Noise and constant error of each axis [m/s^2]; assumed, vibration after an autopilot's low-pass filter."""
 
@@ -45,6 +47,32 @@ _INTERVALS_S = {"heartbeat": 1.0, "system_time": 1.0, "pressure": 1.0, "attitude
 """Messages that are sent without a request, and their intervals [s]."""
 _MOTION = ("pressure", "raw_imu", "highres_imu")
 """Messages that are not sent if ``sends_motion`` is False."""
+
+
+class BarometerErrors(NamedTuple):
+    """Errors of a barometer on a vehicle, on top of noise and drift.
+
+    Attributes
+    ----------
+    ground_effect_m
+        Error on the ground at hover thrust [m of height].
+    ground_effect_height_m
+        Height of the feet at which that has faded to nothing, along a straight line [m].
+    gust_m, gust_s
+        Standard deviation and correlation time of the error by gusts, a first-order Gauss-Markov process [m, s].
+    air_c
+        Temperature of the air below the vehicle [deg C]: in colder air the pressure falls faster with height.
+    """
+
+    ground_effect_m: float = 0.0
+    ground_effect_height_m: float = 1.0
+    gust_m: float = 0.0
+    gust_s: float = 3.0
+    air_c: float = STANDARD_C
+
+
+NO_ERRORS = BarometerErrors()
+"""A barometer that only noise and drift disturb, in standard air."""
 
 
 class LoopbackAutopilot:
@@ -66,6 +94,9 @@ class LoopbackAutopilot:
         Time of the first heartbeat, and times of reboots [s from the start of the flight].
     sends_motion
         Whether it sends accelerations and pressures; otherwise requests for them are denied.
+    barometer, clearance_m
+        Errors of its barometer, and the height of the vehicle's feet above the ground at a time [s], on which its
+        ground effect depends [m].
     """
 
     description = "loopback"
@@ -85,6 +116,8 @@ class LoopbackAutopilot:
         first_heartbeat_s: float = 0.0,
         reboots_at_s: Sequence[float] = (),
         sends_motion: bool = True,
+        barometer: BarometerErrors = NO_ERRORS,
+        clearance_m: Callable[[float], float] = lambda time_s: math.inf,
     ) -> None:
         self.stats = TransportStats()
         self._frames: list[tuple[float, bytes]] = []
@@ -104,7 +137,9 @@ class LoopbackAutopilot:
         self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
         self._gauss = draw.gauss if draw else lambda mean, std: mean
-        self._drift_m, self._drift_s = 0.0, 0.0
+        self._drift_m = self._gust_m = self._drift_s = 0.0
+        self._barometer = barometer
+        self._clearance_m = clearance_m
         self._sampled = pose(0.0)
         self._force_bias = [self._gauss(0.0, ACCELEROMETER_BIAS_M_S2) for _ in range(3)]
         self._outgoing = bytearray()
@@ -214,13 +249,23 @@ class LoopbackAutopilot:
         return x + bias_x + gauss(0.0, std), y + bias_y + gauss(0.0, std), z + bias_z + gauss(0.0, std)
 
     def _pressure(self, now_s: float, pose: Pose) -> tuple[float, float, int]:
-        """Pressure by the barometric formula p = p0 exp(-h / 8434 m) [hPa], the difference that is not measured, and
-        the temperature of the barometer's chip [1/100 deg C]."""
-        self._drift_m += self._gauss(0.0, BAROMETER_DRIFT_M * math.sqrt(now_s - self._drift_s))
+        """Pressure by the barometric formula p = p0 exp(-h / H) [hPa], H = 8434 m T / 288 K the scale height of the
+        air; the difference that is not measured; and the temperature of the barometer's chip [1/100 deg C]."""
+        of = self._barometer
+        elapsed_s = now_s - self._drift_s
+        self._drift_m += self._gauss(0.0, BAROMETER_DRIFT_M * math.sqrt(elapsed_s))
         self._drift_s = now_s
-        height_m = self._drift_m + self._gauss(0.0, BAROMETER_STD_M) - pose.position_ned_m[2]
+        scale = (273.15 + STANDARD_C) / (273.15 + of.air_c)
+        height_m = self._drift_m + self._gauss(0.0, BAROMETER_STD_M) - scale * pose.position_ned_m[2]
+        if of.gust_m > 0.0:
+            kept = math.exp(-elapsed_s / of.gust_s)
+            self._gust_m = kept * self._gust_m + self._gauss(0.0, of.gust_m * math.sqrt(1.0 - kept * kept))
+            height_m += self._gust_m
+        if of.ground_effect_m and pose.throttle is not None:
+            near = max(1.0 - max(self._clearance_m(now_s), 0.0) / of.ground_effect_height_m, 0.0)
+            height_m += of.ground_effect_m * near * pose.throttle / HOVER_THROTTLE
         temperature_cdeg = round((self._air_c(pose) + BAROMETER_WARMER_C) * 100)
-        pressure_hpa = SEA_LEVEL_HPA * math.exp(-height_m / 8434.0)
+        pressure_hpa = SEA_LEVEL_HPA * math.exp(-height_m / SCALE_HEIGHT_M)
         return pressure_hpa, 0.0, temperature_cdeg
 
     def _answer(self, now_s: float, message: Any) -> None:

@@ -19,6 +19,7 @@ from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.yaml_file import Section, config_path, load
 from msp_sim.device import device
 from msp_sim.device.table import emulated_kind
+from msp_sim.flight.autopilot import STANDARD_C, BarometerErrors
 from msp_sim.flight.vary import VarySection
 from msp_sim.world.profiles import Positive
 from msp_sim.world.surfaces import GroundSection
@@ -39,7 +40,18 @@ GROUND_TOLERANCE_M = 0.01
 
 NotNegative = Annotated[float, Field(ge=0)]
 
-_VALUE_OF_KIND = {"word": "impossible", "spread_cm": "noisy", "offset_cm": "offset"}
+_VALUE_OF_KIND = {
+    "word": "impossible",
+    "spread_cm": "noisy",
+    "offset_cm": "offset",
+    "rate_cm_s": "drift",
+    "constant_cm": "constant",
+    "object_cm": "fixed_object",
+    "jitter_cm": "fixed_object",
+    "swing_cm": "fixed_object",
+    "swing_period_s": "fixed_object",
+    "dust_cm": "dust",
+}
 """Keys of a planned fault that are valid for one kind only."""
 
 
@@ -66,6 +78,20 @@ class PlannedFault(Section):
     """standard deviation of the errors of the kind noisy [cm]; default: 100"""
     offset_cm: float | None = None
     """error of the kind offset [cm]; default: 100"""
+    rate_cm_s: float | None = None
+    """how fast the error of the kind drift grows [cm/s]; default: 2"""
+    constant_cm: Annotated[int, Field(gt=0)] | None = None
+    """reading of the kind constant [cm]; default: 100"""
+    object_cm: Positive | None = None
+    """mean range of the object of the kind fixed_object [cm]; default: 40"""
+    jitter_cm: NotNegative | None = None
+    """standard deviation of its range from ping to ping [cm]; default: 0.5"""
+    swing_cm: NotNegative | None = None
+    """amplitude with which it swings about its mean range [cm]; default: 0"""
+    swing_period_s: Positive | None = None
+    """period of that swing [s]; default: 2"""
+    dust_cm: Positive | None = None
+    """how far down the dust of the kind dust is [cm]; default: 100"""
 
     @model_validator(mode="after")
     def _possible(self) -> "PlannedFault":
@@ -90,14 +116,28 @@ class PlannedFault(Section):
 class ThermometerFault(Section):
     """A fault of the thermometers for some time."""
 
-    kind: Literal["jump", "freeze"]
-    """jump: wrong by by_c from one moment to the next; freeze: the value at from_s is kept"""
+    kind: Literal["jump", "freeze", "settle", "flap"]
+    """jump: wrong by by_c from one moment to the next; freeze: the value at from_s is kept; settle: wrong by by_c at
+    from_s, and less and less as its housing takes the air's temperature; flap: right and wrong by by_c in turn"""
     from_s: NotNegative
     """when it begins, from the start of the flight [s]"""
     to_s: NotNegative
     """when it ends [s]"""
     by_c: Annotated[float, Field(ge=-200, le=200)] = 0.0
-    """error of the kind jump [K]"""
+    """error of the kinds jump, settle and flap [K]"""
+    time_constant_s: Positive = 90.0
+    """time in which the error of the kind settle falls to 37 % [s]"""
+    period_s: Positive = 2.0
+    """time of one right and one wrong value of the kind flap [s]"""
+
+    def error_c(self, time_s: float) -> float:
+        """Error at a time of the flight at which the fault lasts [K]; a frozen value is not of this fault alone."""
+        elapsed_s = time_s - self.from_s
+        if self.kind == "settle":
+            return self.by_c * math.exp(-elapsed_s / self.time_constant_s)
+        if self.kind == "flap":
+            return self.by_c if elapsed_s % self.period_s >= self.period_s / 2 else 0.0
+        return self.by_c if self.kind == "jump" else 0.0
 
 
 class Thermometer(Section):
@@ -114,8 +154,7 @@ class Thermometer(Section):
             return air_c(time_s) + self.warmer_by_c
         active = [fault for fault in self.faults if fault.from_s <= time_s < fault.to_s]
         frozen_s = [fault.from_s for fault in active if fault.kind == "freeze"]
-        jumps_c = [fault.by_c for fault in active if fault.kind == "jump"]
-        return air_c(min([time_s, *frozen_s])) + self.warmer_by_c + sum(jumps_c)
+        return air_c(min([time_s, *frozen_s])) + self.warmer_by_c + sum(fault.error_c(time_s) for fault in active)
 
 
 class AttitudeFault(Section):
@@ -136,6 +175,37 @@ class AttitudeFault(Section):
         return {"roll": math.radians(self.roll_deg), "huge": 1e38, "not_a_number": math.nan}[self.kind]
 
 
+class BarometerSection(Section):
+    """What the autopilot's barometer does on a vehicle, on top of noise and drift.
+
+    The defaults are a barometer that only the weather disturbs.
+    """
+
+    ground_effect_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    """error of its height on the ground at hover thrust [m]; negative: the rotors raise the pressure below the vehicle
+    and it reads too low, as most do. It grows with the thrust. Autopilots expect up to 4 or 5 m"""
+    ground_effect_height_m: Positive = 1.0
+    """height of the vehicle's feet at which that has faded to nothing, along a straight line [m]; one to two rotor
+    diameters. ArduPilot's own simulation has 2 m"""
+    gust_m: NotNegative = 0.0
+    """standard deviation of the error of its height by gusts [m]"""
+    gust_s: Positive = 3.0
+    """correlation time of that error [s]"""
+    in_air_temperature: bool = False
+    """whether the pressure falls with height as in the scenario's air, faster the colder it is; otherwise as in air of
+    15 C, which autopilots and the bridge assume. In air of -15 C a climb of 9 m then reads 10 m"""
+
+    def errors(self, air_c: float) -> BarometerErrors:
+        """Its errors in air of a temperature [deg C]."""
+        return BarometerErrors(
+            self.ground_effect_m,
+            self.ground_effect_height_m,
+            self.gust_m,
+            self.gust_s,
+            air_c if self.in_air_temperature else STANDARD_C,
+        )
+
+
 class AutopilotSection(Section):
     """The simulated autopilot at the other end of the link."""
 
@@ -147,6 +217,8 @@ class AutopilotSection(Section):
     """times at which it reboots, which resets its clock [s]"""
     attitude_faults: tuple[AttitudeFault, ...] = ()
     """invalid attitudes, in any order"""
+    barometer: BarometerSection = BarometerSection()
+    """errors of its barometer"""
     sends_motion: bool = True
     """whether it sends accelerations and pressures; without pressures it does not send its barometer's temperature
     either"""

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from msp_range.geometry import Vector
 from msp_range.yaml_file import Section
-from msp_sim.world.profiles import Positive, Segment, TrackSection, altitude
+from msp_sim.world.profiles import Motion, Positive, Segment, TrackSection, altitude
 
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.5
@@ -61,6 +61,35 @@ class Sway(Section):
     """typical period [s]"""
 
 
+class Heave(Section):
+    """Small irregular oscillation of the height in flight, as of an autopilot that hunts for its height."""
+
+    rms_m: Annotated[float, Field(ge=0, le=0.5)]
+    """root mean square [m]; at most 2.5 times this"""
+    period_s: Positive = 3.0
+    """typical period [s]"""
+
+
+class Lean(Section):
+    """A time in which the vehicle leans, as in steady wind or in a turn."""
+
+    from_s: Annotated[float, Field(ge=0)]
+    """when it begins, from the start of the flight [s]"""
+    to_s: Annotated[float, Field(ge=0)]
+    """when it ends [s]"""
+    roll_deg: float = 0.0
+    """roll on top of the mean [deg]"""
+    pitch_deg: float = 0.0
+    """pitch on top of the mean [deg]"""
+    change_s: Positive = 1.0
+    """time in which it leans over, after from_s, and in which it straightens up, before to_s [s]"""
+
+    def share(self, time_s: float) -> float:
+        """How far the vehicle leans at a time [s]: 0 to 1, along a smooth step 3 u^2 - 2 u^3."""
+        u = min(max(min(time_s - self.from_s, self.to_s - time_s) / self.change_s, 0.0), 1.0)
+        return u * u * (3 - 2 * u)
+
+
 class AttitudeSection(Section):
     """The vehicle's attitude."""
 
@@ -72,6 +101,8 @@ class AttitudeSection(Section):
     """heading of the nose, from north to east [deg]; constant"""
     sway: Sway | None = None
     """oscillation about the mean; default: none"""
+    leans: tuple[Lean, ...] = ()
+    """times in which it leans; default: none"""
     tilt_with_acceleration: bool = True
     """tilt with horizontal acceleration, as a multicopter does"""
 
@@ -94,9 +125,10 @@ class AttitudeModel:
         self._mean = EulerAngles(*(math.radians(a) for a in (section.roll_deg, section.pitch_deg, section.yaw_deg)))
         self._cos_yaw, self._sin_yaw = math.cos(self._mean.yaw_rad), math.sin(self._mean.yaw_rad)
         self._tilts = section.tilt_with_acceleration
+        self._leans = section.leans
         sway = section.sway or Sway(roll_rms_deg=0.0, pitch_rms_deg=0.0)
-        self._roll_swings = _swings(sway.roll_rms_deg, sway.period_s, generator)
-        self._pitch_swings = _swings(sway.pitch_rms_deg, sway.period_s, generator)
+        self._roll_swings = _swings(math.radians(sway.roll_rms_deg), sway.period_s, generator)
+        self._pitch_swings = _swings(math.radians(sway.pitch_rms_deg), sway.period_s, generator)
 
     def at(self, time_s: float, north_m_s2: float, east_m_s2: float, sways: float) -> tuple[float, float, float]:
         """Roll, pitch and yaw [rad] at ``time_s`` with a horizontal acceleration.
@@ -117,6 +149,10 @@ class AttitudeModel:
         if sways:
             roll_rad += sways * _swing_at(self._roll_swings, time_s)
             pitch_rad += sways * _swing_at(self._pitch_swings, time_s)
+        for lean in self._leans:
+            share = lean.share(time_s)
+            roll_rad += share * math.radians(lean.roll_deg)
+            pitch_rad += share * math.radians(lean.pitch_deg)
         if self._tilts and (north_m_s2 or east_m_s2):
             forward_m_s2 = self._cos_yaw * north_m_s2 + self._sin_yaw * east_m_s2
             right_m_s2 = self._cos_yaw * east_m_s2 - self._sin_yaw * north_m_s2
@@ -133,18 +169,19 @@ def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
 
 
 _Swing = tuple[float, float, float]
+_Swings = tuple[_Swing, _Swing, _Swing]
 
 
-def _swings(rms_deg: float, period_s: float, generator: Generator) -> tuple[_Swing, _Swing, _Swing]:
-    """Amplitude [rad], angular rate [rad/s] and phase [rad] of three sinusoids of equal power."""
+def _swings(rms: float, period_s: float, generator: Generator) -> _Swings:
+    """Amplitude, in the unit of ``rms``, angular rate [rad/s] and phase [rad] of three sinusoids of equal power."""
     rates = 2 * math.pi / period_s * generator.uniform(0.7, 1.4, 3)
     phases = generator.uniform(0.0, 2 * math.pi, 3)
-    swing_rad = math.radians(rms_deg) * math.sqrt(2 / 3)
-    one, two, three = [(swing_rad, float(rate), float(phase)) for rate, phase in zip(rates, phases, strict=True)]
+    swing = rms * math.sqrt(2 / 3)
+    one, two, three = [(swing, float(rate), float(phase)) for rate, phase in zip(rates, phases, strict=True)]
     return one, two, three
 
 
-def _swing_at(swings: tuple[_Swing, _Swing, _Swing], time_s: float) -> float:
+def _swing_at(swings: _Swings, time_s: float) -> float:
     # Written out, because it is asked for every message of the autopilot.
     (a, rate_a, phase_a), (b, rate_b, phase_b), (c, rate_c, phase_c) = swings
     return (
@@ -154,6 +191,13 @@ def _swing_at(swings: tuple[_Swing, _Swing, _Swing], time_s: float) -> float:
     )
 
 
+def _swing_motion(swings: _Swings, time_s: float) -> Motion:
+    """The sum of the sinusoids with its first and second derivative by time."""
+    rate = sum(size * rate * math.cos(rate * time_s + phase) for size, rate, phase in swings)
+    bend = sum(-size * rate * rate * math.sin(rate * time_s + phase) for size, rate, phase in swings)
+    return _swing_at(swings, time_s), rate, bend
+
+
 class FlightSection(Section):
     """The vehicle's motion."""
 
@@ -161,6 +205,8 @@ class FlightSection(Section):
     """height of the body frame's origin above the surface when the vehicle stands on it [m]"""
     altitude: Annotated[tuple[Segment, ...], Field(min_length=1)]
     """heights above the starting point, segment by segment; the vehicle stays where the last one ends"""
+    heave: Heave | None = None
+    """oscillation about these heights; default: none"""
     track: TrackSection = TrackSection()
     """horizontal motion"""
     attitude: AttitudeSection = AttitudeSection()
@@ -188,13 +234,15 @@ class Vehicle:
     def __init__(
         self, flight: FlightSection, elevation_m: Callable[[float, float], float], generator: Generator
     ) -> None:
-        altitude_generator, attitude_generator = generator.spawn(2)
+        altitude_generator, attitude_generator, heave_generator = generator.spawn(3)
         self._elevation_m = elevation_m
         self._standing_height_m = flight.standing_height_m
         self._north, self._east = flight.track.courses()
         self._start_elevation_m = elevation_m(*flight.track.start_m)
         self._height = altitude(flight.altitude, self._surface_m, altitude_generator)
         self._attitude = AttitudeModel(flight.attitude, attitude_generator)
+        heave = flight.heave
+        self._heave = _swings(heave.rms_m, heave.period_s, heave_generator) if heave else None
         self.duration_s = self._height.end_s
         self._newest = self._pose(0.0)
 
@@ -212,6 +260,13 @@ class Vehicle:
         elevation_m = self._start_elevation_m + height_m
         above_surface_m = elevation_m - self._elevation_m(north_m, east_m)
         sways = 1.0 if above_surface_m >= FULL_SWAY_HEIGHT_M else max(above_surface_m / FULL_SWAY_HEIGHT_M, 0.0)
+        if self._heave is not None and sways > 0.0:
+            heave_m, heave_m_s, heave_m_s2 = _swing_motion(self._heave, time_s)
+            # Near the ground it grows with the height, so that its rate does with the climb.
+            growing_hz = climb_m_s / FULL_SWAY_HEIGHT_M if sways < 1.0 else 0.0
+            elevation_m += sways * heave_m
+            climb_m_s += sways * heave_m_s + growing_hz * heave_m
+            climb_m_s2 += sways * heave_m_s2 + 2 * growing_hz * heave_m_s
         roll_rad, pitch_rad, yaw_rad = self._attitude.at(time_s, north_m_s2, east_m_s2, sways)
         return Pose(
             time_s,
