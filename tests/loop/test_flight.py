@@ -287,6 +287,7 @@ def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("resolution_cm", [1, 0.1])
+@pytest.mark.slow
 def test_another_model_flies(tmp_path: Path, resolution_cm: float) -> None:
     """A sensor model without outliers, with little noise: nothing is rejected but each sensor's first.
 

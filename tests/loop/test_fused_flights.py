@@ -79,6 +79,7 @@ def test_a_dead_or_stuck_sensor_costs_little_and_is_reported(kind: str) -> None:
     assert rms(errors[1]) < 1.3 * rms(errors[0])
 
 
+@pytest.mark.slow
 def test_over_flat_ground_rough_grass_and_slopes_nothing_is_taken_for_an_object() -> None:
     for name in ("flat", "slope", "rough_grass", "hover", "sinusoid"):
         assert [text for _, _, text in flown(name, seed=3).texts if "below" in text] == [], name

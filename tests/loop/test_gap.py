@@ -115,6 +115,7 @@ def test_a_folder_without_a_comparison_is_reported(tmp_path: Path) -> None:
     assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("name", tmp_path, code=3)
 
 
+@pytest.mark.slow
 def test_adding_takes_what_was_named_and_asks_for_it_where_it_is_missing(folder: Path, tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(600, 4, bias=hidden))
     out = tmp_path / "out"

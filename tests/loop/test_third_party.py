@@ -48,6 +48,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     return Installed(tmp_path_factory.mktemp("third_party"))
 
 
+@pytest.mark.slow
 def test_its_sensor_flies_with_its_filter_and_its_effect(installed: Installed) -> None:
     out = installed.folder / "flight"
     installed.run("msp-sim", "fly", installed.configs / "flight.yaml", "--out", out)

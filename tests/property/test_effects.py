@@ -116,6 +116,7 @@ def test_without_effects_it_is_the_base_model() -> None:
     assert Model.of(sensor()).log_prob(readings_cm, given) == pytest.approx(base, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_effects_upon_effects() -> None:
     """All of the catalogue at once still sums to one and follows its probabilities."""
     model = Model.of(sensor())

@@ -156,6 +156,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     assert not (tmp_path / "other.yaml").exists()
 
 
+@pytest.mark.slow
 def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     write_csv(tmp_path / "a.csv", table(*(point(rng, z) for z in range(40, 261, 20))))

@@ -246,6 +246,7 @@ def test_a_factor_in_r_is_the_inverse_one_in_q(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("delay", "sign", "seed"), [(2, 1, 1), (7, -1, 2)])
+@pytest.mark.slow
 def test_a_delay_and_the_sign_of_the_table_are_found(tmp_path: Path, delay: int, sign: int, seed: int) -> None:
     text = table_of(
         {

@@ -176,6 +176,7 @@ def test_the_right_name_is_proposed_where_few_runs_differ_by_it() -> None:
     assert names_of(after_exchange(problem, "range_scale")) == ["air_temperature"]
 
 
+@pytest.mark.slow
 def test_exchange_goes_on_until_no_name_is_better() -> None:
     """Three wrong names over the columns of the right ones, whose alternatives are known only once all are there."""
     rng = np.random.default_rng(4)
@@ -275,6 +276,7 @@ def test_without_the_offset_of_one_sensor_that_of_another_is_still_sought() -> N
     assert ("mounting_offset", "a") not in more.state.keys
 
 
+@pytest.mark.slow
 def test_where_the_only_name_does_not_hold_another_one_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = problem_of((200.0, 240.0), 25.0)
 

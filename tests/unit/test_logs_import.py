@@ -291,6 +291,7 @@ def test_a_dataset_is_read_like_its_files(tmp_path: Path) -> None:
     assert again.sources == through.sources
 
 
+@pytest.mark.slow
 def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
     out = tmp_path / "gap"
     log, model = LOGS / "arducopter.BIN", MODEL.parent / "mb1242.yaml"
