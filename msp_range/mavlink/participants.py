@@ -8,9 +8,11 @@ Each is a condition with a text of at most 50 characters for the pilot. It ends 
 from typing import Any
 
 from msp_range.health import Condition
+from msp_range.health.conditions import EXPLAINED
 from msp_range.mavlink.contradictions import Contradictions
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.signing import PX4_SIGNS_NOT
 
 HOLD_S = 10.0
 """Time after which a condition ends [s]: ten heartbeats. Shorter reports an intermittent one repeatedly, longer reports
@@ -30,9 +32,10 @@ AUTOPILOTS: dict[int, Autopilot] = {
 class _Sighting:
     """A condition: what to report, and when it was last seen."""
 
-    def __init__(self, key: str, over: str) -> None:
+    def __init__(self, key: str, over: str, remedy: str = EXPLAINED) -> None:
         self._key = key
         self._over = over
+        self._remedy = remedy
         self._text = ""
         self._last_s = float("-inf")
         self._seen_s: list[float] = []
@@ -52,7 +55,7 @@ class _Sighting:
 
     def condition(self, now_s: float) -> Condition:
         lasts = now_s - self._last_s < HOLD_S
-        return Condition(self._key, self._text if lasts else None, self._over)
+        return Condition(self._key, self._text if lasts else None, self._over, remedy=self._remedy)
 
 
 class Participants:
@@ -72,7 +75,9 @@ class Participants:
         self._same_ids = _Sighting("autopilot's ids", "Range: one autopilot sends with its ids now")
         self._stand_in = _Sighting("autopilot lost", "Range: the first autopilot is back")
         self._contradictions = Contradictions()
-        self._signing = _Sighting("signing", "Range: the autopilot's signature is right now")
+        both = "msp-range sign AIRFRAME.yaml gives both the same key"
+        remedy = PX4_SIGNS_NOT if expected == "px4" else both
+        self._signing = _Sighting("signing", "Range: the autopilot's signature is right now", remedy)
 
     def on_autopilot(self, now_s: float, autopilot_type: int) -> None:
         """Check a heartbeat of the bridge's own autopilot (MAV_AUTOPILOT)."""

@@ -244,6 +244,19 @@ def test_a_vehicle_on_high_legs_gets_its_standing_height(tmp_path: Path, monkeyp
     assert vehicle.shown.index("lift: passed") < vehicle.shown.rindex("--- parameters") < vehicle.shown.index("hover:")
 
 
+def test_a_single_sensor_shows_the_standing_height_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has no other sensor to be compared with, so its place was wrong for ever."""
+    monkeypatch.setattr(hand_held, "RESTS_M", 0.41)
+    single = GOOD
+    for name in ("front_right", "rear_left", "rear_right"):
+        single = single.replace(line_of(single, name) + "\n", "")
+    vehicle = Vehicle(tmp_path, single, single, seed=4)
+    report = vehicle.do("lift")["lift"]
+    assert report["passed"], report
+    assert ["standing on the floor" in each for each in vehicle.person.asked] == [True]
+    assert vehicle.airframe.send.standing_m == pytest.approx(0.36, abs=0.015)
+
+
 def test_a_thermometer_that_is_too_warm_gets_its_bias(tmp_path: Path) -> None:
     source = re.search(r"    - \{source: file.*\}", GOOD)
     assert source is not None

@@ -15,6 +15,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
 from msp_range.clock import VirtualClock
+from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import FrameReader, pack
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import (
@@ -255,6 +256,21 @@ def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
     link.service()
     assert link.autopilot_is_present
     assert all(received(frame).is_signed for frame in transport.frames)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "remedy"),
+    [("ardupilot", "gives both the same key"), ("px4", "PX4 1.17 has no MAVLink signing: take link.signing_key out")],
+)
+def test_a_running_bridge_says_what_to_do_about_an_autopilot_that_does_not_sign(
+    autopilot: Autopilot, remedy: str
+) -> None:
+    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
+    link = Link(transport, clock, autopilot=autopilot, signing=Signing(KEY, clock))
+    transport.arrived += heartbeat(ardupilotmega.MAVLink(None, 1, 1))
+    link.service()
+    (found,) = [each for each in link.conditions() if each.text and "does not sign" in each.text]
+    assert remedy in found.remedy
 
 
 def test_a_link_without_a_key_says_that_the_autopilot_has_one() -> None:

@@ -147,11 +147,15 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
             {sensor.name: sensor.position_m for sensor in airframe.sensors if sensor.name not in still},
         )
     except NotMeasured as error:
-        outcome.wrong("places", str(error), "then again")
-        return outcome
-    dim = compare_directions(airframe, recorded.all, recorded.boards, found, outcome)
-    compare_places(airframe, found, outcome, dim)
-    compare_lag(found, outcome)
+        if len(airframe.downward) != 1:
+            outcome.wrong("places", str(error), "then again")
+            return outcome
+        text = "not measured: one sensor that looks down has no other one that it could be compared with"
+        outcome.unknown("places", text, "measure its place and direction yourself")
+    else:
+        dim = compare_directions(airframe, recorded.all, recorded.boards, found, outcome)
+        compare_places(airframe, found, outcome, dim)
+        compare_lag(found, outcome)
     _came_back(airframe, recorded, outcome)
     _standing(airframe, recorded.floor, outcome)
     return outcome
