@@ -32,9 +32,9 @@ from tests.sitl.course import (
 CLEARANCE_M = 0.25
 """Height of loopback.yaml's reference point when it stands: its sensors are 0.05 m below, and read 0.20 m."""
 PERIOD_S = 0.02
-HIGH_M = 0.2
-"""How much too high it flies between the edges of 1.2 m."""
-LOST_S, GAP_S = (20.0, 20.3), (52.0, 52.7)
+HIGH_M, HIGH_FROM_M = 0.2, (16.5, 24.0)
+"""How much too high it flies, and from where to where: the section with the edge of 1.2 m."""
+LOST_S, GAP_S = (20.0, 20.3), (48.0, 48.7)
 """Without its range finder, and without a distance; at 1 m/s these are metres north, too."""
 
 
@@ -44,7 +44,8 @@ def test_ground_has_its_edges_slope_and_boxes(tmp_path: Path) -> None:
         assert world.elevation_m(at_m + 0.01, 0.0) - world.elevation_m(at_m - 0.01, 0.0) == pytest.approx(rise_m)
     first_m, last_m = SLOPE_M
     for north_m in np.linspace(first_m, last_m, 50, endpoint=False):
-        assert world.elevation_m(north_m, 0.0) == pytest.approx(GRADE * (north_m - first_m), abs=GRADE * TREAD_M + 1e-9)
+        slope_m = 1.2 + GRADE * (north_m - first_m)
+        assert world.elevation_m(north_m, 0.0) == pytest.approx(slope_m, abs=abs(GRADE) * TREAD_M + 1e-9)
     assert [world.elevation_m(north_m, 0.0) for north_m in (0.0, END_M)] == pytest.approx([0.0, 0.0], abs=1e-9)
     below = []
     for box in BOXES:
@@ -59,10 +60,10 @@ def test_judge_finds_what_a_flight_has(tmp_path: Path) -> None:
     truth = Truth(autopilot, tmp_path / "course.yaml")
     arrivals_s = [at_s for at_s in np.arange(0.0, END_M + 5.0, 0.1).tolist() if not GAP_S[0] < at_s < GAP_S[1] - 1e-6]
     sections = followed(autopilot, truth, arrivals_s, Leg(1.0, HEIGHT_M, 0.5, END_M))
-    edges, boxes, all_of_it = sections["edges of 1.2 m"], sections["boxes of 0.5 and 0.8 m"], sections["all"]
+    edges, boxes, all_of_it = sections["edge of 1.2 m"], sections["boxes of 0.5 and 0.8 m"], sections["all"]
     assert edges.rms_m == pytest.approx(HIGH_M, abs=0.01)
     assert boxes.rms_m == pytest.approx(0.0, abs=0.01)
-    high = (25.0 - 15.5) / (END_M - 0.5)
+    high = (HIGH_FROM_M[1] - HIGH_FROM_M[0]) / (END_M - 0.5)
     assert all_of_it.rms_m == pytest.approx(HIGH_M * math.sqrt(high), abs=0.01)
     assert edges.unhealthy_s == all_of_it.unhealthy_s == pytest.approx(LOST_S[1] - LOST_S[0], abs=0.051)
     assert boxes.unhealthy_s == 0.0
@@ -93,7 +94,7 @@ def flown(folder: Path) -> Autopilot:
         yield -1.0, sent(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 0, 3))
         yield 0.0, sent(mavlink.MAVLink_heartbeat_message(2, 3, mavlink.MAV_MODE_FLAG_SAFETY_ARMED, 0, 0, 3))
         for time_s in np.arange(PERIOD_S, END_M + 1.0, PERIOD_S).tolist():
-            extra_m = HIGH_M if 15.5 <= time_s < 25.0 else 0.0
+            extra_m = HIGH_M if HIGH_FROM_M[0] <= time_s < HIGH_FROM_M[1] else 0.0
             height_m = world.elevation_m(time_s, 0.0) + HEIGHT_M + CLEARANCE_M - STANDING_RANGE_M + extra_m
             yield time_s, sim_state(time_s, height_m)
 

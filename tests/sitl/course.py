@@ -21,29 +21,30 @@ from tests.sitl.ground_station import AUTOPILOT, CONFIGS, GroundStation
 AIRFRAME = CONFIGS / "loopback.yaml"
 HEIGHT_M = 3.0
 """Height above the ground that is flown [m]."""
-SPEEDS_M_S = (1.0, 0.25)
-"""Out and back, so that every edge is flown up and down. At the slower speed an edge is below the front pair of sensors
-2 s before it is below the rear pair, at the faster one 0.5 s."""
-END_M = 58.0
-"""North of the start where the vehicle turns back [m]."""
-EDGES = ((3.0, 0.3), (6.5, -0.3), (10.0, 0.6), (13.5, -0.6), (17.5, 1.2), (22.5, -1.2), (42.0, -1.2))
-"""North of the start and rise [m]."""
-SLOPE_M, GRADE, TREAD_M = (27.0, 39.0), 0.1, 0.2
-"""Where the slope begins and ends [m north] and its rise per metre. The simulated ground has one slope everywhere, so
+END_M = 54.0
+"""Length of the course [m]. Longer flat stretches make the error over the whole course smaller; with these an ideal
+laser is expected to have 0.25 to 0.27 m at 1 m/s."""
+LEGS = ((END_M, 1.0), (0.0, 0.25), (END_M, 0.25))
+"""Where each leg ends [m north of the start] and its speed [m/s]. At the slower speed an edge is below one pair of
+sensors 2 s before it is below the other, at the faster one 0.5 s."""
+EDGES = ((3.0, 0.3), (6.5, -0.3), (10.0, 0.6), (14.0, -0.6), (19.0, 1.2))
+"""North of the start and rise [m]; on the way back up is down."""
+SLOPE_M, GRADE, TREAD_M = (25.0, 37.0), -0.1, 0.2
+"""Where the slope begins and ends [m north], and its rise per metre. The simulated ground has one slope everywhere, so
 this one is a staircase with treads of this length [m]: its lips lie on the slope, and the nearest of them is at most
 2 mm further from a sensor than the slope itself."""
 BOXES = (
-    {"centre_m": [46.0, 0.0], "size_m": [1.5, 1.5], "height_m": 0.5},
-    {"centre_m": [50.0, 0.52], "size_m": [2.0, 0.8], "height_m": 0.5},
-    {"centre_m": [54.0, -0.52], "size_m": [2.0, 0.8], "height_m": 0.8},
+    {"centre_m": [42.0, 0.0], "size_m": [1.5, 1.5], "height_m": 0.5},
+    {"centre_m": [46.0, 0.52], "size_m": [2.0, 0.8], "height_m": 0.5},
+    {"centre_m": [50.0, -0.52], "size_m": [2.0, 0.8], "height_m": 0.8},
 )
 """Below all four sensors, below the right pair and below the left pair. The last two begin 0.12 m beside the middle of
 the vehicle, whose sensors are 0.20 m beside it."""
 SECTIONS = {
-    "edges of 0.3 and 0.6 m": (0.0, 15.5),
-    "edges of 1.2 m": (15.5, 25.0),
-    "slope of 10 %, edge of 1.2 m": (25.0, 44.0),
-    "boxes of 0.5 and 0.8 m": (44.0, END_M),
+    "edges of 0.3 and 0.6 m": (0.0, 16.5),
+    "edge of 1.2 m": (16.5, 24.0),
+    "slope of 10 %": (24.0, 39.0),
+    "boxes of 0.5 and 0.8 m": (39.0, END_M),
     "all": (-1.0, END_M + 1.0),
 }
 """Part of the course -> from where to where [m north]."""

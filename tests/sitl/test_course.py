@@ -10,7 +10,7 @@ import pytest
 
 from tests.sitl.arducopter import ArduCopter
 from tests.sitl.autopilot import Autopilot, running
-from tests.sitl.course import END_M, HEIGHT_M, SPEEDS_M_S, Followed, Leg, Truth, followed, write_course
+from tests.sitl.course import END_M, HEIGHT_M, LEGS, Followed, Leg, Truth, followed, write_course
 from tests.sitl.figures import note_followed
 from tests.sitl.ground_station import BRIDGE, SITL_LIMIT_S
 from tests.sitl.kinds import needs_arducopter
@@ -20,9 +20,11 @@ from tests.sitl.msp_sim import msp_sim
 pytestmark = [needs_arducopter, pytest.mark.real_time]
 
 RMS_M = 0.30
-"""Goal for the error of the height above the ground over the whole course at 1 m/s [m]."""
+"""Largest error of the height above the ground over the whole course at 1 m/s, rms [m]: 15 % more than an ideal laser
+has, most of which is the time that ArduCopter takes to climb or sink at an edge. A smaller one also fails the laser."""
 THERE_M = 0.5
-"""It has arrived when it is this near; it slows down before that."""
+"""A leg ends this near its end [m]: the vehicle slows down there. Less adds seconds of hover, which make the error over
+the course smaller."""
 
 
 @contextlib.contextmanager
@@ -55,7 +57,7 @@ def test_following_the_ground(
     copter = ArduCopter(tmp_path)
     course = write_course(tmp_path)
     found: list[tuple[Leg, Followed]] = []
-    failsafes: list[str] = []
+    flies_on = True
     with running(copter):
         copter.get_ready()
         with sender(copter, course) as arrivals_s:
@@ -63,17 +65,17 @@ def test_following_the_ground(
             copter.take_off()
             copter.go_to(HEIGHT_M)
             copter.wait_for_hover(HEIGHT_M)
-            for north_m, speed_m_s in zip((END_M, 0.0), SPEEDS_M_S, strict=True):
+            for north_m, speed_m_s in LEGS:
                 leg = fly(copter, truth, north_m, speed_m_s)
                 copter.wait(1.0)  # Until SYS_STATUS and texts of the leg's end have arrived.
                 failsafes = [text for text in copter.texts(leg.from_s) if "failsafe" in text.lower()]
                 sections = followed(copter, truth, arrivals_s(), leg)
                 note_followed(copter, distances, leg, sections, failsafes)
                 found.append((leg, sections["all"]))
-                if failsafes:
+                flies_on = copter.flies_as_commanded()
+                if not flies_on:
                     break
             copter.land()
-    assert not failsafes
-    assert copter.flies_as_commanded() or len(found) == len(SPEEDS_M_S)
+    assert flies_on, copter.texts()[-10:]
     assert all(each.unhealthy_s == 0.0 for _, each in found), found
     assert found[0][1].rms_m < RMS_M
