@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from msp_sim.sitl.sitl import EARTH_RADIUS_M
 from tests.docs.shown import shown
 from tests.sitl import documented
 from tests.sitl.autopilot import STANDING_RANGE_M, TOP_M, Autopilot, Series, version
@@ -93,10 +94,22 @@ class ArduCopter(Autopilot):
     def go_to(self, height_m: float, frame: int = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT) -> None:
         """In GUIDED; the height above the terrain is what the range finder measures (GCS_MAVLink_Copter.cpp)."""
         place = self.station.all("SIM_STATE")[-1][1]
+        self._set_target(frame, place.lat_int, place.lon_int, height_m)
+
+    def follow_ground(self, north_m: float, height_m: float, speed_m_s: float) -> None:
+        """In GUIDED to a place north of the start, at a height above the terrain all the way."""
+        speed = (1, speed_m_s)  # SPEED_TYPE_GROUNDSPEED
+        self.station.command_until_accepted("speed", mavlink.MAV_CMD_DO_CHANGE_SPEED, *speed)
+        start = self.station.all("SIM_STATE")[0][1]
+        north_1e7 = round(1e7 * math.degrees(north_m / EARTH_RADIUS_M))
+        frame = mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT
+        self._set_target(frame, start.lat_int + north_1e7, start.lon_int, height_m)
+
+    def _set_target(self, frame: int, lat_int: int, lon_int: int, height_m: float) -> None:
         fields: dict[str, float] = dict.fromkeys(mavlink.MAVLink_set_position_target_global_int_message.fieldnames, 0)
         fields |= {"target_system": 1, "target_component": 1, "coordinate_frame": frame}
-        # Of position, velocity, acceleration and yaw only the position counts.
-        fields |= {"type_mask": 0b1101_1111_1000, "lat_int": place.lat_int, "lon_int": place.lon_int, "alt": height_m}
+        # Of position, velocity, acceleration, yaw and its rate only the position and the yaw count, which is north.
+        fields |= {"type_mask": 0b1001_1111_1000, "lat_int": lat_int, "lon_int": lon_int, "alt": height_m}
         self.station.send(mavlink.MAVLink_set_position_target_global_int_message(**fields))
 
     def land(self) -> None:

@@ -1,4 +1,4 @@
-"""Prints what the flights measured, as the table of docs/sitl.md."""
+"""Prints what the flights measured, as the tables of docs/sitl.md."""
 
 from typing import Any
 
@@ -6,6 +6,10 @@ from tests.sitl import figures
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
-    if figures.ROWS:
-        terminalreporter.section("flights on real autopilots")
-        terminalreporter.write_line(figures.table())
+    for title, headings, rows in (
+        ("flights on real autopilots", figures.HEADINGS, figures.ROWS),
+        ("the course on real autopilots", figures.COURSE_HEADINGS, figures.COURSE_ROWS),
+    ):
+        if rows:
+            terminalreporter.section(title)
+            terminalreporter.write_line(figures.table(headings, rows))

@@ -1,10 +1,11 @@
-"""What the flights measured: figures of one flight, and all of them as the table of docs/sitl.md."""
+"""What the flights measured: figures of one flight, and all of them as the tables of docs/sitl.md."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from tests.sitl.autopilot import Autopilot
+from tests.sitl.course import SILENCE_S, Followed, Leg
 
 ROWS: list[tuple[str, ...]] = []
 """One for each flight or part of one; conftest.py prints them."""
@@ -16,6 +17,19 @@ HEADINGS = (
     "healthy",
     "without distances",
     "what the autopilot does",
+)
+COURSE_ROWS: list[tuple[str, ...]] = []
+"""One for each section of the course in each direction; conftest.py prints them."""
+COURSE_HEADINGS = (
+    "autopilot",
+    "distances from",
+    "speed",
+    "ground",
+    "error of its height, rms",
+    "unhealthy",
+    "longest gap",
+    f"gaps over {SILENCE_S} s",
+    "failsafes",
 )
 
 
@@ -57,7 +71,17 @@ def note(
     ROWS.append((autopilot.name, what, *cells, "" if outage_s is None else f"{outage_s:.2f} s", result))
 
 
-def table() -> str:
+def note_followed(
+    autopilot: Autopilot, distances: str, leg: Leg, sections: dict[str, Followed], failsafes: list[str]
+) -> None:
+    """Add a leg over the course to its table."""
+    for section, each in sections.items():
+        cells = (f"{each.rms_m:.2f} m", f"{each.unhealthy_s:.1f} s", f"{each.gap_s:.2f} s", f"{each.silences}")
+        row = (autopilot.name, distances, f"{leg.speed_m_s:g} m/s", section, *cells, ", ".join(failsafes) or "none")
+        COURSE_ROWS.append(row)
+
+
+def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     """All rows as Markdown."""
-    rows = [HEADINGS, tuple("---" for _ in HEADINGS), *ROWS]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
+    lines = [headings, tuple("---" for _ in headings), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

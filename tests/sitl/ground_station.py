@@ -77,7 +77,7 @@ class GroundStation:
         """Messages of one kind from one component, with their times."""
         return self._sorted[kind, component]
 
-    def wait(self, what: str, find: Callable[[], Found | None]) -> Found:
+    def wait(self, what: str, find: Callable[[], Found | None], limit_s: float = SITL_LIMIT_S) -> Found:
         """What ``find`` returns once it is true; AssertionError with the autopilot's last words after a while."""
         found: list[Found] = []
 
@@ -89,7 +89,7 @@ class GroundStation:
             texts = [message.text for _, message in self.all("STATUSTEXT")[-10:]]
             return f"no {what}; the last texts of the autopilot: {texts}"
 
-        until(is_found, SITL_LIMIT_S, lambda: time.sleep(0.05), seen)
+        until(is_found, limit_s, lambda: time.sleep(0.05), seen)
         return found[0]
 
     def ask(self, name: str, rate_hz: float) -> None:
