@@ -52,9 +52,10 @@ class ArduCopter(Autopilot):
         **{f"INS_ACC{n}SCAL_{axis}": 1.001 for n in ("", "2") for axis in "XYZ"},
     }
 
-    def __init__(self, folder: Path, section: str = section) -> None:
+    def __init__(self, folder: Path, section: str = section, home: str | None = None) -> None:
         super().__init__(folder)
         self.section = section
+        self._home = home or documented.home(section)
         parameters = self.COMMON | documented.parameters(section)
         defaults = "".join(f"{name} {value}\n" for name, value in parameters.items())
         (folder / "defaults.parm").write_text(defaults)
@@ -63,7 +64,7 @@ class ArduCopter(Autopilot):
 
     def _command(self) -> tuple[list[str], dict[str, str]]:
         _, *options = shlex.split(shown(COMMAND))
-        options[options.index("--home") + 1] = documented.home(self.section)
+        options[options.index("--home") + 1] = self._home
         options[options.index("--defaults") + 1] = "defaults.parm"
         return [ARDUCOPTER, *options, "--base-port", str(self._port)], dict(os.environ)
 
