@@ -143,8 +143,16 @@ def air_variance_m2(range_m: float, air: Air) -> float:
 
 
 def air_error_m(range_m: float, air: Air) -> float:
-    """Error of a range due to the air temperature that 95 % of the errors do not exceed [m]."""
-    return TWO_SIDED_95_PERCENT * math.sqrt(air_variance_m2(range_m, air))
+    """Error of a range due to the air temperature that 95 % of the errors do not exceed [m].
+
+    It is that in the coldest air of ``air`` (1.96 standard deviations): in the warmest one a range errs less.
+    """
+    return compensate_range(range_m, air.temperature_c, coldest_c(air)) - range_m
+
+
+def coldest_c(air: Air) -> float:
+    """Lower end of the interval that contains the air's temperature with 95 % [deg C]."""
+    return air.temperature_c - TWO_SIDED_95_PERCENT * air.std_c
 
 
 def _absolute_k(temperature_c: Numbers) -> Numbers:

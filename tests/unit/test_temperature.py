@@ -62,9 +62,10 @@ def test_without_sources_the_fixed_temperature_counts_with_its_deviation() -> No
 
 
 def test_a_vehicle_without_a_thermometer_is_reported_with_what_that_costs() -> None:
-    """1.96 of 12 C at 7.65 m; nothing where the pilot states the temperature to 3 C."""
-    off_cm = 100 * 1.96 * 7.65 * 0.5 * 12 / (FIXED_C + 273.15)
-    assert reported(air(), 0.0) == [f"Range: no thermometer, up to {off_cm:.0f} cm off at 7.65 m"]
+    """Air that is 1.96 times 12 C colder, 7.65 m away; nothing where the pilot states the temperature to 3 C."""
+    coldest_c = FIXED_C - 1.96 * 12
+    off_cm = 765 * (math.sqrt((FIXED_C + 273.15) / (coldest_c + 273.15)) - 1)
+    assert reported(air(), 0.0) == [f"Range: no thermometer, {off_cm:.0f} cm off at {coldest_c:.0f} C, 7.65 m"]
     assert reported(air(), 1000.0) == reported(air(), 0.0)
     assert reported(air(fixed_std_c=3.0), 0.0) == []
 
@@ -73,7 +74,7 @@ def test_a_person_reads_what_each_source_is_worth() -> None:
     lines = describe(parameters({"source": "mavlink", "message": "SCALED_PRESSURE", "std_c": 4.0}), MAXIMUM_M)
     assert len(lines) == 3
     assert "SCALED_PRESSURE.temperature +-4.12 C: up to 11 cm off at 7.65 m" in lines[1]
-    assert "fixed_c 18 C +-12 C: up to 31 cm off at 7.65 m; right for air of -6 to 42 C" in lines[2]
+    assert "fixed_c 18 C +-12 C: up to 33 cm off at 7.65 m; right for air of -6 to 42 C" in lines[2]
 
 
 def test_a_file_counts_thousandths_of_a_degree(tmp_path: Path) -> None:
