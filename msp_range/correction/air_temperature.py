@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 from msp_range.acoustics.air import FIXED, HELD, Air, air_error_m, coldest_c, compensate_range
+from msp_range.correction.humidity import HYGROMETER, Humidity
 from msp_range.correction.range_comparison import RangeHistory
 from msp_range.correction.temperature import MAVLINK_FIELDS, FileSource, MavlinkSource, TemperatureParameters
 from msp_range.correction.temperature_track import BELIEVED_AFTER_S, TemperatureTrack
@@ -57,6 +58,7 @@ class AirTemperature:
         self._maximum_m = maximum_m
         self._fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
         self._air = self._fixed
+        self._humidity = Humidity()
         self._history = RangeHistory()
         self._tracks = [TemperatureTrack(source, self._history) for source in parameters.sources]
         self._had_value_s = start_s
@@ -71,6 +73,8 @@ class AirTemperature:
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
         kind = message.get_type()
+        if kind == HYGROMETER:
+            self._humidity.on_message(now_s, message)
         for track in self._tracks:
             source = track.source
             if isinstance(source, MavlinkSource) and source.message == kind:
@@ -84,7 +88,7 @@ class AirTemperature:
             self._history.record(reading.time_s, reading.sensor, reading.range_m)
 
     def now(self, now_s: float) -> Air:
-        """The air temperature at ``now_s``; reads the files that are due."""
+        """The air at ``now_s``; reads the files that are due."""
         self._decision = BACK
         for track in self._tracks:
             source = track.source
@@ -96,7 +100,7 @@ class AirTemperature:
         self._lags = self._lag_text(used, air.temperature_c)
         if air.source not in (FIXED, HELD):
             self._had_value_s = now_s
-        self._air = air
+        self._air = self._humidity.applied(now_s, air)
         return self._air
 
     def _best(self, now_s: float) -> tuple[TemperatureTrack | None, Air]:
@@ -210,10 +214,12 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
 
     fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
     sources = [f"  {each.name} {off(Air(fixed.temperature_c, each.error_std_c, ''))}" for each in parameters.sources]
+    humid = Humidity().applied(0.0, Air(fixed.temperature_c, 0.0, ""))
+    humidity = f"  humidity, unless the autopilot sends {HYGROMETER}: also {off(humid)}"
     held_c = f"{coldest_c(fixed):.0f} to {2 * fixed.temperature_c - coldest_c(fixed):.0f} C"
     return [
         "air temperature: the first of these with a value is used" if sources else "air: no thermometer",
-        *sources,
+        *([*sources, humidity] if sources else []),
         f"  fixed_c {fixed.temperature_c:g} C {off(fixed)}; right for air of {held_c}",
     ]
 

@@ -7,9 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import common
 
 from msp_range.acoustics.air import air_variance_m2
+from msp_range.acoustics.atmosphere import Atmosphere
+from msp_range.clock import VirtualClock
+from msp_range.recording.pings import recorded_air
+from msp_range.recording.writer import Recorder
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
+from tests.support.humid_air import speed_of_sound_humid
 from tests.support.slow import slow, slow_but
 
 HEIGHT_CM = 500
@@ -161,6 +167,31 @@ def test_in_ordinary_flights_a_thermometer_is_as_good_as_ever(tmp_path: Path, na
     assert bench.reported(2.0) == []
     stds_c = [step.air.std_c for step in bench.steps if step.ranging.reading.time_s > bench.clock.now() - 75.0]
     assert max(stds_c) < 2.0
+
+
+def test_the_humidity_that_an_autopilot_sends_counts(tmp_path: Path) -> None:
+    """Saturated air at 30 C: sound is 0.66 % faster, 3.3 cm at 5 m, and the pilot's recording has it."""
+    air = Atmosphere(30.0, 100.0)
+    faster_by = speed_of_sound_humid(air) / speed_of_sound_humid(Atmosphere(30.0, 0.0))
+    file = tmp_path / "temp1_input"
+    file.write_text("30000\n")
+    ratio = math.sqrt((CALIBRATED_C + 273.15) / (30.0 + 273.15)) / faster_by
+    vehicle = airframe(temperature={"sources": [{"source": "file", "path": str(file)}]})
+    bench = Bench(vehicle, round(700 * ratio), recorder=(recorder := Recorder(tmp_path / "a.mcap", VirtualClock())))
+    bench.fly(10.0)
+    bench.receive(
+        common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3),
+        common.MAVLink_hygrometer_sensor_message(0, 3000, 10000),
+    )
+    bench.fly(20.0)
+    recorder.close()
+    dry_cm, humid_cm = bench.distances_cm(from_s=9.0, to_s=10.0)[-1], bench.distances_cm()[-1]
+    assert [humid_cm, dry_cm] == pytest.approx([700, 700 / faster_by], abs=1.0)
+    unknown, measured = (math.sqrt(message.covariance) for _, message in (bench.sent()[30], bench.sent()[-1]))
+    assert unknown > 1.5 * measured
+    airs = [air for _, air in recorded_air(tmp_path / "a.mcap")]
+    assert [airs[0].humidity_percent, airs[-1].humidity_percent] == pytest.approx([0.0, 100.0])
+    assert airs[-1] == bench.steps[-1].air
 
 
 def test_a_dead_thermometer_is_reported_and_its_last_value_goes_on_with_a_growing_variance(tmp_path: Path) -> None:

@@ -88,6 +88,7 @@ def test_check_shows_what_would_fly(path: Path) -> None:
 def test_check_says_what_each_thermometer_is_worth() -> None:
     output = CliRunner().invoke(app, ["check", str(CONFIGS / "forward_and_down.yaml")]).output
     assert "SCALED_PRESSURE.temperature +-4.16 C: up to 11 cm off at 7.65 m" in output
+    assert "humidity, unless the autopilot sends HYGROMETER_SENSOR: also +-" in output
     assert "no thermometer" not in output
     assert "air: no thermometer" in CliRunner().invoke(app, ["check", str(CONFIGS / "loopback.yaml")]).output
 

@@ -14,12 +14,13 @@ STEP_S = 30.0
 
 
 def lags(shown_c: OfTime, until_s: float, period_s: float = 1.0) -> list[tuple[float, float]]:
-    """Time [s] and lag [deg C] after each value."""
+    """Time [s] and lag [deg C] after each value; at most 100 values are looked at."""
     settling = Settling(0.0, shown_c(0.0))
     found = []
     for number in range(1, int(until_s / period_s) + 1):
         settling.update(number * period_s, shown_c(number * period_s))
         found.append((number * period_s, settling.lag_c))
+        assert len(settling._values) <= 100
     return found
 
 
@@ -92,7 +93,7 @@ def test_what_happens_in_ordinary_flights_is_no_settling(
 
 @pytest.mark.parametrize("period_s", [0.02, 10.0, 60.0])
 def test_values_come_as_often_as_they_like(period_s: float) -> None:
-    """50 per second of an autopilot, or one per minute of a file."""
+    """50 per second of an autopilot, or one per minute of a file; not all of them are kept."""
     shown_c = follows(lambda time_s: 20.0 if time_s < STEP_S else -15.0, 120.0, min(period_s, 0.1))
     found = lags(shown_c, 150.0, period_s)
     value_s, lag_c = found[-1]
