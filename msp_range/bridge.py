@@ -346,10 +346,10 @@ class Bridge:
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
         vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
-        if abs(vehicle_air.temperature_c - self._limits_c) > LIMITS_FOLLOW_C:
-            self._set_limits(vehicle_air.temperature_c)
+        if abs(vehicle_air.sonic_c - self._limits_c) > LIMITS_FOLLOW_C:
+            self._set_limits(vehicle_air.sonic_c)
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
-        reading = correct(ranging.reading, air.temperature_c, channel.calibration_temperature_c, channel.calibration)
+        reading = correct(ranging.reading, air.sonic_c, channel.calibration_temperature_c, channel.calibration)
         boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
         filtered, fused = _NOT_FILTERED, None
         if self._fusion is not None and channel.is_fused:
@@ -505,7 +505,7 @@ class Bridge:
 def correct(
     reading: Reading, temperature_c: float, calibration_temperature_c: float, calibration: Calibration = IDENTITY
 ) -> Reading:
-    """The reading with its range calibrated, then for the air's temperature (report eq 7); its status and time stay.
+    """The reading with its range calibrated, then for the air's sonic temperature (report eq 7); status and time stay.
 
     In this order because an offset of the sensor is in its clock: it does not grow with the air's speed of sound. A
     reading shorter than what the sensor reads at range 0 is a range of 0.

@@ -5,7 +5,8 @@ Frequency and air enter, decibels per metre leave. The report's eq 2 has it as a
 
 import math
 
-from msp_range.acoustics.atmosphere import STANDARD_PRESSURE_PA, Atmosphere
+from msp_range.acoustics.air import STANDARD_PRESSURE_PA
+from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.numbers import Numbers
 
 REFERENCE_K = 293.15

@@ -1,9 +1,10 @@
-"""Speed of sound in air, time of flight, and ranges corrected for temperature with their remaining uncertainty.
+"""Speed of sound in air, and ranges corrected for temperature and humidity with their remaining uncertainty.
 
-Temperatures in degrees Celsius enter, metres per second, seconds and metres leave. Follows the characterization
-report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in air it is about
-343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls these
-functions for each reading, so plain numbers are computed with `math`; numpy is imported for arrays only.
+Temperatures in degrees Celsius enter, metres per second and metres leave. There is one formula for the speed of sound,
+that of dry air; humid air enters with its sonic temperature, at which dry air has the same speed. Follows the
+characterization report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in
+air it is about 343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls
+these functions for each reading, so plain numbers are computed with `math`; numpy is imported for arrays only.
 """
 
 from __future__ import annotations
@@ -25,6 +26,14 @@ MOLAR_MASS_KG_PER_MOL = 0.02896546
 ZERO_CELSIUS_K = 273.15
 """0 deg C [K], by definition."""
 
+STANDARD_PRESSURE_PA = 101_325.0
+"""One standard atmosphere [Pa], by definition."""
+
+SONIC_PER_VAPOUR = 0.32
+"""Relative growth of the sonic temperature per mole fraction of water vapour, T_s = T (1 + 0.32 e / p) (Kaimal and
+Gaynor 1991, Boundary-Layer Meteorology 56, 401). A mixture of ideal gases gives 0.321, Cramer (1993) 0.31 at 0 deg C
+and 0.316 at 30."""
+
 FIXED, HELD, NO_AIR = "fixed", "held", "none"
 """Sources of an `Air` that is not a new measurement: the airframe file's constant; an earlier value of a source; none,
 because the sensor uses light."""
@@ -35,21 +44,75 @@ _SPEED_SQUARED_PER_K = HEAT_CAPACITY_RATIO * GAS_CONSTANT_J_PER_MOL_K / MOLAR_MA
 
 
 class Air(NamedTuple):
-    """Temperature of the air between sensors and ground, with its uncertainty.
+    """Temperature and humidity of the air between sensors and ground, with their uncertainty.
 
     Attributes
     ----------
     temperature_c
         Its mean temperature along the beam [deg C].
     std_c
-        Standard deviation of the error of ``temperature_c`` [deg C].
+        Standard deviation of the error of ``sonic_c`` [deg C].
     source
-        Origin of the value: a temperature source's name, `FIXED` or `HELD`.
+        Origin of the temperature: a temperature source's name, `FIXED` or `HELD`.
+    humidity_percent
+        Its relative humidity [%]; 0 where none is measured.
     """
 
     temperature_c: float
     std_c: float
     source: str
+    humidity_percent: float = 0.0
+
+    @property
+    def sonic_c(self) -> float:
+        """Temperature of dry air with the same speed of sound [deg C]."""
+        return sonic_temperature_c(self.temperature_c, self.humidity_percent)
+
+
+def vapour_fraction(temperature_c: Numbers, humidity_percent: Numbers) -> Numbers:
+    """Mole fraction of water vapour at one atmosphere, h p_sat(T) / p.
+
+    p_sat = 610.94 Pa exp(17.625 t / (t + 243.04)) over water, t in deg C (Magnus; Alduchov and Eskridge 1996, Journal
+    of Applied Meteorology 35, 601).
+
+    Parameters
+    ----------
+    temperature_c, humidity_percent : float or ndarray
+        Temperature [deg C], -40 to 60, and relative humidity [%].
+
+    Returns
+    -------
+    float or ndarray
+        Mole fraction, to 0.4 %; at 1000 m above the sea the pressure is lower and it is 13 % higher.
+    """
+    # A power stands for the exponential, so that arrays can enter without numpy.
+    saturation_pa = 610.94 * math.e ** (17.625 * temperature_c / (temperature_c + 243.04))
+    fraction: Numbers = humidity_percent / 100.0 * saturation_pa / STANDARD_PRESSURE_PA
+    return fraction
+
+
+def sonic_temperature_c(temperature_c: Numbers, humidity_percent: Numbers) -> Numbers:
+    """Temperature of dry air with the speed of sound of this humid air, T_s = T (1 + 0.32 x), T in kelvin.
+
+    Parameters
+    ----------
+    temperature_c, humidity_percent : float or ndarray
+        Temperature [deg C], -40 to 60, and relative humidity [%]; x is their `vapour_fraction`.
+
+    Returns
+    -------
+    float or ndarray
+        Sonic temperature [deg C].
+
+    Examples
+    --------
+    Saturated air at 30 deg C, in which sound is 0.7 % faster:
+
+    >>> print(f"{sonic_temperature_c(30.0, 100.0):.1f}")
+    34.1
+    """
+    vapour = vapour_fraction(temperature_c, humidity_percent)
+    return temperature_c + SONIC_PER_VAPOUR * vapour * (temperature_c + ZERO_CELSIUS_K)
 
 
 def speed_of_sound(temperature_c: Numbers) -> Numbers:
@@ -58,12 +121,12 @@ def speed_of_sound(temperature_c: Numbers) -> Numbers:
     Parameters
     ----------
     temperature_c : float or ndarray, any shape
-        Air temperature [deg C], valid from -20 to 50. NaN gives NaN.
+        Air temperature [deg C], valid from -20 to 50; of humid air the sonic temperature. NaN gives NaN.
 
     Returns
     -------
     float or ndarray, same shape
-        Speed [m/s]. Humidity is neglected: at most 0.7 % low in saturated air at 30 deg C.
+        Speed [m/s]; with the temperature of saturated air at 30 deg C it is 0.7 % low.
 
     Raises
     ------
@@ -89,7 +152,7 @@ def compensate_range(range_m: Numbers, air_temperature_c: Numbers, calibration_t
     range_m : float or ndarray
         Range as the sensor reported it [m].
     air_temperature_c : float or ndarray
-        Temperature of the air between sensor and surface [deg C], valid from -20 to 50; arrays broadcast.
+        Sonic temperature of the air between sensor and surface [deg C], valid from -20 to 50; arrays broadcast.
     calibration_temperature_c : float
         Temperature that the sensor's own conversion assumes [deg C], from its sensor model file: the report says
         20, the maker's pulse width implies 22.5 for the MB1242 (erratum 5).
@@ -143,8 +206,16 @@ def air_variance_m2(range_m: float, air: Air) -> float:
 
 
 def air_error_m(range_m: float, air: Air) -> float:
-    """Error of a range due to the air temperature that 95 % of the errors do not exceed [m]."""
-    return TWO_SIDED_95_PERCENT * math.sqrt(air_variance_m2(range_m, air))
+    """Error of a range due to the air temperature that 95 % of the errors do not exceed [m].
+
+    It is that in the coldest air of ``air`` (1.96 standard deviations): in the warmest one a range errs less.
+    """
+    return compensate_range(range_m, air.temperature_c, coldest_c(air)) - range_m
+
+
+def coldest_c(air: Air) -> float:
+    """Lower end of the interval that contains the air's temperature with 95 % [deg C]."""
+    return air.temperature_c - TWO_SIDED_95_PERCENT * air.std_c
 
 
 def _absolute_k(temperature_c: Numbers) -> Numbers:

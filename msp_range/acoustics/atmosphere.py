@@ -1,8 +1,7 @@
 """Air with its humidity and pressure: density, impedance, wavelength.
 
-Temperature, relative humidity and pressure enter. The bridge corrects ranges with temperature alone
-(`msp_range.acoustics.air`); this file is for absorption and echo levels. What humidity does to the speed of sound is
-`msp_sim.effects.humidity`.
+Temperature, relative humidity and pressure enter. This file is for absorption and echo levels; what humidity does to
+the speed of sound is in `msp_range.acoustics.air`.
 """
 
 import math
@@ -11,12 +10,10 @@ from dataclasses import dataclass
 from msp_range.acoustics.air import (
     GAS_CONSTANT_J_PER_MOL_K,
     MOLAR_MASS_KG_PER_MOL,
+    STANDARD_PRESSURE_PA,
     ZERO_CELSIUS_K,
     speed_of_sound,
 )
-
-STANDARD_PRESSURE_PA = 101_325.0
-"""One standard atmosphere [Pa], by definition."""
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,16 @@
 """The air temperature for the speed of sound, with its uncertainty.
 
 Values of the airframe's sources enter, an `Air` leaves: that of the first source, in the order of trust, with a new and
-good value; otherwise the best old value, with a standard deviation that grows with its age; otherwise the airframe's
-fixed temperature. A source that jumps is used when another source or the raw ranges confirm it, or after a long steady
-time. `conditions` returns what is reported to the pilot.
+good value that does not settle; otherwise the best old value, with a standard deviation that grows with its age;
+otherwise the airframe's fixed temperature. A source that jumps is used when another source or the raw ranges confirm
+it, or after a long steady time. `conditions` returns what is reported to the pilot.
 """
 
 import math
 from typing import Any
 
-from msp_range.acoustics.air import FIXED, HELD, TWO_SIDED_95_PERCENT, Air, air_error_m
+from msp_range.acoustics.air import FIXED, HELD, Air, air_error_m, coldest_c, compensate_range
+from msp_range.correction.humidity import HYGROMETER, Humidity
 from msp_range.correction.range_comparison import RangeHistory
 from msp_range.correction.temperature import MAVLINK_FIELDS, FileSource, MavlinkSource, TemperatureParameters
 from msp_range.correction.temperature_track import BELIEVED_AFTER_S, TemperatureTrack
@@ -25,8 +26,8 @@ AGREE_STDS = 2.0
 """Two sources agree if they differ by at most this many standard deviations of their difference. Larger confirms more
 jumps, also wrong ones."""
 WORTH_REPORTING_M = 0.10
-"""A missing thermometer is reported if the error of ranges may exceed this [m]: 4 C at the maximum of an MB1242. With
-less it is also reported if somebody states the temperature before each flight."""
+"""A missing or lagging thermometer is reported if the error of ranges may exceed this [m]: 8 C at the maximum of an
+MB1242. With less it is also reported if somebody states the temperature before each flight."""
 BACK = "Range: air temp is back"
 NO_THERMOMETER = "Range: no thermometer"
 """Beginning of the text for an airframe file that names none."""
@@ -57,24 +58,26 @@ class AirTemperature:
         self._maximum_m = maximum_m
         self._fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
         self._air = self._fixed
+        self._humidity = Humidity()
         self._history = RangeHistory()
-        self._tracks = [(source, TemperatureTrack(source, self._history)) for source in parameters.sources]
-        self._received = [(source, track) for source, track in self._tracks if isinstance(source, MavlinkSource)]
+        self._tracks = [TemperatureTrack(source, self._history) for source in parameters.sources]
         self._had_value_s = start_s
-        self._settled = BACK
+        self._decision = BACK
+        self._lags: str | None = None
         fixed_error_m = air_error_m(maximum_m, self._fixed)
         self._no_thermometer: str | None = None
         if not parameters.sources and fixed_error_m > WORTH_REPORTING_M:
-            off = f"up to {100 * fixed_error_m:.0f} cm off at {maximum_m:.3g} m"
+            off = f"{100 * fixed_error_m:.0f} cm off at {coldest_c(self._fixed):.0f} C, {maximum_m:.3g} m"
             self._no_thermometer = f"{NO_THERMOMETER}, {off}"
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
-        if not self._received:
-            return
         kind = message.get_type()
-        for source, track in self._received:
-            if source.message == kind:
+        if kind == HYGROMETER:
+            self._humidity.on_message(now_s, message)
+        for track in self._tracks:
+            source = track.source
+            if isinstance(source, MavlinkSource) and source.message == kind:
                 reported_c = getattr(message, source.field) * MAVLINK_FIELDS[kind, source.field].c_per_unit
                 if reported_c not in (_NO_SOURCE.get((kind, source.field)), _NO_SOURCE.get(source.field)):
                     track.update(now_s, reported_c)
@@ -85,30 +88,43 @@ class AirTemperature:
             self._history.record(reading.time_s, reading.sensor, reading.range_m)
 
     def now(self, now_s: float) -> Air:
-        """The air temperature at ``now_s``; reads the files that are due."""
-        self._settled = BACK
-        for source, track in self._tracks:
+        """The air at ``now_s``; reads the files that are due."""
+        self._decision = BACK
+        for track in self._tracks:
+            source = track.source
             if isinstance(source, FileSource) and (sample := self._reader.newest(source, now_s)) is not None:
                 track.update(*sample)
-        for _, track in self._tracks:
-            self._settle(track, now_s)
-        self._air = self._best(now_s)
-        if self._air.source not in (FIXED, HELD):
+        for track in self._tracks:
+            self._decide(track, now_s)
+        used, air = self._best(now_s)
+        self._lags = self._lag_text(used, air.temperature_c)
+        if air.source not in (FIXED, HELD):
             self._had_value_s = now_s
+        self._air = self._humidity.applied(now_s, air)
         return self._air
 
-    def _best(self, now_s: float) -> Air:
-        known = [(track, good) for _, track in self._tracks if (good := track.good(now_s)) is not None]
-        for track, good in known:
-            if good.source != HELD:
-                return track.air(good)
-        known = [(track, good) for track, good in known if good.std_c < self._fixed.std_c]
-        if not known:
-            return self._fixed
-        track, good = min(known, key=lambda each: each[1].std_c)
-        return track.air(good)
+    def _best(self, now_s: float) -> tuple[TemperatureTrack | None, Air]:
+        known = [(track, good) for track in self._tracks if (good := track.good(now_s)) is not None]
+        new = [(track, good) for track, good in known if good.source != HELD]
+        old = [(track, good) for track, good in known if good.std_c < self._fixed.std_c]
+        if new:
+            track, good = min(new, key=lambda each: each[0].lag_c != 0.0)
+        elif old:
+            track, good = min(old, key=lambda each: each[1].std_c)
+        else:
+            return None, self._fixed
+        return track, track.air(now_s, good)
 
-    def _settle(self, track: TemperatureTrack, now_s: float) -> None:
+    def _lag_text(self, used: TemperatureTrack | None, temperature_c: float) -> str | None:
+        """What is reported of a source that settles: from a large error on, until it has settled."""
+        if used is None or used.jump is not None:
+            return None
+        error_m = abs(compensate_range(self._maximum_m, temperature_c, temperature_c + used.lag_c) - self._maximum_m)
+        if error_m <= (WORTH_REPORTING_M if self._lags is None else 0.0):
+            return None
+        return f"Range: air temp lags, up to {100 * error_m:.0f} cm off at {self._maximum_m:.3g} m"
+
+    def _decide(self, track: TemperatureTrack, now_s: float) -> None:
         """Decide whether to use a jump, if that is possible now."""
         jump = track.jump
         if jump is None:
@@ -116,9 +132,7 @@ class AirTemperature:
         good, new = track.good(now_s), track.reported(now_s)
         if good is None or new is None:
             return
-        others = [
-            other for _, each in self._tracks if each is not track and (other := each.reported(now_s)) is not None
-        ]
+        others = [other for each in self._tracks if each is not track and (other := each.reported(now_s)) is not None]
         verdicts = {_agree(new, other) for other in others if _agree(new, other) != _agree(good, other)}
         words = "another source agrees", "another source disagrees"
         if not verdicts:
@@ -128,13 +142,13 @@ class AirTemperature:
             words = "the ranges agree", "the ranges disagree"
         text = f"Range: air temp {new.temperature_c:.0f} C"
         if verdicts == {True}:
-            self._settled = f"{text}: {words[0]}"
+            self._decision = f"{text}: {words[0]}"
             track.confirm()
         elif verdicts == {False}:
-            self._settled = f"{text}: {words[1]}"
+            self._decision = f"{text}: {words[1]}"
             jump.refused = True
         elif not jump.refused and now_s - jump.steady_since_s >= BELIEVED_AFTER_S:
-            self._settled = f"{text} used after {BELIEVED_AFTER_S / 60:.0f} min, +-{track.doubt_c:.0f}"
+            self._decision = f"{text} used after {BELIEVED_AFTER_S / 60:.0f} min, +-{track.doubt_c:.0f}"
             track.confirm(track.doubt_c)
 
     def conditions(self, now_s: float) -> list[Condition]:
@@ -143,23 +157,31 @@ class AirTemperature:
             return []
         using = f"using {self._air.temperature_c:.0f} C"
         is_without = bool(self._tracks) and self._air.source in (FIXED, HELD)
-        jumps = [track.jump for _, track in self._tracks if track.jump is not None]
+        flapping_c = {track: levels_c for track in self._tracks if (levels_c := track.flapping_c(now_s))}
+        flaps = next(("{:.0f} to {:.0f} C".format(*levels_c) for levels_c in flapping_c.values()), None)
+        jumps = [track.jump for track in self._tracks if track.jump is not None and track not in flapping_c]
         wrong = next((jump for jump in jumps if jump.refused), None)
         # If another source has a value, that decides.
         is_open = is_without and jumps and wrong is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
-        is_silent = is_without and not jumps and now_s - self._had_value_s > GRACE_S
+        is_silent = is_without and not jumps and flaps is None and now_s - self._had_value_s > GRACE_S
         return [
             Condition("no thermometer", self._no_thermometer, ""),
             Condition(
                 "temperature jump",
                 f"Range: air temp jumps to {jumps[0].level.value_c:.0f} C, {using}" if is_open else None,
-                self._settled,
+                self._decision,
             ),
             Condition(
                 "thermometer wrong",
                 None if wrong is None else f"Range: thermometer wrong at {wrong.level.value_c:.0f} C, {using}",
                 BACK,
             ),
+            Condition(
+                "thermometer flaps",
+                None if flaps is None else f"Range: thermometer flaps {flaps}, {using}",
+                "Range: thermometer flaps no more",
+            ),
+            Condition("thermometer settles", self._lags, "Range: thermometer has settled"),
             Condition("temperature", f"Range: no air temperature, {using}" if is_silent else None, BACK),
             Condition(
                 "thermometer hangs",
@@ -181,7 +203,7 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
     --------
     >>> print(*describe(TemperatureParameters(), 7.65), sep="\\n")
     air: no thermometer
-      fixed_c 20 C +-12 C: up to 31 cm off at 7.65 m; right for air of -4 to 44 C
+      fixed_c 20 C +-12 C: up to 33 cm off at 7.65 m; right for air of -4 to 44 C
     """
 
     if not maximum_m:
@@ -192,11 +214,12 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
 
     fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
     sources = [f"  {each.name} {off(Air(fixed.temperature_c, each.error_std_c, ''))}" for each in parameters.sources]
-    margin_c = TWO_SIDED_95_PERCENT * fixed.std_c
-    held_c = f"{fixed.temperature_c - margin_c:.0f} to {fixed.temperature_c + margin_c:.0f} C"
+    humid = Humidity().applied(0.0, Air(fixed.temperature_c, 0.0, ""))
+    humidity = f"  humidity, unless the autopilot sends {HYGROMETER}: also {off(humid)}"
+    held_c = f"{coldest_c(fixed):.0f} to {2 * fixed.temperature_c - coldest_c(fixed):.0f} C"
     return [
         "air temperature: the first of these with a value is used" if sources else "air: no thermometer",
-        *sources,
+        *([*sources, humidity] if sources else []),
         f"  fixed_c {fixed.temperature_c:g} C {off(fixed)}; right for air of {held_c}",
     ]
 

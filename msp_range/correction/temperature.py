@@ -146,7 +146,7 @@ class TemperatureParameters(Section):
     fixed_c: float = Field(20.0, ge=COLDEST_C, le=HOTTEST_C)
     """used while no source has a value [deg C]"""
     fixed_std_c: float = Field(FIXED_STD_C, ge=0, le=60)
-    """standard deviation of the air temperature about fixed_c [deg C]; smaller if somebody sets fixed_c before each
-    flight"""
+    """standard deviation of the air temperature about fixed_c, unknown humidity included [deg C]; smaller if somebody
+    sets fixed_c before each flight"""
     sources: tuple[Annotated[FileSource | MavlinkSource, Field(discriminator="source")], ...] = ()
     """sources, the most trusted first"""

@@ -2,36 +2,40 @@
 
 Reported values enter in order of time, an `Air` leaves. A value that air and thermometer can have reached since the
 previous one is good. Any other is a jump: the new level is unconfirmed, and the last good value is held with a standard
-deviation that covers both, until `msp_range.correction.air_temperature` decides.
+deviation that covers both, until `msp_range.correction.air_temperature` decides. A source that jumps again and again
+flaps: its last good value is held in the same way, and no other source is compared with it.
 """
 
 import math
+from collections import deque
 
 from msp_range.acoustics.air import HELD, Air
 from msp_range.correction.range_comparison import RangeComparison, RangeHistory
+from msp_range.correction.settling import Settling
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource, MavlinkSource
 
 AGE_C_PER_S = 0.02
 """Growth of a value's standard deviation with its age [deg C/s]: 1.2 per minute. A climb at 3 m/s in the standard
 atmosphere and the passage of a cold front both change the air by 0.02 per second. With less, a dead thermometer is
 trusted longer; with 0.02 its value is as uncertain as the fixed temperature after 10 minutes."""
-LAG_S, RATE_MEMORY_S = 20.0, 5.0
-"""Time constant of a thermometer [s], and the time over which its rate is averaged [s]. While a value changes, the air
-is ahead of it by the rate times the time constant: 5 (an SHT4x on a board) to 20 (a DS18B20 in its can) in moving air.
-This is added to the standard deviation. Larger gives a larger variance while the air changes."""
-SHORTEST_S = 0.1
-"""Smallest time between two values for a rate [s]; closer ones came in one packet."""
 JUMP_C = 3.0
 """A change by up to this much beyond what the source's rate allows is not a jump [deg C]: it changes a distance by 0.5
 %, and happens to thermometers in gusts and shadows. With less those count as jumps, with more faults pass."""
 FIRST_VALUES = 3
-"""A first level of fewer values is replaced by the next one [values]: some autopilots send a zero before their first
-measurement. With more, a thermometer that fails in its first seconds is believed."""
+"""A first level of fewer values is replaced by the next one [values], once: some autopilots send a zero before their
+first measurement. With more, a thermometer that fails in its first seconds is believed."""
+FLAPS, FLAP_MEMORY_S = 2, 60.0
+"""A source flaps that jumps so many times and comes back within this time [s]; a single damaged value is one jump. With
+more jumps or a shorter time, a loose contact is followed for longer; with a longer time it is doubted for longer after
+it has healed."""
 STEADY_C = 2.0
 """Largest variation of a steady level [deg C]."""
 COVERS = 0.55
 """Standard deviation that covers two levels, as a share of their difference: each is within the other's 95 %
 interval."""
+LAG_SHARE = 1 / math.sqrt(3)
+"""Standard deviation of a lag as a share of its largest value: the root mean square of one that is evenly distributed
+from none on. 1.96 of it contain the largest, too."""
 BELIEVED_AFTER_S = 300.0
 """Time after which the new level of a jump is used if it was steady and nothing contradicts it [s]: five time constants
 of a slow thermometer in still air (60 s), so a vehicle carried into cold air is right after that at the latest. Longer
@@ -47,14 +51,14 @@ class Level:
         Time of the first value [s].
     time_s, value_c
         Time and value of the newest one [s, deg C].
-    rate_c_per_s
-        Rate of change [deg C/s].
+    settling
+        How far the air may be ahead of it.
     """
 
     def __init__(self, time_s: float, value_c: float) -> None:
         self.since_s = self.time_s = time_s
         self.value_c = value_c
-        self.rate_c_per_s = 0.0
+        self.settling = Settling(time_s, value_c)
         self._slack_c = JUMP_C
 
     def reaches(self, time_s: float, value_c: float, allowed_c: float) -> bool:
@@ -63,10 +67,8 @@ class Level:
         change_c, allowed_c = value_c - self.value_c, allowed_c + self._slack_c
         is_near = abs(change_c) <= allowed_c
         if is_near:
-            elapsed_s = max(time_s - self.time_s, SHORTEST_S)
-            share = 1 - math.exp(-elapsed_s / RATE_MEMORY_S)
-            self.rate_c_per_s += share * (change_c / elapsed_s - self.rate_c_per_s)
             self.time_s, self.value_c = time_s, value_c
+            self.settling.update(time_s, value_c)
             allowed_c -= abs(change_c)
         self._slack_c = min(allowed_c, JUMP_C)
         return is_near
@@ -118,25 +120,25 @@ class TemperatureTrack:
 
     Attributes
     ----------
-    name
-        Name of the source.
+    source
+        The source.
     jump
         The unconfirmed level, or None.
     """
 
     def __init__(self, source: FileSource | MavlinkSource, history: RangeHistory) -> None:
-        self.name = source.name
+        self.source = source
         self.jump: Jump | None = None
-        self._source = source
         self._history = history
         self._std_c = source.error_std_c
         self._good: Level | None = None
         self._reported_s = float("-inf")
-        self._values = 0  # of the good level
+        self._values = 0  # of the good level; up to `FIRST_VALUES` without a jump between them
+        self._departures: deque[tuple[float, float]] = deque(maxlen=FLAPS)  # times [s], and the other level [deg C]
 
     def update(self, time_s: float, reported_c: float) -> None:
         """Update with a value of the source."""
-        source = self._source
+        source = self.source
         air_c = reported_c - source.bias_c
         if not COLDEST_C <= air_c <= HOTTEST_C:
             return
@@ -149,10 +151,14 @@ class TemperatureTrack:
         elif self._good.reaches(time_s, air_c, allowed_c):
             self._values += 1
             self.jump = None
-        elif self._values < FIRST_VALUES:
+        elif self._values < FIRST_VALUES and not self._departures:
+            self._departures.append((time_s, self._good.value_c))
             self._start(time_s, air_c)
         elif self.jump is None or not self.jump.reaches(time_s, air_c, allowed_c):
             since_s = time_s if self.jump is None else self.jump.since_s
+            if self.jump is None:
+                self._departures.append((time_s, air_c))
+                self._values = 0 if self._values < FIRST_VALUES else self._values
             self.jump = Jump(since_s, time_s, air_c, RangeComparison(self._history, self._good.time_s, time_s))
 
     def _start(self, time_s: float, air_c: float) -> None:
@@ -162,7 +168,8 @@ class TemperatureTrack:
     def confirm(self, doubt_c: float = 0.0) -> None:
         """Accept the jump; ``doubt_c`` remains as a standard deviation [deg C]."""
         assert self.jump is not None
-        self._std_c = math.hypot(self._source.error_std_c, doubt_c)
+        self._std_c = math.hypot(self.source.error_std_c, doubt_c)
+        self._departures.clear()
         self._start(self._reported_s, self.jump.level.value_c)
 
     @property
@@ -177,26 +184,47 @@ class TemperatureTrack:
             return 0.0
         return COVERS * abs(jump.level.value_c - good.value_c)
 
-    def is_new(self, now_s: float) -> bool:
-        """True if the source has a good value that is not older than its limit."""
-        return self.jump is None and self._good is not None and now_s - self._good.time_s <= self._source.max_age_s
+    def flapping_c(self, now_s: float) -> tuple[float, float] | None:
+        """Lowest and highest level of a source that flaps [deg C]; None: it does not."""
+        left_c = [level_c for left_s, level_c in self._departures if left_s >= now_s - FLAP_MEMORY_S]
+        if self._good is None or len(left_c) < FLAPS:
+            return None
+        return min(*left_c, self._good.value_c), max(*left_c, self._good.value_c)
+
+    @property
+    def lag_c(self) -> float:
+        """How much warmer the air is at most than the newest level because of settling; negative: colder [deg C]."""
+        level = self._good if self.jump is None or self.jump.refused else self.jump.level
+        return 0.0 if level is None else level.settling.lag_c
 
     def good(self, now_s: float) -> Air | None:
-        """The last good value, with a standard deviation for its age only; None before the first."""
-        if self._good is None:
-            return None
-        std_c = math.hypot(self._std_c, AGE_C_PER_S * max(now_s - self._good.time_s, 0.0))
-        return Air(self._good.value_c, std_c, self.name if self.is_new(now_s) else HELD)
+        """The last good value, with a standard deviation for its age only; None before the first.
 
-    def air(self, good: Air) -> Air:
-        """The result of `good` with its full uncertainty, including its lag and an undecided jump."""
-        level = self._good if self.jump is None or self.jump.refused else self.jump.level
-        lag_c = 0.0 if level is None else LAG_S * level.rate_c_per_s
-        return good._replace(std_c=math.hypot(good.std_c, self.doubt_c, lag_c))
+        Its source is `HELD` if it is older than the source's limit, or the source has jumped or flaps.
+        """
+        good, silent_s = self._good, now_s - self._reported_s
+        if good is None:
+            return None
+        is_new = self.jump is None and silent_s <= self.source.max_age_s and self.flapping_c(now_s) is None
+        std_c = math.hypot(self._std_c, AGE_C_PER_S * max(now_s - good.time_s, 0.0))
+        return Air(good.value_c, std_c, self.source.name if is_new else HELD)
+
+    def air(self, now_s: float, good: Air) -> Air:
+        """The result of `good` with its full uncertainty, including its lag, an undecided jump and flapping.
+
+        Of a source that has flapped from its start, neither level is better than the other: the middle is used.
+        """
+        doubt_c, flapping_c = self.doubt_c, self.flapping_c(now_s)
+        if flapping_c is not None:
+            lowest_c, highest_c = flapping_c
+            doubt_c = COVERS * (highest_c - lowest_c)
+            if self._values < FIRST_VALUES:
+                good = good._replace(temperature_c=(lowest_c + highest_c) / 2)
+        return good._replace(std_c=math.hypot(good.std_c, doubt_c, LAG_SHARE * self.lag_c))
 
     def reported(self, now_s: float) -> Air | None:
-        """The present value, confirmed or not; None if the source is silent."""
-        if self._good is None or now_s - self._reported_s > self._source.max_age_s:
+        """The present value, confirmed or not; None if the source is silent or flaps."""
+        if self._good is None or now_s - self._reported_s > self.source.max_age_s or self.flapping_c(now_s):
             return None
         level = self._good if self.jump is None else self.jump.level
-        return Air(level.value_c, self._std_c, self.name)
+        return Air(level.value_c, self._std_c, self.source.name)

@@ -70,6 +70,8 @@ def measured_data(recording: Recording, *, faults: bool = True, stages: bool = F
             row |= truth.pop(sensor, {})
             if message.get("temperature_source") not in (FIXED, HELD):
                 row.setdefault("air_temperature_c", message.get("temperature_c"))
+                if "humidity_pct" in message:
+                    row.setdefault("humidity_pct", message["humidity_pct"])
             if stages:
                 row |= _stages(message)
             rows.append(row)

@@ -85,20 +85,23 @@ def recorded_air(source: Source, run: str | None = None) -> list[tuple[float, Ai
         data = _one_run(path, read_csv(path), run)
         if "air_temperature_c" not in data:
             return []
-        known = ~np.isnan(data["air_temperature_c"])
-        times_s, air_c = data["time_s"][known].tolist(), data["air_temperature_c"][known].tolist()
-        pairs = [
-            (time_s, Air(each_c, MEASURED_STD_C, "recorded")) for time_s, each_c in zip(times_s, air_c, strict=True)
-        ]
+        known = data.select(~np.isnan(data["air_temperature_c"]))
+        humidity_pct = known["humidity_pct"] if "humidity_pct" in known else np.zeros(known["time_s"].size)
+        rows = np.column_stack((known["time_s"], known["air_temperature_c"], np.nan_to_num(humidity_pct))).tolist()
+        pairs = [(time_s, Air(air_c, MEASURED_STD_C, "recorded", percent)) for time_s, air_c, percent in rows]
     # What no thermometer of the bridge is believed is not believed here.
-    believed = [(time_s, air) for time_s, air in pairs if COLDEST_C <= air.temperature_c <= HOTTEST_C]
+    believed = [
+        (time_s, air)
+        for time_s, air in pairs
+        if COLDEST_C <= air.temperature_c <= HOTTEST_C and 0.0 <= air.humidity_percent <= 100.0
+    ]
     return sorted(believed, key=itemgetter(0))
 
 
 def _air_of(message: dict[str, Any]) -> Air:
     source = message.get("temperature_source", "recorded")
     std_c = message.get("temperature_std_c", FIXED_STD_C if source == FIXED else MEASURED_STD_C)
-    return Air(message["temperature_c"], std_c, source)
+    return Air(message["temperature_c"], std_c, source, message.get("humidity_pct", 0.0))
 
 
 def recorded_attitudes(source: Source) -> list[tuple[float, Angles]]:

@@ -31,6 +31,8 @@ def stages_of(ranging: Ranging, air: Air, corrected: Reading, filtered: Filtered
         stages["temperature_c"] = air.temperature_c
         stages["temperature_std_c"] = air.std_c
         stages["temperature_source"] = air.source
+        if air.humidity_percent:
+            stages["humidity_pct"] = air.humidity_percent
     if reading.raw is not None:
         stages["raw"] = reading.raw
     if reading.range_m is not None:

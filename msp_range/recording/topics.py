@@ -45,7 +45,11 @@ _RANGE: tuple[str, _PropertyTable] = (
         "range_m": _RANGE_M,
         "std_m": ("number", "standard deviation of range_m [m]"),
         "temperature_c": ("number", "air temperature of the correction [deg C]"),
-        "temperature_std_c": ("number", "standard deviation of its error [deg C]"),
+        "temperature_std_c": (
+            "number",
+            "standard deviation of its error, with that of the humidity as degrees [deg C]",
+        ),
+        "humidity_pct": ("number", "relative humidity of the correction [%]; absent where none was measured"),
         "temperature_source": ("string", "where it is from; fixed: the airframe file's constant; held: an old value"),
         "corrected_m": ("number", "range_m after the correction for air temperature [m]"),
         "filtered_m": ("number", "what the filter chain made of it [m]; absent where it was rejected"),

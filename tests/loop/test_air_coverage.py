@@ -1,7 +1,9 @@
 """Flights in air of -20 to 45 C with each kind of temperature source: does the stated variance hold the truth?
 
-What the sources are wrong by is drawn here from data sheets and measurements, and not from the constants of
-`msp_range.correction.temperature`. Draws are stratified, so that few flights cover what varies.
+The air is dry to saturated, with a dew point of at most 30 C: the simulated air has the temperature of dry air with the
+same speed of sound, and the thermometers show the true one. What the sources are wrong by is drawn here from data
+sheets and measurements, and not from the constants of `msp_range.correction.temperature`. Draws are stratified, so that
+few flights cover what varies.
 """
 
 import math
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from msp_range.acoustics.air import sonic_temperature_c, vapour_fraction
 from msp_range.clock import Clock, VirtualClock
 from msp_range.correction.temperature import TemperatureParameters
 from msp_range.mavlink.dialect import dialect
@@ -96,7 +99,7 @@ def pressure(die_c: float = 60.0, airspeed_c: float = 0.0) -> Any:
 ANYWHERE = uniform(COLDEST_C, HOTTEST_C)
 THERMOMETER = normal(0.6, 0.9)
 """A third of a degree by the data sheets, and what sun and warm parts add: 0.6 on average, twice that and none too."""
-IN_FLIGHT: dict[str, tuple[dict[str, Any], OfShare, OfShare, Callable[[float], Any] | None]] = {
+IN_FLIGHT: dict[str, tuple[dict[str, Any], OfShare, OfShare, Callable[[float, float], Any] | None]] = {
     # A pilot's guess of the season, and the days and nights about it.
     "fixed": (
         {"fixed_c": 12.5},
@@ -115,28 +118,31 @@ IN_FLIGHT: dict[str, tuple[dict[str, Any], OfShare, OfShare, Callable[[float], A
         mavlink("SCALED_PRESSURE2", field="temperature_press_diff"),
         ANYWHERE,
         normal(0.5, 2.0),
-        lambda shown_c: pressure(airspeed_c=shown_c),
+        lambda shown_c, percent: pressure(airspeed_c=shown_c),
     ),
     "hygrometer": (
         mavlink("HYGROMETER_SENSOR"),
         ANYWHERE,
         THERMOMETER,
-        lambda shown_c: dialect.MAVLink_hygrometer_sensor_message(0, round(100 * shown_c), 5000),
+        lambda shown_c, percent: dialect.MAVLink_hygrometer_sensor_message(
+            0, round(100 * shown_c), round(100 * min(max(percent, 2.0), 100.0))
+        ),
     ),
     "barometer": (
         mavlink("SCALED_PRESSURE2"),
         uniform(COLDEST_C, 30.0),  # and up to 60 C on the die: more is no air to the bridge
         uniform(3.0, 30.0),
-        lambda shown_c: pressure(die_c=shown_c),
+        lambda shown_c, percent: pressure(die_c=shown_c),
     ),
     "barometer, 15 C too warm, stated": (
         mavlink("SCALED_PRESSURE2", bias_c=15.0),
         ANYWHERE,
         normal(15.0, 4.0),
-        lambda shown_c: pressure(die_c=shown_c),
+        lambda shown_c, percent: pressure(die_c=shown_c),
     ),
 }
-"""Of each kind of source: the airframe's section, the air, how much warmer the source is, and its message."""
+"""Of each kind of source: the airframe's section, the air, how much warmer the source is, and its message of what it
+shows [deg C, % of humidity]."""
 
 
 def stratified(draw: np.random.Generator) -> np.ndarray:
@@ -144,8 +150,20 @@ def stratified(draw: np.random.Generator) -> np.ndarray:
     return (draw.permutation(FLIGHTS) + draw.random(FLIGHTS)) / FLIGHTS
 
 
-def held(temperature: dict[str, Any], air_c: float, over_ground_c: float, warmer_c: float, message: Any) -> list[bool]:
+def held(
+    temperature: dict[str, Any],
+    air_c: float,
+    humidity_percent: float,
+    over_ground_c: float,
+    warmer_c: float,
+    make: Callable[[float, float], Any] | None,
+) -> list[bool]:
     """Of each distance sent in a flight, whether the truth is within 1.96 of its standard deviations."""
+    shown_c = air_c + warmer_c
+    # A hygrometer that is warmer than the air shows less of it, and is 2 % off.
+    shown_percent = humidity_percent * vapour_fraction(air_c, 100.0) / vapour_fraction(shown_c, 100.0) + 2.0
+    message = None if make is None else make(shown_c, shown_percent)
+    sonic_c = sonic_temperature_c(air_c, humidity_percent)
     # Half a metre of warmer or colder air over the ground, which the vehicle's thermometer does not see.
     layer = WarmLayer(bottom_m=-1.0, top_m=0.5, warmer_by_c=over_ground_c)
     parameters = TemperatureParameters.model_validate(temperature)
@@ -155,8 +173,8 @@ def held(temperature: dict[str, Any], air_c: float, over_ground_c: float, warmer
         SCENARIO.model_copy(
             update={
                 "airframe": airframe,
-                "air": AirSection(ground_c=air_c, warm_layer=layer),
-                "thermometer": Thermometer(warmer_by_c=warmer_c),
+                "air": AirSection(ground_c=sonic_c, warm_layer=layer),
+                "thermometer": Thermometer(warmer_by_c=shown_c - sonic_c),
             }
         ),
         clock,
@@ -186,9 +204,12 @@ def test_the_stated_95_percent_hold_the_truth_90_to_99_percent_of_the_time(kind:
     airs_c, warmer_c = of_air(stratified(draw)), of_error(stratified(draw))
     # 0.5 to 1.5 C on average between the vehicle and the ground, by its height.
     over_ground_c = uniform(-10.0, 14.0)(stratified(draw))
+    saturated = vapour_fraction(airs_c, np.full(FLIGHTS, 100.0))
+    moistest_percent = 100.0 * np.minimum(vapour_fraction(30.0, 100.0) / saturated, 1.0)
+    humid_percent = moistest_percent * stratified(draw)
+    draws = np.column_stack((airs_c, humid_percent, over_ground_c, warmer_c)).tolist()
     inside = [
-        held(temperature, air_c, layer_c, error_c, None if message is None else message(air_c + error_c))
-        for air_c, layer_c, error_c in zip(airs_c.tolist(), over_ground_c.tolist(), warmer_c.tolist(), strict=True)
+        held(temperature, air_c, percent, layer_c, error_c, message) for air_c, percent, layer_c, error_c in draws
     ]
     assert all(len(each) > 70 for each in inside)
     share = np.mean([sum(each) / len(each) for each in inside])

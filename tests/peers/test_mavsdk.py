@@ -56,7 +56,7 @@ def test_mavsdk_shows_every_field(tmp_path: Path) -> None:
 
     assert {each["fields"]["type"] for each in of("HEARTBEAT")} == {18}
     # The first at the start, and again when the autopilot has come.
-    texts = ["Range: no thermometer, up to 31 cm off at 7.65 m", "Range: all 4 sensors good"]
+    texts = ["Range: no thermometer, 33 cm off at -4 C, 7.65 m", "Range: all 4 sensors good"]
     assert {each["fields"]["text"] for each in of("STATUSTEXT")} == set(texts)
 
     who, denied = (each["acknowledgement"]["fields"] for each in shown() if "acknowledgement" in each)

@@ -75,7 +75,7 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
             3,
         )
     assert [(each.severity, each.text) for each in end.of("STATUSTEXT")] == [
-        (4, "Range: no thermometer, up to 31 cm off at 7.65 m"),
+        (4, "Range: no thermometer, 33 cm off at -4 C, 7.65 m"),
         (6, "Range: all 4 sensors good"),
     ]
 

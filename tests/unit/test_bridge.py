@@ -406,7 +406,7 @@ def test_an_air_temperature_that_does_not_come_is_reported_and_that_it_is_back()
 
 def test_a_missing_thermometer_is_reported_at_the_start_and_to_an_autopilot_that_comes() -> None:
     bench = Bench(airframe(temperature={"fixed_c": 20.0}), 600).fly(5.0)
-    text = "Range: no thermometer, up to 31 cm off at 7.65 m"
+    text = "Range: no thermometer, 33 cm off at -4 C, 7.65 m"
     assert bench.reported() == [text, "Range: all 4 sensors good"]
     before = len(bench.texts())
     bench.receive(HEARTBEAT)

@@ -77,9 +77,9 @@ def test_check_shows_what_would_fly(path: Path) -> None:
     assert result.exit_code == 0, result.output
     airframe = load_airframe(path)
     assert all(f"0x{sensor.address:02x}" in result.output for sensor in airframe.sensors)
-    # Air of 44 C where 20 C was taken.
+    # Air of -4 C where 20 C was taken.
     maximum_m = airframe.maximum_by_sound_m or 0.0
-    off_cm = 100 * maximum_m * ((317.15 / 293.15) ** 0.5 - 1)
+    off_cm = 100 * maximum_m * ((293.15 / 269.63) ** 0.5 - 1)
     of_sound = rf"fixed_c 20 C \+-12 C: up to {off_cm:.0f} cm off at {maximum_m:.2f} m; right for air of -4 to 44 C"
     of_light = "air temperature: no sensor depends on it"
     assert re.search(of_sound if airframe.maximum_by_sound_m else of_light, result.output)
@@ -88,6 +88,7 @@ def test_check_shows_what_would_fly(path: Path) -> None:
 def test_check_says_what_each_thermometer_is_worth() -> None:
     output = CliRunner().invoke(app, ["check", str(CONFIGS / "forward_and_down.yaml")]).output
     assert "SCALED_PRESSURE.temperature +-4.16 C: up to 11 cm off at 7.65 m" in output
+    assert "humidity, unless the autopilot sends HYGROMETER_SENSOR: also +-" in output
     assert "no thermometer" not in output
     assert "air: no thermometer" in CliRunner().invoke(app, ["check", str(CONFIGS / "loopback.yaml")]).output
 

@@ -110,7 +110,7 @@ def test_a_leg_in_a_beam_is_seen_by_the_others(ranges_m: tuple[float, ...], name
 @pytest.mark.parametrize(
     ("text", "steps"),
     [
-        ("Range: no thermometer, up to 31 cm off at 7.65 m", []),
+        ("Range: no thermometer, 33 cm off at -4 C, 7.65 m", []),
         ("Range: thermometer wrong at 85 C, using 20 C", ["thermometer wrong"]),
     ],
 )

@@ -72,6 +72,19 @@ def test_one_row_is_one_ping_with_the_sensors_own_word(tmp_path: Path) -> None:
     np.testing.assert_allclose(data["neighbour_lag_ms"], [np.nan, 100, 100, 100, 200], atol=5e-4)
 
 
+def test_a_measured_humidity_is_a_column(tmp_path: Path) -> None:
+    """Per cent belong to a temperature: with the airframe's constant they are not known."""
+    humid = {"humidity_pct": 80.0}
+    recording = recorded(
+        tmp_path / "flight.mcap",
+        [
+            ("/range/left", 0.05, reading(0.0, "ok", 400) | warm("HYGROMETER_SENSOR.temperature") | humid),
+            ("/range/left", 0.15, reading(0.1, "ok", 400) | warm("fixed") | humid),
+        ],
+    )
+    np.testing.assert_array_equal(measured_data(recording)["humidity_pct"], [80.0, np.nan])
+
+
 def test_the_truth_of_a_ping_goes_to_its_reading_and_to_no_other(tmp_path: Path) -> None:
     recording = recorded(
         tmp_path / "flight.mcap",

@@ -152,17 +152,27 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
         tmp_path / "a.csv", "1,left,200,4.5\n2,left,200,\n", "time_s,sensor,reading_cm,air_temperature_c"
     )
     assert recorded_air(path) == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
+    header = "time_s,sensor,reading_cm,air_temperature_c,humidity_pct"
+    path = write_csv_text(tmp_path / "humid.csv", "1,left,200,4.5,80\n2,left,200,5,\n", header)
+    assert [each for _, each in recorded_air(path)] == [
+        Air(4.5, MEASURED_STD_C, "recorded", 80.0),
+        Air(5.0, MEASURED_STD_C, "recorded"),
+    ]
     recorder = Recorder(tmp_path / "flight.mcap", VirtualClock())
     reading = {"ping_s": 1.0, "read_s": 1.0, "status": "no_echo"}
     air = reading | {"temperature_c": 20.0, "temperature_source": "fixed"}
     recorder.write("/range/left", 1.0, {"time_s": 1.0} | air)
     recorder.write("/range/left", 2.0, {"time_s": 2.0} | air | {"temperature_source": "SCALED_PRESSURE.temperature"})
     recorder.write("/range/left", 3.0, {"time_s": 3.0} | air | {"temperature_std_c": 3.5, "temperature_source": "held"})
+    recorder.write("/range/left", 4.0, {"time_s": 4.0} | air | {"humidity_pct": -1e9})
+    recorder.write("/range/left", 5.0, {"time_s": 5.0} | air | {"humidity_pct": 70.0})
     recorder.close()
+    # What is no humidity comes from a damaged file.
     assert [each for _, each in recorded_air(tmp_path / "flight.mcap")] == [
         Air(20.0, 12.0, "fixed"),
         Air(20.0, MEASURED_STD_C, "SCALED_PRESSURE.temperature"),
         Air(20.0, 3.5, "held"),
+        Air(20.0, 12.0, "fixed", 70.0),
     ]
 
 

@@ -8,7 +8,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from pymavlink.dialects.v20 import common
 
-from msp_range.acoustics.air import FIXED, HELD
+from msp_range.acoustics.air import FIXED, HELD, Air
 from msp_range.correction.air_temperature import GRACE_S, AirTemperature, describe
 from msp_range.correction.temperature import (
     AIRSPEED_STD_C,
@@ -57,23 +57,25 @@ class File:
 
 
 def test_without_sources_the_fixed_temperature_counts_with_its_deviation() -> None:
-    assert air().now(100.0) == (FIXED_C, 12.0, FIXED)
-    assert air(fixed_std_c=2.5).now(100.0) == (FIXED_C, 2.5, FIXED)
+    assert air().now(100.0) == Air(FIXED_C, 12.0, FIXED)
+    assert air(fixed_std_c=2.5).now(100.0) == Air(FIXED_C, 2.5, FIXED)
 
 
 def test_a_vehicle_without_a_thermometer_is_reported_with_what_that_costs() -> None:
-    """1.96 of 12 C at 7.65 m; nothing where the pilot states the temperature to 3 C."""
-    off_cm = 100 * 1.96 * 7.65 * 0.5 * 12 / (FIXED_C + 273.15)
-    assert reported(air(), 0.0) == [f"Range: no thermometer, up to {off_cm:.0f} cm off at 7.65 m"]
+    """Air that is 1.96 times 12 C colder, 7.65 m away; nothing where the pilot states the temperature to 3 C."""
+    coldest_c = FIXED_C - 1.96 * 12
+    off_cm = 765 * (math.sqrt((FIXED_C + 273.15) / (coldest_c + 273.15)) - 1)
+    assert reported(air(), 0.0) == [f"Range: no thermometer, {off_cm:.0f} cm off at {coldest_c:.0f} C, 7.65 m"]
     assert reported(air(), 1000.0) == reported(air(), 0.0)
     assert reported(air(fixed_std_c=3.0), 0.0) == []
 
 
 def test_a_person_reads_what_each_source_is_worth() -> None:
     lines = describe(parameters({"source": "mavlink", "message": "SCALED_PRESSURE", "std_c": 4.0}), MAXIMUM_M)
-    assert len(lines) == 3
+    assert len(lines) == 4
     assert "SCALED_PRESSURE.temperature +-4.12 C: up to 11 cm off at 7.65 m" in lines[1]
-    assert "fixed_c 18 C +-12 C: up to 31 cm off at 7.65 m; right for air of -6 to 42 C" in lines[2]
+    assert "humidity, unless the autopilot sends HYGROMETER_SENSOR: also +-1.09 C" in lines[2]
+    assert "fixed_c 18 C +-12 C: up to 33 cm off at 7.65 m; right for air of -6 to 42 C" in lines[3]
 
 
 def test_a_file_counts_thousandths_of_a_degree(tmp_path: Path) -> None:
@@ -126,7 +128,7 @@ def test_a_value_that_gets_no_younger_is_held_with_a_growing_deviation(tmp_path:
     assert [each.source == HELD for each in seen.values()] == [False, False, True, True, True, False]
     for time_s in (5.0, 10.0, 10.1, 300.0, 590.0):
         assert seen[time_s][:2] == pytest.approx((25.0, math.hypot(fresh.std_c, AGE_C_PER_S * time_s)))
-    assert seen[600.0] == (FIXED_C, 12.0, FIXED)
+    assert seen[600.0] == Air(FIXED_C, 12.0, FIXED)
 
 
 def test_a_source_that_is_silent_is_reported_and_that_it_is_back(tmp_path: Path) -> None:

@@ -1,0 +1,100 @@
+"""Thermometers that settle: when it is noticed, and how far the air may be ahead."""
+
+import math
+import random
+from collections.abc import Callable
+
+import pytest
+
+from msp_range.correction.settling import LARGEST_C, SLOWEST_S, Settling
+from msp_range.correction.temperature_track import LAG_SHARE
+
+OfTime = Callable[[float], float]
+STEP_S = 30.0
+
+
+def lags(shown_c: OfTime, until_s: float, period_s: float = 1.0) -> list[tuple[float, float]]:
+    """Time [s] and lag [deg C] after each value; at most 100 values are looked at."""
+    settling = Settling(0.0, shown_c(0.0))
+    found = []
+    for number in range(1, int(until_s / period_s) + 1):
+        settling.update(number * period_s, shown_c(number * period_s))
+        found.append((number * period_s, settling.lag_c))
+        assert len(settling._values) <= 100
+    return found
+
+
+def follows(air_c: OfTime, time_constant_s: float, step_s: float = 0.1) -> OfTime:
+    """A first-order thermometer in this air, integrated in small steps; asked at growing times."""
+    state = [0.0, air_c(0.0)]
+
+    def at(time_s: float) -> float:
+        while state[0] < time_s - 1e-9:
+            state[0] += step_s
+            state[1] += (air_c(state[0]) - state[1]) * (1 - math.exp(-step_s / time_constant_s))
+        return state[1]
+
+    return at
+
+
+def measured(shown_c: OfTime, noise_c: float, step_c: float) -> OfTime:
+    draw = random.Random(7)
+
+    def at(time_s: float) -> float:
+        value_c = shown_c(time_s) + draw.gauss(0.0, noise_c)
+        return round(value_c / step_c) * step_c
+
+    return at
+
+
+@pytest.mark.parametrize("change_c", [-35.0, 25.0])
+@pytest.mark.parametrize("time_constant_s", [20.0, 60.0, SLOWEST_S])
+def test_the_lag_and_a_thermometers_own_deviation_contain_the_air(change_c: float, time_constant_s: float) -> None:
+    """From the first 3 C on that the reading has moved, as `TemperatureTrack.air` adds them."""
+
+    def shown_c(time_s: float) -> float:
+        return 20.0 + change_c * (1 - math.exp(-max(time_s - STEP_S, 0.0) / time_constant_s))
+
+    found = lags(measured(shown_c, 0.05, 0.0625), 400.0)
+    assert all(lag_c == 0.0 for time_s, lag_c in found if time_s < STEP_S)
+    noticed = [(time_s, lag_c) for time_s, lag_c in found if abs(shown_c(time_s) - 20.0) > 3.0]
+    assert all(0.0 <= lag_c * change_c <= LARGEST_C * abs(change_c) for _, lag_c in noticed)
+    covered = [
+        abs(20.0 + change_c - shown_c(time_s)) <= 1.96 * math.hypot(math.sqrt(2), LAG_SHARE * lag_c)
+        for time_s, lag_c in noticed
+    ]
+    assert sum(covered) >= 0.97 * len(covered) > 300
+    if time_constant_s < SLOWEST_S:
+        assert found[-1][1] == 0.0
+
+
+def test_a_quick_thermometer_is_soon_known_well_again() -> None:
+    found = lags(follows(lambda time_s: 20.0 if time_s < STEP_S else 10.0, 5.0), 100.0)
+    assert max(abs(lag_c) for _, lag_c in found) > 20.0
+    assert all(lag_c == 0.0 for time_s, lag_c in found if time_s > STEP_S + 40.0)
+
+
+ORDINARY: dict[str, OfTime] = {
+    "sun and shade": lambda time_s: 19.0 + 2.0 * (int(time_s) // 40 % 2),
+    "sinking from 1000 m at 3 m/s": lambda time_s: 13.5 + 0.0065 * min(3.0 * time_s, 1000.0),
+    "climbing through 100 m at 10 m/s": lambda time_s: 20.0 - 0.0065 * min(10.0 * time_s, 100.0),
+}
+
+
+@pytest.mark.parametrize(("noise_c", "step_c"), [(0.0, 0.01), (0.0, 0.5), (0.05, 0.0625), (0.5, 0.01), (0.15, 0.5)])
+@pytest.mark.parametrize("time_constant_s", [0.1, 10.0])
+@pytest.mark.parametrize("name", ORDINARY)
+def test_what_happens_in_ordinary_flights_is_no_settling(
+    name: str, time_constant_s: float, noise_c: float, step_c: float
+) -> None:
+    shown_c = measured(follows(ORDINARY[name], time_constant_s), noise_c, step_c)
+    assert {lag_c for _, lag_c in lags(shown_c, 600.0)} == {0.0}
+
+
+@pytest.mark.parametrize("period_s", [0.02, 10.0, 60.0])
+def test_values_come_as_often_as_they_like(period_s: float) -> None:
+    """50 per second of an autopilot, or one per minute of a file; not all of them are kept."""
+    shown_c = follows(lambda time_s: 20.0 if time_s < STEP_S else -15.0, 120.0, min(period_s, 0.1))
+    found = lags(shown_c, 150.0, period_s)
+    value_s, lag_c = found[-1]
+    assert lag_c == pytest.approx(-35.0 * math.exp(-(value_s - STEP_S) / 120.0), rel=0.4)
