@@ -21,6 +21,8 @@ that hovers over ground without an echo would soon get a distance of 255 cm."""
 
 UNCONFIRMED = "unconfirmed"
 """Reason of rejection while a second reading has to agree first."""
+UNEXPECTED = "unexpected"
+"""Reason of rejection by a filter: an outlier."""
 
 
 class Filtered(NamedTuple):
@@ -107,4 +109,4 @@ class Chain:
 _REJECTED = {status: Filtered(None, status.value) for status in Status if not status.has_range}
 _SUSPECT = Filtered(None, "suspect")
 _UNCONFIRMED = Filtered(None, UNCONFIRMED)
-_UNEXPECTED = Filtered(None, "unexpected")
+_UNEXPECTED = Filtered(None, UNEXPECTED)

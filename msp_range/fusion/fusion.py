@@ -141,6 +141,13 @@ class Fusion:
         """Mean square of the last innovations over their variance: about 1 where the stated deviation is right."""
         return self._fit
 
+    @property
+    def is_tied(self) -> bool:
+        """Whether the newest readings of as many sensors are off the ground as on it, or of more."""
+        since_s = self._time_s - self._windows.fresh_s
+        newest = [seen.is_ground for sight in self._sights if (seen := sight.newest(since_s)) is not None]
+        return 2 * sum(newest) <= len(newest)
+
     def object_m(self, sensor: str) -> float | None:
         """Height over the ground of what is below a sensor and is not ground, negative for a hole [m]; or None."""
         return self._sensors[sensor].below.object_m

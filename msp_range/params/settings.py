@@ -141,7 +141,7 @@ def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
     if firmware.autopilot == "px4" and outward:
         lines.append("CP_DIST switches collision prevention on: it is the distance to keep [m], for you to choose.")
     if firmware.autopilot == "ardupilot" and firmware.vehicle == "sub":
-        lines.append("ArduSub ignores distances with a quality below RNGFND_SQ_MIN (90).")
+        lines.append("ArduSub ignores distances that readings contradict: of a quality below RNGFND_SQ_MIN (90).")
     return lines
 
 

@@ -20,6 +20,8 @@ Honest, covered
     the truth at the message's own time stamp, since a deviation is that of a measurement and not of its age; where the
     stamp is over 0.5 s from the receipt, at the receipt. Covariance 255 is neither, but where the quality is 0 (both
     unknown) the message is left out. Shares are of time: a message counts as long as it holds.
+Sure
+    A valid message with a quality of 90 or more, which ArduSub takes.
 Judged time
     From the silence limit after the start, and after each time the autopilot came back, while it listens. 'In range' is
     the part of it in which the true distance lies where a sensor in this air can measure it.
@@ -60,6 +62,8 @@ GRID_S = 0.025
 EDGE_GRID_S = 0.1
 """Time between two looks for an edge below [s]: an edge lasts 2 s at least."""
 COVARIANCE_UNKNOWN, QUALITY_INVALID = 255, 1
+QUALITY_SURE = 90
+"""ArduSub's RNGFND_SQ_MIN: it drops a distance of less."""
 
 _ON_OBJECTS = re.compile(r"\b(object|hole|ground below)\b", re.IGNORECASE)
 _IS_OBJECT = re.compile(r"\b(object|hole)\b")
@@ -118,6 +122,8 @@ class Verdict:
         Of the flight; judged; judged with the truth within the sensors' range.
     valid_s, honest_s, covered_s
         With a valid message; within 3 stated deviations; within 1.96.
+    sure_s, sure_honest_s
+        Of valid_s and honest_s the part with a sure message.
     honest_in_range_s
         Within 3 stated deviations while the truth is within the sensors' range.
     faulty_s, faulty_in_range_s, faulty_honest_s
@@ -142,6 +148,8 @@ class Verdict:
     valid_s: float = 0.0
     honest_s: float = 0.0
     covered_s: float = 0.0
+    sure_s: float = 0.0
+    sure_honest_s: float = 0.0
     honest_in_range_s: float = 0.0
     faulty_s: float = 0.0
     faulty_in_range_s: float = 0.0
@@ -338,9 +346,12 @@ def _count(verdict: Verdict, held: Distance | None, error_m: float | None, in_ra
     verdict.faulty_in_range_s += GRID_S * (faulty and in_range)
     if held is None or error_m is None or (held.std_m is None and held.quality == 0):
         return
+    sure_s = GRID_S * (held.quality >= QUALITY_SURE)
     verdict.valid_s += GRID_S
+    verdict.sure_s += sure_s
     if held.std_m is not None and abs(error_m) <= 3.0 * held.std_m:
         verdict.honest_s += GRID_S
+        verdict.sure_honest_s += sure_s
         verdict.honest_in_range_s += GRID_S * in_range
         verdict.faulty_honest_s += GRID_S * (faulty and in_range)
         verdict.covered_s += GRID_S * (abs(error_m) <= 1.96 * held.std_m)

@@ -49,7 +49,7 @@ def test_the_fused_message_goes_out_on_each_turn_while_a_sensor_works(dead: str)
     bench = Bench(airframe(), 300, absent=dead).fly(20.0)
     assert set(bench.distances_cm()) == {300}
     assert 160 <= len(bench.distances_cm(from_s=4.0)) <= 160 + 8 * len(dead)
-    assert last(bench).signal_quality == round(100 * (4 - len(dead)) / 4)
+    assert {message.signal_quality for _, message in bench.sent()} == {100}, "the distance is as good without them"
 
 
 @pytest.mark.parametrize("late_s", [0.005, 0.020, 0.030])
@@ -142,9 +142,9 @@ def test_beyond_the_measured_table_the_field_of_view_is_the_sonar_equations(read
 
 
 @pytest.mark.parametrize("to", ["a", FUSED_ID])
-@pytest.mark.parametrize(("reading_cm", "quality"), [(99, 100), (100, 100), (101, 50), (400, 50)])
-def test_where_nothing_speaks_for_the_beams_angle_quality_is_halved(
-    tmp_path: Path, reading_cm: int, quality: int, to: Any
+@pytest.mark.parametrize("reading_cm", [101, 400])
+def test_a_beams_angle_that_is_only_assumed_is_no_reason_to_doubt_the_distance(
+    tmp_path: Path, reading_cm: int, to: Any
 ) -> None:
     """Two breakaway angles cannot tell the three parameters of a sonar equation: the last of them is held."""
     model = yaml.safe_load((CONFIGS / "sensors" / "mb1242.yaml").read_text(encoding="utf-8"))
@@ -153,7 +153,7 @@ def test_where_nothing_speaks_for_the_beams_angle_quality_is_halved(
     send = {"sensors": ["a"]} if to == "a" else {"fused": {"id": FUSED_ID}}
     vehicle = airframe([FOUR_DOWN[0] | {"model": str(tmp_path / "two_angles.yaml")}], send=send, filters=[])
     message = last(Bench(vehicle, reading_cm).fly(2.0), 1 if to == "a" else FUSED_ID)
-    assert (message.current_distance, message.signal_quality) == (reading_cm, quality)
+    assert (message.current_distance, message.signal_quality) == (reading_cm, 100)
     assert math.degrees(message.horizontal_fov) == pytest.approx(36.0, abs=0.3)
 
 
@@ -221,15 +221,50 @@ def test_the_covariance_of_canted_sensors_covers_slant_and_nearest_point() -> No
     assert shared_cm2 < message.covariance <= math.ceil(shared_cm2 + SIGMA2_CM2)
 
 
-def test_quality_is_the_share_of_the_last_ten_readings_that_were_used() -> None:
-    """At 2 s a sensor of ten readings a second loses three in a row; ten readings later that is forgotten."""
-    bench = Bench(one_down(), lambda name, time_s: 765 if 2.0 <= time_s < 2.25 else 300).fly(5.0)
-    quality = {round(time_s, 1): message.signal_quality for time_s, message in bench.sent()}
-    assert (quality[1.9], quality[2.1], quality[2.3], quality[2.9], quality[3.3]) == (100, 1, 70, 70, 100)
+def qualities(bench: Bench, from_s: float, to_s: float, stream: int = FUSED_ID) -> list[int]:
+    return [
+        message.signal_quality for time_s, message in bench.sent() if message.id == stream and from_s <= time_s < to_s
+    ]
 
 
-def test_a_sensor_without_a_reading_yet_is_not_good() -> None:
-    assert [message.signal_quality for _, message in Bench(airframe(), 300).fly(0.45).sent()] == [25, 50, 75, 100]
+@pytest.mark.parametrize("silent", ["b", "bd", "abd"])
+def test_missed_echoes_do_not_lower_the_quality(silent: str) -> None:
+    bench = Bench(airframe(), lambda name, time_s: 765 if name in silent and time_s > 3.0 else 300).fly(8.0)
+    assert set(qualities(bench, 0.0, 8.0)) == {100}
+    single = Bench(one_down(), lambda name, time_s: 765 if 2.0 <= time_s < 2.25 else 300).fly(5.0)
+    assert set(qualities(single, 0.0, 5.0, 1)) == {1, 100}, "1 is that of no echo"
+    assert len(single.distances_cm(1, 2.0, 2.3)) == qualities(single, 2.0, 2.3, 1).count(1) == 3
+
+
+def test_one_outlier_leaves_the_quality_to_ardusub_and_more_within_a_second_do_not() -> None:
+    """Of sensors that otherwise see the ground, never two in a row; readings scatter by less than stated."""
+    from_s = [("a", 5.0), ("d", 10.0), ("b", 10.3), ("a", 10.6), ("c", 10.9)]
+
+    def world(name: str, time_s: float) -> int:
+        if from_s and name == from_s[0][0] and time_s > from_s[0][1]:
+            del from_s[0]
+            return 120
+        return 298 + round(10 * time_s) * 7 % 5
+
+    bench = Bench(airframe(), world).fly(16.0)
+    assert all(299 <= each_cm <= 301 for each_cm in bench.distances_cm(from_s=2.0))
+    assert 90 <= min(qualities(bench, 5.0, 5.6)) < 100
+    assert min(qualities(bench, 10.9, 11.5)) < 90
+    assert set(qualities(bench, 2.0, 4.9) + qualities(bench, 13.0, 16.0)) == {100}
+
+
+def test_while_as_many_sensors_see_another_ground_the_quality_is_at_most_half() -> None:
+    bench = Bench(airframe(), lambda name, time_s: 200 if name in "cd" and 5.0 < time_s < 10.0 else 300).fly(14.0)
+    assert set(bench.distances_cm()) == {300}
+    assert set(qualities(bench, 0.0, 5.0)) == {100}
+    assert len(qualities(bench, 6.0, 10.0)) >= 30
+    assert max(qualities(bench, 6.0, 10.0)) <= 50
+    assert set(qualities(bench, 12.5, 14.0)) == {100}
+
+
+def test_an_object_below_one_sensor_leaves_the_quality_of_the_ground_and_has_a_good_one_itself() -> None:
+    bench = Bench(airframe(), lambda name, time_s: 240 if name == "c" and time_s > 5.0 else 300).fly(12.0)
+    assert set(qualities(bench, 8.0, 12.0)) == set(qualities(bench, 8.0, 12.0, stream=3)) == {100}
 
 
 def test_every_field_of_a_fused_message() -> None:
@@ -496,11 +531,17 @@ def test_a_single_message_that_waits_gives_way_to_a_newer_one_of_its_stream() ->
     assert all(100 + 10 * time_s - message.current_distance < 3.5 for time_s, message in sent)
 
 
-def test_a_reading_that_is_not_believed_lowers_the_quality() -> None:
-    bench = Bench(one_down(filters=[{"filter": "kalman"}]), lambda name, time_s: 120 if 2.95 < time_s < 3.05 else 300)
-    bench.fly(3.3)
-    assert bench.rejected("a") == {"unconfirmed": 1, "unexpected": 1}
-    assert last(bench, 1).signal_quality == 90
+def test_outliers_of_a_single_stream_lower_its_quality() -> None:
+    outliers_s = (2.95, 4.95, 5.15, 5.35)
+    bench = Bench(
+        one_down(filters=[{"filter": "kalman"}]),
+        lambda name, time_s: 120 if any(first_s < time_s < first_s + 0.1 for first_s in outliers_s) else 300,
+    ).fly(8.0)
+    assert bench.rejected("a") == {"unconfirmed": 1, "unexpected": 4}
+    assert set(qualities(bench, 0.0, 2.9, 1)) == {100}
+    assert 90 <= min(qualities(bench, 3.0, 4.9, 1)) < 100
+    assert min(qualities(bench, 5.4, 5.6, 1)) < 90
+    assert qualities(bench, 7.0, 8.0, 1)[-1] == 100
 
 
 def test_a_speed_is_not_lost_where_half_of_the_sensors_are_dead() -> None:

@@ -152,6 +152,17 @@ def test_stated_deviations(
     assert (verdict.valid_s, verdict.honest_s, verdict.covered_s) == pytest.approx((valid_s, honest_s, covered_s))
 
 
+@pytest.mark.parametrize(
+    ("error_cm", "quality", "sure_s", "sure_honest_s"),
+    [(0, 90, 9.0, 9.0), (7, 90, 9.0, 0.0), (0, 89, 0.0, 0.0), (7, 89, 0.0, 0.0)],
+)
+def test_a_quality_of_ninety_is_counted_where_it_is_right_and_where_it_is_not(
+    error_cm: int, quality: int, sure_s: float, sure_honest_s: float
+) -> None:
+    verdict = verdict_on(stream(lambda time_s: 200 + error_cm, std_cm=2, quality=quality))
+    assert (verdict.sure_s, verdict.sure_honest_s) == pytest.approx((sure_s, sure_honest_s))
+
+
 def test_the_time_with_a_fault_is_counted_by_itself() -> None:
     verdict = verdict_on(stream(lambda time_s: 200 + 20 * (time_s >= 7.0)), faulty_s=[(0.0, 2.0), (6.0, 8.0)])
     assert (verdict.faulty_s, verdict.faulty_in_range_s) == pytest.approx((3.0, 3.0))
