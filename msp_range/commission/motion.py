@@ -240,7 +240,7 @@ def _solve(rows: _Rows, down: Array, weights: Array, std_m: float) -> _Fit:
 
 
 def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
-    """The delay with the smallest sum of squares; its interval by the sum's curvature."""
+    """The delay with the smallest sum of squares; its interval by the sum's curvature, and by all that fit as well."""
     good = np.abs(fit.residual_m) < OUTLIER * fit.std_m
 
     def squares(lag_s: float) -> float:
@@ -259,7 +259,10 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
     curvature = max((before - 2 * here + after) / LAG_STEP_S**2, 1e-12)
     lag_s = lags_s[best] - LAG_STEP_S * (after - before) / max(2 * (before - 2 * here + after), 1e-12)
     lag_s = float(np.clip(lag_s, lags_s[0], lags_s[-1]))
-    return Measured(lag_s, MARGIN * 1.96 * fit.std_m * float(np.sqrt(2 / curvature)))
+    error_m = MARGIN * 1.96 * fit.std_m
+    # In a hover that hardly leans, delays far from the best one may fit nearly as well.
+    as_good_s = [abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < here + error_m**2]
+    return Measured(lag_s, max(error_m * float(np.sqrt(2 / curvature)), *as_good_s))
 
 
 def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> Places:
