@@ -23,7 +23,9 @@ def test_changed_input_is_read_or_has_a_line(area: str, seconds: float, seed: in
 def run(inputs: list[bytes], seconds: float) -> base.FuzzResult:
     """The result of these inputs, and then of none until the time is over."""
     rest: Iterator[bytes] = iter(inputs)
-    return base.run("crash", seconds, 1, lambda rng: next(rest, b""), crashing.prepare, len(inputs) + 1)
+    return base.run(
+        "crash", seconds, 1, lambda rng: next(rest, b""), crashing.prepare, len(inputs) + base.WARM_UP_CASES
+    )
 
 
 @pytest.mark.slow
