@@ -79,6 +79,21 @@ def taken(folder: Path, columns: dict[str, Any], model: Model = GIVEN) -> Readin
     return read_readings([folder / "flight.csv"], model)
 
 
+@pytest.mark.parametrize(
+    ("decimals", "limits_cm", "step_cm"),
+    [(0, (20.5, 400.5), 0.5), (0, (20.2, 400.2), 0.2), (0, (20.0, 400.0), 1.0), (1, (20.5, 400.5), 0.1)],
+)
+def test_the_step_is_one_of_which_the_models_limits_are_multiples(
+    tmp_path: Path, decimals: int, limits_cm: tuple[float, float], step_cm: float
+) -> None:
+    """Readings in whole centimetres, and limits that are none, ended the gap by a traceback."""
+    changes = {"driver": "none", "minimum_cm": limits_cm[0], "maximum_cm": limits_cm[1], "heard_on_axis_cm": None}
+    sensor = GIVEN.sensor.model_validate(GIVEN.sensor.model_dump() | changes | {"resolution_cm": step_cm})
+    table = readings(400)
+    table["reading_cm"] = np.round(table["true_range_cm"] + np.random.default_rng(2).normal(size=400), decimals)
+    assert taken(tmp_path, table, Model.of(sensor)).step_cm == step_cm
+
+
 def test_a_table_in_millimetres_and_its_model_stay_in_millimetres(tmp_path: Path) -> None:
     columns = readings(3000, step_cm=0.1, sigma_cm=0.5)
     found = taken(tmp_path, columns)

@@ -197,9 +197,9 @@ def _with_step(sensor: SensorModel, loaded: LoadedReadings) -> tuple[SensorModel
     except ValueError:
         step_cm = step_with(loaded.data, model)
     return _in_steps_of(sensor, step_cm), [
-        f"the readings come in steps of {own_cm:g} cm, and this model cannot have them (whole centimetres, of which "
-        f"its {sensor.minimum_cm} and {sensor.maximum_cm} cm are multiples): its mixture takes their step to be "
-        f"{step_cm:g} cm, so its sigma_cm is wrong"
+        f"the readings come in steps of {own_cm:g} cm, and this model cannot have them, as its limits of "
+        f"{sensor.minimum_cm:g} and {sensor.maximum_cm:g} cm, or its 255, would be no multiples: its mixture takes "
+        f"their step to be {step_cm:g} cm, so its sigma_cm is wrong"
     ]
 
 

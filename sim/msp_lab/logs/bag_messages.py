@@ -8,6 +8,7 @@ message_definitions.
 
 import contextlib
 import functools
+import os
 import shutil
 import sqlite3
 import tempfile
@@ -67,13 +68,8 @@ def read_messages(path: Path, is_wanted: Wanted) -> Messages:
         elif begins.startswith(b"\x89MCAP"):
             yield from _of_mcap(file, is_wanted)
         else:
-            yield from _of_sqlite(path, is_wanted)
-            # The size of a page and how many there are (sqlite.org/fileformat.html); 1 is 65,536.
             begins += file.read(19)
-            page_bytes = int.from_bytes(begins[16:18], "big")
-            missing = int.from_bytes(begins[28:], "big") * (page_bytes if page_bytes > 1 else 65_536) - file.seek(0, 2)
-            if missing > 0:
-                raise CutError(f"{missing} bytes are missing at its end")
+            yield from _of_sqlite_file(path, begins, file.seek(0, 2), is_wanted)
 
 
 def files_of(path: Path) -> tuple[list[Path], Callable[[bytes], bytes]]:
@@ -181,6 +177,26 @@ def _of_mcap(file: Any, is_wanted: Wanted) -> Messages:
             yield topics[record.channel_id], record.log_time_ns, record.data
     if losses:
         raise CutError(f"lost: {losses}")
+
+
+def _of_sqlite_file(path: Path, begins: bytes, size: int, is_wanted: Wanted) -> Messages:
+    """Messages of the whole pages of a file; ``begins`` has the size of a page and how many there are, 1 is 65,536
+    (sqlite.org/fileformat.html)."""
+    page_bytes = int.from_bytes(begins[16:18], "big")
+    page_bytes = page_bytes if page_bytes > 1 else 65_536
+    cut_bytes, missing = size % page_bytes, int.from_bytes(begins[28:], "big") * page_bytes - size
+    with tempfile.TemporaryDirectory() as folder:
+        if cut_bytes:
+            # SQLite fills a page that ends early with zeros, and takes those for the bytes of messages.
+            path = Path(shutil.copyfile(path, Path(folder, path.name)))
+            os.truncate(path, size - cut_bytes)
+        try:
+            yield from _of_sqlite(path, is_wanted)
+        except sqlite3.DatabaseError:
+            if missing <= 0:
+                raise
+    if missing > 0:
+        raise CutError(f"{missing} bytes are missing at its end")
 
 
 def _of_sqlite(path: Path, is_wanted: Wanted) -> Messages:

@@ -89,7 +89,8 @@ def step_with(data: MeasuredData, model: Model) -> float:
     reading_cm = data["reading_cm"]
     usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
     _, run = np.unique(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]), return_inverse=True)
-    return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm)
+    limits_cm = model.sensor.minimum_cm, model.sensor.maximum_cm
+    return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm, limits_cm)
 
 
 def measured_step(data: MeasuredData, model: Model) -> float:
@@ -107,7 +108,7 @@ def measured_step(data: MeasuredData, model: Model) -> float:
     return coarse_cm if np.unique(reading_cm[usual & between]).size >= LEAST_VALUES else step_cm
 
 
-def compared_step(reading_cm: Array, run: Indices, model_step_cm: float) -> float:
+def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_cm: tuple[float, ...] = ()) -> float:
     """Return the step in which a file's readings are compared with a model [cm].
 
     The smallest one that leaves out nothing in which they come: in no run are values farther apart. Readings that are
@@ -121,6 +122,8 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float) -> floa
         Number of the run and sensor of each, (n,).
     model_step_cm
         Step of the model's readings.
+    limits_cm
+        Limits of the model's readings, which are multiples of the step.
 
     Examples
     --------
@@ -129,7 +132,8 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float) -> floa
     >>> print(*steps)
     1.0 0.1
     """
-    steps = sorted({*COMPARED_CM, model_step_cm})
+    usual = {*COMPARED_CM, model_step_cm}
+    steps = sorted(each for each in usual if not any(round(limit_cm / each, 6) % 1.0 for limit_cm in limits_cm))
     least_cm, gaps, weights = 0.0, [np.zeros(0)], [np.zeros(0)]
     for each in np.unique(run):
         own = np.round(reading_cm[run == each], 6)
