@@ -38,8 +38,8 @@ BOXES = (
     {"centre_m": [46.0, 0.52], "size_m": [2.0, 0.8], "height_m": 0.5},
     {"centre_m": [50.0, -0.52], "size_m": [2.0, 0.8], "height_m": 0.8},
 )
-"""Below all four sensors, below the right pair and below the left pair. The last two begin 0.12 m beside the middle of
-the vehicle, whose sensors are 0.20 m beside it."""
+"""Below all four sensors, below the right pair and below the left pair. The last two begin 0.12 m to the side of the
+vehicle's middle, whose sensors are 0.20 m to its sides."""
 SECTIONS = {
     "edges of 0.3 and 0.6 m": (0.0, 16.5),
     "edge of 1.2 m": (16.5, 24.0),
