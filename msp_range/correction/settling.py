@@ -68,14 +68,15 @@ class Settling:
         while len(values) > 1 and values[0][0] < time_s - MEMORY_S:
             values.popleft()
         ordinary_c = ORDINARY_C + ORDINARY_NOISES * self._noise_c
-        for past_s, past_c in reversed(values):
-            if self._start is None and abs(value_c - past_c) > ordinary_c:
-                self._start = past_s, past_c
-            if self._start is not None and past_s <= max(self._start[0], time_s - RATE_S):
-                left_c = max(LARGEST_C - abs(value_c - self._start[1]), 0.0)
-                lag_c = SLOWEST_S * (value_c - past_c) / (time_s - past_s)
-                self.lag_c = min(max(lag_c, -left_c), left_c)
-                break
+        if self._start is None:
+            self._start = next((past for past in reversed(values) if abs(value_c - past[1]) > ordinary_c), None)
+        if self._start is not None:
+            # Of the last seconds only: the change may be over by now.
+            since_s = max(self._start[0], time_s - RATE_S)
+            past_s, past_c = next((past for past in reversed(values) if past[0] <= since_s), values[0])
+            left_c = max(LARGEST_C - abs(value_c - self._start[1]), 0.0)
+            lag_c = SLOWEST_S * (value_c - past_c) / (time_s - past_s)
+            self.lag_c = min(max(lag_c, -left_c), left_c)
         if self._start is not None and abs(self.lag_c) < SETTLED_C:
             self._start, self.lag_c = None, 0.0
             values.clear()

@@ -91,6 +91,11 @@ def test_what_happens_in_ordinary_flights_is_no_settling(
     assert {lag_c for _, lag_c in lags(shown_c, 600.0)} == {0.0}
 
 
+def test_a_change_that_is_over_when_the_noise_turns_out_to_be_small_is_no_settling() -> None:
+    """As at a take-off out of air that the ground has warmed by 3 C."""
+    assert {lag_c for _, lag_c in lags(lambda time_s: 27.0 if time_s < 4.0 else 24.0, 120.0)} == {0.0}
+
+
 @pytest.mark.parametrize("period_s", [0.02, 10.0, 60.0])
 def test_values_come_as_often_as_they_like(period_s: float) -> None:
     """50 per second of an autopilot, or one per minute of a file; not all of them are kept."""
