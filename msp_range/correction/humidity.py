@@ -10,6 +10,7 @@ from typing import Any
 
 from msp_range.acoustics.air import FIXED, Air, sonic_temperature_c, vapour_fraction
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C
+from msp_range.numbers import Numbers
 
 HYGROMETER = "HYGROMETER_SENSOR"
 MAX_AGE_S = 600.0
@@ -31,6 +32,18 @@ WHOLE_PERCENT = 100
 than 1 % is not met."""
 
 
+def relative_humidity_percent(sent: Numbers) -> Numbers:
+    """The relative humidity of HYGROMETER_SENSOR's field [%], any shape; see `WHOLE_PERCENT`.
+
+    Examples
+    --------
+    >>> relative_humidity_percent(50), relative_humidity_percent(5000)
+    (50.0, 50.0)
+    """
+    percent: Numbers = sent * 0.01 ** (sent > WHOLE_PERCENT)
+    return percent
+
+
 class Humidity:
     """The newest humidity that the autopilot sends, of whichever hygrometer: the vapour is the same at each."""
 
@@ -41,7 +54,7 @@ class Humidity:
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with a HYGROMETER_SENSOR message."""
         temperature_c = 0.01 * message.temperature
-        percent = message.humidity if message.humidity <= WHOLE_PERCENT else 0.01 * message.humidity
+        percent = relative_humidity_percent(message.humidity)
         if COLDEST_C <= temperature_c <= HOTTEST_C and 0.0 < percent <= 100.0:
             # A hygrometer that is warmer than the air shows less, and has the air's mole fraction of vapour.
             self._vapour = vapour_fraction(temperature_c, percent)

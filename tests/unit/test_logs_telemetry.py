@@ -150,3 +150,13 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"bad\.tlog: no telemetry log"):
         read_telemetry(path, nothing)
+
+
+@pytest.mark.parametrize("sent", [50, 5000])
+def test_humidity_is_in_per_cent_by_px4_and_by_ardupilot(tmp_path: Path, sent: int) -> None:
+    hygrometer = dialect.MAVLink_hygrometer_sensor_message(0, 2150, sent)
+    messages = [*telemetry(), *((0.5 * i, 1, hygrometer) for i in range(20))]
+    path = write_telemetry(tmp_path / "a.tlog", sorted(messages, key=lambda each: each[0]))
+    context = read_telemetry(path, nothing).context
+    assert set(context["humidity_pct"].values.tolist()) == {50.0}
+    assert context["air_temperature_c"].values[0] == pytest.approx(21.5)

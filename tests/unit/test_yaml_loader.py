@@ -116,6 +116,12 @@ def test_anchors_and_merge_keys_work_and_dates_and_times_stay_text() -> None:
     assert load_yaml(text) == {"a": first, "b": {**first, "y": 1.5}, "c": {"x": 112, "y": 1.5, "z": [first]}}
 
 
+def test_of_several_merged_mappings_the_first_counts_and_an_empty_one_adds_nothing() -> None:
+    text = "a: &a {x: 1, y: 1}\nb: &b {y: 2, z: 2}\nc: {z: 3, <<: [*a, *b]}\nd: {<<: {}, x: 4}\ne: {'<<': 5}"
+    found = load_yaml(text)
+    assert [found[name] for name in "cde"] == [{"x": 1, "y": 1, "z": 3}, {"x": 4}, {"<<": 5}]
+
+
 def test_files_of_the_project_are_read_as_by_the_package(tmp_path: Path) -> None:
     paths = sorted(CONFIGS.rglob("*.yaml"))
     assert len(paths) > 30

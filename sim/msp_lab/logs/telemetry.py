@@ -30,6 +30,7 @@ from msp_lab.logs.log import (
     readings_cm,
     tilt_deg,
 )
+from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
 from msp_range.input_file import open_input
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.frames import Frame, FrameReader
@@ -55,7 +56,7 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
     "GPS_RAW_INT": ("fix_type", "alt", "v_acc"),
     "SCALED_PRESSURE": ("temperature",),
     "VIBRATION": ("vibration_x", "vibration_y", "vibration_z"),
-    "HYGROMETER_SENSOR": ("temperature", "humidity"),
+    HYGROMETER: ("temperature", "humidity"),
     "SIM_STATE": ("alt",),
     "HIL_STATE_QUATERNION": ("alt",),
     "ATT_POS_MOCAP": ("z",),
@@ -205,12 +206,14 @@ def _context(flight: Mapping[str, MessageColumns]) -> dict[str, Series]:
     for name, message, field, factor in (
         (CLIMB, "GLOBAL_POSITION_INT", "vz", -0.01),
         (THROTTLE, "VFR_HUD", "throttle", 0.01),
-        ("air_temperature_c", "HYGROMETER_SENSOR", "temperature", 0.01),
-        ("humidity_pct", "HYGROMETER_SENSOR", "humidity", 0.01),
+        ("air_temperature_c", HYGROMETER, "temperature", 0.01),
         ("board_temperature_c", "SCALED_PRESSURE", "temperature", 0.01),
     ):
         if message in flight:
             found[name] = _series(flight, message, field, factor)
+    if HYGROMETER in flight:
+        hygrometer = flight[HYGROMETER]
+        found["humidity_pct"] = hygrometer.series("humidity", relative_humidity_percent(hygrometer["humidity"]))
     return found
 
 
