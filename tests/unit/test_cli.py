@@ -189,7 +189,7 @@ def test_scan_pings_only_with_its_option(sonar: EmulatedMB1242) -> None:
     assert sonar.pings == 0
     assert "258 cm" in CliRunner().invoke(app, ["scan", "--ping"], catch_exceptions=False).output
     # On a busy computer the first answer may be read too late, and it is asked again.
-    assert sonar.pings > 0
+    assert 1 <= sonar.pings <= 2
 
 
 def test_address_asks_before_it_moves_a_sensor(sonar: EmulatedMB1242) -> None:
