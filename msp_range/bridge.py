@@ -45,6 +45,7 @@ from msp_range.fusion.vertical import GRAVITY_M_S2
 from msp_range.geometry import dot
 from msp_range.health import (
     FUSED,
+    NOT_SENT,
     BridgeState,
     BridgeVerdict,
     BusHealth,
@@ -61,6 +62,7 @@ from msp_range.health import (
 )
 from msp_range.health.finding import SensorFinding
 from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.frames import pack
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
@@ -75,6 +77,7 @@ from msp_range.recording.topics import (
     MOTION_TOPIC,
     RANGE_PREFIX,
     SENT_TOPIC,
+    WITHHELD_TOPIC,
 )
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import Schedule
@@ -96,6 +99,7 @@ ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
 _SYSTEM_STATUS = {
     BridgeState.STARTING: dialect.MAV_STATE_BOOT,
     BridgeState.ACTIVE: dialect.MAV_STATE_ACTIVE,
+    BridgeState.SENDS_NOTHING: dialect.MAV_STATE_STANDBY,
     BridgeState.CRITICAL: dialect.MAV_STATE_CRITICAL,
 }
 _GROUND_USE = {
@@ -426,9 +430,15 @@ class Bridge:
             self._output.on_range(filtered.estimate is not None, 1.0)
 
     def _send(self, message: Any) -> None:
-        frame = self.link.send(message)
-        if frame is not None:
-            self._write(SENT_TOPIC, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
+        """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
+        if self._airframe.send.nothing:
+            frame = pack(message, self.link.autopilot_system or 1, self._airframe.link.component_id, 0)
+            self._write_frame(WITHHELD_TOPIC, message, frame)
+        elif (sent := self.link.send(message)) is not None:
+            self._write_frame(SENT_TOPIC, message, sent)
+
+    def _write_frame(self, topic: str, message: Any, frame: bytes) -> None:
+        self._write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
 
     def _record(self, now_s: float, topic: str, step: Step) -> None:
         if self._recorder is None:
@@ -475,6 +485,8 @@ class Bridge:
         finding = self.sensor_findings[-1] if self.sensor_findings else None
         conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)
         conditions.append(self._attitude.condition(now_s))
+        if self._airframe.send.nothing:
+            conditions.append(NOT_SENT)
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault

@@ -51,7 +51,7 @@ def _table(airframe: Airframe) -> Table:
             str(sensor.id),
             f"0x{sensor.address:02x}",
             f"{orientation.value} {orientation.name}",
-            "yes" if sensor.name in airframe.sent_names else "no",
+            "yes" if sensor.name in airframe.sent_names and not airframe.send.nothing else "no",
             "yes" if sensor.name in downward else "no",
         )
     return table
@@ -97,6 +97,8 @@ def _polling(airframe: Airframe) -> str:
 
 
 def _streams(airframe: Airframe) -> Iterator[str]:
+    if airframe.send.nothing:
+        yield "send: nothing; these streams are worked out, recorded and shown, but not sent:"
     if airframe.send.fused is not None:
         bounds = fused_stream(airframe)
         assert bounds is not None

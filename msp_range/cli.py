@@ -219,7 +219,7 @@ def status(
     """Show what a running bridge does: distances, rejected readings, faults, air, link and recording.
 
     It reads the bridge's socket; neither the sensors nor the link notice. Exit code: 0 the bridge is
-    active, 1 no bridge runs, 4 it starts or is critical: what is wrong comes first.
+    active, 1 no bridge runs, 4 it starts, is critical or sends nothing: what is wrong comes first.
     """
     from msp_range.watch.terminal import show
 

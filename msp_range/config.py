@@ -150,6 +150,8 @@ class FusedSettings(Section):
 class Send(Section):
     """Streams to send."""
 
+    nothing: bool = False
+    """true: work out, record and show these streams, and send no distance; for flights that do not rely on it yet"""
     fused: FusedSettings | None = None
     """the fused downward stream; default: none"""
     sensors: tuple[Name, ...] | Literal["all"] = ()
@@ -157,6 +159,14 @@ class Send(Section):
     standing_m: Metres | None = Field(None, gt=0)
     """distance that the downward stream has when the vehicle stands on the ground [m]: RNGFND1_GNDCLR, EKF2_MIN_RNG;
     measured by `msp-range commission`; default: the shortest that its sensors report"""
+
+
+def _streams(value: Any) -> Any:
+    if value == "nothing":
+        return {"nothing": True, "fused": {}}
+    if isinstance(value, str):
+        raise ValueError("expected a mapping with fused, sensors or both, or the word nothing")
+    return value
 
 
 class RecordingSettings(Section):
@@ -183,8 +193,8 @@ class Airframe(Section):
     """sources of the air temperature"""
     link: LinkSettings
     """the connection to the autopilot"""
-    send: Send
-    """streams to send"""
+    send: Annotated[Send, BeforeValidator(_streams, json_schema_input_type=Send | Literal["nothing"])]
+    """streams to send; the word nothing stands for {nothing: true, fused: {}}"""
     sensor_watch: bool = True
     """compare each downward sensor with its model and the others while flying, and report what differs"""
     recording: RecordingSettings | None = None
@@ -231,7 +241,9 @@ class Airframe(Section):
         for place, some in (("send.fused.sensors", self._fused_names), ("send.sensors", self.sent_names)):
             _refuse_unknown(place, some, names)
         if self.send.fused is None and not self.sent_names:
-            raise ValueError("send: nothing would be sent; give fused, sensors or both")
+            raise ValueError(
+                "send: no stream is given; give fused, sensors or both. To send none of them yet, add nothing: true"
+            )
         if self.send.fused is not None:
             self._check_fused()
         self._check_orientations()
@@ -257,7 +269,10 @@ class Airframe(Section):
 
     def _check_fused(self) -> None:
         if not self.downward:
-            raise ValueError("send.fused: no sensor looks down (pitch -90 does); a fused downward stream requires one")
+            instead = "; send: {nothing: true, sensors: all} tries those that look elsewhere" * self.send.nothing
+            raise ValueError(
+                f"send.fused: no sensor looks down (pitch -90 does); a fused downward stream requires one{instead}"
+            )
         for sensor in self.downward:
             if sensor.tilt_from_down_rad > math.radians(45):
                 raise ValueError(

@@ -24,6 +24,11 @@ def _sensors(airframe: Airframe, *keys: str) -> list[Any]:
     return [{key: sensor.model_dump(mode="json")[key] for key in keys} for sensor in airframe.sensors]
 
 
+def flown_part(airframe: Airframe) -> dict[str, Any]:
+    """What a flight depends on: all but whether its distances were sent."""
+    return airframe.model_dump(mode="json", exclude={"send": {"nothing"}})
+
+
 VERIFIED: dict[str, Callable[[Airframe], Any]] = {
     "wires": lambda airframe: [
         airframe.bus,
@@ -42,9 +47,11 @@ VERIFIED: dict[str, Callable[[Airframe], Any]] = {
     "lift": lambda airframe: [
         *_sensors(airframe, "name", "address", "model", "position_m", "rotation_deg"),
         *([airframe.send.standing_m] if airframe.send.standing_m else []),
+        # Without distances the autopilot's own was not compared.
+        *(["nothing"] if airframe.send.nothing else []),
     ],
-    "hover": lambda airframe: airframe.model_dump(mode="json"),
-    "review": lambda airframe: airframe.model_dump(mode="json"),
+    "hover": flown_part,
+    "review": flown_part,
 }
 """Steps in their order, each with the parts of the airframe that it verifies."""
 

@@ -20,7 +20,14 @@ from msp_range.mavlink.transport import Transport, Wrapped, open_transport
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, parse_url
 from msp_range.params.client import ParameterClient
 from msp_range.params.commands import described, differences
-from msp_range.params.settings import ADDRESS, Firmware, downward_stream, settings
+from msp_range.params.settings import (
+    ADDRESS,
+    DISTANCE_SENSOR_BY_MAVLINK,
+    UNARMED,
+    Firmware,
+    downward_stream,
+    settings,
+)
 from msp_range.yaml_file import ConfigError
 
 CONNECT_S = 6.0
@@ -115,8 +122,11 @@ def check_autopilot(
         return
     firmware = client.firmware()
     assert firmware is not None
-    yield _parameters(airframe, client, firmware)
-    yield _distances(airframe, client, clock, ranges_m)
+    if airframe.send.nothing:
+        yield _withheld(client)
+    else:
+        yield _parameters(airframe, client, firmware)
+        yield _distances(airframe, client, clock, ranges_m)
     if latency_s is not None:
         yield _latency(client, latency_s)
 
@@ -254,6 +264,14 @@ def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware)
         listed = "; ".join(described(each) for each in others)
         return wrong(step, f"{len(others)} of {len(needed)} differ: {listed}", "msp-range params AIRFRAME.yaml --write")
     return right(step, f"{len(needed)} of {firmware} are as they should be")
+
+
+def _withheld(client: ParameterClient) -> Finding:
+    step = "distances"
+    if client.autopilot == "ardupilot" and client.read("RNGFND1_TYPE") == DISTANCE_SENSOR_BY_MAVLINK:
+        remedy = "set it to 0 (none), or to the vehicle's own range finder, until distances are sent"
+        return wrong(step, f"the airframe file sends nothing. {UNARMED}", remedy)
+    return unknown(step, "the airframe file sends nothing: not tried", "take nothing out of its send to try it")
 
 
 def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges_m: Mapping[str, float]) -> Finding:

@@ -34,7 +34,8 @@ def findings(newest: Newest) -> Iterator[Finding]:
     for fault in status["faults"]:
         # That the file names no thermometer is a step of its own.
         if NO_THERMOMETER not in fault["text"]:
-            yield wrong(fault["what"], fault["text"], fault["remedy"])
+            found = unknown if fault["severity"] == "info" else wrong
+            yield found(fault["what"], fault["text"], fault["remedy"])
     for name, sensor in status["sensors"].items():
         if sensor["fault"] is not None:
             continue

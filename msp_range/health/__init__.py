@@ -8,4 +8,4 @@ from msp_range.health.neighbours import GroundUse
 from msp_range.health.output import FUSED, OutputWatch
 from msp_range.health.reminder import Reminder
 from msp_range.health.sensor_watch import SensorWatch
-from msp_range.health.verdict import BridgeState, BridgeVerdict, verdict_of
+from msp_range.health.verdict import NOT_SENT, BridgeState, BridgeVerdict, verdict_of

@@ -10,6 +10,16 @@ _WIDEST = ("bus", "signing", "other autopilot", "autopilot")
 """Conditions that concern more than one sensor, in the order in which they are shown, before those of single ones."""
 
 
+NOT_SENT = Condition(
+    "not sent",
+    "Range: no distances are sent (send: nothing)",
+    "",
+    Severity.INFO,
+    remedy="the airframe file says so; to send them, take nothing out of its send",
+)
+"""The condition of a bridge that only tries its sensors out."""
+
+
 class BridgeState(StrEnum):
     """What the bridge's work is worth to the autopilot."""
 
@@ -17,6 +27,8 @@ class BridgeState(StrEnum):
     """nothing is wrong, but not all sensors and the autopilot are known yet"""
     ACTIVE = "active"
     """distances go out, and an autopilot is received"""
+    SENDS_NOTHING = "sends nothing"
+    """all is as for active, but the airframe file says that no distance is sent"""
     CRITICAL = "critical"
     """a distance is missing, or nobody gets it"""
 
@@ -58,7 +70,9 @@ def verdict_of(conditions: Iterable[Condition], is_ready: bool) -> BridgeVerdict
     """
     present = {each.key: each for each in conditions}
     groups: dict[str, list[BridgeFinding]] = {}
-    state = BridgeState.ACTIVE if is_ready else BridgeState.STARTING
+    state = BridgeState.STARTING
+    if is_ready:
+        state = BridgeState.SENDS_NOTHING if NOT_SENT.key in present else BridgeState.ACTIVE
     for key, text, _, severity, _, remedy, is_reported in present.values():
         if text is None:
             continue

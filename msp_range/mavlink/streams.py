@@ -22,8 +22,8 @@ from msp_range.reading import Reading, Status
 DOUBT_FIT, DOUBT_QUALITY = 3.0, 90
 """Quality at this mean square of the normalised innovations; ArduSub drops a distance of less than 90 (RNGFND_SQ_MIN).
 One outlier among good readings takes the mean square to 2.1, a second one soon after it to 3.1. In 350 flights of the
-fault campaign (seed 5) it was over 3 in 1.7 % of the time, with two thirds of all errors over 25 cm. Over 4 was one
-third of them; at 2 ArduSub would drop distances for single outliers."""
+fault campaign (seed 5) it was over 3 in 1.7 % of the time, with two thirds of the errors over 25 cm (4 s in all). Over
+4 was one third of them; at 2 ArduSub would drop distances for single outliers."""
 TIED_QUALITY = 50
 """Quality at most while the newest readings of as many sensors are off the ground as on it: either may be right.
 Anything below 90 and above 1 makes ArduSub wait for the end of that."""

@@ -52,6 +52,11 @@ PX4_USE = (
 AC_WPNav.cpp, mode_guided.cpp; PX4's params_range_finder.yaml, multicopter_altitude_mode_params.c)."""
 
 
+UNARMED = f"While RNGFND1_TYPE is {DISTANCE_SENSOR_BY_MAVLINK} and no distances come, ArduPilot does not arm."
+"""For a vehicle that sends nothing yet: half a second without a distance is 'No Data', which fails the check before
+arming (AP_RangeFinder.cpp; docs/flying.md has what was seen)."""
+
+
 @dataclass(frozen=True)
 class Firmware:
     """What decides names and units of parameters.
@@ -132,6 +137,9 @@ def settings(airframe: Airframe, firmware: Firmware, port: int) -> list[Setting]
 def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
     """What is to be known besides the values."""
     lines = ["Restart the autopilot after setting them: some count only from then on."]
+    if airframe.send.nothing:
+        lines.append("The airframe file sends nothing: none of these makes the autopilot expect distances.")
+        return lines + [UNARMED] * (firmware.autopilot == "ardupilot")
     if downward_stream(airframe) is not None:
         lines.append("For you to choose, as no value of them follows from the airframe:")
         lines += PX4_USE if firmware.autopilot == "px4" else ARDUPILOT_USE
@@ -162,6 +170,8 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
             f"SERIAL{port}_PROTOCOL", MAVLINK_2, "MAVLink 2 on the port that the bridge is wired to", document
         )
         yield Setting(f"SERIAL{port}_BAUD", baud // 1000, f"{baud} baud, as this file says", "link.url")
+    if airframe.send.nothing:
+        return
     stream = downward_stream(airframe)
     if stream is not None:
         yield Setting("RNGFND1_TYPE", DISTANCE_SENSOR_BY_MAVLINK, "distances come as MAVLink messages", document)
@@ -199,6 +209,8 @@ def _px4(airframe: Airframe, _: Firmware, port: int) -> Iterator[Setting]:
         yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", document)
         yield Setting(f"MAV_{instance}_MODE", ONBOARD, "onboard mode: for a companion computer", document)
         yield Setting(f"SER_TEL{port}_BAUD", baud, f"{baud} baud, as this file says", "link.url")
+    if airframe.send.nothing:
+        return
     stream = downward_stream(airframe)
     if stream is not None:
         yield Setting("EKF2_RNG_CTRL", 2, "the range is used always; with 1 only when slow and low", document)

@@ -1,9 +1,9 @@
 """What a recording holds: its topics, and the JSON schema of each one's messages.
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
-``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/motion``, ``/mavlink/sent``, ``/health``, ``/mark`` and
-``/campaign``. A key that is absent is unknown, and a reading without those of `REQUIRED` is none. Every property has
-one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
+``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/motion``, ``/mavlink/sent``, ``/mavlink/withheld``,
+``/health``, ``/mark`` and ``/campaign``. A key that is absent is unknown, and a reading without those of `REQUIRED` is
+none. Every property has one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
 """
 
 import json
@@ -17,7 +17,7 @@ _TIME_S = ("number", "time of the echo, or of the ping where there was none, on 
 _RANGE_M = ("number", "distance along the beam [m]")
 _MAVLINK = {
     "name": ("string", "name of the MAVLink message"),
-    "hex": ("string", "the whole frame as it is on the link, in hexadecimal"),
+    "hex": ("string", "the whole frame as it is on the link, in hexadecimal; of one not sent, unnumbered and unsigned"),
 }
 
 _PropertyTable = dict[str, tuple[str, str]]
@@ -30,7 +30,8 @@ LARGEST_TIME_S = 1e10
 """Times are not farther from the clock's zero than this [s]: 300 years, at which a float still tells microseconds."""
 
 FUSED_TOPIC, ATTITUDE_TOPIC, MOTION_TOPIC = "/fused", "/attitude", "/motion"
-SENT_TOPIC, HEALTH_TOPIC, MARK_TOPIC, CAMPAIGN_TOPIC = "/mavlink/sent", "/health", "/mark", "/campaign"
+SENT_TOPIC, WITHHELD_TOPIC = "/mavlink/sent", "/mavlink/withheld"
+HEALTH_TOPIC, MARK_TOPIC, CAMPAIGN_TOPIC = "/health", "/mark", "/campaign"
 RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
 _RANGE: tuple[str, _PropertyTable] = (
@@ -89,6 +90,7 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
         },
     ),
     SENT_TOPIC: ("a MAVLink message that went out", _MAVLINK),
+    WITHHELD_TOPIC: ("a distance that would have gone out, but the airframe file says: send nothing", _MAVLINK),
     HEALTH_TOPIC: (
         "a change of health",
         {"text": ("string", "what changed"), "severity": ("string", "how bad it is")},

@@ -124,11 +124,12 @@ def _use(reading: dict[str, Any]) -> str:
 
 def _lines(newest: Newest) -> Iterator[tuple[str, str]]:
     """Each line with its style."""
-    fused = _fused(newest)
+    fused, sends_nothing = _fused(newest), newest.airframe.get("sends_nothing", False)
     if fused is not None:
         std_cm = 100 * float(fused["variance_m2"]) ** 0.5
         climb = f", climbing {fused['climb_m_s']:+.1f} m/s" if abs(fused["climb_m_s"]) >= SHOWN_CLIMB_M_S else ""
-        yield f"distance down {fused['range_m']:.2f} m, deviation {std_cm:.1f} cm{climb}", "bold"
+        not_sent = " (not sent)" * sends_nothing
+        yield f"distance down {fused['range_m']:.2f} m{not_sent}, deviation {std_cm:.1f} cm{climb}", "bold"
     elif newest.airframe.get("reference_down_m") is not None:
         yield "distance down: none", "bold red"
     status = newest.status
@@ -142,7 +143,8 @@ def _lines(newest: Newest) -> Iterator[tuple[str, str]]:
     down = "" if link["connected"] else f", not connected: {link['error'] or 'waiting'}"
     yield f"link {link['url']}{down}; autopilot: {there}{armed}", ""
     nobody = "" if is_there else ", nobody gets them"
-    yield f"sent {link['sent'].get('DISTANCE_SENSOR', 0)} distances{nobody}, {link['dropped']} frames dropped", ""
+    sent = "no distances" if sends_nothing else f"{link['sent'].get('DISTANCE_SENSOR', 0)} distances{nobody}"
+    yield f"sent {sent}, {link['dropped']} frames dropped", ""
     for each in newest.received.values():
         if each["kind"] == "DISTANCE_SENSOR":
             yield f"the autopilot has {each['distance_m']:.2f} m (orientation {each['orientation']})", ""

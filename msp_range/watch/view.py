@@ -27,6 +27,7 @@ def airframe_message(airframe: Airframe) -> dict[str, Any]:
         "version": __version__,
         "link": airframe.link.url,
         "autopilot": airframe.link.autopilot,
+        "sends_nothing": airframe.send.nothing,
         "reference_down_m": fused.reference_down_m if fused is not None else None,
         "sensors": [
             {

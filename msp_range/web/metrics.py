@@ -24,7 +24,7 @@ class BridgeMetrics(Collector):
     def collect(self) -> Iterator[Metric]:
         """All metrics."""
         newest, status = self._newest, self._newest.status
-        is_good = newest.state in (BridgeState.STARTING, BridgeState.ACTIVE)
+        is_good = newest.state in (BridgeState.STARTING, BridgeState.ACTIVE, BridgeState.SENDS_NOTHING)
         yield _gauge(
             "msp_range_critical", "1 if a distance is missing, nobody gets it, or no bridge runs.", not is_good
         )

@@ -22,7 +22,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC
+from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC, WITHHELD_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, parsed
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
@@ -38,7 +38,7 @@ SLOW_BYTES = 1 << 20
 """A browser with more unsent data than this gets no more until it has read it: ten seconds of four sensors."""
 RETRY_S = 0.5
 """Time between two tries to find the bridge [s]."""
-NOT_SHOWN = tuple(f'{{"topic":"{topic}"'.encode() for topic in (SENT_TOPIC, MOTION_TOPIC))
+NOT_SHOWN = tuple(f'{{"topic":"{topic}"'.encode() for topic in (SENT_TOPIC, WITHHELD_TOPIC, MOTION_TOPIC))
 """Beginnings of packets that the page does not draw: the topic comes first in a packet."""
 TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _HEADERS = {

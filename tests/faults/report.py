@@ -210,6 +210,10 @@ def goals_table(lines: Sequence[Line]) -> Cells:
     if some.total("sure_s"):
         reached = f"{some.share('sure_honest_s', 'sure_s'):.2f} %, and it is stated for "
         reached += f"{_percent(some.share('sure_honest_s', 'honest_s'))} % of what is within them"
+        beyond_s = some.total("valid_s") - some.total("honest_s")
+        if beyond_s > 0.0:
+            share = (some.total("sure_s") - some.total("sure_honest_s")) / beyond_s
+            reached += f" and for {_percent(100.0 * share)} % of the {beyond_s:.1f} s that are not"
         table.append(["a quality of 90 or more is within three stated deviations", "99.5 %", reached])
     some = _of(lines, "temperature")
     if some.lines:

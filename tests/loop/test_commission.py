@@ -427,6 +427,16 @@ def test_the_whole_sequence_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert vehicle.commission() == 0
 
 
+def test_a_hover_whose_distances_were_not_sent_is_as_good(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, GOOD.replace("send:\n", "send:\n  nothing: true\n"), seed=12)
+    vehicle.session.recording = flown(tmp_path, vehicle)
+    vehicle.path.write_text(GOOD)
+    assert vehicle.do("hover")["hover"]["passed"]
+    review = vehicle.do("review")["review"]
+    assert review["passed"]
+    assert '"sent": {}' in json.dumps(review)
+
+
 def test_a_flight_with_a_wrong_height_is_seen_in_its_recording(tmp_path: Path) -> None:
     vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=10)
     recording = flown(tmp_path, vehicle)

@@ -277,6 +277,12 @@ def autopilot_not_restarted(setup: Setup) -> None:
     setup.options = {"uses_range_finder": False}
 
 
+@broken("distances", "the airframe file sends nothing. While RNGFND1_TYPE is 10", "set it to 0")
+def autopilot_that_waits_for_distances_that_are_not_sent(setup: Setup) -> None:
+    setup.udp = True
+    setup.edit("send:\n", "send:\n  nothing: true\n")
+
+
 @broken("latency", "EKF2_RNG_DELAY is 200", "set it to")
 def delay_in_the_wrong_unit(setup: Setup) -> None:
     setup.udp = True
@@ -370,6 +376,13 @@ class SigningByUsb(ParameterAutopilot):
 @good
 def autopilot_that_signs_by_usb(setup: Setup) -> None:
     setup.autopilot = SigningByUsb
+
+
+@good
+def first_flights_without_relying_on_it(setup: Setup) -> None:
+    setup.udp = True
+    setup.edit("send:\n", "send:\n  nothing: true\n")
+    setup.parameters = {"RNGFND1_TYPE": 0.0}
 
 
 @good

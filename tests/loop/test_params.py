@@ -123,6 +123,21 @@ def test_the_distance_on_the_ground_is_that_of_the_airframe_file(tmp_path: Path)
         assert "commission measures it" in default.source
 
 
+def test_for_a_bridge_that_sends_nothing_the_autopilot_waits_for_nothing(tmp_path: Path) -> None:
+    text = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
+    path = tmp_path / "airframe.yaml"
+    path.write_text(text.replace("send:\n", "send:\n  nothing: true\n"))
+    airframe = load_airframe(path)
+    for firmware, names in (
+        (Firmware("ardupilot"), ["SERIAL2_PROTOCOL", "SERIAL2_BAUD"]),
+        (Firmware("px4"), ["MAV_1_CONFIG", "MAV_1_MODE", "SER_TEL2_BAUD"]),
+    ):
+        assert [each.name for each in settings(airframe, firmware, 2)] == names
+        said = remarks(airframe, firmware)
+        assert any("sends nothing" in line for line in said)
+        assert ("RNGFND1_TYPE is 10" in said[-1]) is (firmware.autopilot == "ardupilot")
+
+
 @pytest.mark.parametrize("vehicle", get_args(Vehicle))
 @pytest.mark.parametrize("name", ["quad_pallet", "proximity", "forward_and_down", "lidar_down"])
 def test_other_vehicles(vehicle: Vehicle, name: str) -> None:

@@ -24,7 +24,7 @@ from msp_range.recording.writer import Recorder
 from msp_range.replay import first_ping_s, replay
 from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
-from tests.support.bench import START_S, Bench, airframe
+from tests.support.bench import FUSED_ID, START_S, Bench, airframe
 from tests.support.data import measured_data
 from tests.support.slow import slow
 
@@ -99,6 +99,37 @@ def test_a_replay_has_the_air_of_the_flight_and_how_well_it_was_known(tmp_path: 
     assert covariances(again) == sent
     assert sent[50] < 5 < 10 < sent[-1]
     assert [each["text"] for topic, _, each in Recording(again) if topic == "/health"] == ["Range: all 4 sensors good"]
+
+
+def test_a_flight_with_send_nothing_replays(tmp_path: Path) -> None:
+    """With the same file it sends nothing again; with the file that is to be flown it sends what was withheld."""
+    streams = {"fused": {"id": FUSED_ID}}
+    path, again = tmp_path / "flight.mcap", tmp_path / "again.mcap"
+    recorder = Recorder(path, VirtualClock(START_S))
+    trial = airframe(send=streams | {"nothing": True})
+    Bench(trial, lambda name, time_s: 300 + round(2 * math.sin(7 * time_s)), recorder=recorder).fly(10.0)
+    recorder.close()
+    pings = recorded_pings(path)
+
+    def distances(recording: Path, topic: str) -> list[bytes]:
+        frames = [bytes.fromhex(each["hex"]) for found, _, each in Recording(recording) if found == topic]
+        return [frame[10:-2] for frame in frames if int.from_bytes(frame[7:10], "little") == 132]
+
+    withheld = distances(path, "/mavlink/withheld")
+    assert len(withheld) > 90
+    for nothing, topic, other in (
+        (True, "/mavlink/withheld", "/mavlink/sent"),
+        (False, "/mavlink/sent", "/mavlink/withheld"),
+    ):
+        clock = VirtualClock(first_ping_s(pings))
+        recorder = Recorder(again, clock)
+        vehicle = airframe(send=streams | {"nothing": nothing})
+        outcome = replay(vehicle, pings, path, clock, Nowhere(), recorder, recorded_air(path))
+        recorder.close()
+        assert distances(again, topic) == withheld
+        assert distances(again, other) == []
+        assert outcome.sent.get("DISTANCE_SENSOR", 0) == (0 if nothing else len(withheld))
+        again.unlink()
 
 
 def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from msp_range.recording.reader import Recording
 from tests.support.kernel_bus import KernelTestbed, kernel_bus
-from tests.support.service import COMMAND, Autopilot, LinkEnd, Service, missing, running_service, sonars
+from tests.support.service import AIRFRAME, COMMAND, Autopilot, LinkEnd, Service, missing, running_service, sonars
 from tests.support.slow import slow
 from tests.support.transports import free_port
 from tests.support.waiting import LIMIT_S, until
@@ -71,12 +71,12 @@ class Watched:
 
 
 @contextmanager
-def watched(testbed: KernelTestbed, folder: Path, *options: str) -> Iterator[Watched]:
+def watched(testbed: KernelTestbed, folder: Path, *options: str, airframe: Path = AIRFRAME) -> Iterator[Watched]:
     port = free_port(socket.SOCK_STREAM)
     feed = Path(os.environ["XDG_RUNTIME_DIR"]) / "watched" / "status.sock"
     with LinkEnd(autopilot=Autopilot()) as end:
         arguments = ["--web", str(port), "--socket", str(feed), *options]
-        with running_service(testbed, end.url, folder, *arguments) as service:
+        with running_service(testbed, end.url, folder, *arguments, airframe=airframe) as service:
             made = Watched(service, end, f"http://127.0.0.1:{port}/", feed)
             made.until(made.is_served)
             yield made
@@ -188,6 +188,31 @@ def test_distances_that_nobody_gets_are_not_shown_as_good(tmp_path: Path) -> Non
             bridge.until(lambda: page.locator("#state").get_attribute("data-state") == "active")
             bridge.until(lambda: not page.is_visible("#wrong") or reason not in text(page, "#faults"))
             assert errors == []
+
+
+def test_that_nothing_is_sent_is_plain_and_neither_good_nor_bad(tmp_path: Path) -> None:
+    path = tmp_path / "nothing.yaml"
+    text_of_file = AIRFRAME.read_text(encoding="utf-8").replace("../../configs/sensors/mb1242.yaml", "mb1242")
+    path.write_text(text_of_file.replace("send:\n", "send:\n  nothing: true\n"), encoding="utf-8")
+    with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path, airframe=path) as bridge:
+        with browser(bridge.url) as (page, errors):
+
+            def shows_it() -> None:
+                assert text(page, "#state") == "sends nothing"
+                assert text(page, "#distance").startswith("2.9")
+                assert text(page, "#distance-more").startswith("not sent; deviation")
+                assert "no distances, 0 frames dropped" in text(page, "#facts")
+                assert "no distances are sent (send: nothing)" in text(page, "#faults")
+
+            bridge.until_passes(shows_it)
+            colour = "getComputedStyle(document.querySelector('#state')).color"
+            neutral = "getComputedStyle(document.querySelector('body')).color"
+            assert page.evaluate(colour) == page.evaluate(neutral)
+            assert bridge.status("--once").returncode == 4
+            assert "msp_range_critical 0.0" in bridge.get("metrics")
+            assert errors == []
+        assert not bridge.end.of("DISTANCE_SENSOR")
+        assert bridge.end.of("HEARTBEAT")
 
 
 @pytest.mark.slow

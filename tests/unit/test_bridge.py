@@ -3,7 +3,8 @@
 import errno
 import json
 import math
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_range.bus import BusError
 from msp_range.config import load_airframe
 from msp_range.recording.topics import schema_of
+from msp_sim.device.device import Fault
 from tests.support.bench import CALIBRATED_C, CONFIGS, FOUR_DOWN, FUSED_ID, START_S, Bench, airframe, one_down, sensor
 
 NAMES = "abcd"
@@ -455,20 +457,74 @@ def test_every_text_fits_a_statustext() -> None:
 
 
 class Paper:
-    """A recorder whose disk is full at times."""
+    """A recorder whose disk is full at times.
+
+    Attributes
+    ----------
+    topics, last
+        Messages of each topic, and the last one.
+    frames
+        Frames, by topic.
+    """
 
     def __init__(self, full_from_s: float = math.inf, full_to_s: float = math.inf) -> None:
         self.full_from_s, self.full_to_s = full_from_s, full_to_s
         self.fault: str | None = None
         self.topics: Counter[str] = Counter()
         self.last: dict[str, dict[str, Any]] = {}
+        self.frames: defaultdict[str, list[bytes]] = defaultdict(list)
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         self.topics[topic] += 1
         self.last[topic] = message
+        if "hex" in message:
+            self.frames[topic].append(bytes.fromhex(message["hex"]))
 
     def flush_if_due(self, now_s: float) -> None:
         self.fault = "disk full" if self.full_from_s < now_s < self.full_to_s else None
+
+
+def test_with_send_nothing_all_that_would_be_sent_is_recorded_and_no_distance_goes_out() -> None:
+    """Ground, an object below one sensor, then no echo; with a single stream next to the fused one."""
+
+    def world(name: str, time_s: float) -> int:
+        return 765 if time_s > 12.0 else 240 if name == "c" and time_s > 5.0 else 300
+
+    streams = {"fused": {"id": FUSED_ID}, "sensors": ["a"]}
+    papers = {nothing: Paper() for nothing in (False, True)}
+    benches = [
+        Bench(airframe(send=streams | {"nothing": nothing}, link=PX4), world, recorder=paper)
+        for nothing, paper in papers.items()
+    ]
+    for bench in benches:
+        bench.receive(HEARTBEAT)
+        bench.fly(16.0)
+    sends, silent = benches
+
+    def payloads(frames: Iterable[bytes]) -> list[bytes]:
+        """Without header and checksum: a frame that was not sent has no number."""
+        return [frame[10:-2] for frame in frames if int.from_bytes(frame[7:10], "little") == 132]
+
+    sent = payloads(frame for _, frame in sends.wire.frames)
+    assert {message.id for _, message in sends.sent()} == {1, 3, FUSED_ID}
+    assert payloads(papers[True].frames["/mavlink/withheld"]) == sent
+    assert papers[False].topics["/mavlink/withheld"] == 0
+    assert not silent.sent()
+    assert not papers[True].topics["/mavlink/sent"]
+    assert papers[True].topics["/fused"] == papers[False].topics["/fused"] > 100
+    for kind in ("HEARTBEAT", "TIMESYNC", "COMMAND_LONG"):
+        assert len(silent.sent(kind)) == len(sends.sent(kind)) > 0
+    assert silent.bridge.counts() == sends.bridge.counts()
+    (ids,) = {frame[5:7] for frame in papers[True].frames["/mavlink/withheld"]}
+    assert ids == bytes((1, 191))
+
+
+def test_with_send_nothing_a_silence_is_one_of_the_sensors_only() -> None:
+    bench = Bench(airframe(send="nothing"), 300).fly(10.0, with_autopilot=True)
+    assert bench.reported() == ["Range: no distances are sent (send: nothing)", "Range: all 4 sensors good"]
+    faults = {name: [Fault("saturated", 5.0, 10.0)] for name in NAMES}
+    bench = Bench(airframe(send="nothing"), 300, faults=faults).fly(10.0, with_autopilot=True)
+    assert "Range: no distance to the ground" in bench.reported(5.0)
 
 
 def test_every_stage_of_every_reading_is_recorded() -> None:

@@ -9,7 +9,7 @@ from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.readings.column_map import load_map
 from msp_range.bus.base import BusError
 from msp_range.bus.smbus import KernelBus
-from msp_range.check import drawing, lines
+from msp_range.check import _table, drawing, lines
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe, load_airframe
 from msp_range.health.bus import BusHealth
@@ -69,6 +69,15 @@ def test_what_is_shown(tmp_path: Path) -> None:
     assert "0.05 s below 2 m" in text
     assert "recording: none" in text
     assert "warning" not in text
+
+
+def test_that_nothing_is_sent_stands_before_the_streams(tmp_path: Path) -> None:
+    vehicle = airframe("forward_and_down", tmp_path, ("send:\n", "send:\n  nothing: true\n"))
+    shown = list(lines(vehicle))
+    place = next(i for i, line in enumerate(shown) if line.startswith("send: nothing;"))
+    assert shown[place + 1].startswith("fused: id 10")
+    assert [list(_table(vehicle).columns[4].cells)] == [["no"] * 4]
+    assert list(_table(airframe("forward_and_down", tmp_path)).columns[4].cells) == ["yes", "no", "no", "no"]
 
 
 def test_centimetres_are_suspected(tmp_path: Path) -> None:

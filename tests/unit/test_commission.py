@@ -24,7 +24,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Samples, samples_of
-from msp_range.commission.state import PassedSteps
+from msp_range.commission.state import VERIFIED, PassedSteps, hash_of
 from msp_range.commission.steps import bench, lift
 from msp_range.commission.steps.addresses import compare as compare_addresses
 from msp_range.commission.steps.directions import compare_directions
@@ -365,6 +365,22 @@ def test_what_a_lift_shows_of_the_autopilot() -> None:
         outcome = StepOutcome()
         lift._came_back(AIRFRAME, lift.Recorded(lifted, nothing, nothing, nothing, nothing, back, {}), outcome)
         assert [each.verdict for each in outcome.findings] == [verdict]
+
+
+def test_what_is_not_sent_is_not_compared_in_the_autopilot_and_the_lift_is_due_when_it_is() -> None:
+    trial = AIRFRAME.model_copy(update={"send": AIRFRAME.send.model_copy(update={"nothing": True})})
+    nothing = samples_of([])
+    lifted = Samples({}, nothing.attitude, np.array([[0.1 * i, 0.4, 0.4] for i in range(50)]))
+    recorded = lift.Recorded(lifted, lifted, nothing, nothing, nothing, ((1.0, 3.0),) * 5, {})
+    outcome = StepOutcome()
+    lift._came_back(trial, recorded, outcome)
+    lift._standing(trial, recorded.floor, outcome)
+    assert [(each.verdict, each.text) for each in outcome.findings] == [
+        (Verdict.UNKNOWN, "not compared: the airframe file sends nothing")
+    ]
+    assert outcome.proposals == []
+    due = [step for step in VERIFIED if hash_of(step, trial) != hash_of(step, AIRFRAME)]
+    assert due == ["parameters", "lift"]
 
 
 def test_a_warmer_file_means_longer_distances() -> None:

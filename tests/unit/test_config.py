@@ -186,7 +186,14 @@ def test_what_is_left_out() -> None:
             "send.sensors: no sensor is named 'nose'; the sensors are front",
         ),
         (lambda c: c["send"]["fused"].update(sensors=["nose"]), "send.fused.sensors: no sensor is named 'nose'"),
-        (lambda c: c.update(send={}), "send: nothing would be sent; give fused, sensors or both"),
+        (lambda c: c.update(send={}), "send: no stream is given; give fused, sensors or both. To send none of t"),
+        (lambda c: c.update(send={"nothing": True}), "send: no stream is given; give fused, sensors or both"),
+        (
+            lambda c: c.update(send="none"),
+            "send: found 'none'; expected a mapping with fused, sensors or both, or the w",
+        ),
+        (lambda c: c.update(send=False), "send: found False; expected a mapping with the keys fused, nothing, sensors"),
+        (lambda c: c["send"].update(nothing="maybe"), "send.nothing: found 'maybe'; expected a valid boolean"),
         (lambda c: c["polling"].update(groups=[["front_left"]]), "polling.groups: every sensor in one group, no group"),
         (lambda c: c["polling"].update(groups=[["nose"]]), "polling.groups: no sensor is named 'nose'"),
         (
@@ -225,6 +232,32 @@ def test_a_kalman_filter_asks_for_its_package_where_it_would_be_used(
     load_airframe(write(tmp_path, lambda content: None))
     (line,) = errors_of(tmp_path, lambda content: content.update(send=single))
     assert "filters: kalman requires filterpy: pip install 'msp-range[kalman]'" in line
+
+
+def test_nothing_is_short_for_the_usual_stream_that_is_not_sent(tmp_path: Path) -> None:
+    short = load_airframe(write(tmp_path, lambda content: content.update(send="nothing")))
+    long = load_airframe(write(tmp_path, lambda content: content.update(send={"nothing": True, "fused": {}})))
+    assert short.model_dump() == long.model_dump()
+    assert (short.send.nothing, len(short.downward)) == (True, 4)
+    kept = load_airframe(write(tmp_path, lambda content: content["send"].update(nothing=True)))
+    assert kept.reference_down_m == QUAD["send"]["fused"]["reference_down_m"] != 0.0
+    whole = Airframe.model_json_schema()
+    for value, is_accepted in (("nothing", True), ({"nothing": True, "fused": {}}, True), ("none", False)):
+        assert (accepts(whole["properties"]["send"], value, whole, "send") == []) is is_accepted
+
+
+def test_a_vehicle_that_looks_elsewhere_names_what_it_tries(tmp_path: Path) -> None:
+    def forward(send: Any) -> Change:
+        def change(content: dict[str, Any]) -> None:
+            content.update(send=send, filters=[])
+            for number, each in enumerate(content["sensors"]):
+                each["rotation_deg"] = {"yaw": 90 * number}
+
+        return change
+
+    (line,) = errors_of(tmp_path, forward("nothing"))
+    assert line.endswith("requires one; send: {nothing: true, sensors: all} tries those that look elsewhere")
+    assert len(load_airframe(write(tmp_path, forward({"nothing": True, "sensors": "all"}))).sent) == 4
 
 
 def test_known_keys_are_those_of_the_filter_that_is_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from pymavlink.dialects.v20 import common
 
 from msp_range.bus import BusError
+from msp_range.config import Airframe
 from msp_range.doctor.running import findings
 from msp_range.health import BridgeState, BridgeVerdict
 from msp_range.recording.topics import Message
@@ -33,11 +34,11 @@ def heartbeat_state(bench: Bench) -> int:
     return state
 
 
-def watched(bench: Bench) -> Newest:
+def watched(bench: Bench, vehicle: Airframe | None = None) -> Newest:
     """What a watcher has of the bench's bridge now."""
     newest = Newest()
     status = status_message(bench.bridge, bench.wire, None, bench.clock.now())
-    for topic, message in (("/airframe", airframe_message(airframe())), ("/status", status)):
+    for topic, message in (("/airframe", airframe_message(vehicle or airframe())), ("/status", status)):
         newest.update(Message(topic, bench.clock.now(), message))
     return newest
 
@@ -148,6 +149,29 @@ def test_all_who_show_the_state_show_this_one(dead_bus: bool, monkeypatch: pytes
     wrong = [each for each in findings(newest) if each.verdict == "wrong"]
     assert (wrong[0].step, wrong[0].text, wrong[0].remedy) == (first.what, first.text, first.remedy)
     assert len(wrong) == len(bench.bridge.verdict.findings)
+
+
+@pytest.mark.parametrize("absent", ["", "c"])
+def test_a_bridge_that_sends_nothing_says_so_and_is_neither_active_nor_critical_for_it(absent: str) -> None:
+    vehicle = airframe(send="nothing")
+    bench = Bench(vehicle, 300, absent=absent).fly(0.3, with_autopilot=True)
+    assert bench.bridge.verdict.state is BridgeState.STARTING
+    bench.fly(7.0, with_autopilot=True)
+    text = "Range: no distances are sent (send: nothing)"
+    assert (bench.texts()[0], len(text)) == (text, 44)
+    state = BridgeState.CRITICAL if absent else BridgeState.SENDS_NOTHING
+    assert bench.bridge.verdict.state is state
+    assert causes(bench) == [*(("sensor c", None) for _ in absent), ("not sent", None)]
+    assert heartbeat_state(bench) == (common.MAV_STATE_CRITICAL if absent else common.MAV_STATE_STANDBY)
+    newest = watched(bench, vehicle)
+    lines = [line.rstrip() for line in terminal(newest)]
+    assert lines[0] == f"bench: {state.value}"
+    assert f"info: {text}" in lines
+    assert "sent no distances, 0 frames dropped" in lines
+    assert metrics(newest)["msp_range_critical"][0].value == float(bool(absent))
+    assert [each.verdict for each in findings(newest) if each.step == "not sent"] == ["unknown"]
+    newest.update(Message("/fused", bench.clock.now(), bench.steps[-1].fused.record(0.0)))  # type: ignore[union-attr]
+    assert any(line.startswith("distance down 3.00 m (not sent), deviation") for line in terminal(newest))
 
 
 def test_a_bridge_that_has_ended_is_no_good_one_in_the_metrics() -> None:

@@ -13,6 +13,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
+from msp_range.commission.state import flown_part
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, right, unknown, wrong
@@ -37,12 +38,12 @@ def hover(session: Session) -> StepOutcome:
     if path is None:
         text = (
             "no recording: fly a hover of half a minute at 1.5 to 3 m over flat ground in a mode that does not rely on "
-            "the range finder (Stabilize, Manual), with 'msp-range run' recording"
+            "the range finder (Stabilize, Manual), with 'msp-range run' recording; send: {nothing: true, ...} will do"
         )
         return StepOutcome([unknown("hover", text, "then again, or name the file: --recording FLIGHT.mcap")])
     recording = Recording(path)
     outcome = StepOutcome(measured={"recording": str(path)})
-    if load_airframe_from(recording.files, path).model_dump() != airframe.model_dump():
+    if flown_part(load_airframe_from(recording.files, path)) != flown_part(airframe):
         text = f"{path.name} was flown with another airframe file than the present one"
         outcome.wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
         return outcome

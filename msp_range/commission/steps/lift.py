@@ -164,7 +164,7 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
 def _standing(airframe: Airframe, floor: Samples, outcome: StepOutcome) -> None:
     """What the fused stream reads on the floor: for the autopilot the distance at which the vehicle stands."""
     stream = fused_stream(airframe)
-    if stream is None or not len(floor.fused):
+    if stream is None or airframe.send.nothing or not len(floor.fused):
         return
     step, in_file_m = "standing on the floor", standing_m(airframe, stream)
     standing = outcome.measured["standing_m"] = round(float(np.median(floor.fused[:, 1])), 2)
@@ -227,6 +227,9 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
     if airframe.send.fused is None or not len(recorded.all.fused):
         return
     step = "distance in the autopilot"
+    if airframe.send.nothing:
+        outcome.unknown(step, "not compared: the airframe file sends nothing")
+        return
     if len(recorded.returned_m) < 3:
         text = "the autopilot reports no distance of its own"
         outcome.unknown(step, text, "msp-range commission --step parameters, then restart the autopilot")

@@ -14,7 +14,7 @@ export function drawNumbers() {
   byId("vehicle").textContent = document.title = airframe.vehicle;
   const distance = presentDistance();
   byId("distance").textContent = state.gone ? "–" : distance ? metres(distance.range_m) : "no distance";
-  byId("distance-more").textContent = !distance ? "" :
+  byId("distance-more").textContent = !distance ? "" : (airframe.sends_nothing ? "not sent; " : "") +
     `deviation ${(100 * Math.sqrt(distance.variance_m2)).toFixed(1)} cm, climbing ${distance.climb_m_s.toFixed(1)} m/s, ` +
     `slope ${(180 / Math.PI * Math.atan(Math.hypot(distance.rise_north, distance.rise_east))).toFixed(0)} deg`;
   if (!status) return;
@@ -23,8 +23,9 @@ export function drawNumbers() {
     ["air", `${air.temperature_c.toFixed(1)} C ± ${air.std_c.toFixed(1)}, from ${air.source}`],
     ["link", link.connected ? link.url : `${link.url}: ${link.error ?? "not connected"}`],
     ["autopilot", link.autopilot === null ? "none received" : `system ${link.autopilot}, ${link.armed ? "armed" : "disarmed"}`],
-    ["sent", `${link.sent.DISTANCE_SENSOR ?? 0} distances${link.autopilot === null ? ", nobody gets them" : ""}, ` +
-      `${link.dropped} frames dropped`],
+    ["sent", (airframe.sends_nothing ? "no distances" :
+      `${link.sent.DISTANCE_SENSOR ?? 0} distances${link.autopilot === null ? ", nobody gets them" : ""}`) +
+      `, ${link.dropped} frames dropped`],
     ["it received", received()],
     ["recording", status.recording ?? "none"],
     ["running for", duration(status.uptime_s)],
