@@ -106,6 +106,7 @@ def test_a_flight_leaves_nothing_to_the_garbage_collector() -> None:
         gc.enable()
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Path) -> None:
     scenario = tmp_path / "short.yaml"
     scenario.write_text(
@@ -127,6 +128,7 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Pa
         assert one != other
 
 
+@pytest.mark.slow
 def test_the_seed_is_of_the_vehicles_motion_too() -> None:
     """The report's random heights, ten times in a flight."""
     heights_m: list[list[float]] = []
@@ -231,6 +233,7 @@ def test_a_late_and_rebooting_autopilot(tmp_path: Path) -> None:
     assert min(before + after) > 0
 
 
+@pytest.mark.slow
 def test_fly_prints_what_compares_with_the_true_height(tmp_path: Path) -> None:
     output = run("fly", SCENARIOS / "demo.yaml", "--out", tmp_path / "f")
     lines = [line for line in output.splitlines() if "true height" in line and "no estimate" not in line]
@@ -341,6 +344,7 @@ def test_effects_fly_as_they_are_scored(tmp_path: Path) -> None:
     assert np.log(p).mean() > plain.mean() + 0.02
 
 
+@pytest.mark.slow
 def test_an_autopilot_without_motion_is_flown_without_it(tmp_path: Path) -> None:
     """No acceleration and no pressure arrives, the requests for them are denied, and distances go out all the same."""
     scenario = load_scenario(SCENARIOS / "demo.yaml")

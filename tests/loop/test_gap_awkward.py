@@ -66,6 +66,7 @@ def test_what_cannot_be_compared_is_reported_in_a_line(
     assert not (tmp_path / "out" / "gap.json").exists()
 
 
+@pytest.mark.slow
 def test_odd_rows_are_counted_and_the_others_are_compared(tmp_path: Path) -> None:
     """Rows without answer or truth, rows twice, equal times, an undeclared code, one air, unknown contexts."""
     columns = readings(1600, seed=5)
@@ -115,6 +116,7 @@ def test_readings_that_depend_on_each_other_have_no_name(tmp_path: Path) -> None
     assert (findings.effects, findings.unknown) == ((), ())
 
 
+@pytest.mark.slow
 def test_offsets_between_runs_are_named_with_their_size(tmp_path: Path) -> None:
     n, runs = 3000, 30
     offset_cm = np.random.default_rng(6).permutation(np.linspace(-2.6, 2.6, runs))
@@ -156,6 +158,7 @@ def test_readings_off_the_grid_are_calibration_and_nothing_is_missing(tmp_path: 
     assert findings.verdict == "nothing missing"
 
 
+@pytest.mark.slow
 def test_one_true_range_and_nothing_else_is_compared(tmp_path: Path) -> None:
     """Nothing varies: there is nothing to slice by, and a scale is an offset."""
     columns = readings(600, seed=9)

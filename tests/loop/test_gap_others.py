@@ -32,6 +32,7 @@ def written(path: Path, scale_pct: float, runs: int, n: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_sensor_that_differs_is_named_and_the_others_are_not(tmp_path: Path) -> None:
     table = written(tmp_path / "flights.csv", 3.0, runs=6, n=480)
     out = tmp_path / "gap"

@@ -52,6 +52,7 @@ def ranges(path: Path) -> list[tuple[str, list[Any]]]:
     ]
 
 
+@pytest.mark.slow
 def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     """Every stage of every reading, faults and all, down to the last digit, from the recording alone."""
     again = tmp_path / "again.mcap"
@@ -132,6 +133,7 @@ def test_a_flight_with_send_nothing_replays(tmp_path: Path) -> None:
         again.unlink()
 
 
+@pytest.mark.slow
 def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
@@ -170,6 +172,7 @@ def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Pa
     assert any(each.startswith(f"{damaged} is damaged; lost: 1 damaged chunk") for each in messages)
 
 
+@pytest.mark.slow
 def test_an_exported_flight_replays_as_the_flight(flight: Path, tmp_path: Path) -> None:
     """A table has no early answers and no fixed temperature; everything else is the same."""
     assert run("export", flight, tmp_path / "flight.csv").exit_code == 0

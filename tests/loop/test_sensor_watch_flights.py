@@ -29,7 +29,7 @@ def texts(scenario: Scenario, seed: int, model: SensorModel | None = None) -> li
 @pytest.mark.parametrize(
     ("fault", "starts"),
     [
-        ({"kind": "no_echo", "probability": 0.2}, "Range front_left: "),
+        pytest.param({"kind": "no_echo", "probability": 0.2}, "Range front_left: ", marks=pytest.mark.slow),
         ({"kind": "offset", "offset_cm": -80, "probability": 0.2}, "Range front_left: "),
         ({"kind": "noisy", "spread_cm": 5}, "Range front_left: "),
     ],

@@ -66,6 +66,7 @@ def test_without_the_package_its_names_are_not_known(installed: Installed) -> No
     assert "filters[0].filter: found 'low_pass'; expected one of moving_average" in shown
 
 
+@pytest.mark.slow
 def test_user_errors_in_the_parameters_of_its_filter_are_named(installed: Installed) -> None:
     airframe = installed.configs / "airframe.yaml"
     wrong = airframe.with_name("wrong.yaml")
@@ -77,6 +78,7 @@ def test_user_errors_in_the_parameters_of_its_filter_are_named(installed: Instal
     assert "filters[0]: filter: found 'low_pas'; expected one of " in installed.run("msp-range", "check", wrong, code=3)
 
 
+@pytest.mark.slow
 def test_the_schema_and_the_catalogue_list_what_it_brings(installed: Installed) -> None:
     schema = json.loads(installed.run("msp-range", "schema", "airframe"))
     filters = schema["properties"]["filters"]["items"]["oneOf"]

@@ -32,6 +32,7 @@ def test_the_unit_is_hardened() -> None:
     assert "msp-range.service" in done.stdout.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_dry_run_names_what_it_would_do(tmp_path: Path) -> None:
     done = install("--dry-run", "--airframe", "quad_pallet")
     assert done.returncode == 0, done.stderr

@@ -167,6 +167,7 @@ def test_the_page_shows_what_changes(tmp_path: Path) -> None:
     assert marks == [{"text": "over the box"}]
 
 
+@pytest.mark.slow
 def test_distances_that_nobody_gets_are_not_shown_as_good(tmp_path: Path) -> None:
     """The reason is on a phone's first screen, at the top of the terminal, in its exit code and in the metrics."""
     reason, waits_ms = "Range: no autopilot, nobody gets the distances", 1e3 * LIMIT_S

@@ -117,6 +117,7 @@ def test_equipment_that_fails_does_not_restart_the_bridge(tmp_path: Path, monkey
         assert systemd.longest_wait_s() < WATCHDOG_S
 
 
+@pytest.mark.slow
 def test_a_transfer_longer_than_the_watchdog_is_reported_and_does_not_restart_the_bridge(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

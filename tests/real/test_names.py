@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from tests.real.commands import run_command
 from tests.real.names import expected_names, markdown_table
 from tests.real.sets import ROOT, SETS
@@ -11,6 +13,7 @@ def test_document_has_the_table() -> None:
     assert markdown_table() in (ROOT / "docs" / "real_data.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_every_set_has_names_and_every_name_is_in_the_catalogue() -> None:
     catalogue = {each["name"] for each in json.loads(run_command("msp-lab", "effects", "--json").stdout)}
     expected = expected_names()

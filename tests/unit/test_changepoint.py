@@ -32,6 +32,7 @@ def noisy(true_m: np.ndarray, seed: int = 1) -> np.ndarray:
     return true_m + np.random.default_rng(seed).normal(0.0, STD_M, np.shape(true_m))
 
 
+@pytest.mark.slow
 def test_a_level_is_averaged() -> None:
     """After 100 readings the error is about a tenth of one reading's, and the stated variance says so."""
     errors, variances = [], []

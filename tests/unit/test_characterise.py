@@ -62,6 +62,7 @@ def run(*arguments: object) -> Result:
     return CliRunner(env={"COLUMNS": "200"}).invoke(app, ["characterise", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_a_bench_becomes_a_sensor_model_that_flies(tmp_path: Path) -> None:
     data, out = bench(tmp_path), tmp_path / "model.yaml"
     result = run(data, "--out", out, "--sensor", SENSOR, "--date", "2026-10-05")
@@ -327,6 +328,7 @@ def test_mixture_of_real_beams_whose_hits_are_flattered(tmp_path: Path) -> None:
 LASER = CONFIGS / "sensors" / "lidar_lite_v3.yaml"
 
 
+@pytest.mark.slow
 def test_light_is_not_corrected_for_the_speed_of_sound(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     ranges = range(100, 401, 60)

@@ -139,11 +139,13 @@ def test_every_picture_is_there(complete: Complete) -> None:
     assert set(PICTURES) <= page.anchors
 
 
+@pytest.mark.slow
 def test_the_page_knows_nothing_of_a_report_that_its_reader_does_not_have(complete: Complete) -> None:
     _, page, _ = complete
     assert not re.search(r"[Ff]igure \d|Table \d|[Cc]hapter|[Ee]rrat|\beq \d|the report|\b4\.3\.\d", page.text)
 
 
+@pytest.mark.slow
 def test_page_asks_for_nothing_from_outside(complete: Complete) -> None:
     _, page, _ = complete
     for reference in page.references:
@@ -155,6 +157,7 @@ def test_page_asks_for_nothing_from_outside(complete: Complete) -> None:
     assert not re.search(r"@import|url\(|https?://", page.html)
 
 
+@pytest.mark.slow
 def test_pictures_are_png_of_one_width_and_not_blank(complete: Complete) -> None:
     folder, _, _ = complete
     for path in folder.glob("*.png"):
@@ -179,6 +182,7 @@ def test_no_calibration_is_no_proof_that_none_is_needed(tried: tuple[HeldOut, ..
     assert [each.mark for each in found if each.subject == "Calibration"] == [verdict]
 
 
+@pytest.mark.slow
 def test_the_answer_stands_first_and_then_the_verdicts(complete: Complete) -> None:
     _, page, _ = complete
     text = page.text
@@ -203,6 +207,7 @@ def test_every_figure_of_the_report_is_there_or_says_why_not(complete: Complete,
     assert set(names) <= page.anchors
 
 
+@pytest.mark.slow
 def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared: tuple[Path, Page]) -> None:
     _, page = compared
     head = page.text[page.text.index("Where both agree") : page.text.index("The report's figures from these readings")]
@@ -211,6 +216,7 @@ def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared: tup
     assert "The report: at 60 Hz" not in page.text
 
 
+@pytest.mark.slow
 def test_a_figure_without_readings_says_so(compared: tuple[Path, Page]) -> None:
     folder, page = compared
     assert names_of(folder)
@@ -218,6 +224,7 @@ def test_a_figure_without_readings_says_so(compared: tuple[Path, Page]) -> None:
     assert "Figure 4.19: range error, vibration: not drawn. No readings of vibration are in the data." in page.text
 
 
+@pytest.mark.slow
 def test_table_5_1_has_both_sides_and_says_that_the_first_row_was_not_compensated(compared: tuple[Path, Page]) -> None:
     _, page = compared
     table = page.text[page.text.index("Table 5.1: mean range error") :]
@@ -242,6 +249,7 @@ def test_same_data_make_the_same_bytes(tmp_path: Path) -> None:
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
 
 
+@pytest.mark.slow
 def test_without_a_field_of_view_the_rest_is_there_and_the_page_says_why(complete: Complete, tmp_path: Path) -> None:
     _, _, whole = complete
     data = measured(most=300)

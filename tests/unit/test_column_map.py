@@ -132,6 +132,7 @@ def test_user_errors_in_a_map_file(tmp_path: Path, column_map: str, message: str
         mapped(tmp_path, "dist,word,twice,twice\n1,x,2,3\n", column_map)
 
 
+@pytest.mark.slow
 def test_a_packed_bomb_is_refused_at_once(tmp_path: Path) -> None:
     path = tmp_path / "bomb.csv.gz"
     # What comes after 2 MB is no text: nothing is reported of it, so it is not read.

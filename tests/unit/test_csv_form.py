@@ -115,6 +115,7 @@ def measured(draw: st.DrawFn) -> MeasuredData:
     return MeasuredData(columns)
 
 
+@pytest.mark.slow
 @settings(max_examples=100)
 @given(data=measured())
 def test_what_was_written_is_read(tmp_path: Path, data: MeasuredData) -> None:
@@ -208,6 +209,7 @@ def test_user_errors_are_reported_with_their_place(tmp_path: Path, text: str, me
     assert len(str(raised.value)) < 1000
 
 
+@pytest.mark.slow
 def test_many_rows_of_long_words_would_take_too_much_memory(tmp_path: Path) -> None:
     path = written(tmp_path / "a.csv", HEADER + f"1,a,2,{'x' * 200}\n" + "1,a,2,x\n" * 400_000)
     with pytest.raises(RecordingError, match="'target': found a word of 200 characters in a table of 400001 rows, exp"):

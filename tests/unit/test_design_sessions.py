@@ -183,6 +183,7 @@ def test_a_session_is_as_long_as_its_own_readings_need_and_never_longer_than_gap
     assert found(1e-4) is None
 
 
+@pytest.mark.slow
 def test_the_cheapest_session_decides_what_can_be_decided(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a scale, the air and a thermometer's offset the first and the last are alike in all that a bench can vary."""
     monkeypatch.setattr("msp_lab.design.choose.DRAWN_ROWS", 600)

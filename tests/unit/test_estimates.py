@@ -5,6 +5,7 @@ import pytest
 
 from msp_lab.characterise.estimates import common_spread, detectable, fit_points, holm, mean_and_spread, share
 from tests.support.known import contains, width
+from tests.support.slow import slow
 
 
 @pytest.mark.parametrize(("sigma_cm", "n"), [(0.15, 50), (0.35, 100), (0.5, 2000), (2.0, 100)])
@@ -54,7 +55,7 @@ def test_a_mean_between_two_steps_is_not_moved_by_strays(strays: list[float]) ->
         assert found.spread.value < 0.26
 
 
-@pytest.mark.parametrize("n", [5, 20])
+@pytest.mark.parametrize("n", [5, *slow(20)])
 def test_the_spread_of_short_set_ups_is_not_lost(n: int) -> None:
     """Ten readings of two steps are likeliest with their mean on the boundary and no spread at all."""
     rng = np.random.default_rng(7)
@@ -91,6 +92,7 @@ def test_the_smallest_detectable_effect_is_detected_in_four_of_five_cases() -> N
     assert (np.abs(t) > 3.106).mean() == pytest.approx(0.8, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_line_through_points_holds_offset_and_scale_in_95_of_100_cases() -> None:
     rng = np.random.default_rng(3)
     x = np.arange(40.0, 261.0, 20.0)

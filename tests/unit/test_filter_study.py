@@ -263,6 +263,7 @@ def test_a_delay_and_the_sign_of_the_table_are_found(tmp_path: Path, delay: int,
     assert changes_of(verdicts["moving average 15"]) == changes_of(verdicts["kalman 3"]) == []
 
 
+@pytest.mark.slow
 def test_a_causal_median_and_a_start_value_are_found(tmp_path: Path) -> None:
     text = table_of(
         {

@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.flight_picture import _edges, _interrupted, _what_happened, draw
@@ -26,6 +27,7 @@ def test_edges_are_spans() -> None:
     assert [(round(a, 1), round(b, 1)) for a, b in _edges(fused)] == [(1.0, 1.9), (6.0, 6.1)]
 
 
+@pytest.mark.slow
 def test_the_title_tells_what_happened(tmp_path: Path) -> None:
     left = track([0.0, 1.0, 2.0, 3.0], [None, "outlier", "suspect", "at_minimum"])
     fused = track([0.0, 0.5, 4.0], [None, None, None])

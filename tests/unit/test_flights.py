@@ -134,6 +134,7 @@ def test_the_same_flight_twice_is_refused(tmp_path: Path) -> None:
         load_flights(campaign_file(tmp_path, flights=twice))
 
 
+@pytest.mark.slow
 def test_simulated_and_real_flights_do_not_mix(tmp_path: Path) -> None:
     result = CliRunner().invoke(
         app,

@@ -155,7 +155,7 @@ def test_sensors_on_a_line_learn_no_slope(layout: str) -> None:
 
 
 @pytest.mark.parametrize("layout", ["four", *slow("three")])
-@pytest.mark.parametrize("rise", [(0.1, 0.0), (-0.14, 0.14)])
+@pytest.mark.parametrize("rise", [(0.1, 0.0), *slow((-0.14, 0.14))])
 @pytest.mark.parametrize(("reads", "rms_m"), [(("slant", "slant"), 0.012), (("nearest", "nearest"), 0.025)])
 def test_sensors_that_span_a_plane_learn_a_slope(
     layout: str, rise: tuple[float, float], reads: tuple[Oblique, str], rms_m: float

@@ -108,6 +108,7 @@ def in_millimetres(seed: int) -> tuple[dict[str, NDArray[np.generic]], Array]:
     return contexts, reading_cm
 
 
+@pytest.mark.slow
 def test_values_that_nearly_come_again_are_no_grid() -> None:
     """Some are multiples of a step by chance, next to a value that is not: between the steps there are as many."""
     model, held, most = MODEL.with_step(0.1), (make_term("stale", None, {"share": 0.5}),), 0.0

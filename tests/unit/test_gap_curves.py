@@ -223,6 +223,7 @@ def effect_of(contexts: Columns, seed: int) -> FoundEffect:
     return effect
 
 
+@pytest.mark.slow
 def test_an_experiment_that_is_named_separates_the_two() -> None:
     together = effect_of(one_air(5, 15.0, 15.0), 5)
     names = {together.name, *(other.name for other in together.alternatives)}
@@ -257,6 +258,7 @@ def test_a_column_of_words_of_ones_own_is_a_value_for_each() -> None:
     assert np.median(many[9:]) == pytest.approx(100.0, abs=2.0)
 
 
+@pytest.mark.slow
 def test_a_step_is_found_where_it_is_and_written_as_one() -> None:
     contexts = flown(22)
     reading_cm = hidden("bias", contexts, 22)
@@ -304,6 +306,7 @@ def test_what_varies_inside_runs_is_found_where_few_runs_differ() -> None:
     assert [each.label for each in add_curves(problem, state, 6.0, 6).terms] == ["bias over throttle"]
 
 
+@pytest.mark.slow
 def test_hits_so_far_off_that_they_count_as_outliers_are_a_curve_of_the_bias() -> None:
     """A drone that flies over a box twice in a flight: 40 cm nearer, where the model has no hit and no slope."""
     contexts = flown(31)

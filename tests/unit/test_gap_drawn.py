@@ -14,6 +14,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
+from tests.support.slow import slow
 
 Array = NDArray[np.float64]
 MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
@@ -45,13 +46,14 @@ def noisy(on: Array) -> NamedModel:
     return named(flown(on.size, on), 4.0 * on * np.random.default_rng(2).standard_normal(on.size))
 
 
+@pytest.mark.slow
 def test_rotors_that_are_on_in_every_second_of_24000_readings_are_found() -> None:
     found = noisy((np.arange(24_000) % 2).astype(float))
     assert "rotor_noise" in names(found)
     assert any("20,000 of 24,000 readings" in each for each in found.messages)
 
 
-@pytest.mark.parametrize("period", [2, 3, 7])
+@pytest.mark.parametrize("period", [3, *slow(2, 7)])
 def test_no_period_of_a_context_hides_it(period: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rules, "READINGS", 2000)
     assert "rotor_noise" in names(noisy((np.arange(2000 * period - 400) % period == 1).astype(float)))

@@ -124,6 +124,7 @@ def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> N
     assert evidence_nats(smaller, larger, unit) == pytest.approx(by_scatter, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_offsets_of_runs_are_told_from_a_wander_by_the_blocks_inside_runs() -> None:
     """A wander that hardly forgets itself in a run moves the runs' means as offsets do, and blocks of them less."""
     runs, rows = 14, 150

@@ -73,7 +73,10 @@ def test_a_wrong_name_is_given_up_for_the_right_one() -> None:
 
 @pytest.mark.parametrize(
     ("share", "start", "found"),
-    [(0.05, "heavy_tails", ["heavy_tails", "cycle_slip"]), (0.0, "cycle_slip", ["heavy_tails"])],
+    [
+        pytest.param(0.05, "heavy_tails", ["heavy_tails", "cycle_slip"], marks=pytest.mark.slow),
+        (0.0, "cycle_slip", ["heavy_tails"]),
+    ],
 )
 def test_a_slip_is_named_next_to_tails_and_not_in_their_place(share: float, start: str, found: list[str]) -> None:
     """Alone, each explains most of what the other does."""
@@ -162,6 +165,7 @@ def test_a_curve_that_a_name_explains_gets_the_name() -> None:
     assert names_of(selection) == ["latency"]
 
 
+@pytest.mark.slow
 def test_the_right_name_is_proposed_where_few_runs_differ_by_it() -> None:
     """Air temperature of eight days: over so few runs its score says little, and readings are what proposes it."""
     rng = np.random.default_rng(0)

@@ -115,6 +115,7 @@ def test_errors_are_those_of_units_that_share_an_offset() -> None:
     assert whole["reading"] < 0.15
 
 
+@pytest.mark.slow
 def test_the_floor_of_readings_that_depend_on_each_other_is_that_of_their_runs() -> None:
     for seed in range(4):
         columns = readings(4000, seed=20 + seed, runs=20)

@@ -25,6 +25,7 @@ from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
+from tests.support.slow import slow
 
 SENSOR = load_sensor_model(FILE).model_copy(update={"effects": ()})
 N, RUNS = 2400, 12
@@ -61,7 +62,7 @@ def explained(
     return add(comparison, findings, models, quiet), models
 
 
-@pytest.mark.parametrize("before", [0.0, 0.2])
+@pytest.mark.parametrize("before", [0.2, *slow(0.0)])
 def test_a_saturated_share_does_not_move_unseen(tmp_path: Path, before: float) -> None:
     """It went from 0 to 0.68 in the model file, and nothing said so."""
     contexts = flown(1)
@@ -89,6 +90,7 @@ def test_no_formula_is_empty(values: list[float]) -> None:
         assert "throttle" in formula("throttle", at, np.array(values), np.full(len(values), deviation))
 
 
+@pytest.mark.slow
 def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     contexts = flown(3)
     late_cm = contexts["true_range_cm"] - 0.05 * contexts["range_rate_cm_s"]
@@ -103,6 +105,7 @@ def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     assert float(number) * (1000.0 if unit == "s" else 1.0) == pytest.approx(written["value"], rel=0.06)
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_model_had_keeps_its_own_value_in_the_file(tmp_path: Path) -> None:
     contexts = flown(3)
     late_cm = contexts["true_range_cm"] - 0.05 * contexts["range_rate_cm_s"]

@@ -82,6 +82,7 @@ def test_noise_that_wanders_slowly_is_no_ripple() -> None:
     assert min(likeliest) > np.log(0.003)
 
 
+@pytest.mark.slow
 def test_a_named_ripple_has_its_period_and_amplitude_in_words() -> None:
     contexts = flown(2)
     wave_cm = 1.2 * np.cos(2.0 * np.pi * contexts["true_range_cm"] / 23.1 + 1.0)

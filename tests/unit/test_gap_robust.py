@@ -55,6 +55,7 @@ def names(found: NamedModel) -> set[str]:
     return {each.name for each in found.effects} | {one.name for each in found.effects for one in each.alternatives}
 
 
+@pytest.mark.slow
 def test_nine_rows_do_not_remove_slant_range() -> None:
     contexts = flown(1)
     slant_cm = contexts["true_range_cm"] * (1.0 / np.cos(np.radians(contexts["incidence_deg"])) - 1.0)
@@ -67,6 +68,7 @@ def test_nine_rows_do_not_remove_slant_range() -> None:
     assert "slant_range" in names(named(contexts, reading_cm))
 
 
+@pytest.mark.slow
 def test_a_temperature_with_blank_cells_is_named_as_without(tmp_path: Path) -> None:
     contexts = flown(2)
     # Fast enough that the rows before and after say nothing of a blank one.
@@ -85,6 +87,7 @@ def test_a_temperature_with_blank_cells_is_named_as_without(tmp_path: Path) -> N
     assert (gap.bias_cm.after or 0.0) < 0.3 < (gap.bias_cm.before or 0.0)
 
 
+@pytest.mark.slow
 def test_blank_cells_of_what_does_nothing_leave_nothing_out(tmp_path: Path) -> None:
     contexts = flown(8)
     slant_cm = contexts["true_range_cm"] * (1.0 / np.cos(np.radians(contexts["incidence_deg"])) - 1.0)
@@ -122,6 +125,7 @@ def test_copies_radians_and_backward_time_are_reported(tmp_path: Path) -> None:
     assert "run13" not in found.data["run"]
 
 
+@pytest.mark.slow
 def test_what_varies_in_one_run_only_is_not_validated() -> None:
     """One cold run among warm ones: whichever part has it, the other part knows nothing of the cold."""
     contexts = flown(4)
@@ -152,6 +156,7 @@ def test_one_run_has_no_offsets_between_runs() -> None:
     assert "run_offsets" not in names(found)
 
 
+@pytest.mark.slow
 def test_a_target_that_stands_still_does_not_show_stale_readings() -> None:
     """Noise that hardly changes from reading to reading repeats whole centimetres by itself."""
     contexts = flown(6)

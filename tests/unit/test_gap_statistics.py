@@ -165,6 +165,7 @@ def test_spread_with_throttle_is_named() -> None:
     assert "sigma_cm" not in [each.name for each in found.calibration] or known(found.effects[0].z) > 4.0
 
 
+@pytest.mark.slow
 def test_what_is_in_no_catalogue_is_a_curve_and_flies() -> None:
     contexts = flown(6)
     throttle = np.asarray(contexts["throttle"], dtype=float)
@@ -178,6 +179,7 @@ def test_what_is_in_no_catalogue_is_a_curve_and_flies() -> None:
     )
 
 
+@pytest.mark.slow
 def test_scale_and_thermometer_are_indistinguishable_in_air_of_one_temperature() -> None:
     contexts = flown(7)
     contexts["air_temperature_c"] = np.full(RUNS * ROWS, 15.0)
@@ -218,6 +220,7 @@ def test_offsets_between_runs_are_named() -> None:
     assert "run_offsets" in [each.name for each in found.effects]
 
 
+@pytest.mark.slow
 def test_what_lies_between_runs_is_not_in_the_spread_within_them() -> None:
     contexts = flown(9)
     offset_cm = np.random.default_rng(9).permutation(np.linspace(-3.0, 3.0, RUNS))

@@ -27,6 +27,7 @@ def test_a_parameter_on_which_nothing_depends_stays() -> None:
     assert least_squares(lambda p: [p[0] - 3.0], [0.0, 7.0], [-np.inf, -np.inf]) == pytest.approx([3.0, 7.0])
 
 
+@pytest.mark.slow
 def test_sonar_equations_fit_no_worse_than_by_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tables as a bench could give them, with and without a wall that must be heard, many ending at a bound."""
     sums: list[float] = []

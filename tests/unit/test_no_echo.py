@@ -13,6 +13,7 @@ from msp_lab.readings.no_echo import NO_ECHO, in_code_of
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
+from tests.support.slow import slow
 
 SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 
@@ -62,7 +63,7 @@ def test_a_table_made_of_an_imported_log_has_it_too(tmp_path: Path) -> None:
     assert load_readings([tmp_path / "b.csv"], SENSOR).data["reading_cm"].max() == 600.0
 
 
-@pytest.mark.parametrize("truth", ["ekf", "others"])
+@pytest.mark.parametrize("truth", ["ekf", *slow("others")])
 def test_an_imported_log_with_another_maximum_has_the_misses_of_the_model(tmp_path: Path, truth: str) -> None:
     messages = telemetry()
     for _, _, message in messages:

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import msp_lab
 import msp_range
@@ -30,6 +31,7 @@ def run(program: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_packages_alone_import_nothing_and_characterise_is_called_before_and_after_its_package_is_there() -> None:
     shown = run(
         "import sys, msp_range, msp_sim, msp_lab\n"

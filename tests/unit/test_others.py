@@ -26,6 +26,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
+from tests.support.slow import slow
 
 _Array = NDArray[np.float64]
 SENSOR = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
@@ -110,6 +111,7 @@ def test_the_others_know_the_range_as_well_as_they_say() -> None:
     assert set(found["reference"].tolist()) == {"others"}
 
 
+@pytest.mark.slow
 def test_a_sensor_is_no_part_of_its_own_reference_and_nor_is_the_truth() -> None:
     columns = flown(400, 3)
     plain = with_others_as_reference(MeasuredData(columns), MODEL, side_by_side(NAMES))
@@ -128,6 +130,7 @@ def test_a_sensor_is_no_part_of_its_own_reference_and_nor_is_the_truth() -> None
     np.testing.assert_allclose(apart_cm, shift_cm, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_far_off_has_its_whole_offset_taken_off() -> None:
     """20 cm are beyond what counts as an outlier of the others, and each run has to get the same offset."""
     for seed in (3, 4, 5):
@@ -135,6 +138,7 @@ def test_a_sensor_that_is_far_off_has_its_whole_offset_taken_off() -> None:
         assert found.offsets_cm["a"] == pytest.approx(20.0, abs=0.8)
 
 
+@pytest.mark.slow
 def test_tilt_and_position_come_from_the_vehicle() -> None:
     """A wide pallet that rolls by 8 deg over a slope: level and side by side the sensors would differ by 28 cm."""
     rng = np.random.default_rng(4)
@@ -170,6 +174,7 @@ def test_tilt_and_position_come_from_the_vehicle() -> None:
     assert np.sqrt(np.nanmean((level["true_range_cm"] - true_cm) ** 2)) > 5.0
 
 
+@pytest.mark.slow
 def test_the_models_own_effects_agree_with_a_reference_that_has_no_offset() -> None:
     """In cold air readings are 5 % long, 10 cm between 160 and 440 cm: the model says so of every reading."""
     cold = Model.of(load_sensor_model("configs/sensors/mb1242.yaml"))
@@ -194,6 +199,7 @@ def test_two_sensors_are_too_few() -> None:
         with_others_as_reference(MeasuredData(columns), MODEL, side_by_side(NAMES))
 
 
+@pytest.mark.slow
 def test_characterise_with_the_others_gets_the_sensors_spread(tmp_path: Path) -> None:
     columns = flown(3000, 6)
     del columns["hidden_cm"]
@@ -290,7 +296,7 @@ def landed(seed: int, stands_cm: float) -> dict[str, Column]:
     return {"time_s": time_s, "sensor": sensor, "reading_cm": reading_cm, "hidden_cm": height_cm + off_cm}
 
 
-@pytest.mark.parametrize("stands_cm", [8.0, 21.0, 40.0])
+@pytest.mark.parametrize("stands_cm", [8.0, *slow(21.0, 40.0)])
 def test_a_vehicle_on_the_ground_blames_no_sensor(stands_cm: float) -> None:
     for seed in range(6):
         columns = landed(seed, stands_cm)

@@ -205,6 +205,7 @@ def test_noise_of_all_sensors_is_in_the_deviation_and_much_of_it_a_text(std_cm: 
         assert {"Range: readings are noisy", "Range: readings disagree"} & set(bench.reported())
 
 
+@pytest.mark.slow
 def test_readings_of_nothing_but_outliers_are_no_distance() -> None:
     draw = random.Random(5)
 

@@ -18,6 +18,7 @@ from msp_sim.model.history import History
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL, readings
 from tests.support.plain_sampler import PlainSensor
+from tests.support.slow import slow
 
 GIVEN = Model.of(load_sensor_model(MODEL).model_copy(update={"effects": ()}))
 Array = NDArray[np.float64]
@@ -154,13 +155,14 @@ def flight(seed: int, step_cm: float, held: float, delay_s: float) -> dict[str, 
     }
 
 
-@pytest.mark.parametrize("step_cm", [0.1, 0.5])
+@pytest.mark.parametrize("step_cm", [0.5, *slow(0.1)])
 def test_nothing_is_named_in_fine_readings_of_the_model(tmp_path: Path, step_cm: float) -> None:
     found = named(tmp_path, flight(1, step_cm, held=0.0, delay_s=0.0))
     assert [each.name for each in found.effects] == []
     assert found.models.final_fit.sensor.resolution_cm == step_cm
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_cm", [0.1, 1.0])
 def test_held_and_late_readings_are_named_in_any_step(tmp_path: Path, step_cm: float) -> None:
     found = {each.name: each for each in named(tmp_path, flight(2, step_cm, held=0.5, delay_s=0.3)).effects}

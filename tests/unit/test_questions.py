@@ -153,6 +153,7 @@ def test_one_point_is_no_comparison() -> None:
     assert (bias.estimate, bias.verdict) == (None, "cannot tell")
 
 
+@pytest.mark.slow
 def test_many_readings_of_a_badly_set_up_point_are_not_many_points() -> None:
     """The tape errs by 1 cm from point to point: 2000 readings a point do not make that an effect."""
     alarms = 0

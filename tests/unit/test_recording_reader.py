@@ -56,6 +56,7 @@ def read_by_mcap(path: Path) -> list[dict[str, Any]]:
         return [json.loads(message.data) for _, _, message in reader.iter_messages()]
 
 
+@pytest.mark.slow
 def test_a_file_cut_anywhere_gives_every_whole_chunk_and_can_be_recovered(tmp_path: Path) -> None:
     whole = tmp_path / "whole.mcap"
     messages = record(whole)

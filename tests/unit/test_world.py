@@ -204,6 +204,7 @@ def test_the_edges_and_corners_of_a_box() -> None:
     assert ping(5.0, 1.0).target_size_cm == pytest.approx(100)
 
 
+@pytest.mark.slow
 def test_a_level_sensor_hears_the_nearest_point_of_anything_in_its_cone() -> None:
     """Every centimetre of all level surfaces, turned boxes and steps, as the brute force."""
     steps = (GroundStep(at_m=-0.5, rise_m=0.4, surface="concrete"), GroundStep(at_m=0.9, rise_m=-0.7, surface="gravel"))
@@ -480,8 +481,13 @@ def polygons() -> Polygons:
     ("boresight", "tilt_deg", "names"),
     [
         (DOWN, 16, {"grass", "concrete", "gravel", "crate", "table"}),
-        ((math.sin(0.3), 0.0, math.cos(0.3)), 12, {"grass", "concrete", "gravel", "crate", "table"}),
-        (FORWARD, 12, {"concrete", "crate", "table"}),
+        pytest.param(
+            (math.sin(0.3), 0.0, math.cos(0.3)),
+            12,
+            {"grass", "concrete", "gravel", "crate", "table"},
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(FORWARD, 12, {"concrete", "crate", "table"}, marks=pytest.mark.slow),
     ],
     ids=["down", "canted", "forward"],
 )
