@@ -1,5 +1,5 @@
 # make demo   fly a simulated flight with the real bridge, and draw it
-# make test   run the quick tests (3 minutes on two processors)
+# make test   run the quick tests (3 to 5 minutes on two processors)
 # make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
 # make docs   build the site of the documents into build/site/html; a broken link or a missing page fails

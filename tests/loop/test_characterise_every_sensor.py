@@ -125,7 +125,7 @@ def test_few_readings_leave_the_goodness_of_fit_open(tmp_path: Path) -> None:
     assert "too few to test" in printed
 
 
-@pytest.mark.parametrize("file", slow_but(EVERY_SENSOR[:1], EVERY_SENSOR), ids=lambda each: each.stem)
+@pytest.mark.parametrize("file", slow_but(EVERY_SENSOR[:1], EVERY_SENSOR))
 def test_every_model_flies(file: Path, tmp_path: Path) -> None:
     """Also that of a sensor whose readings the airframe's sensors cannot answer, such as 18 cm."""
     scenario = tmp_path / "scenario.yaml"
