@@ -4,6 +4,7 @@ import json
 import math
 import os
 import pty
+import re
 import signal
 import socket
 import subprocess
@@ -56,7 +57,7 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
     with kernel_bus(STEADY) as testbed, LinkEnd() as end:
         with running_service(testbed, end.url, tmp_path, "--record", str(recordings)) as service:
             end.run_until(lambda: all(len(of_stream(end, each)) >= 4 for each in (FORWARD_ID, SLANTED_ID, FUSED_ID)))
-            end.run_until(lambda: len(end.of("STATUSTEXT")) >= 2)
+            end.run_until(lambda: "Range: all 4 sensors good" in [each.text for each in end.of("STATUSTEXT")])
             code = service.stop()
             log = service.log()
         end.run_until(lambda: len(end.arrived) >= log[-1]["frames"]["sent"])
@@ -74,7 +75,9 @@ def test_what_an_autopilot_receives(tmp_path: Path) -> None:
             ardupilotmega.MAV_AUTOPILOT_INVALID,
             3,
         )
-    assert [(each.severity, each.text) for each in end.of("STATUSTEXT")] == [
+    # A computer that gives the bridge no processor for a second makes it silent, and it says so.
+    silence = [each for each in end.of("STATUSTEXT") if re.search("no distance|distance is back", each.text)]
+    assert [(each.severity, each.text) for each in end.of("STATUSTEXT") if each not in silence] == [
         (4, "Range: no thermometer, 33 cm off at -4 C, 7.65 m"),
         (6, "Range: all 4 sensors good"),
     ]
