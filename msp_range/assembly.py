@@ -88,6 +88,7 @@ def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | N
             sensor.boresight,
             sensor.sensor_model.oblique_reading,
             sensor.driver.garbled_from,
+            math.cos(_widest_rad(sensor.sensor_model)),
         )
         for sensor in airframe.downward
     }
@@ -151,8 +152,7 @@ def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expecte
         spread = in_flight.sigma_cm / mixture.sigma_cm
     elif unknown := [name for each in model.effects if (name := str(each.get("name"))) not in MEAN_EFFECTS]:
         return f"no numbers (in_flight) of what {', '.join(unknown)} make of the readings"
-    narrowest_rad = model.beam.half_angle_rad(model.maximum_cm / 100) if model.medium == "sound" else math.pi / 2
-    facing_rad = max(narrowest_rad - FACING_MARGIN_RAD, 0.0)
+    facing_rad = max(_widest_rad(model) - FACING_MARGIN_RAD, 0.0)
     return Expected(
         short,
         missed,
@@ -165,6 +165,11 @@ def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expecte
         boresight,
         math.cos(facing_rad),
     )
+
+
+def _widest_rad(model: SensorModel) -> float:
+    """The largest angle from straight down at which level ground at the maximum gives an echo [rad]."""
+    return model.beam.half_angle_rad(model.maximum_cm / 100) if model.medium == "sound" else math.pi / 2
 
 
 def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:

@@ -183,6 +183,8 @@ class Counts:
 
 
 _NOT_FILTERED = Filtered(None)
+MOTIONLESS = (Status.STUCK, Status.FIXED)
+"""What the fusion finds about a sensor, by the vehicle's motion."""
 
 
 class Bridge:
@@ -369,7 +371,7 @@ class Bridge:
         step = Step(ranging, air, reading, filtered, fused)
         self._record(now_s, channel.topic, step)
         channel.count(filtered.rejected)
-        self.health.on_ranging(ranging if reading.status is not Status.STUCK else ranging._replace(reading=reading))
+        self.health.on_ranging(ranging._replace(reading=reading) if reading.status in MOTIONLESS else ranging)
         self._bus_health.on_ranging(now_s, ranging)
         return step
 
@@ -487,6 +489,8 @@ class Bridge:
         conditions.append(self._attitude.condition(now_s))
         if self._airframe.send.nothing:
             conditions.append(NOT_SENT)
+        if self._fusion is not None:
+            conditions.append(self._fusion.condition())
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault

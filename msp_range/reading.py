@@ -13,9 +13,9 @@ class Status(Enum):
     """Status of a sensor's answer.
 
     Only ``OK`` and ``AT_MINIMUM`` carry a range. ``AT_MINIMUM`` is the sensor's shortest report: the surface is
-    there or nearer. ``NO_ECHO``: the sensor works but received no echo. The others are faults; ``STUCK`` and
-    ``GARBLED`` (bytes lost or mixed up on the bus) are detected by comparison with the known ground, not from the
-    answer itself.
+    there or nearer. ``NO_ECHO``: the sensor works but received no echo. The others are faults; ``STUCK``,
+    ``FIXED`` (it sees something that moves with the vehicle) and ``GARBLED`` (bytes lost or mixed up on the bus) are
+    detected by comparison with the known ground or the vehicle's motion, not from the answer itself.
     """
 
     OK = "ok"
@@ -26,6 +26,7 @@ class Status(Enum):
     PART_INFO = "part_info"
     NO_ANSWER = "no_answer"
     STUCK = "stuck"
+    FIXED = "fixed"
     GARBLED = "garbled"
 
     has_range: bool

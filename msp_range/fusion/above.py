@@ -2,10 +2,11 @@
 
 What the downward sensors report and the last known distance to the ground enter. 'Above the maximum' is an answer that
 an autopilot believes, so it is given only where the vehicle can be there: where it may have climbed so far since the
-ground was last seen, or, where no ground was ever seen, where all sensors have had no echo for some turns.
+ground was last seen, or, where no ground was ever seen, where all sensors have had no echo for some turns. Sensors that
+lean away from the ground get no echo at any height: then it must have climbed so far for sure.
 """
 
-from msp_range.fusion.vertical import Known, VerticalMotion
+from msp_range.fusion.vertical import Climb, Known, VerticalMotion
 
 TURNS = 3
 """Readings in a row of every working sensor that must be without an echo where no ground is known. Fewer take a soft
@@ -43,10 +44,15 @@ class AboveMaximum:
         self._motion = motion
         self._no_echo: dict[str, int] = {}
         self._ranges = self._codes = 0
+        self._leans = self._was_above = False
         self._last: Known | None = None
 
-    def update(self, sensor: str, no_echo: bool, works: bool) -> None:
-        """Count readings in a row: each sensor's without an echo, and all that have a range; faults do not count."""
+    def update(self, sensor: str, no_echo: bool, works: bool, faces: bool) -> None:
+        """Count readings in a row: each sensor's without an echo, and all that have a range; faults do not count.
+
+        ``faces``: whether level ground at the maximum would give this sensor an echo, as the vehicle leans.
+        """
+        self._leans = not faces
         if works:
             self._codes = 0
             self._no_echo[sensor] = self._no_echo.get(sensor, 0) + 1 if no_echo else 0
@@ -60,7 +66,7 @@ class AboveMaximum:
 
     def on_ground_seen(self, known: Known) -> None:
         """The ground is seen: from here the vehicle climbs or does not."""
-        self._last = known
+        self._last, self._was_above = known, False
 
     def decide(self, now_s: float) -> bool:
         """Whether the vehicle is above the maximum: most working sensors have no echo, and it may have got there."""
@@ -69,14 +75,19 @@ class AboveMaximum:
         if not silent or 2 * silent <= len(counts) or self._ranges >= RANGES or self._codes >= CODES:
             return False
         if self._last is None:
-            if min(counts) < TURNS:
+            if min(counts) < TURNS or self._leans:
                 return False
             self._last = Known(now_s, self.maximum_m, self.maximum_m, 0.0, self._motion.mark(now_s))
-        return self._reachable(self._last, now_s)
+        climb = self._motion.climbed(self._last.mark, now_s)
+        if self._leans and climb is not None:
+            lowest_m = self._last.range_m + climb.height_m - CLIMB_SIGMAS * climb.std_m
+            self._was_above = lowest_m >= self.maximum_m
+        elif not self._leans:
+            self._was_above = self._reachable(self._last, climb, now_s)
+        return self._was_above
 
-    def _reachable(self, last: Known, now_s: float) -> bool:
+    def _reachable(self, last: Known, climb: Climb | None, now_s: float) -> bool:
         elapsed_s = now_s - last.time_s
-        climb = self._motion.climbed(last.mark, now_s)
         if climb is not None:
             highest_m = climb.height_m + CLIMB_SIGMAS * climb.std_m
         else:

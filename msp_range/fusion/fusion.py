@@ -18,6 +18,7 @@ from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View, spans_plane
 from msp_range.fusion.objects import Below
 from msp_range.fusion.outcome import GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
+from msp_range.fusion.response import LEVEL_RISE, Response
 from msp_range.fusion.start import Candidate, Found, Start
 from msp_range.fusion.stuck import StuckWatch
 from msp_range.fusion.support import GroundSupport
@@ -25,6 +26,7 @@ from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.votes import Sight, step_m, working
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
+from msp_range.health import Condition
 from msp_range.reading import Reading, Status
 
 OTHER_PER_M = 0.002
@@ -46,6 +48,9 @@ ROUGH_READINGS = 30.0
 """The roughness of the ground is a mean over so many readings."""
 ROUGHEST_M = 0.08
 """More scatter than this about the plane is not put down to roughness [m]."""
+NEARER_M = 0.15
+"""The surface may be nearer than a sensor's minimum by this, as on the ground [m]: such a reading shows a response to
+the vehicle's motion no closer. Less takes a landing that bounces for one, more finds ice on the sensors later."""
 FIT_READINGS = 10.0
 """The mean square of the normalised innovations is taken over so many readings: a second of four sensors."""
 FIT_CAP, FIT_OUTLIER = 25.0, 12.0
@@ -109,6 +114,7 @@ class Fusion:
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
         self._support = GroundSupport(self._sights, windows, GATE_WIDEST_M)
         self._start = Start(windows, self._motion)
+        self._response = Response(self._motion, windows.turn_s)
         self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
         self._filter: GroundFilter | None = None
@@ -147,6 +153,12 @@ class Fusion:
         since_s = self._time_s - self._windows.fresh_s
         newest = [seen.is_ground for sight in self._sights if (seen := sight.newest(since_s)) is not None]
         return 2 * sum(newest) <= len(newest)
+
+    def condition(self) -> Condition:
+        """Answers that come a ping late, for `msp_range.health.Health.set`."""
+        text = "Range: answers are those of the ping before" if self._response.is_late else None
+        remedy = "switch the sensors' power off and on; check that pings are acknowledged"
+        return Condition("late answers", text, "Range: answers are in time again", remedy=remedy)
 
     def object_m(self, sensor: str) -> float | None:
         """Height over the ground of what is below a sensor and is not ground, negative for a hole [m]; or None."""
@@ -191,8 +203,10 @@ class Fusion:
         if reading.suspect:
             self._above.update_with_code()
         else:
-            self._above.update(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works)
-        if self._filter is not None and self._support.is_enough(time_s, now_s, rejected is None):
+            faces = sensor.mounted.faces_ground(rotation[2])
+            self._above.update(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works, faces)
+        is_enough = self._support.is_enough(time_s, now_s, rejected is None) and not self._response.is_late
+        if self._filter is not None and is_enough:
             fused = self._down_axis(self._filter, rotation)
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
             self._above.on_ground_seen(known)
@@ -224,10 +238,13 @@ class Fusion:
         if reading.raw is None:
             return reading
         height_m = None if self._filter is None else self._filter.height_m - self._steps_m
-        stuck = sensor.stuck.update(reading.raw, reading.range_m, height_m, self._motion, self._time_s)
+        stuck = sensor.stuck.update(
+            reading.raw, reading.range_m, height_m, self._motion, self._time_s, reading.status is Status.AT_MINIMUM
+        )
         if not stuck or reading.range_m is None:
             return reading
-        return Reading(reading.time_s, reading.sensor, Status.STUCK, raw=reading.raw)
+        status = Status.FIXED if sensor.stuck.is_fixed else Status.STUCK
+        return Reading(reading.time_s, reading.sensor, status, raw=reading.raw)
 
     def _was_garbled(self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, view: View) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
@@ -296,6 +313,7 @@ class Fusion:
         self._steps_m = newest.height_m - climbed_m
         self._support.on_new_ground(found.in_doubt)
         self._start.clear()
+        self._response.clear()
         for name, sensor in self._sensors.items():
             sensor.sight.clear()
             sensor.below.clear()
@@ -331,16 +349,37 @@ class Fusion:
             return None
         variance_m2 = _variance_m2(reading) + self._rough_m2
         sensor.foot_m = sensor.mounted.foot_m(range_m)
-        learns = fits and self._shows_slope(sensor)
-        square = known.update(view, innovation_m, variance_m2, other_per_m, learns) if fits else None
+        shows_slope = self._shows_slope(sensor)
+        height_m = known.height_m + off_m
+        square = known.update(view, innovation_m, variance_m2, other_per_m, shows_slope) if fits else None
         if square is not None:
             self._scatter(square, variance_m2)
             self._on_ground(sensor, view)
+            may_slope = not shows_slope or math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE
+            noise_m2 = _variance_m2(reading) / view.by_height**2
+            if reading.status is Status.AT_MINIMUM:
+                noise_m2 += NEARER_M * NEARER_M
+            self._response.update(reading.sensor, self._time_s, height_m, noise_m2, may_slope)
+            if self._response.is_fixed:
+                self._on_fixed()
             return None
         is_object = below.is_object(off_m)
         if not is_new or (doubtful and not is_object):
             return self._set_aside(sensor, reading, off_m, is_object)
         return self._on_off(known, sensor, reading, off_m, view, rotation)
+
+    def _on_fixed(self) -> None:
+        """What the sensors see as ground is fixed to the vehicle: no ground is known."""
+        since_s = self._time_s - self._windows.fresh_s
+        for sensor in self._sensors.values():
+            seen = sensor.sight.newest(since_s)
+            if seen is not None and seen.is_ground:
+                sensor.stuck.hold()
+            sensor.sight.clear()
+            sensor.below.clear()
+        self._filter = None
+        self._start.clear()
+        self._response.clear()
 
     def _set_aside(self, sensor: _Sensor, reading: Reading, off_m: float, is_object: bool) -> str:
         """A reading that has no vote for another ground."""
@@ -351,6 +390,11 @@ class Fusion:
         sensor.sight.nothing(self._time_s)
         sensor.below.nothing(self._time_s, self._windows.memory_s)
         return SUSPECT if reading.suspect else REPEATED
+
+    def _is_due(self) -> bool:
+        """Whether a sensor that saw the ground last has not been read since: it may see it in its next turn."""
+        seen_s = self._support.seen_s
+        return any(sight.read_s <= seen_s and sight.votes_ground(seen_s) for sight in self._sights)
 
     def _climbs(self) -> bool:
         """Whether the vehicle climbs or sinks for sure, by its barometer."""
@@ -404,13 +448,14 @@ class Fusion:
         lower_m = step_m(sensor.sight, self._sights, time_s, windows)
         if lower_m is not None:
             known.shift(lower_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
+            self._response.shift(lower_m)
             self._steps_m += lower_m
             for each in self._sensors.values():
                 each.sight.move(lower_m)
                 each.below.move(lower_m)
             self._on_ground(sensor, view)
             return None
-        if time_s - self._support.seen_s > windows.lost_s and reading.range_m is not None:
+        if time_s - self._support.seen_s > windows.lost_s and not self._is_due() and reading.range_m is not None:
             return self._on_first(sensor, reading, reading.range_m, rotation)
         return OBJECT if known_object else OUTLIER
 

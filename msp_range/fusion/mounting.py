@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from msp_range.geometry import Matrix, Vector
+from msp_range.geometry import Matrix, Vector, dot
 
 Oblique = Literal["slant", "nearest", "unknown"]
 
@@ -67,12 +67,15 @@ class DownwardSensor:
         What it reads over flat ground at an angle.
     garbled_from
         Answers that bytes lost or mixed up on the bus would make of the given one, by its driver.
+    facing
+        Cosine of the largest angle from straight down at which level ground at its maximum gives it an echo.
     """
 
     position_m: Vector
     boresight: Vector
     oblique: Oblique
     garbled_from: Callable[[int], tuple[int, ...]] = lambda raw: ()
+    facing: float = -1.0
 
     def view(self, rotation: Matrix, height_m: float, rise_north: float, rise_east: float) -> View | None:
         """What it should read with the reference point ``height_m`` over the ground; None where it looks past it."""
@@ -102,6 +105,10 @@ class DownwardSensor:
             apart_m * apart_m,
             nearest,
         )
+
+    def faces_ground(self, down: Vector) -> bool:
+        """Whether level ground at its maximum gives it an echo; ``down`` is straight down, body FRD."""
+        return dot(self.boresight, down) >= self.facing
 
     def foot_m(self, range_m: float) -> tuple[float, float]:
         """Where it reads ``range_m`` of the ground: forward and right of the reference point, body axes [m]."""

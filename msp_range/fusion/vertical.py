@@ -31,8 +31,10 @@ ACCELERATION_STD_M_S2 = 0.4
 """Of one acceleration, vibration and the turning of the body included [m/s^2]; larger trusts the barometer sooner."""
 UNKNOWN_ACCELERATION_STD_M_S2 = 2.0
 """Of the vehicle's acceleration where no accelerometer says it [m/s^2]."""
-BIAS_STD_M_S2, BIAS_WALK_M_S2 = 0.3, 0.01
-"""Of the accelerometer's bias at the start [m/s^2], and how it wanders in a second [m/s^2 per root second]."""
+BIAS_STD_M_S2, BIAS_WALK_M_S2 = 0.15, 0.01
+"""Of the accelerometer's bias at the start [m/s^2], and how it wanders in a second [m/s^2 per root second]. Autopilots
+calibrate it and assume 0.2 of what is left (EKF2_ABIAS_INIT); with that, pressure that the rotors change by 2.5 m at a
+take-off soon after a start is taken for a bias."""
 PRESSURE_STD_M = 0.3
 """Of one pressure as a height [m]: a barometer in the wash of rotors."""
 CLIMB_STD_M, DRIFT_M = 0.3, 0.1

@@ -38,6 +38,7 @@ _WORDS = {
     Status.IMPOSSIBLE: ("impossible answers", "check that it is of the model in the airframe file, and its supply"),
     Status.PART_INFO: ("answers without ranging", "switch its power off and on"),
     Status.STUCK: ("stuck at one value", "switch its power off and on"),
+    Status.FIXED: ("sees part of the vehicle", "free its beam: payload, strap, landing gear, ice"),
     Status.GARBLED: ("garbled answers, check the bus", "check the bus's wires, pull-ups and clock"),
 }
 

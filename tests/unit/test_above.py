@@ -17,6 +17,7 @@ class Flight:
         self.above = AboveMaximum(MAXIMUM_M, self.motion)
         self.barometer = barometer
         self.time_s, self.height_m, self._i = 0.0, 2.0, 0
+        self.faces = True
 
     def fly(self, seconds: float, to_m: float | None = None, with_range: str = "", faulty: str = "") -> list[bool]:
         """One reading each 0.1 s; ``with_range`` are sensors with a range. What is decided at each."""
@@ -28,7 +29,7 @@ class Flight:
             if self.barometer:
                 self.motion.on_acceleration(self.time_s, 0.0)
                 self.motion.on_pressure_height(self.time_s, self.height_m)
-            self.above.update(name, name not in with_range, name not in faulty)
+            self.above.update(name, name not in with_range, name not in faulty, faces=self.faces)
             out.append(self.above.decide(self.time_s))
         return out
 
@@ -95,7 +96,7 @@ def test_the_ground_may_be_lost_30_cm_below_the_maximum(height_m: float, above: 
     flight.fly(10.0, with_range=NAMES)
     flight.see()
     for name in NAMES:
-        flight.above.update(name, True, True)
+        flight.above.update(name, True, True, faces=True)
     assert flight.above.decide(flight.time_s) is above
 
 
@@ -116,3 +117,19 @@ def test_without_a_barometer_no_vehicle_climbs_faster_than_five_metres_a_second(
     flight.see(climb_m_s=20.0)
     # 7.25 m at 5 m/s.
     assert flight.fly(3.0).index(True) == pytest.approx(14, abs=1)
+
+
+@pytest.mark.parametrize("barometer", [False, True])
+def test_a_vehicle_that_leans_is_above_the_maximum_only_where_it_climbed_so_far_for_sure(barometer: bool) -> None:
+    """Its beams miss the ground at any height."""
+    flight = Flight(barometer)
+    flight.fly(2.0, with_range="abcd")
+    flight.see()
+    flight.faces = False
+    assert not any(flight.fly(5.0, to_m=6.6))
+    assert flight.fly(5.0, to_m=12.0)[-1] is barometer
+    flight.faces = True
+    assert flight.fly(1.0)[-1]
+    flight.faces = False
+    assert flight.fly(1.0)[-1], "it was above before it leaned"
+    assert flight.fly(10.0, to_m=6.6)[-1] is not barometer

@@ -9,6 +9,7 @@ import pytest
 
 from msp_range.fusion import Angles, AttitudeTrack, DownwardSensor, Fused, Fusion, Oblique, RecordedAttitude, Windows
 from msp_range.fusion.attitude import OLDEST_S
+from msp_range.fusion.vertical import VerticalMotion
 from msp_range.geometry import Vector, boresight
 from msp_range.reading import Reading, Status
 from tests.support.known import known
@@ -115,6 +116,27 @@ def test_one_sensor_that_sees_something_else_does_not_move_it_and_is_reported(of
     assert [fusion.object_m(name) for name in "abd"] == [None, None, None]
     out = fly(fusion, lambda name, time_s: ramp(time_s), 12, noise(12), 80)
     assert fusion.object_m("c") is None
+
+
+def test_at_an_edge_the_ground_is_not_lost_before_the_sensors_that_see_it_were_read_again() -> None:
+    """Two sensors are over the edge; the third does not answer, the fourth is read next."""
+    fusion = four()
+    fly(fusion, lambda name, time_s: 3.2, 40, noise(40))
+    over: list[tuple[str, float | None]] = [
+        ("b", 2.23),
+        ("c", 3.2),
+        ("b", 4.41),
+        ("d", None),
+        ("b", 4.4),
+        ("a", 4.42),
+        ("b", 4.42),
+    ]
+    tied: list[tuple[str, float | None]] = [("c", 3.2), ("d", 3.21), ("a", 4.4), ("b", 4.41), ("c", 3.19), ("d", 3.2)]
+    out = []
+    for i, (name, range_m) in enumerate(over + tied):
+        lost = Reading(4.0 + i * SLOT_S, name, Status.NO_ANSWER)
+        out.append(take(fusion, lost if range_m is None else reading(name, lost.time_s, range_m)))
+    assert [each and round(each.range_m, 1) for each in out[len(over) + 1 :]] == [3.2] * 5
 
 
 def test_a_single_outlier_does_not_move_it_and_is_no_object() -> None:
@@ -485,3 +507,21 @@ def test_two_readings_in_a_row_that_leave_the_ground_stop_the_stream_at_once() -
     fly(fusion, lambda name, time_s: 0.25, 8)
     assert take(fusion, reading("a", 0.8, 0.70)) is not None
     assert take(fusion, reading("b", 0.9, 0.90)) is None
+
+
+def test_a_landing_that_bounces_is_no_part_of_the_vehicle() -> None:
+    """At the minimum the range does not respond: the ground is that near or nearer."""
+    motion = VerticalMotion()
+    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
+    fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
+    draw = np.random.default_rng(1)
+    for i in range(400):
+        time_s = i * SLOT_S
+        for k in range(4):
+            moment_s = time_s + 0.025 * k
+            up_m_s2 = 2.0 * math.sin(2 * math.pi * 1.3 * moment_s) if 10.0 < moment_s < 20.0 else 0.0
+            motion.on_acceleration(moment_s, up_m_s2 + draw.normal(0.0, 0.3))
+            motion.on_pressure_height(moment_s, draw.normal(0.0, 0.15))
+        at_minimum = Reading(time_s, NAMES[i % 4], Status.AT_MINIMUM, 0.20, SIGMA_M, 20)
+        out = fusion.update(at_minimum, time_s + 0.03)
+        assert i < 10 or out.fused is not None, time_s

@@ -1,0 +1,188 @@
+"""Whether what the downward sensors see as ground follows the vehicle's motion, or is fixed to the vehicle.
+
+A strap, a payload or ice in the beams gives the same range whatever the vehicle does; so do sensors that are stuck
+together. A hill that the vehicle follows gives the same range, too, and the barometer tells the two apart only where no
+hill rises so fast. What does is the response to single movements: over ground a range changes with the vehicle's
+acceleration. Readings that made up the ground enter, a verdict leaves.
+
+Three predictions of each reading are compared, by Kalman filters of the height h [m], its rate w [m/s] and a slow
+acceleration b [m/s^2] that differ in one thing only:
+
+    h' = w    w' = u - b + white noise    b' = -b / B_LASTS_S + white noise
+
+Over ground u is the measured acceleration, over something fixed it is 0, and where each sensor answers with the range
+of its ping before, it is the acceleration of that time. b is the accelerometer's bias, or how the ground curves below
+the vehicle. A vehicle at rest or at a steady rate favours none of the three.
+"""
+
+import math
+
+from msp_range.fusion.vertical import VerticalMotion
+
+NOISE_M2_S3 = 0.005
+"""Spectral density of the white noise [m^2/s^3]: an accelerometer's noise of 0.3 m/s^2 at 25 Hz is 0.0036. Larger hides
+small movements, smaller takes a bias of the accelerometer for a lack of response."""
+B_STD_M_S2, B_LASTS_S = 0.2, 5.0
+"""Standard deviation of b [m/s^2], and how long it lasts [s]: what is left of an accelerometer's bias after a take-off
+in which rotors changed the pressure. Larger finds what is fixed only in hard manoeuvres, smaller finds it in take-offs
+over ground."""
+NOISE_SHARE = 0.25
+"""Share of a predicted height's variance by which the accelerometer's noise moves the two predictions apart: with it
+the odds of a vehicle at rest stay the same, or rise a little (by simulated rest: 0.08 to 0.15). Larger finds what is
+fixed later, smaller finds it where it is not."""
+STRONGEST, SLOPING_PER_S = 4.0, 5.0
+"""A reading speaks for one of the two by at most the first [nats]: more lets one outlier decide. Where the ground may
+begin to slope, a vehicle that follows it accelerates and its range stays: then readings speak against a response by no
+more than the second [nats/s], and more for a change of the rate that is too large for a slope."""
+HILL_M_S, HILL_PER_S = 0.8, 3.0
+"""Ground rises below a vehicle that follows it no faster than the first [m/s]: 40 % at 2 m/s. While the barometer says
+that it rises faster, that speaks for something fixed by the second [nats/s], so that four seconds decide: longer than
+the pressure below the rotors changes at a take-off. Smaller takes a steep hill for part of the vehicle."""
+OWN_SHARE = 0.2
+"""Share of a reading in what its sensor sees higher or lower than the others: they see different things, whether ground
+or parts of the vehicle. Larger takes more of a response for that, smaller takes more of the differences for noise."""
+NOISE_READINGS = 20.0
+"""The readings' noise about the better prediction is a mean over so many."""
+SLOPE_M_S, SPEED_LASTS_S = 0.3, 1.0
+"""A change of the rate that a beginning slope often has [m/s]: 30 % at 1 m/s; and the time over which changes of the
+rate are added up [s]. A larger speed finds what is fixed later in flight, a smaller one finds it where slopes begin."""
+LEVEL_RISE = 0.03
+"""Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
+vehicle follows."""
+LASTS_S = 6.0
+"""Time constant with which the odds fall back to even [s]: shorter forgets before slow movements have decided, longer
+adds up noise."""
+FOLLOWS, DECIDED = 4.0, -12.0
+"""Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
+sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
+APART = -4.0
+"""So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
+late look alike. More decides later."""
+
+_START = (0.01, 0.0, 0.0, 0.25, 0.0, B_STD_M_S2**2)
+"""Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
+
+
+class Response:
+    """The response of all readings that make up the ground.
+
+    Parameters
+    ----------
+    motion
+        How the vehicle moves by its accelerometer and barometer.
+    turn_s
+        From a sensor's reading to its next one [s].
+    """
+
+    def __init__(self, motion: VerticalMotion, turn_s: float) -> None:
+        self._motion = motion
+        self._turn_s = turn_s
+        self.clear()
+
+    def clear(self) -> None:
+        """Another ground is known from now on."""
+        self._time_s: float | None = None
+        self._change_m_s = self._noise_m2 = 0.0
+        self._covariance = _START
+        self._own_m: dict[str, float] = {}
+        # Height, rate and slow acceleration over ground, over something fixed, and over ground by the ping before.
+        self._states = ((0.0, 0.0, 0.0),) * 3
+        # Log odds of the first over each of the other two.
+        self._fixed = self._late = 0.0
+
+    def shift(self, by_m: float) -> None:
+        """The ground is ``by_m`` lower than thought."""
+        follows, fixed, late = [(h + by_m, w, b) for h, w, b in self._states]
+        self._states = follows, fixed, late
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether the ground is fixed to the vehicle."""
+        return self._fixed <= DECIDED and self._fixed - self._late <= APART
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the sensors answer with the ranges of their pings before."""
+        return self._late <= DECIDED and self._late - self._fixed <= APART
+
+    def update(self, sensor: str, time_s: float, height_m: float, variance_m2: float, may_slope: bool) -> None:
+        """Update with a reading that was of the ground.
+
+        Parameters
+        ----------
+        sensor, time_s
+            Whose, and when [s].
+        height_m, variance_m2
+            Height of the reference point by this reading, with the slope and attitude that are known [m], and the
+            variance of its error [m^2].
+        may_slope
+            Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
+        """
+        if self._time_s is None:
+            self._states = ((height_m, 0.0, 0.0),) * 3
+            self._time_s = time_s
+        before_s, t, self._time_s = self._time_s, time_s - self._time_s, time_s
+        up_m_s2 = self._motion.acceleration(before_s, time_s)
+        earlier_m_s2 = self._motion.acceleration(before_s - self._turn_s, time_s - self._turn_s)
+        if up_m_s2 is None or earlier_m_s2 is None:
+            self.clear()
+            return
+        fades = math.exp(-t / B_LASTS_S)
+        predicted = [
+            (h + (w + 0.5 * (u - b) * t) * t, w + (u - b) * t, b * fades)
+            for (h, w, b), u in zip(self._states, (up_m_s2, 0.0, earlier_m_s2), strict=True)
+        ]
+        own_m = self._own_m.get(sensor)
+        differs_m = height_m - predicted[1][0]
+        self._own_m[sensor] = differs_m if own_m is None else own_m + OWN_SHARE * (differs_m - own_m)
+        height_m -= self._own_m[sensor] if own_m is None else own_m
+        hh, hw, hb, ww, wb, bb = self._predicted(t, fades)
+        total_m2 = hh + max(variance_m2, self._noise_m2)
+        squares_m2 = [(height_m - h) ** 2 for h, _, _ in predicted]
+        if own_m is not None:
+            self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], hh / total_m2, up_m_s2, may_slope)
+            self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
+        k_h, k_w, k_b = hh / total_m2, hw / total_m2, hb / total_m2
+        follows, fixed, late = [
+            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) for h, w, b in predicted for off_m in (height_m - h,)
+        ]
+        self._states = follows, fixed, late
+        self._covariance = (
+            hh - k_h * hh,
+            hw - k_h * hw,
+            hb - k_h * hb,
+            ww - k_w * hw,
+            wb - k_w * hb,
+            bb - k_b * hb,
+        )
+
+    def _predicted(self, t: float, fades: float) -> tuple[float, ...]:
+        """P' = F P F^T + Q with F = [[1, t, -t^2/2], [0, 1, -t], [0, 0, e^(-t / B_LASTS_S)]] for (h, w, b)."""
+        hh, hw, hb, ww, wb, bb = self._covariance
+        noise, half = NOISE_M2_S3 * t, 0.5 * t * t
+        return (
+            hh + 2 * t * hw - 2 * half * hb + t * t * ww - 2 * t * half * wb + half * half * bb + noise * t * t / 3,
+            hw + t * ww - half * wb - t * hb - t * t * wb + t * half * bb + noise * t / 2,
+            fades * (hb + t * wb - half * bb),
+            ww - 2 * t * wb + t * t * bb + noise,
+            fades * (wb - t * bb),
+            fades * fades * bb + (1.0 - fades * fades) * B_STD_M_S2**2,
+        )
+
+    def _decide(self, t: float, squares: list[float], share: float, up_m_s2: float, may_slope: bool) -> None:
+        """Update the log odds with the normalised squares of the three predictions' errors."""
+        follows, fixed, late = squares
+        self._change_m_s = self._change_m_s * math.exp(-t / SPEED_LASTS_S) + up_m_s2 * t
+        least = -STRONGEST
+        if may_slope:
+            least = max(least, -SLOPING_PER_S * t * (1 + (self._change_m_s / SLOPE_M_S) ** 2))
+        fades = math.exp(-t / LASTS_S)
+
+        def updated(log_odds: float, evidence: float) -> float:
+            return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
+
+        self._fixed = updated(self._fixed, 0.5 * (fixed - follows + NOISE_SHARE * share))
+        self._late = updated(self._late, 0.5 * (late - follows))
+        climb = self._motion.rate(self._time_s or 0.0)
+        if climb is not None and abs(climb.m_s - self._states[1][1]) > HILL_M_S:
+            self._fixed -= HILL_PER_S * t

@@ -1,0 +1,124 @@
+"""What follows the vehicle's motion, what is fixed to it, and what answers a ping late."""
+
+import math
+import random
+from collections.abc import Callable
+
+import pytest
+
+from msp_range.fusion.response import Response
+from msp_range.fusion.vertical import VerticalMotion
+
+TURN_S, GAP_S = 0.4, 0.1
+NAMES = ("a", "b", "c", "d")
+
+
+def fly(
+    height_m: Callable[[float], float],
+    range_m: Callable[[float], float],
+    until_s: float,
+    *,
+    may_slope: bool = False,
+    pressure_m: Callable[[float], float] | None = None,
+    from_s: float = -10.0,
+    seed: int = 1,
+) -> tuple[float | None, float | None]:
+    """When what is seen at a height is found to be fixed, and when to be late [s]; None: never.
+
+    Readings have 1 cm of noise, accelerations 0.3 m/s^2 and a bias of 0.1, pressures 0.15 m; both from a time on.
+    """
+    draw = random.Random(seed)
+    motion = VerticalMotion()
+    response = Response(motion, TURN_S)
+    fixed_s = late_s = None
+    time_s, read_s, i = from_s, 0.0, 0
+    while read_s < until_s:
+        while time_s <= read_s:
+            h = 0.02
+            up_m_s2 = (height_m(time_s + h) - 2 * height_m(time_s) + height_m(time_s - h)) / h**2
+            motion.on_acceleration(time_s, up_m_s2 + 0.1 + draw.gauss(0.0, 0.3))
+            motion.on_pressure_height(time_s, (pressure_m or height_m)(time_s) + draw.gauss(0.0, 0.15))
+            time_s += 0.04
+        response.update(NAMES[i % 4], read_s, range_m(read_s) + draw.gauss(0.0, 0.01), 0.01**2, may_slope)
+        fixed_s = read_s if fixed_s is None and response.is_fixed else fixed_s
+        late_s = read_s if late_s is None and response.is_late else late_s
+        read_s, i = read_s + GAP_S, i + 1
+    return fixed_s, late_s
+
+
+def ramp(from_s: float, speed_m_s: float, until_s: float, acceleration_m_s2: float = 1.0) -> Callable[[float], float]:
+    """A climb that begins and ends with an acceleration."""
+    lasts_s = speed_m_s / acceleration_m_s2
+
+    def speed(time_s: float) -> float:
+        return min(max(time_s - from_s, 0.0), lasts_s, max(until_s - time_s, 0.0)) * acceleration_m_s2
+
+    steps = [0.0]
+    for k in range(8000):
+        steps.append(steps[-1] + 0.005 * speed(-10.0 + 0.005 * (k + 0.5)))
+    return lambda time_s: steps[min(max(round((time_s + 10.0) / 0.005), 0), 8000)]
+
+
+@pytest.mark.parametrize("may_slope", [False, True])
+@pytest.mark.parametrize("seed", range(5))
+def test_ground_is_never_fixed_or_late(seed: int, may_slope: bool) -> None:
+    climb = ramp(5.0, 1.0, 12.0)
+    assert fly(climb, lambda time_s: climb(time_s) + 0.3, 25.0, may_slope=may_slope, seed=seed) == (None, None)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_does_not_follow_a_take_off_is_fixed(seed: int) -> None:
+    found_s, _ = fly(ramp(5.0, 1.0, 12.0), lambda time_s: 0.4, 20.0, seed=seed)
+    assert found_s is not None
+    assert 5.0 < found_s < 6.5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hill_that_is_followed_is_ground(seed: int) -> None:
+    """The vehicle begins to climb with the ground, and its range stays."""
+    assert fly(ramp(5.0, 0.3, 20.0), lambda time_s: 3.0, 20.0, may_slope=True, seed=seed) == (None, None)
+
+
+def test_pressure_that_changes_below_the_rotors_alone_decides_nothing() -> None:
+    burst = ramp(5.0, 3.0, 6.0, 6.0)
+    assert fly(lambda time_s: 0.0, lambda time_s: 0.3, 20.0, may_slope=True, pressure_m=burst) == (None, None)
+
+
+@pytest.mark.parametrize("off_m", [-2.5, 2.5])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_take_off_in_pressure_of_the_rotors_is_a_take_off(seed: int, off_m: float) -> None:
+    """Up to 1 m, where the rotors change the pressure, soon after a start: the accelerometer seems to have a bias."""
+    climb = ramp(2.0, 1.0, 3.0)
+    lifted = ramp(1.0, 2.0 * abs(off_m), 2.0, 4.0 * abs(off_m))
+
+    def pressure_m(time_s: float) -> float:
+        return climb(time_s) + math.copysign(min(lifted(time_s), abs(off_m)), off_m)
+
+    assert fly(climb, lambda time_s: climb(time_s) + 0.3, 20.0, pressure_m=pressure_m, from_s=0.0, seed=seed) == (
+        None,
+        None,
+    )
+
+
+def test_no_hill_rises_so_fast() -> None:
+    """Without an acceleration that shows: only the barometer does."""
+    found_s, _ = fly(ramp(0.0, 1.5, 30.0, 0.3), lambda time_s: 3.0, 20.0, may_slope=True)
+    assert found_s is not None
+    assert found_s < 12.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_answers_that_follow_a_turn_late_are_late(seed: int) -> None:
+    climb = ramp(5.0, 1.5, 10.0)
+    fixed_s, late_s = fly(climb, lambda time_s: climb(time_s - TURN_S) + 0.3, 20.0, seed=seed)
+    assert fixed_s is None
+    assert late_s is not None
+    assert 5.0 < late_s < 7.5
+
+
+def test_without_an_accelerometer_nothing_is_decided() -> None:
+    response = Response(VerticalMotion(), TURN_S)
+    for i in range(100):
+        response.update("a", 0.1 * i, 0.4, 1e-4, False)
+    assert not response.is_fixed
+    assert not response.is_late
