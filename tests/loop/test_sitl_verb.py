@@ -44,6 +44,8 @@ CLIMB_S, SILENT_S, HEARD_S, LANDED_S = 0.3, 4.2, 6.2, 8.8
 """Times of the flight: it leaves the ground, falls silent, sends poses again, has landed [s]."""
 SILENCE_TARGET_M, TOP_M = 3.5, 6.0
 RATE_HZ = 200.0
+FLIGHTS, HOVER_DISTANCES = 3, 3
+"""So many distances in the hover show its error; on a busy computer it is flown so often."""
 SILENT_SENSOR = f"""
 name: silent
 airframe: {CONFIGS / "loopback.yaml"}
@@ -238,7 +240,17 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def flights(out: Path) -> dict[str, Flown]:
-    """All flights, flown at the same time; one ends by SIGINT, the others by SIGTERM."""
+    """All flights; again where the computer gave a bridge no processor for all of the hover: that shows nothing."""
+    for _ in range(FLIGHTS):
+        flown = fly_all(out)
+        measured = [heights_climbs_errors(flown[name].autopilot) for name in BOTH]
+        if all(is_hover(*each).sum() >= HOVER_DISTANCES and each[0].max() > TOP_M - 0.1 for each in measured):
+            break
+    return flown
+
+
+def fly_all(out: Path) -> dict[str, Flown]:
+    """All flights at the same time; one ends by SIGINT, the others by SIGTERM."""
     autopilots = {"truth": FakeAutopilot(truth=True), "estimate": FakeAutopilot(truth=False), "in flight": InFlight()}
     scenario = out / "silent.yaml"
     scenario.write_text(SILENT_SENSOR)
@@ -283,30 +295,42 @@ def flights(out: Path) -> dict[str, Flown]:
                 program.communicate()
 
 
-both = pytest.mark.parametrize("name", ["truth", "estimate"])
+BOTH = ("truth", "estimate")
+both = pytest.mark.parametrize("name", BOTH)
+
+
+def heights_climbs_errors(autopilot: FakeAutopilot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of each distance that was to come: the true height [m], the climb [m/s] and the error [m]."""
+    assert autopilot.first_s is not None
+    rows = []
+    for arrived_s, message in autopilot.distances:
+        silent = SILENT_S < arrived_s - autopilot.first_s < HEARD_S + 1.0
+        if message.current_distance <= message.max_distance and not silent:
+            boot_s = message.time_boot_ms / 1e3
+            height_m = autopilot.height_at(boot_s)
+            climb_m_s = (autopilot.height_at(boot_s + 0.05) - autopilot.height_at(boot_s - 0.05)) / 0.1
+            rows.append((height_m, climb_m_s, message.current_distance / 100 - STANDING_RANGE_M - height_m))
+    heights_m, climbs_m_s, errors_m = np.array(rows).reshape(-1, 3).T
+    return heights_m, climbs_m_s, errors_m
+
+
+def is_hover(heights_m: np.ndarray, climbs_m_s: np.ndarray, errors_m: np.ndarray) -> np.ndarray:
+    """Of which distances the vehicle was in the air and neither climbed nor sank."""
+    return (heights_m > 0.3) & (abs(climbs_m_s) < 0.2)
 
 
 @both
 @pytest.mark.real_time
 def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
-    assert autopilot.first_s is not None
-    heights, climbs, errors = [], [], []
-    for arrived_s, message in autopilot.distances:
+    for _, message in autopilot.distances:
         assert message.orientation == mavlink.MAV_SENSOR_ROTATION_PITCH_270
         assert (message.get_srcSystem(), message.get_srcComponent()) in ((SYSTEM, 191), (1, 191))
-        silent = SILENT_S < arrived_s - autopilot.first_s < HEARD_S + 1.0
-        if message.current_distance <= message.max_distance and not silent:
-            boot_s = message.time_boot_ms / 1e3
-            height_m = autopilot.height_at(boot_s)
-            heights.append(height_m)
-            climbs.append((autopilot.height_at(boot_s + 0.05) - autopilot.height_at(boot_s - 0.05)) / 0.1)
-            errors.append(message.current_distance / 100 - STANDING_RANGE_M - height_m)
-    heights_m, climbs_m_s, errors_m = np.array(heights), np.array(climbs), np.array(errors)
+    heights_m, climbs_m_s, errors_m = heights_climbs_errors(autopilot)
     assert heights_m.max() > TOP_M - 0.1
     # The sensor model scatters by 1.9 cm, so a fused distance by 1 cm, and the few of the hover are fused from some of
     # the same readings: four standard deviations. On the ground it stands at 20 cm.
-    assert abs(np.median(errors_m[(heights_m > 0.3) & (abs(climbs_m_s) < 0.2)])) < 0.04
+    assert abs(np.median(errors_m[is_hover(heights_m, climbs_m_s, errors_m)])) < 0.04
     # On the way up it is late by some 14 ms, as the filter is; of a busy computer a pose may come late too.
     assert abs(np.median(errors_m[climbs_m_s > 0.5 * SPEED_M_S])) < 0.05 * SPEED_M_S
     # A speed is believed from the second reading of a sensor on, 0.4 s later, in which 2.5 m/s^2 make 0.2 m.
