@@ -17,8 +17,9 @@ from msp_range.fusion.garbled import GarbledAnswers
 from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View, spans_plane
 from msp_range.fusion.objects import Below
-from msp_range.fusion.outcome import GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
-from msp_range.fusion.response import LEVEL_RISE, Response
+from msp_range.fusion.odd import LevelHeight, odd_one
+from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
+from msp_range.fusion.response import LEVEL_RISE, MotionResponse
 from msp_range.fusion.start import Candidate, Found, Start
 from msp_range.fusion.stuck import StuckWatch
 from msp_range.fusion.support import GroundSupport
@@ -44,6 +45,8 @@ STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.05, 1.0
 """What a step of the ground leaves uncertain of the height [m] and of its rate [m/s]."""
+LEVEL_SHARE = 0.3
+"""Share of a reading in what its sensor sees lately: the last second of four."""
 ROUGH_READINGS = 30.0
 """The roughness of the ground is a mean over so many readings."""
 ROUGHEST_M = 0.08
@@ -72,6 +75,7 @@ class _Sensor:
         self.stuck = StuckWatch()
         self.is_ground_in_doubt = False
         self.foot_m = mounted.foot_m(0.0)
+        self.level: tuple[float, LevelHeight] | None = None
 
 
 class Fusion:
@@ -114,9 +118,10 @@ class Fusion:
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
         self._support = GroundSupport(self._sights, windows, GATE_WIDEST_M)
         self._start = Start(windows, self._motion)
-        self._response = Response(self._motion, windows.turn_s)
+        self._response = MotionResponse(self._motion, windows.turn_s)
         self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
+        self._odd: _Sensor | None = None
         self._filter: GroundFilter | None = None
         self._time_s = self._known_s = float("-inf")
         self._garbled = GarbledAnswers()
@@ -314,9 +319,11 @@ class Fusion:
         self._support.on_new_ground(found.in_doubt)
         self._start.clear()
         self._response.clear()
+        self._odd = None
         for name, sensor in self._sensors.items():
             sensor.sight.clear()
             sensor.below.clear()
+            sensor.level = None
             if name in found.sensors:
                 sensor.sight.ground(earlier.time_s if name == earlier.sensor else self._time_s)
         self._on_ground(self._sensors[newest.sensor], view)
@@ -342,6 +349,9 @@ class Fusion:
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
         fits = abs(innovation_m) <= most_m and not (reading.suspect and self._climbs())
+        if self.down is not None:
+            self._look_for_odd(known, sensor, range_m, rotation, fits)
+            fits = fits and sensor is not self._odd
         # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
         is_new = not (sight.repeated and self._others_see_more())
         if fits and not is_new:
@@ -352,9 +362,7 @@ class Fusion:
         shows_slope = self._shows_slope(sensor)
         height_m = known.height_m + off_m
         square = known.update(view, innovation_m, variance_m2, other_per_m, shows_slope) if fits else None
-        if square is not None:
-            self._scatter(square, variance_m2)
-            self._on_ground(sensor, view)
+        if square is not None or self._response.expects(height_m):
             may_slope = not shows_slope or math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE
             noise_m2 = _variance_m2(reading) / view.by_height**2
             if reading.status is Status.AT_MINIMUM:
@@ -362,6 +370,10 @@ class Fusion:
             self._response.update(reading.sensor, self._time_s, height_m, noise_m2, may_slope)
             if self._response.is_fixed:
                 self._on_fixed()
+                return FIXED
+        if square is not None:
+            self._scatter(square, variance_m2)
+            self._on_ground(sensor, view)
             return None
         is_object = below.is_object(off_m)
         if not is_new or (doubtful and not is_object):
@@ -371,10 +383,9 @@ class Fusion:
     def _on_fixed(self) -> None:
         """What the sensors see as ground is fixed to the vehicle: no ground is known."""
         since_s = self._time_s - self._windows.fresh_s
+        for name in self._response.sees(since_s):
+            self._sensors[name].stuck.hold()
         for sensor in self._sensors.values():
-            seen = sensor.sight.newest(since_s)
-            if seen is not None and seen.is_ground:
-                sensor.stuck.hold()
             sensor.sight.clear()
             sensor.below.clear()
         self._filter = None
@@ -406,6 +417,38 @@ class Fusion:
         since_s = self._time_s - self._windows.fresh_s
         newest = [sight.newest(since_s) for sight in self._sights if not sight.repeated]
         return sum([seen is not None and seen.is_ground for seen in newest]) >= 2
+
+    def _look_for_odd(self, known: GroundFilter, sensor: _Sensor, range_m: float, rotation: Matrix, fits: bool) -> None:
+        """Find the sensor that does not fit into the plane of the others; the ground is then that of the others."""
+        flat = sensor.mounted.view(rotation, known.height_m, 0.0, 0.0)
+        if flat is None:
+            return
+        higher_m = (range_m - flat.expected_m) / flat.by_height
+        since_s = self._time_s - self._windows.fresh_s
+        off_m = math.inf
+        if sensor.level is not None and sensor.level[0] >= since_s:
+            off_m = higher_m - sensor.level[1].higher_m
+        if abs(off_m) < GATE_M:
+            higher_m -= (1.0 - LEVEL_SHARE) * off_m
+        elif not fits:
+            return
+        sensor.level = (
+            self._time_s,
+            LevelHeight(higher_m, flat.by_north / flat.by_height, flat.by_east / flat.by_height),
+        )
+        seen = [each for each in self._sensors.values() if each.level is not None and each.level[0] >= since_s]
+        found = odd_one([each.level[1] for each in seen if each.level is not None])
+        before, self._odd = self._odd, None if found is None else seen[found[0]]
+        if found is not None and self._odd is not before:
+            known.tilt(found[1].lower_m, found[1].rise_north, found[1].rise_east)
+            self._move_levels(found[1].lower_m)
+
+    def _move_levels(self, by_m: float) -> None:
+        """The ground is now taken to be ``by_m`` lower than before."""
+        for each in self._sensors.values():
+            if each.level is not None:
+                time_s, level = each.level
+                each.level = time_s, level._replace(higher_m=level.higher_m - by_m)
 
     def _shows_slope(self, newest: _Sensor) -> bool:
         """Whether this sensor and the others that see the ground now span a plane."""
@@ -453,6 +496,7 @@ class Fusion:
             for each in self._sensors.values():
                 each.sight.move(lower_m)
                 each.below.move(lower_m)
+                each.level = None
             self._on_ground(sensor, view)
             return None
         if time_s - self._support.seen_s > windows.lost_s and not self._is_due() and reading.range_m is not None:

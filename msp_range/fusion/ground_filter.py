@@ -124,6 +124,13 @@ class GroundFilter:
         self._slope = (SLOPE_STD * SLOPE_STD, 0.0, SLOPE_STD * SLOPE_STD)
         self._filters = tuple([(*motion[:5], 0.0, 0.0, 0.0, 0.0) for motion in self._filters])
 
+    def tilt(self, lower_m: float, rise_north: float, rise_east: float) -> None:
+        """The ground has another slope than thought, and is ``lower_m`` lower below the reference point."""
+        self.level()
+        self.rise_north, self.rise_east = rise_north, rise_east
+        self._filters = tuple([(motion[0] + lower_m, *motion[1:]) for motion in self._filters])
+        self._combine()
+
     def predict(self, t: float, up_m_s2: float | None = None) -> None:
         """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way.
 

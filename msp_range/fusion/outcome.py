@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from msp_range.reading import Reading, Status
 
-GARBLED = Status.GARBLED.value
+GARBLED, FIXED = Status.GARBLED.value, Status.FIXED.value
 OBJECT, OUTLIER, SUSPECT, REPEATED, PAST = "object", "outlier", "suspect", "repeated", "past_the_ground"
 """Why a reading with a range was not used for the ground: it is of an object below its sensor, of nothing that is
 known, a fault code away from the ground, the same answer as ever while others see other things, or made past the ground

@@ -41,6 +41,9 @@ the pressure below the rotors changes at a take-off. Smaller takes a steep hill 
 OWN_SHARE = 0.2
 """Share of a reading in what its sensor sees higher or lower than the others: they see different things, whether ground
 or parts of the vehicle. Larger takes more of a response for that, smaller takes more of the differences for noise."""
+NEAR_M = 0.15
+"""A reading that is not of the ground is taken where it is this near to one of the predictions [m]: in a hard climb
+what is fixed leaves the ground within a turn. Larger takes readings of an edge."""
 NOISE_READINGS = 20.0
 """The readings' noise about the better prediction is a mean over so many."""
 SLOPE_M_S, SPEED_LASTS_S = 0.3, 1.0
@@ -63,7 +66,7 @@ _START = (0.01, 0.0, 0.0, 0.25, 0.0, B_STD_M_S2**2)
 """Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
 
 
-class Response:
+class MotionResponse:
     """The response of all readings that make up the ground.
 
     Parameters
@@ -85,6 +88,7 @@ class Response:
         self._change_m_s = self._noise_m2 = 0.0
         self._covariance = _START
         self._own_m: dict[str, float] = {}
+        self._taken_s: dict[str, float] = {}
         # Height, rate and slow acceleration over ground, over something fixed, and over ground by the ping before.
         self._states = ((0.0, 0.0, 0.0),) * 3
         # Log odds of the first over each of the other two.
@@ -105,8 +109,16 @@ class Response:
         """Whether the sensors answer with the ranges of their pings before."""
         return self._late <= DECIDED and self._late - self._fixed <= APART
 
+    def sees(self, since_s: float) -> set[str]:
+        """The sensors of which a reading has been taken since a time [s]."""
+        return {name for name, time_s in self._taken_s.items() if time_s >= since_s}
+
+    def expects(self, height_m: float) -> bool:
+        """Whether a reading of this height is near what one of the three predicted last, though of no ground [m]."""
+        return self._time_s is not None and min(abs(height_m - h) for h, _, _ in self._states) < NEAR_M
+
     def update(self, sensor: str, time_s: float, height_m: float, variance_m2: float, may_slope: bool) -> None:
-        """Update with a reading that was of the ground.
+        """Update with a reading that was of the ground, or is expected.
 
         Parameters
         ----------
@@ -122,6 +134,7 @@ class Response:
             self._states = ((height_m, 0.0, 0.0),) * 3
             self._time_s = time_s
         before_s, t, self._time_s = self._time_s, time_s - self._time_s, time_s
+        self._taken_s[sensor] = time_s
         up_m_s2 = self._motion.acceleration(before_s, time_s)
         earlier_m_s2 = self._motion.acceleration(before_s - self._turn_s, time_s - self._turn_s)
         if up_m_s2 is None or earlier_m_s2 is None:

@@ -255,7 +255,7 @@ def fly_all(out: Path) -> dict[str, Flown]:
     scenario = out / "silent.yaml"
     scenario.write_text(SILENT_SENSOR)
     options = {
-        "truth": ["--out", str(out), "--record", str(out)],
+        "truth": ["--out", str(out), "--record", str(out), "--force"],
         "estimate": [],
         "in flight": ["--ground", str(scenario)],
     }

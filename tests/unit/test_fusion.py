@@ -139,6 +139,22 @@ def test_at_an_edge_the_ground_is_not_lost_before_the_sensors_that_see_it_were_r
     assert [each and round(each.range_m, 1) for each in out[len(over) + 1 :]] == [3.2] * 5
 
 
+@pytest.mark.parametrize("speed_m_s", [0.02, -0.03])
+@pytest.mark.parametrize("drifts", NAMES)
+def test_one_sensor_that_drifts_moves_it_by_less_than_16_cm(drifts: str, speed_m_s: float) -> None:
+    """The plane through all would tilt until the others were called objects."""
+    track = AttitudeTrack()
+    fusion = four(oblique="unknown", attitude=track)
+    draw = np.random.default_rng(1)
+    for i in range(400):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        track.update(Angles(time_s, 0.0, 0.0, 0.0))
+        off_m = speed_m_s * max(time_s - 5.0, 0.0) if name == drifts else 0.0
+        out = take(fusion, reading(name, time_s, 5.0 + off_m + draw.normal(scale=SIGMA_M)))
+        assert i < 20 or (out is not None and abs(out.range_m - 5.0) < 0.16), time_s
+    assert [name for name in NAMES if fusion.object_m(name) is not None] == [drifts]
+
+
 def test_a_single_outlier_does_not_move_it_and_is_no_object() -> None:
     fusion = four()
     noise_m = noise(80)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from msp_range.fusion.response import Response
+from msp_range.fusion.response import MotionResponse
 from msp_range.fusion.vertical import VerticalMotion
 
 TURN_S, GAP_S = 0.4, 0.1
@@ -29,7 +29,7 @@ def fly(
     """
     draw = random.Random(seed)
     motion = VerticalMotion()
-    response = Response(motion, TURN_S)
+    response = MotionResponse(motion, TURN_S)
     fixed_s = late_s = None
     time_s, read_s, i = from_s, 0.0, 0
     while read_s < until_s:
@@ -117,7 +117,7 @@ def test_answers_that_follow_a_turn_late_are_late(seed: int) -> None:
 
 
 def test_without_an_accelerometer_nothing_is_decided() -> None:
-    response = Response(VerticalMotion(), TURN_S)
+    response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
         response.update("a", 0.1 * i, 0.4, 1e-4, False)
     assert not response.is_fixed

@@ -1,0 +1,73 @@
+"""Which of four sensors or more does not fit into one plane with the others, where each seems to fit alone.
+
+A sensor that drifts tilts the plane that is fitted to all: each reading is a little off, none is an outlier. On a
+rectangle the plane leaves one residual, which shows that one drifts, and only the prior of slopes says which: had
+another one drifted, the ground would be steep. What each sensor sees higher than the known ground enters, were that
+level; the sensor that is odd leaves, with the plane of the others.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from msp_range.fusion.ground_filter import SLOPE_STD
+
+FEWEST = 4
+"""With fewer sensors any slope explains each of them."""
+NOISE_M = 0.03
+"""Standard deviation of what a sensor sees lately, about the plane [m]: its mean noise and the ground's roughness.
+Larger isolates a sensor that drifts later, smaller isolates sensors over rough ground."""
+ODD, APART = 9.0, 5.0
+"""How much likelier the plane without one sensor must be than that of all, and than without any other one [nats]: a
+sensor of four on a rectangle of half a metre is then odd at some 22 cm. Less isolates one over a kerb."""
+
+FITS = 4.5
+"""The plane of the others must cost no more [nats]: three standard deviations of the slope. More takes a box below two
+sensors for one that is odd on a steep slope."""
+
+
+class LevelHeight(NamedTuple):
+    """What one sensor sees lately: how much higher [m], were the ground level, and how that changes with its rises."""
+
+    higher_m: float
+    by_north: float
+    by_east: float
+
+
+class GroundPlane(NamedTuple):
+    """A plane of ground by some sensors: how much lower than the known one [m], its rises, and its cost [nats]."""
+
+    lower_m: float
+    rise_north: float
+    rise_east: float
+    cost: float
+
+
+def plane_of(seen: Sequence[LevelHeight]) -> GroundPlane:
+    """The likeliest plane: least squares with the prior of slopes.
+
+    Minimises sum((higher - lower - by . g)^2) / (2 NOISE_M^2) + |g|^2 / (2 SLOPE_STD^2).
+    """
+    count = len(seen)
+    higher_m, north, east = (sum(column) / count for column in zip(*seen, strict=True))
+    nn = ee = NOISE_M**2 / SLOPE_STD**2
+    ne = of_north = of_east = square = 0.0
+    for each in seen:
+        z, n, e = each.higher_m - higher_m, each.by_north - north, each.by_east - east
+        nn, ne, ee = nn + n * n, ne + n * e, ee + e * e
+        of_north, of_east, square = of_north + n * z, of_east + e * z, square + z * z
+    size = nn * ee - ne * ne
+    rise_north, rise_east = (ee * of_north - ne * of_east) / size, (nn * of_east - ne * of_north) / size
+    cost = (square - rise_north * of_north - rise_east * of_east) / (2 * NOISE_M**2)
+    return GroundPlane(higher_m - north * rise_north - east * rise_east, rise_north, rise_east, cost)
+
+
+def odd_one(seen: Sequence[LevelHeight]) -> tuple[int, GroundPlane] | None:
+    """Which sensor is odd, and the plane of the others; None: the plane of all is about as likely."""
+    if len(seen) < FEWEST or (of_all := plane_of(seen).cost) < ODD:
+        return None
+    without = [plane_of([*seen[:i], *seen[i + 1 :]]) for i in range(len(seen))]
+    costs = sorted(plane.cost for plane in without)
+    if costs[0] > FITS or of_all - costs[0] < ODD or costs[1] - costs[0] < APART:
+        return None
+    odd = next(i for i, plane in enumerate(without) if plane.cost == costs[0])
+    return odd, without[odd]
