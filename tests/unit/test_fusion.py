@@ -541,3 +541,24 @@ def test_a_landing_that_bounces_is_no_part_of_the_vehicle() -> None:
         at_minimum = Reading(time_s, NAMES[i % 4], Status.AT_MINIMUM, 0.20, SIGMA_M, 20)
         out = fusion.update(at_minimum, time_s + 0.03)
         assert i < 10 or out.fused is not None, time_s
+
+
+def test_what_is_fixed_to_the_vehicle_is_found_in_a_hard_climb() -> None:
+    """Its range leaves the ground that the accelerometer predicts within a turn, and no reading is of it then."""
+    motion = VerticalMotion()
+    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
+    fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
+    draw = np.random.default_rng(1)
+    found_s = None
+    for i in range(160):
+        time_s = i * SLOT_S
+        for k in range(4):
+            moment_s = time_s + 0.025 * k
+            up_m_s2 = 3.75 if 10.0 < moment_s < 10.8 else -3.75 if 12.0 < moment_s < 12.8 else 0.0
+            motion.on_acceleration(moment_s, up_m_s2 + draw.normal(0.0, 0.3))
+        seen = reading(NAMES[i % 4], time_s, 0.5 + draw.normal(scale=SIGMA_M))
+        out = fusion.update(seen, time_s + 0.03)
+        if out.reading.status is Status.FIXED:
+            found_s = found_s or time_s
+    assert found_s is not None
+    assert 10.0 < found_s < 12.0
