@@ -17,7 +17,7 @@ from msp_range.fusion.garbled import GarbledAnswers
 from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View, spans_plane
 from msp_range.fusion.objects import Below
-from msp_range.fusion.odd import LevelHeight, odd_one
+from msp_range.fusion.odd import LONGEST_GAP_S, LevelHeight, odd_one
 from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.response import LEVEL_RISE, MotionResponse
 from msp_range.fusion.start import Candidate, Found, Start
@@ -349,7 +349,7 @@ class Fusion:
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
         fits = abs(innovation_m) <= most_m and not (reading.suspect and self._climbs())
-        if self.down is not None:
+        if self.down is not None and self._windows.gap_s < LONGEST_GAP_S:
             self._look_for_odd(known, sensor, range_m, rotation, fits)
             fits = fits and sensor is not self._odd
         # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.

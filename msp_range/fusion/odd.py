@@ -16,6 +16,8 @@ FEWEST = 4
 NOISE_M = 0.03
 """Standard deviation of what a sensor sees lately, about the plane [m]: its mean noise and the ground's roughness.
 Larger isolates a sensor that drifts later, smaller isolates sensors over rough ground."""
+LONGEST_GAP_S = 0.3
+"""With readings farther apart the vehicle moves them by more than the noise [s]: 0.1 m^2/s^3 make 3 cm."""
 ODD, APART = 9.0, 5.0
 """How much likelier the plane without one sensor must be than that of all, and than without any other one [nats]: a
 sensor of four on a rectangle of half a metre is then odd at some 22 cm. Less isolates one over a kerb."""
