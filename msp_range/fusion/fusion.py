@@ -332,6 +332,8 @@ class Fusion:
         self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix
     ) -> str | None:
         """A reading against the known ground: None where it updated it, else why not."""
+        if self.down is not None and self._windows.gap_s < LONGEST_GAP_S and not reading.suspect:
+            self._look_for_odd(known, sensor, range_m, rotation)
         view = sensor.mounted.view(rotation, known.height_m, known.rise_north, known.rise_east)
         if view is None:
             self._on_nothing(sensor, reading)
@@ -348,10 +350,7 @@ class Fusion:
         sight.repeated = sensor.stuck.repeated
         doubtful = reading.suspect or sight.repeated
         other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
-        fits = abs(innovation_m) <= most_m and not (reading.suspect and self._climbs())
-        if self.down is not None and self._windows.gap_s < LONGEST_GAP_S:
-            self._look_for_odd(known, sensor, range_m, rotation, fits)
-            fits = fits and sensor is not self._odd
+        fits = abs(innovation_m) <= most_m and sensor is not self._odd and not (reading.suspect and self._climbs())
         # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
         is_new = not (sight.repeated and self._others_see_more())
         if fits and not is_new:
@@ -418,24 +417,22 @@ class Fusion:
         newest = [sight.newest(since_s) for sight in self._sights if not sight.repeated]
         return sum([seen is not None and seen.is_ground for seen in newest]) >= 2
 
-    def _look_for_odd(self, known: GroundFilter, sensor: _Sensor, range_m: float, rotation: Matrix, fits: bool) -> None:
+    def _look_for_odd(self, known: GroundFilter, sensor: _Sensor, range_m: float, rotation: Matrix) -> None:
         """Find the sensor that does not fit into the plane of the others; the ground is then that of the others."""
         flat = sensor.mounted.view(rotation, known.height_m, 0.0, 0.0)
         if flat is None:
             return
         higher_m = (range_m - flat.expected_m) / flat.by_height
+        by_north, by_east = flat.by_north / flat.by_height, flat.by_east / flat.by_height
         since_s = self._time_s - self._windows.fresh_s
         off_m = math.inf
         if sensor.level is not None and sensor.level[0] >= since_s:
             off_m = higher_m - sensor.level[1].higher_m
         if abs(off_m) < GATE_M:
             higher_m -= (1.0 - LEVEL_SHARE) * off_m
-        elif not fits:
+        elif abs(higher_m - by_north * known.rise_north - by_east * known.rise_east) > self._gate_m:
             return
-        sensor.level = (
-            self._time_s,
-            LevelHeight(higher_m, flat.by_north / flat.by_height, flat.by_east / flat.by_height),
-        )
+        sensor.level = self._time_s, LevelHeight(higher_m, by_north, by_east)
         seen = [each for each in self._sensors.values() if each.level is not None and each.level[0] >= since_s]
         found = odd_one([each.level[1] for each in seen if each.level is not None])
         before, self._odd = self._odd, None if found is None else seen[found[0]]

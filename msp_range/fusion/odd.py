@@ -21,7 +21,6 @@ LONGEST_GAP_S = 0.3
 ODD, APART = 9.0, 5.0
 """How much likelier the plane without one sensor must be than that of all, and than without any other one [nats]: a
 sensor of four on a rectangle of half a metre is then odd at some 22 cm. Less isolates one over a kerb."""
-
 FITS = 4.5
 """The plane of the others must cost no more [nats]: three standard deviations of the slope. More takes a box below two
 sensors for one that is odd on a steep slope."""
