@@ -43,8 +43,10 @@ ground that is merely near it."""
 STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 """A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
-STEP_STD_M, STEP_CLIMB_STD_M_S = 0.05, 1.0
-"""What a step of the ground leaves uncertain of the height [m] and of its rate [m/s]."""
+STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
+"""What a step of the ground leaves uncertain of the height [m] and of its rate [m/s]: the first readings beyond an edge
+may be of its flank, and the vehicle's motion goes on. A smaller height or a larger rate takes the next reading's
+difference for a climb of 2 m/s, and loses the ground."""
 LEVEL_SHARE = 0.3
 """Share of a reading in what its sensor sees lately: the last second of four."""
 ROUGH_READINGS = 30.0
