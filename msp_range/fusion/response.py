@@ -17,7 +17,7 @@ the vehicle. A vehicle at rest or at a steady rate favours none of the three.
 
 import math
 
-from msp_range.fusion.vertical import VerticalMotion
+from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
 
 NOISE_M2_S3 = 0.005
 """Spectral density of the white noise [m^2/s^3]: an accelerometer's noise of 0.3 m/s^2 at 25 Hz is 0.0036. Larger hides
@@ -149,36 +149,29 @@ class MotionResponse:
         differs_m = height_m - predicted[1][0]
         self._own_m[sensor] = differs_m if own_m is None else own_m + OWN_SHARE * (differs_m - own_m)
         height_m -= self._own_m[sensor] if own_m is None else own_m
-        hh, hw, hb, ww, wb, bb = self._predicted(t, fades)
-        total_m2 = hh + max(variance_m2, self._noise_m2)
+        variance_m2 = max(variance_m2, self._noise_m2)
+        covariance = self._predicted(t, fades)
+        total_m2 = covariance[0] + variance_m2
+        (k_h, k_w, k_b), self._covariance = corrected(covariance, variance_m2)
         squares_m2 = [(height_m - h) ** 2 for h, _, _ in predicted]
         if own_m is not None:
-            self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], hh / total_m2, up_m_s2, may_slope)
+            self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], k_h, up_m_s2, may_slope)
             self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
-        k_h, k_w, k_b = hh / total_m2, hw / total_m2, hb / total_m2
         follows, fixed, late = [
             (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) for h, w, b in predicted for off_m in (height_m - h,)
         ]
         self._states = follows, fixed, late
-        self._covariance = (
-            hh - k_h * hh,
-            hw - k_h * hw,
-            hb - k_h * hb,
-            ww - k_w * hw,
-            wb - k_w * hb,
-            bb - k_b * hb,
-        )
 
-    def _predicted(self, t: float, fades: float) -> tuple[float, ...]:
-        """P' = F P F^T + Q with F = [[1, t, -t^2/2], [0, 1, -t], [0, 0, e^(-t / B_LASTS_S)]] for (h, w, b)."""
-        hh, hw, hb, ww, wb, bb = self._covariance
-        noise, half = NOISE_M2_S3 * t, 0.5 * t * t
+    def _predicted(self, t: float, fades: float) -> Covariance:
+        """P' = F P F^T + Q; b falls to ``fades`` of itself."""
+        hh, hw, hb, ww, wb, bb = moved(self._covariance, t)
+        noise = NOISE_M2_S3 * t
         return (
-            hh + 2 * t * hw - 2 * half * hb + t * t * ww - 2 * t * half * wb + half * half * bb + noise * t * t / 3,
-            hw + t * ww - half * wb - t * hb - t * t * wb + t * half * bb + noise * t / 2,
-            fades * (hb + t * wb - half * bb),
-            ww - 2 * t * wb + t * t * bb + noise,
-            fades * (wb - t * bb),
+            hh + noise * t * t / 3,
+            hw + noise * t / 2,
+            fades * hb,
+            ww + noise,
+            fades * wb,
             fades * fades * bb + (1.0 - fades * fades) * B_STD_M_S2**2,
         )
 

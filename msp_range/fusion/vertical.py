@@ -90,6 +90,39 @@ class Rate(NamedTuple):
     variance: float
 
 
+Covariance = tuple[float, float, float, float, float, float]
+"""Of height, rate and a slow acceleration: zz, zw, zb, ww, wb, bb in SI units."""
+
+
+def moved(covariance: Covariance, t: float) -> Covariance:
+    """F P F^T after ``t`` [s], with F = [[1, t, -t^2/2], [0, 1, -t], [0, 0, 1]]."""
+    zz, zw, zb, ww, wb, bb = covariance
+    half = 0.5 * t * t
+    return (
+        zz + 2 * t * zw - 2 * half * zb + t * t * ww - 2 * t * half * wb + half * half * bb,
+        zw + t * ww - half * wb - t * zb - t * t * wb + t * half * bb,
+        zb + t * wb - half * bb,
+        ww + t * t * bb - 2 * t * wb,
+        wb - t * bb,
+        bb,
+    )
+
+
+def corrected(covariance: Covariance, variance_m2: float) -> tuple[tuple[float, float, float], Covariance]:
+    """Gains of the three by a measured height with a variance [m^2], and their covariance after it."""
+    zz, zw, zb, ww, wb, bb = covariance
+    total_m2 = zz + variance_m2
+    k_z, k_w, k_b = zz / total_m2, zw / total_m2, zb / total_m2
+    return (k_z, k_w, k_b), (
+        zz - k_z * zz,
+        zw - k_z * zw,
+        zb - k_z * zb,
+        ww - k_w * zw,
+        wb - k_w * zb,
+        bb - k_b * zb,
+    )
+
+
 class VerticalMotion:
     """Height changes of the vehicle, by accelerometer and barometer.
 
@@ -136,21 +169,11 @@ class VerticalMotion:
             self._time_s, self._z, self._w, self._covariance = time_s, height_m, 0.0, _START
             return not jumped
         self._predict(time_s)
-        zz, zw, zb, ww, wb, bb = self._covariance
-        total = zz + PRESSURE_STD_M * PRESSURE_STD_M
-        k_z, k_w, k_b = zz / total, zw / total, zb / total
+        (k_z, k_w, k_b), self._covariance = corrected(self._covariance, PRESSURE_STD_M * PRESSURE_STD_M)
         off_m = height_m - self._z
         self._z += k_z * off_m
         self._w += k_w * off_m
         self._b += k_b * off_m
-        self._covariance = (
-            zz - k_z * zz,
-            zw - k_z * zw,
-            zb - k_z * zb,
-            ww - k_w * zw,
-            wb - k_w * zb,
-            bb - k_b * zb,
-        )
         return True
 
     def acceleration(self, from_s: float, to_s: float) -> float | None:
@@ -187,7 +210,7 @@ class VerticalMotion:
         return Climb(now.height_m - since.height_m, math.hypot(short_m, DRIFT_M * math.sqrt(elapsed_s)))
 
     def _predict(self, time_s: float) -> None:
-        """x' = F x, P' = F P F^T + Q with F = [[1, t, -t^2/2], [0, 1, -t], [0, 0, 1]] for (z, w, b)."""
+        """x' = F x, P' = F P F^T + Q for (z, w, b); see `moved`."""
         t = time_s - self._time_s
         self._time_s = time_s
         if not 0.0 < t < float("inf"):
@@ -196,15 +219,10 @@ class VerticalMotion:
         net_m_s2 = self._acceleration_m_s2 - self._b if known else 0.0
         self._z += (self._w + 0.5 * net_m_s2 * t) * t
         self._w += net_m_s2 * t
-        zz, zw, zb, ww, wb, bb = self._covariance
         if known:
-            half = 0.5 * t * t
-            zz += 2 * t * zw - 2 * half * zb + t * t * ww - 2 * t * half * wb + half * half * bb
-            zw += t * ww - half * wb - t * zb - t * t * wb + t * half * bb
-            zb += t * wb - half * bb
-            ww += t * t * bb - 2 * t * wb
-            wb -= t * bb
+            zz, zw, zb, ww, wb, bb = moved(self._covariance, t)
         else:
+            zz, zw, zb, ww, wb, bb = self._covariance
             zz, zw, zb = zz + t * (2 * zw + t * ww), zw + t * ww, zb + t * wb
         speed = (ACCELERATION_STD_M_S2 if known else UNKNOWN_ACCELERATION_STD_M_S2) * t
         way = 0.5 * speed * t

@@ -147,3 +147,9 @@ def test_a_flight_of_a_campaign_is_flown_again_with_all_its_files(lines: list[di
 
 def test_processes_fly_what_one_flies(lines: list[dict[str, Any]]) -> None:
     assert list(fly_all(SEED, FIRST[:2], jobs=2)) == lines[:2]
+
+
+def test_a_descent_between_slow_readings_is_no_drift(tmp_path: Path) -> None:
+    """Four sensors 0.9 s apart: the first one that reads the descent was taken for odd, and the ground was lost."""
+    verdict = fly_plan(draw_plan(93, 208, True), tmp_path)["verdict"]
+    assert sum(silence[1] for silence in verdict["silences"]) < 12.0

@@ -562,3 +562,40 @@ def test_what_is_fixed_to_the_vehicle_is_found_in_a_hard_climb() -> None:
             found_s = found_s or time_s
     assert found_s is not None
     assert 10.0 < found_s < 12.0
+
+
+def test_the_first_reading_of_a_flank_is_no_climb() -> None:
+    """After a step of 1.3 m one reading is of the edge's flank: the next ones are the ground's."""
+    fusion = four()
+    fly(fusion, lambda name, time_s: 2.92, 40, noise(40))
+    beyond = [("b", 4.22), ("d", 4.22), ("a", 4.22), ("b", 3.98), ("c", 4.17), ("d", 4.22), ("a", 4.24), ("c", 4.21)]
+    out = [take(fusion, reading(name, 4.0 + i * SLOT_S, range_m)) for i, (name, range_m) in enumerate(beyond)]
+    assert out[-1] is not None
+    assert all(each is None or abs(each.range_m - 4.2) < 0.25 for each in out[2:])
+    assert out[-1].range_m == pytest.approx(4.2, abs=0.05)
+
+
+def test_answers_of_the_ping_before_are_not_sent_and_reported() -> None:
+    motion = VerticalMotion()
+    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
+    fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
+    draw = np.random.default_rng(1)
+
+    def height_m(time_s: float) -> float:
+        """Up and down by 1 m."""
+        return 3.0 - math.cos(2 * math.pi * max(time_s - 5.0, 0.0) / 5.0)
+
+    late = []
+    for i in range(200):
+        time_s = i * SLOT_S
+        for k in range(4):
+            moment_s = time_s + 0.025 * k
+            up_m_s2 = (2 * math.pi / 5.0) ** 2 * math.cos(2 * math.pi * (moment_s - 5.0) / 5.0) if moment_s > 5 else 0.0
+            motion.on_acceleration(moment_s, up_m_s2 + draw.normal(0.0, 0.3))
+        range_m = height_m(time_s - 4 * SLOT_S) + draw.normal(scale=SIGMA_M)
+        out = fusion.update(reading(NAMES[i % 4], time_s, range_m), time_s + 0.03)
+        if fusion.condition().text is not None:
+            late.append(time_s)
+            assert out.fused is None
+    assert late
+    assert min(late) > 5.0

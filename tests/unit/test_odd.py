@@ -32,6 +32,9 @@ def test_the_plane_is_the_grounds_and_costs_what_a_slope_does() -> None:
     assert (plane.rise_north, plane.rise_east) == pytest.approx((0.1, -0.1), rel=0.4)
     assert 0.3 < plane.cost < 1.0
     assert plane_of(over((0.0, 0.0))).cost == pytest.approx(0.0)
+    ahead = [(north + 1.0, east) for north, east in CORNERS]
+    plane = plane_of(over((0.1, -0.1), places=ahead))
+    assert plane.lower_m + plane.rise_north == pytest.approx(0.05 + 0.1), "at the sensors"
 
 
 @pytest.mark.parametrize("off_m", [-0.3, 0.3, 1.5])

@@ -20,6 +20,7 @@ from msp_range.watch.view import airframe_message, status_message
 from msp_range.web.metrics import BridgeMetrics
 from msp_sim.device.device import Fault
 from tests.support.bench import Bench, airframe
+from tests.support.known import known
 
 NOBODY = "Range: no autopilot, nobody gets the distances"
 NAMES = "abcd"
@@ -170,7 +171,7 @@ def test_a_bridge_that_sends_nothing_says_so_and_is_neither_active_nor_critical_
     assert "sent no distances, 0 frames dropped" in lines
     assert metrics(newest)["msp_range_critical"][0].value == float(bool(absent))
     assert [each.verdict for each in findings(newest) if each.step == "not sent"] == ["unknown"]
-    newest.update(Message("/fused", bench.clock.now(), bench.steps[-1].fused.record(0.0)))  # type: ignore[union-attr]
+    newest.update(Message("/fused", bench.clock.now(), known(bench.steps[-1].fused).record(0.0)))
     assert any(line.startswith("distance down 3.00 m (not sent), deviation") for line in terminal(newest))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from msp_range.fusion.vertical import CLIMB_STD_M, Moved, RecordedMotion, VerticalMotion
+from msp_range.fusion.vertical import CLIMB_STD_M, Moved, RecordedMotion, VerticalMotion, corrected, moved
 from msp_range.mavlink.inertial import pressure_height_m, specific_force
 
 IMU_S, PRESSURE_S = 0.04, 0.1
@@ -126,3 +126,17 @@ def test_messages_in_si_units() -> None:
         assert pressure_height_m(mavlink.MAVLink_scaled_pressure_message(0, hpa, 0.0, 2000)) is None
     assert pressure_height_m(raw) is None
     assert specific_force(low) is None
+
+
+def test_covariances_are_those_of_matrices() -> None:
+    draw = np.random.default_rng(1)
+    root = draw.normal(size=(3, 3))
+    before = root @ root.T
+    t, variance_m2 = 0.3, 0.7
+    f = np.array([[1, t, -t * t / 2], [0, 1, -t], [0, 0, 1]])
+    upper = np.triu_indices(3)
+    assert moved(tuple(before[upper]), t) == pytest.approx((f @ before @ f.T)[upper])
+    gains, after = corrected(tuple(before[upper]), variance_m2)
+    expected = before[:, 0] / (before[0, 0] + variance_m2)
+    assert gains == pytest.approx(expected)
+    assert after == pytest.approx((before - np.outer(expected, before[0]))[upper])
