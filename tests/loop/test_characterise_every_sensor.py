@@ -18,7 +18,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from msp_sim.cli import app as sim_app
 from tests.support.data import measured_data
-from tests.support.measured import EVERY_SENSOR, ROOT
+from tests.support.measured import EVERY_SENSOR, QUICK_SENSORS, ROOT, SENSORS
 from tests.support.slow import slow_but
 
 HCSR04 = ROOT / "configs" / "sensors" / "hcsr04.yaml"
@@ -125,7 +125,7 @@ def test_few_readings_leave_the_goodness_of_fit_open(tmp_path: Path) -> None:
     assert "too few to test" in printed
 
 
-@pytest.mark.parametrize("file", slow_but(EVERY_SENSOR[:1], EVERY_SENSOR))
+@pytest.mark.parametrize("file", slow_but(QUICK_SENSORS[:1], SENSORS))
 def test_every_model_flies(file: Path, tmp_path: Path) -> None:
     """Also that of a sensor whose readings the airframe's sensors cannot answer, such as 18 cm."""
     scenario = tmp_path / "scenario.yaml"

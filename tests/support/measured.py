@@ -12,7 +12,9 @@ MODEL = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
 ROOT = MODEL.parents[2]
 QUICK_SENSORS = [MODEL.with_name(f"{name}.yaml") for name in ("hcsr04", "lidar_lite_v3", "mb1242")]
 """Sound with a driver and without one, and light; the shortest reading is 1, 5 and 20 cm, the longest 4 to 40 m."""
-EVERY_SENSOR = slow_but(QUICK_SENSORS, sorted(MODEL.parent.glob("*.yaml")))
+SENSORS = sorted(MODEL.parent.glob("*.yaml"))
+"""The files of all shipped sensors."""
+EVERY_SENSOR = slow_but(QUICK_SENSORS, SENSORS)
 """Values of a test's parameter: the files of all shipped sensors."""
 
 
