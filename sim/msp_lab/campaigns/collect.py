@@ -67,19 +67,13 @@ class Operator(Protocol):
 
 @dataclass(frozen=True)
 class Place:
-    """Position in the campaign.
-
-    Attributes
-    ----------
-    number, of
-        Of this point, among all.
-    had
-        Readings of this point that are recorded already, of its first sensor.
-    """
+    """Position in the campaign."""
 
     number: int
     of: int
+    """Of this point, among all."""
     had: int
+    """Readings of this point that are recorded already, of its first sensor."""
 
 
 def collect_readings(

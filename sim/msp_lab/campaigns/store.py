@@ -39,27 +39,18 @@ _FAULTS = frozenset(status.value for status in Status if status.is_fault)
 
 @dataclass
 class Attempt:
-    """One attempt at reading a point.
-
-    Attributes
-    ----------
-    number
-        1, 2 ...
-    runs
-        Names of its sessions.
-    rangings
-        Number of rangings, unanswered ones included.
-    readings
-        Number of answers by sensor.
-    done
-        Whether it was read to its end.
-    """
+    """One attempt at reading a point."""
 
     number: int
+    """1, 2 ..."""
     runs: list[str] = field(default_factory=list)
+    """Names of its sessions."""
     rangings: int = 0
+    """Number of rangings, unanswered ones included."""
     readings: Counter[str] = field(default_factory=Counter)
+    """Number of answers by sensor."""
     done: bool = False
+    """Whether it was read to its end."""
 
 
 class Store:

@@ -44,46 +44,30 @@ session by so many nats on average: the smallest gap that never counts as closed
 
 @dataclass(frozen=True)
 class FittedAnswer:
-    """An answer with its numbers.
-
-    Attributes
-    ----------
-    answer
-        What it stands for.
-    terms
-        Effects of the model in all, that of the answer last.
-    base
-        Change of the base's numbers.
-    log_likelihood
-        Of the readings that were fitted [nat]; None: they lack its columns.
-    model
-        The whole model, to draw readings from.
-    assumed
-        The strength is not fitted, but the one that matters.
-    """
+    """An answer with its numbers."""
 
     answer: Answer
+    """What it stands for."""
     terms: tuple[Term, ...]
+    """Effects of the model in all, that of the answer last."""
     base: Array
+    """Change of the base's numbers."""
     log_likelihood: float | None
+    """Of the readings that were fitted [nat]; None: they lack its columns."""
     model: Model
+    """The whole model, to draw readings from."""
     assumed: bool = False
+    """The strength is not fitted, but the one that matters."""
 
 
 @dataclass(frozen=True)
 class OldReadings:
-    """The readings of a gap run, its model, and what it named.
-
-    Attributes
-    ----------
-    comparison
-        Readings and model.
-    terms
-        What was added to the model.
-    """
+    """The readings of a gap run, its model, and what it named."""
 
     comparison: Comparison
+    """Readings and model."""
     terms: tuple[Term, ...]
+    """What was added to the model."""
 
     @classmethod
     def load(cls, steps: Steps) -> "OldReadings":

@@ -66,22 +66,15 @@ INSTEAD = {
 
 @dataclass(frozen=True)
 class BenchSessions:
-    """What all sessions at a bench have in common.
-
-    Attributes
-    ----------
-    model
-        Sensor model file.
-    sensor
-        Its content.
-    sensors
-        Names of the sensors to read.
-    """
+    """What all sessions at a bench have in common."""
 
     instead: ClassVar[Mapping[str, str]] = INSTEAD
     model: Path
+    """Sensor model file."""
     sensor: SensorModel
+    """Its content."""
     sensors: tuple[str, ...]
+    """Names of the sensors to read."""
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a bench can vary."""

@@ -68,20 +68,14 @@ INSTEAD = {
 
 @dataclass(frozen=True)
 class Pilot:
-    """What all sessions in flight have in common.
-
-    Attributes
-    ----------
-    airframe_file, airframe
-        The vehicle.
-    flown
-        Contexts of flights that were simulated, by what they do: flights of a session differ only in their air.
-    """
+    """What all sessions in flight have in common."""
 
     instead: ClassVar[Mapping[str, str]] = INSTEAD
     airframe_file: Path
     airframe: Airframe
+    """The vehicle."""
     flown: dict[str, Columns] = field(default_factory=dict, compare=False, repr=False)
+    """Contexts of flights that were simulated, by what they do: flights of a session differ only in their air."""
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a pilot can vary."""

@@ -27,19 +27,13 @@ from msp_sim.model.model import Model
 
 @dataclass(frozen=True)
 class Proof:
-    """How often the right answer was named.
-
-    Attributes
-    ----------
-    right, held
-        Sessions with the right answer, and all that were simulated.
-    wrong
-        What was found in the others, in words.
-    """
+    """How often the right answer was named."""
 
     right: int
     held: int
+    """Sessions with the right answer, and all that were simulated."""
     wrong: tuple[str, ...] = ()
+    """What was found in the others, in words."""
 
     @property
     def interval(self) -> tuple[float, float]:

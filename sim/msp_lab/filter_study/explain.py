@@ -37,36 +37,24 @@ Rows = Mapping[str, Row]
 
 @dataclass(frozen=True)
 class FilterResult:
-    """Result for one filter.
-
-    Attributes
-    ----------
-    filter
-        Its name.
-    rows
-        Its rows in the table, by scenario.
-    before
-        Bands of the study as it is stated, by scenario.
-    changes
-        The explanation of the rows; empty: they lie in those bands; None: nothing that was tried explains them.
-    after
-        Bands with the changes, or with the nearest change.
-    tried
-        Number of settings that were compared.
-    nearest
-        If nothing fits all rows: the single change that comes nearest.
-    alone
-        If nothing fits all rows: the changes that fit each row alone; None: there are none.
-    """
+    """Result for one filter."""
 
     filter: str
+    """Its name."""
     rows: Rows
+    """Its rows in the table, by scenario."""
     before: Mapping[str, Band]
+    """Bands of the study as it is stated, by scenario."""
     changes: Changes | None
+    """The explanation of the rows; empty: they lie in those bands; None: nothing that was tried explains them."""
     after: Mapping[str, Band]
+    """Bands with the changes, or with the nearest change."""
     tried: int
+    """Number of settings that were compared."""
     nearest: Changes | None = None
+    """If nothing fits all rows: the single change that comes nearest."""
     alone: Mapping[str, Changes | None] = field(default_factory=dict)
+    """If nothing fits all rows: the changes that fit each row alone; None: there are none."""
 
 
 def explain_rows(table: Table) -> tuple[bool, list[FilterResult]]:

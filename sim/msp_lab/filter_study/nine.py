@@ -21,34 +21,24 @@ Boundary = Literal["grow", "raw", "zero", "first"]
 
 @dataclass(frozen=True)
 class Variant:
-    """One filter with its parameters, and the differences of its implementation.
-
-    Attributes
-    ----------
-    family, parameter
-        The filter; its window M, or its process variance Q [cm^2].
-    centred
-        Moving average and median: the window reaches as far ahead as back; otherwise it ends at its reading.
-    boundary
-        Replacement of readings before the first (and after the last, if centred). grow: the window is shorter
-        there. raw: the reading itself until the window is full, the report's 'not processing the
-        boundary'. zero: zeros. first: the first (last) reading repeated.
-    delay
-        Samples by which the estimate comes late, on top of the filter's own delay; negative: early. Before there is
-        one, the output is the reading.
-    q_factor
-        Kalman: factor of Q. P at the start is R.
-    start_cm
-        Kalman: estimate at the first sample [cm]; None: the first reading.
-    """
+    """One filter with its parameters, and the differences of its implementation."""
 
     family: Family
     parameter: float
+    """The filter; its window M, or its process variance Q [cm^2]."""
     centred: bool = False
+    """Moving average and median: the window reaches as far ahead as back; otherwise it ends at its reading."""
     boundary: Boundary = "grow"
+    """Replacement of readings before the first (and after the last, if centred). grow: the window is shorter there.
+    raw: the reading itself until the window is full, the report's 'not processing the boundary'. zero: zeros. first:
+    the first (last) reading repeated."""
     delay: int = 0
+    """Samples by which the estimate comes late, on top of the filter's own delay; negative: early. Before there is one,
+    the output is the reading."""
     q_factor: float = 1.0
+    """Kalman: factor of Q. P at the start is R."""
     start_cm: float | None = None
+    """Kalman: estimate at the first sample [cm]; None: the first reading."""
 
     @property
     def window(self) -> int:

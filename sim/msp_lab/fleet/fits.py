@@ -37,28 +37,19 @@ unit is wrong. Higher: fits to what is left of them."""
 
 @dataclass(frozen=True)
 class Unit:
-    """A sensor of a vehicle, and where its readings are.
-
-    Attributes
-    ----------
-    dataset
-        Folder of the dataset.
-    vehicle, sensor
-        Names.
-    sessions
-        Its runs, in their order.
-    seed
-        Random seed.
-    version
-        Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder.
-    """
+    """A sensor of a vehicle, and where its readings are."""
 
     dataset: Path
+    """Folder of the dataset."""
     vehicle: str
     sensor: str
+    """Names."""
     sessions: tuple[str, ...]
+    """Its runs, in their order."""
     seed: int
+    """Random seed."""
     version: str = ""
+    """Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder."""
 
     @property
     def name(self) -> str:
@@ -68,18 +59,12 @@ class Unit:
 
 @dataclass(frozen=True)
 class UnitReadings:
-    """A unit's readings.
-
-    Attributes
-    ----------
-    problem
-        The readings that are fitted.
-    messages
-        What was noticed about them.
-    """
+    """A unit's readings."""
 
     problem: Problem
+    """The readings that are fitted."""
     messages: tuple[str, ...]
+    """What was noticed about them."""
 
 
 class UnusableError(UserError):

@@ -38,25 +38,17 @@ ROUNDS = 100
 
 @dataclass(frozen=True)
 class Pooled:
-    """A fleet's estimate of one number.
-
-    Attributes
-    ----------
-    mean, error
-        Mean of the ordinary vehicles, and its standard error.
-    tau
-        Standard deviation between them.
-    i2
-        Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002).
-    ordinary
-        (units,): which vehicles it is from.
-    """
+    """A fleet's estimate of one number."""
 
     mean: float
     error: float
+    """Mean of the ordinary vehicles, and its standard error."""
     tau: float
+    """Standard deviation between them."""
     i2: float
+    """Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002)."""
     ordinary: Flags
+    """(units,): which vehicles it is from."""
 
     @property
     def log_p(self) -> float:

@@ -41,31 +41,21 @@ SHARED_TRIED = 6
 
 @dataclass(frozen=True)
 class FleetFinding:
-    """Something that was found.
-
-    Attributes
-    ----------
-    kind
-        ``shared``: the fleet has it; ``calibration``: that too, and it is a number of the sensor model; ``odd``: some
-        units do, or have more or less of it; ``change`` or ``drift``: one unit's became another one.
-    term
-        The number.
-    units
-        Places of the units.
-    log_p
-        Logarithms of their p-values, or the one of the fleet's mean.
-    alternatives
-        Other effects that explain it as well, with how much less they gain [nat].
-    change
-        Of one unit.
-    """
+    """Something that was found."""
 
     kind: Kind
+    """``shared``: the fleet has it; ``calibration``: that too, and it is a number of the sensor model; ``odd``: some
+    units do, or have more or less of it; ``change`` or ``drift``: one unit's became another one."""
     term: FleetTerm
+    """The number."""
     units: tuple[int, ...]
+    """Places of the units."""
     log_p: tuple[float, ...]
+    """Logarithms of their p-values, or the one of the fleet's mean."""
     alternatives: tuple[tuple[FleetTerm, float], ...] = ()
+    """Other effects that explain it as well, with how much less they gain [nat]."""
     change: Change | None = None
+    """Of one unit."""
 
 
 @dataclass

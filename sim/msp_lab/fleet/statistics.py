@@ -27,55 +27,37 @@ BISECTIONS = 60
 
 @dataclass(frozen=True)
 class Change:
-    """The likeliest change of a number, or its drift, over the sessions of one unit.
-
-    Attributes
-    ----------
-    kind
-        ``change`` or ``drift``.
-    first
-        Place of the first session after a change.
-    size, error
-        By how much the number is larger after it, or a drift's rise from the first session to the last.
-    log_p
-        Logarithm of its p-value, with the search for the place counted.
-    """
+    """The likeliest change of a number, or its drift, over the sessions of one unit."""
 
     kind: Literal["change", "drift"]
+    """``change`` or ``drift``."""
     first: int
+    """Place of the first session after a change."""
     size: float
     error: float
+    """By how much the number is larger after it, or a drift's rise from the first session to the last."""
     log_p: float
+    """Logarithm of its p-value, with the search for the place counted."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """One number over the fleet.
-
-    Attributes
-    ----------
-    term
-        What it is.
-    units
-        Places of the units that have it, (k,).
-    value, error
-        Estimates and standard errors, (k,).
-    omega
-        Standard deviation between sessions of one unit.
-    fleet
-        Mean and spread.
-    deviation, log_p
-        (k,): of each unit from the others.
-    """
+    """One number over the fleet."""
 
     term: FleetTerm
+    """What it is."""
     units: Indices
+    """Places of the units that have it, (k,)."""
     value: Array
     error: Array
+    """Estimates and standard errors, (k,)."""
     omega: float
+    """Standard deviation between sessions of one unit."""
     fleet: Pooled
+    """Mean and spread."""
     deviation: Array
     log_p: Array
+    """(k,): of each unit from the others."""
 
     @property
     def shared_log_p(self) -> float:

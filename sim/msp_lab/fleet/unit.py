@@ -42,39 +42,27 @@ errors are shares of 1 to 8 %. Lower: few improbable readings decide; higher: th
 
 @dataclass(frozen=True)
 class UnitScores:
-    """What a sensor's readings say of C numbers, by R sessions.
-
-    Attributes
-    ----------
-    terms
-        The numbers, (C,).
-    sessions
-        Sessions that have readings, in their order.
-    readings
-        How many, (R,).
-    value
-        At the fit, (C,): 0 of what is absent.
-    fitted
-        Whether a number is fitted, as those of the base are, (C,).
-    score, information, variance
-        (R, C): sums of efficient scores, by how much they grow with the number, and the sums of their squares, expected
-        or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected.
-    untestable
-        Effects that lack a column, with the columns.
-    messages
-        What was noticed about the readings.
-    """
+    """What a sensor's readings say of C numbers, by R sessions."""
 
     terms: tuple[FleetTerm, ...]
+    """The numbers, (C,)."""
     sessions: tuple[str, ...]
+    """Sessions that have readings, in their order."""
     readings: Indices
+    """How many, (R,)."""
     value: Array
+    """At the fit, (C,): 0 of what is absent."""
     fitted: Flags
+    """Whether a number is fitted, as those of the base are, (C,)."""
     score: Array
     information: Array
     variance: Array
+    """(R, C): sums of efficient scores, by how much they grow with the number, and the sums of their squares, expected
+    or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
+    """Effects that lack a column, with the columns."""
     messages: tuple[str, ...]
+    """What was noticed about the readings."""
 
     @property
     def factor(self) -> Array:
@@ -86,19 +74,13 @@ class UnitScores:
 
 @dataclass(frozen=True)
 class SimulatedScores:
-    """Efficient scores of C numbers at m simulated readings.
-
-    Attributes
-    ----------
-    weight
-        Of each reading, (m, 1): its probability without the effects over that with which it was drawn.
-    scores, bounded
-        (m, C): the scores, and the same with those of shares at `SMALL_SHARE`.
-    """
+    """Efficient scores of C numbers at m simulated readings."""
 
     weight: Array
+    """Of each reading, (m, 1): its probability without the effects over that with which it was drawn."""
     scores: Array
     bounded: Array
+    """(m, C): the scores, and the same with those of shares at `SMALL_SHARE`."""
 
 
 @dataclass(frozen=True)

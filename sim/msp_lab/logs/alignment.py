@@ -40,26 +40,18 @@ LEAST_READINGS = 50
 
 @dataclass(frozen=True)
 class Alignment:
-    """What the comparison of readings with a reference shows.
-
-    Attributes
-    ----------
-    lag_s, lag_low_s, lag_high_s
-        How much later than the reference the readings are, with its 95 % interval; NaN: cannot be seen.
-    offset_cm
-        Median of readings minus reference at that lag.
-    scatter_cm
-        Standard deviation of the differences, outliers left out.
-    no_lag
-        Why the lag cannot be seen, in a few words; empty: it can.
-    """
+    """What the comparison of readings with a reference shows."""
 
     lag_s: float
     lag_low_s: float
     lag_high_s: float
+    """How much later than the reference the readings are, with its 95 % interval; NaN: cannot be seen."""
     offset_cm: float
+    """Median of readings minus reference at that lag."""
     scatter_cm: float
+    """Standard deviation of the differences, outliers left out."""
     no_lag: str = ""
+    """Why the lag cannot be seen, in a few words; empty: it can."""
 
     @property
     def has_lag(self) -> bool:

@@ -34,21 +34,14 @@ is longer than the longest interval of a series."""
 
 @dataclass(frozen=True)
 class Stamps:
-    """Times of one sender's messages in the order of the log.
-
-    Attributes
-    ----------
-    place
-        Where in the log each message is, in any unit that all senders share; it increases.
-    time_s
-        Its time.
-    other_s
-        That time by another clock; NaN where it is not known.
-    """
+    """Times of one sender's messages in the order of the log."""
 
     place: NDArray[np.int64]
+    """Where in the log each message is, in any unit that all senders share; it increases."""
     time_s: Array
+    """Its time."""
     other_s: Array
+    """That time by another clock; NaN where it is not known."""
 
 
 @dataclass(frozen=True)

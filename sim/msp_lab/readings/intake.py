@@ -67,24 +67,16 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class LoadedReadings:
-    """Readings of all files together.
-
-    Attributes
-    ----------
-    data
-        All rows in the order of the files, with `run` and `previous_reading_cm`.
-    sources
-        The files.
-    messages
-        What was left out or noticed, a sentence each.
-    sensors
-        The sensors that the user selected; none: all.
-    """
+    """Readings of all files together."""
 
     data: MeasuredData
+    """All rows in the order of the files, with `run` and `previous_reading_cm`."""
     sources: tuple[SourceFile, ...]
+    """The files."""
     messages: tuple[str, ...] = ()
+    """What was left out or noticed, a sentence each."""
     sensors: tuple[str, ...] = ()
+    """The sensors that the user selected; none: all."""
 
 
 def load_readings(

@@ -53,37 +53,24 @@ what does not fit it; a fourth changes nothing that is printed."""
 
 @dataclass(frozen=True)
 class Referenced:
-    """Readings with the other sensors as reference.
-
-    Attributes
-    ----------
-    data
-        In the order of time.
-    offsets_cm
-        Of each sensor that has a reference: how much more than the others it read on average, which was taken off.
-    rows
-        Of how many readings that is the average.
-    """
+    """Readings with the other sensors as reference."""
 
     data: MeasuredData
+    """In the order of time."""
     offsets_cm: Mapping[str, float]
+    """Of each sensor that has a reference: how much more than the others it read on average, which was taken off."""
     rows: Mapping[str, int]
+    """Of how many readings that is the average."""
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """Where a vehicle's sensors are, and how it was turned.
-
-    Attributes
-    ----------
-    sensors
-        Those that look down, by name.
-    rotations
-        From times [s] in order to body to north, east, down; None where it is not known, which counts as level.
-    """
+    """Where a vehicle's sensors are, and how it was turned."""
 
     sensors: Mapping[str, DownwardSensor]
+    """Those that look down, by name."""
     rotations: Callable[[Array], Sequence[Matrix | None]]
+    """From times [s] in order to body to north, east, down; None where it is not known, which counts as level."""
 
 
 def side_by_side(names: Collection[str]) -> Mounting:

@@ -29,19 +29,13 @@ MOST_REFUSED = 3
 
 @dataclass(frozen=True)
 class Smoothed:
-    """States at n times, of each of B sets of readings.
-
-    Attributes
-    ----------
-    mean, covariance
-        (B, n, 5) and (B, n, 5, 5).
-    log_likelihood
-        Of each reading given those before it, (B, n); 0 where it is left out.
-    """
+    """States at n times, of each of B sets of readings."""
 
     mean: Array
     covariance: Array
+    """(B, n, 5) and (B, n, 5, 5)."""
     log_likelihood: Array
+    """Of each reading given those before it, (B, n); 0 where it is left out."""
 
     def predicted(self, geometry: Array) -> tuple[Array, Array]:
         """What a reading of this geometry should be, and its variance, each (B, n)."""

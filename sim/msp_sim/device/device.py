@@ -23,22 +23,15 @@ class NotAcknowledged(Exception):
 
 @dataclass(frozen=True)
 class DeviceTiming:
-    """How long a sensor ranges, and for how long an address change keeps it busy.
-
-    Attributes
-    ----------
-    ready_s, s_per_cm
-        A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm].
-    no_echo_s
-        A ranging without an echo takes this long [s], and none takes longer.
-    address_change_s
-        After an address change [s].
-    """
+    """How long a sensor ranges, and for how long an address change keeps it busy."""
 
     ready_s: float
     s_per_cm: float
+    """A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm]."""
     no_echo_s: float
+    """A ranging without an echo takes this long [s], and none takes longer."""
     address_change_s: float = 0.0
+    """After an address change [s]."""
 
     def ranging_s(self, reading_cm: int, no_echo_cm: int) -> float:
         """Time from the ping until the ranging has ended [s]."""
@@ -79,33 +72,6 @@ DRAWN = frozenset({"noisy", "fixed_object", "dust"})
 class Fault:
     """A fault that lasts from ``start_s`` up to ``end_s``.
 
-    Attributes
-    ----------
-    kind
-        One of `FAULT_KINDS`.
-    start_s, end_s
-        When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length.
-    probability
-        That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
-        "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift",
-        "constant", "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen.
-    word
-        The 16-bit answer of the kind "impossible".
-    spread_cm
-        Standard deviation of the error of the kind "noisy" [cm].
-    offset_cm
-        Error of the kind "offset" [cm].
-    rate_cm_s
-        How fast the error of the kind "drift" grows [cm/s]; negative: ranges become too short.
-    constant_cm
-        Reading of the kind "constant" [cm].
-    object_cm, jitter_cm
-        Mean range of the object of the kind "fixed_object", and standard deviation from ping to ping [cm].
-    swing_cm, swing_period_s
-        The object swings about its mean range with this amplitude [cm] and period [s].
-    dust_cm
-        How far down the dust of the kind "dust" is [cm].
-
     Raises
     ------
     ValueError
@@ -114,19 +80,32 @@ class Fault:
     """
 
     kind: str
+    """One of `FAULT_KINDS`."""
     start_s: float
     end_s: float
+    """When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length."""
     probability: float = 1.0
+    """That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
+    "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift", "constant",
+    "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen."""
     word: int = 1000
+    """The 16-bit answer of the kind "impossible"."""
     spread_cm: float = 100.0
+    """Standard deviation of the error of the kind "noisy" [cm]."""
     offset_cm: float = 100.0
+    """Error of the kind "offset" [cm]."""
     rate_cm_s: float = 2.0
+    """How fast the error of the kind "drift" grows [cm/s]; negative: ranges become too short."""
     constant_cm: int = 100
+    """Reading of the kind "constant" [cm]."""
     object_cm: float = 40.0
     jitter_cm: float = 0.5
+    """Mean range of the object of the kind "fixed_object", and standard deviation from ping to ping [cm]."""
     swing_cm: float = 0.0
     swing_period_s: float = 2.0
+    """The object swings about its mean range with this amplitude [cm] and period [s]."""
     dust_cm: float = 100.0
+    """How far down the dust of the kind "dust" is [cm]."""
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:

@@ -50,25 +50,17 @@ _MOTION = ("pressure", "raw_imu", "highres_imu")
 
 
 class BarometerErrors(NamedTuple):
-    """Errors of a barometer on a vehicle, on top of noise and drift.
-
-    Attributes
-    ----------
-    ground_effect_m
-        Error on the ground at hover thrust [m of height].
-    ground_effect_height_m
-        Height of the feet at which that has faded to nothing, along a straight line [m].
-    gust_m, gust_s
-        Standard deviation and correlation time of the error by gusts, a first-order Gauss-Markov process [m, s].
-    air_c
-        Temperature of the air below the vehicle [deg C]: in colder air the pressure falls faster with height.
-    """
+    """Errors of a barometer on a vehicle, on top of noise and drift."""
 
     ground_effect_m: float = 0.0
+    """Error on the ground at hover thrust [m of height]."""
     ground_effect_height_m: float = 1.0
+    """Height of the feet at which that has faded to nothing, along a straight line [m]."""
     gust_m: float = 0.0
     gust_s: float = 3.0
+    """Standard deviation and correlation time of the error by gusts, a first-order Gauss-Markov process [m, s]."""
     air_c: float = STANDARD_C
+    """Temperature of the air below the vehicle [deg C]: in colder air the pressure falls faster with height."""
 
 
 NO_ERRORS = BarometerErrors()

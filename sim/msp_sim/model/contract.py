@@ -38,21 +38,14 @@ def codes(sensor: SensorModel) -> Array:
 
 @dataclass(frozen=True)
 class Check:
-    """A requirement on an effect.
-
-    Attributes
-    ----------
-    title
-        What is checked.
-    find
-        Returns what is wrong with an effect; None if nothing is.
-    advice
-        How to correct it.
-    """
+    """A requirement on an effect."""
 
     title: str
+    """What is checked."""
     find: Callable[["Trial"], str | None]
+    """Returns what is wrong with an effect; None if nothing is."""
     advice: str
+    """How to correct it."""
 
 
 @dataclass(frozen=True)

@@ -69,22 +69,15 @@ Numbers = dict[str, Any]
 
 @dataclass(frozen=True)
 class Flights:
-    """What all flights have in common.
-
-    Attributes
-    ----------
-    sampled, seed
-        The scenario with what varies, and the random seed.
-    model
-        Sensor model for all sensors; None: each sensor's own.
-    effects
-        Files with effects that the models name, and that are not in the catalogue.
-    """
+    """What all flights have in common."""
 
     sampled: Sampled
     seed: int
+    """The scenario with what varies, and the random seed."""
     model: SensorModel | None = None
+    """Sensor model for all sensors; None: each sensor's own."""
     effects: tuple[Path, ...] = ()
+    """Files with effects that the models name, and that are not in the catalogue."""
 
     def sample(self, index: int) -> SampledFlight:
         """Draw a flight, with the effects added to the catalogue of this process."""
