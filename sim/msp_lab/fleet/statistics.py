@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import chi2, norm
 
-from msp_lab.fleet.meta import MIN_ORDINARY, Pooled, left_out, pooled
+from msp_lab.fleet.meta import MIN_ORDINARY, Pooled, left_out, pooled, where_one
 from msp_lab.fleet.terms import FleetTerm, candidate_of
 from msp_lab.fleet.unit import UnitScores
 from msp_range.arrays import Array, Indices
@@ -21,8 +21,6 @@ MIN_SESSIONS = 4
 """A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
 MIN_SIDE = 2
 """Sessions before and after a change. One flight that differs is no change of the vehicle."""
-BISECTIONS = 60
-"""Halvings of the interval of omega: to the last digit."""
 
 
 @dataclass(frozen=True)
@@ -154,13 +152,7 @@ def between_sessions(series: NumberOverSessions) -> float:
         sums = [float((left[i > 0.0] ** 2 / (v + omega2 * i**2)[i > 0.0]).sum()) for left, i, v in groups]
         return float(np.median(np.array(sums) / usual))
 
-    if ratio(0.0) <= 1.0:
-        return 0.0
-    low, high = 0.0, max(float((left[i > 0.0] ** 2 / i[i > 0.0] ** 2).max()) for left, i, _ in groups)
-    for _ in range(BISECTIONS):
-        half = (low + high) / 2.0
-        low, high = (half, high) if ratio(half) > 1.0 else (low, half)
-    return high
+    return where_one(ratio, max(float((left[i > 0.0] ** 2 / i[i > 0.0] ** 2).max()) for left, i, _ in groups))
 
 
 def over_sessions(score: Array, information: Array, variance: Array, omega2: float) -> Change | None:

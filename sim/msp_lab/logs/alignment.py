@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from msp_range.arrays import Array
 
@@ -27,8 +28,6 @@ RESAMPLES = 500
 GATE = 4.5
 """Readings whose difference is more than so many standard deviations from the median are outliers; of a normal
 distribution one good reading in 150,000 is lost."""
-MEDIAN_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over the median distance from its middle."""
 LEAST_STD_CM = 0.5
 """Differences scatter at least by this [cm] where a gate is set: the rounding of readings and logs."""
 WIDEST_SHARE = 0.25
@@ -162,8 +161,7 @@ def _without_lag(off_cm: Array, why: str) -> Alignment:
 
 def _spread(values: Array) -> float:
     """Standard deviation, by the median of the distances from the median."""
-    known = values[np.isfinite(values)]
-    return MEDIAN_TO_STD * float(np.median(np.abs(known - np.median(known))))
+    return float(median_abs_deviation(values[np.isfinite(values)], scale="normal"))
 
 
 def _blocks(time_s: Array) -> np.ndarray:
