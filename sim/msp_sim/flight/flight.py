@@ -19,7 +19,7 @@ from msp_range.correction.thermometer import LoopReader
 from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.emulated import emulated_bus
-from msp_sim.flight.autopilot import NO_ERRORS, LoopbackAutopilot
+from msp_sim.flight.autopilot import LoopbackAutopilot
 from msp_sim.flight.flight_log import FlightLog
 from msp_sim.flight.scenario import Scenario
 
@@ -111,19 +111,15 @@ class Simulation:
         )
         self._reference_down_m = airframe.reference_down_m
         self._displayed_c = scenario.thermometer.reading_c
-        plan = scenario.autopilot
         self._autopilot = LoopbackAutopilot(
             clock,
             self.vehicle.pose,
             lambda pose: self._displayed_c(pose.time_s, self._air_c),
-            sent_pose=plan.sent_pose if plan else None,
+            scenario.autopilot,
+            kind=airframe.link.autopilot,
             draw=random.Random(int(for_autopilot.generate_state(1)[0])),
-            kind=(plan.kind if plan else None) or airframe.link.autopilot,
-            first_heartbeat_s=plan.first_heartbeat_s if plan else float("inf"),
-            reboots_at_s=plan.reboots_at_s if plan else (),
-            sends_motion=plan.sends_motion if plan else True,
-            barometer=plan.barometer.errors(scenario.air.ground_c) if plan else NO_ERRORS,
             clearance_m=self.vehicle.clearance_m,
+            ground_c=scenario.air.ground_c,
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
         self.transport = _LoggingTransport(transport, clock, tlog)

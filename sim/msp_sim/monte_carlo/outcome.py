@@ -23,11 +23,10 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import column_of
 from msp_sim.device.emulated import EmulatedSensor, LastPings
 from msp_sim.effects.own import add_own_effects_once
-from msp_sim.flight.autopilot import REBOOT_S
+from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.sampled import Sampled, SampledFlight
-from msp_sim.flight.scenario import AutopilotSection
 from msp_sim.flight.summary import error_numbers
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model

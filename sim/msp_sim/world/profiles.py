@@ -29,6 +29,7 @@ SAMPLES_PER_SECTION = (5, 19)
 figures."""
 
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 SurfaceHeight = Callable[[float], float]
 """Height of the ground under the vehicle's course above its start [m], by time [s]."""
 Motion = tuple[float, float, float]
