@@ -21,7 +21,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import column_of
-from msp_sim.device.emulated import EmulatedSensor, LastPings
+from msp_sim.device.emulated import EmulatedSensor, LastPings, Surroundings
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
 from msp_sim.flight.flight import Simulation
@@ -118,12 +118,10 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     scenario = sample.scenario
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
     world = scenario.world()
-    vehicle = scenario.vehicle(world, default_rng(for_vehicle))
+    around = Surroundings(world, scenario.vehicle(world, default_rng(for_vehicle)).pose)
     others: LastPings = {}
     sensors = {
-        sensor.name: EmulatedSensor(
-            sensor, model or sensor.sensor_model, world, vehicle.pose, default_rng(0), lambda *_: None, others
-        )
+        sensor.name: EmulatedSensor(sensor, model or sensor.sensor_model, around, default_rng(0), others)
         for sensor in scenario.airframe.sensors
     }
     contexts: dict[str, list[dict[str, Any]]] = {name: [] for name in sensors}
