@@ -77,6 +77,7 @@ def collect(
     form of the project) and session-001.mcap ... (everything that was read). For a campaign of flights it asks for the
     recording and the reference of each flight and keeps copies of them; --simulate flies its scenarios.
     """
+    from msp_lab.campaigns.collect import load_collection
     from msp_lab.campaigns.flights import is_of_flights
 
     of_flights = is_of_flights(campaign_file)
@@ -88,7 +89,7 @@ def collect(
         if of_flights:
             collect_recordings(campaign_file, out, show_plan)
         else:
-            collect_at_bench(campaign_file, out, bus or "1", only or [], repeat or [], show_plan)
+            collect_at_bench(load_collection(campaign_file, only or (), repeat or ()), out, bus or "1", show_plan)
         return
     if bus is not None:
         raise ConfigError("--bus and --simulate: give one of them")
@@ -101,7 +102,7 @@ def collect(
     if of_flights:
         fly_flights(campaign_file, out, model, seed, show_plan)
     else:
-        collect_campaign(campaign_file, out, model, seed, only or [], repeat or [], show_plan)
+        collect_campaign(load_collection(campaign_file, only or (), repeat or ()), out, model, seed, show_plan)
 
 
 @app.command()
