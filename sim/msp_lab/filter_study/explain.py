@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from msp_lab.filter_study.bands import WIDTH, Band, StudiedFilter, band_in, find_bands
 from msp_lab.filter_study.changes import ROUND, Changes, ImplementationChange, all_made, double, single
@@ -26,6 +27,8 @@ FINALISTS = 12
 """Settings from the search that are checked with all seeds, at most."""
 AS_GOOD = 4.0
 """Prefer a rounder number if the misfit grows by less than this: two standard deviations."""
+MOST_TRIED = 10
+"""Values of a factor that are compared before it is rounded: the best is then known to a few per cent."""
 CAP = 1e4
 """Limit of one value's part of a misfit, so that two rows far outside still count more than one."""
 
@@ -162,22 +165,13 @@ def _refined(changes: Changes, base: StudiedFilter, rows: Rows) -> Changes:
 
 
 def _best_factor(cost: Callable[[float], float], start: float) -> float:
-    """Golden section over the logarithm, one step of the search to either side; then the roundest number as good."""
-    shrink = (math.sqrt(5) - 1) / 2
-    low, high = math.log(start) - math.log(10) / 4, math.log(start) + math.log(10) / 4
-    left, right = high - shrink * (high - low), low + shrink * (high - low)
-    cost_left, cost_right = cost(math.exp(left)), cost(math.exp(right))
-    for _ in range(8):
-        if cost_left < cost_right:
-            high, right, cost_right = right, left, cost_left
-            left = high - shrink * (high - low)
-            cost_left = cost(math.exp(left))
-        else:
-            low, left, cost_left = left, right, cost_right
-            right = low + shrink * (high - low)
-            cost_right = cost(math.exp(right))
-    factor, best = (left, cost_left) if cost_left < cost_right else (right, cost_right)
-    factor = math.exp(factor)
+    """The best within one step of the search to either side; then the roundest number as good."""
+    step = math.log(10) / 4
+    bounds = math.log(start) - step, math.log(start) + step
+    found = minimize_scalar(
+        lambda log: cost(math.exp(log)), bounds=bounds, method="bounded", options={"maxiter": MOST_TRIED}
+    )
+    factor, best = math.exp(found.x), float(found.fun)
     decade = 10.0 ** math.floor(math.log10(factor))
     # 1 before 10 before the rest, and the nearer before the farther.
     rounds = sorted(

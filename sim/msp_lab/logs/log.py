@@ -150,6 +150,11 @@ class TruthSource:
     """The range finder of the same log whose readings it is; empty: none."""
 
 
+def truth_source(kind: str, found: Series | None, std: Series | None = None, refused: str = "") -> TruthSource | None:
+    """A possible true range with these of its fields; None: the log does not have it."""
+    return None if found is None else TruthSource(kind, found, std=std, refused=refused)
+
+
 @dataclass(frozen=True)
 class VehicleLog:
     """What a log holds that matters here."""
@@ -188,6 +193,20 @@ class VehicleLog:
             )
         if not self.clock:
             yield self
+
+
+def make_log(
+    path: Path,
+    form: str,
+    rangers: Iterable[Ranger],
+    context: Mapping[str, Series | None],
+    references: Iterable[TruthSource | None],
+    notes: Iterable[str],
+    clock: tuple[ClockRun, ...],
+) -> VehicleLog:
+    """A log without the series and references that it lacks, which are None or empty."""
+    known = {name: each for name, each in context.items() if each is not None and len(each)}
+    return VehicleLog(path, form, tuple(rangers), known, tuple(filter(None, references)), tuple(notes), clock)
 
 
 def between_samples(at_s: Array, time_s: Array, values: Array, longest_s: float) -> Array:
@@ -262,11 +281,6 @@ def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     for each, time_s in zip(columns, times_s, strict=True):
         each._time_s = array("d", time_s)
     return runs
-
-
-def negative(found: Series) -> Series:
-    """What counts downwards, upwards."""
-    return replace(found, values=-found.values)
 
 
 def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:

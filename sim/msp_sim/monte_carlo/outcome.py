@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence, default_rng
 
+from msp_range.arrays import Array
 from msp_range.assembly import fused_stream, polling_groups, polling_interval_s, single_streams, windows_of
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
@@ -272,32 +273,22 @@ def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
     return numbers | {"error_worst_cm": round(worst_cm, 3)}
 
 
-class _Readings:
-    """Readings of one sensor with their truth, both [cm]; the truth is NaN where no echo is expected."""
-
-    def __init__(self, time_s: Any, reading_cm: Any, true_cm: Any, maximum_cm: float) -> None:
-        self.time_s, self.reading_cm, self.true_cm = time_s, reading_cm, true_cm
-        self.expected = np.isfinite(true_cm) & (true_cm < maximum_cm)
-        self.answered = reading_cm < maximum_cm
-
-
-def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> _Readings:
+def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> Array:
+    """Time [s], reading, truth (NaN where no echo is expected) and code of no echo [cm] of a sensor's pings, (4, n)."""
     columns = {name: column_of("drawn", name, [each.get(name) for each in contexts]) for name in contexts[0]}
     columns["time_s"] = columns["uptime_s"]
     reading_cm = sample_in_order(Model.of(model), columns, seed)
-    return _Readings(columns["time_s"], reading_cm, columns["true_range_cm"], model.maximum_cm)
+    maximum_cm = np.full(reading_cm.shape, float(model.maximum_cm))
+    return np.stack([columns["time_s"], reading_cm, columns["true_range_cm"], maximum_cm])
 
 
-def _judged_readings(sensors: Sequence[_Readings]) -> Numbers:
-    expected = sum(int(each.expected.sum()) for each in sensors)
-    both = [each.expected & each.answered for each in sensors]
-    errors_cm = np.concatenate(
-        [each.reading_cm[rows] - each.true_cm[rows] for each, rows in zip(sensors, both, strict=True)]
-    )
+def _judged_readings(sensors: Sequence[Array]) -> Numbers:
+    time_s, reading_cm, true_cm, maximum_cm = np.concatenate(sensors, axis=1)
+    is_expected, is_answered = true_cm < maximum_cm, reading_cm < maximum_cm
+    expected = int(is_expected.sum())
+    errors_cm = (reading_cm - true_cm)[is_expected & is_answered]
     wrong = int((np.abs(errors_cm) > WRONG_CM).sum())
-    answered_s = np.sort(np.concatenate([each.time_s[each.answered] for each in sensors]))
-    end_s = max(float(each.time_s[-1]) for each in sensors)
-    gaps_s = np.diff(np.concatenate([[0.0], answered_s, [end_s]]))
+    gaps_s = np.diff(np.concatenate([[0.0], np.sort(time_s[is_answered]), [time_s.max()]]))
     return {
         "wrong_share": round(wrong / expected, 5) if expected else None,
         "missed_share": round(1.0 - errors_cm.size / expected, 5) if expected else None,
