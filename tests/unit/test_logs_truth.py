@@ -23,6 +23,7 @@ def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     flags = {"estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}}
     kept, refused = px4._without_fused(height, flags, {"EKF2_HGT_REF": 1})
     assert refused == ""
+    assert kept is not None
     assert np.flatnonzero(np.isfinite(kept.values)).tolist() == list(range(7))
     assert px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
     assert "may be fused" in px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
