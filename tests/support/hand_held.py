@@ -156,7 +156,7 @@ class HandHeld:
             self.clock,
             lambda time_s: self.pose(max(time_s + made_s - self.attitude_late_s, 0.0)),
             lambda pose: self.world.air_temperature_c(1.0),
-            sent_pose=sent,
+            sent=sent,
             draw=random.Random(self.seed),
         )
 
@@ -181,8 +181,9 @@ class HandHeld:
 class Autopilot(LoopbackAutopilot):
     """The simulated autopilot with what commissioning asks it for besides: parameters, its own distance, arming."""
 
-    def __init__(self, vehicle: HandHeld, *arguments: Any, **options: Any) -> None:
+    def __init__(self, vehicle: HandHeld, *arguments: Any, sent: Callable[[Pose], Pose], **options: Any) -> None:
         super().__init__(*arguments, **options)
+        self._sent_pose = sent
         self._vehicle = vehicle
         self._returned_s = float("-inf")
 

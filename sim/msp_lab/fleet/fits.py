@@ -57,21 +57,11 @@ class Unit:
         return f"{self.vehicle} {self.sensor}"
 
 
-@dataclass(frozen=True)
-class UnitReadings:
-    """A unit's readings."""
-
-    problem: Problem
-    """The readings that are fitted."""
-    messages: tuple[str, ...]
-    """What was noticed about them."""
-
-
 class UnusableError(UserError):
     """A sensor's readings cannot be compared; the message says why."""
 
 
-def readings_of(model: Model, unit: Unit) -> UnitReadings:
+def problem_of(model: Model, unit: Unit) -> Problem:
     """The readings of a unit, ready for fits.
 
     Raises
@@ -81,11 +71,11 @@ def readings_of(model: Model, unit: Unit) -> UnitReadings:
     UnusableError
         There are too few readings.
     """
-    return _readings(pickle.dumps(model), unit)
+    return _problem(pickle.dumps(model), unit)
 
 
 @lru_cache(maxsize=KEPT_UNITS)
-def _readings(pickled: bytes, unit: Unit) -> UnitReadings:
+def _problem(pickled: bytes, unit: Unit) -> Problem:
     model, _ = with_least_weights(pickle.loads(pickled))
     readings = read_readings([unit.dataset], model, sensors=(unit.sensor,), runs=unit.sessions)
     model = readings.in_step(model)
@@ -98,8 +88,7 @@ def _readings(pickled: bytes, unit: Unit) -> UnitReadings:
     if possible.mean() < 1.0 - MAX_SHARE_LEFT_OUT:
         raise UnusableError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
     rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode())])
-    problem = Problem.of(model, columns, reading_cm, numbered(columns["run"]), rng)
-    return UnitReadings(problem, readings.messages)
+    return Problem.of(model, columns, reading_cm, numbered(columns["run"]), rng)
 
 
 def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
@@ -109,7 +98,7 @@ def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
 
 @lru_cache(maxsize=KEPT_UNITS)
 def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
-    problem = _readings(pickled, unit).problem
+    problem = _problem(pickled, unit)
     return with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
 
 

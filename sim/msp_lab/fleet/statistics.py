@@ -53,9 +53,8 @@ class Number:
     """Standard deviation between sessions of one unit."""
     fleet: Pooled
     """Mean and spread."""
-    deviation: Array
     log_p: Array
-    """(k,): of each unit from the others."""
+    """Logarithms of the p-values of each unit's deviation from the others, (k,)."""
 
     @property
     def shared_log_p(self) -> float:
@@ -134,7 +133,7 @@ def _number(series: NumberOverSessions) -> Number:
         deviation = np.clip(value / error, 0.0, np.maximum(deviation, 0.0))
         log_p = np.where(deviation > 0.0, np.maximum(log_p, norm.logsf(deviation)), 0.0)
     units = np.array(series.units)
-    return Number(series.term, units, value, error, float(np.sqrt(omega2)), fleet, deviation, log_p)
+    return Number(series.term, units, value, error, float(np.sqrt(omega2)), fleet, log_p)
 
 
 def between_sessions(series: NumberOverSessions) -> float:

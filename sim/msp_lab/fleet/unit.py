@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_lab.fleet.fits import Unit, fit_of, readings_of, with_term
+from msp_lab.fleet.fits import Unit, fit_of, problem_of, with_term
 from msp_lab.fleet.rare import RareReadings
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
 from msp_lab.gap import rules
@@ -61,8 +61,6 @@ class UnitScores:
     or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     """Effects that lack a column, with the columns."""
-    messages: tuple[str, ...]
-    """What was noticed about the readings."""
 
     @property
     def factor(self) -> Array:
@@ -105,11 +103,10 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     Raises
     ------
     UserError
-        As `readings_of`.
+        As `problem_of`.
     """
     unit, terms, with_others = task
-    known, fit = readings_of(model, unit), fit_of(model, unit, terms)
-    problem = known.problem
+    problem, fit = problem_of(model, unit), fit_of(model, unit, terms)
     own = {(*each.key, each.number) for each in terms if not each.sessions}
     candidates = [
         each
@@ -185,17 +182,16 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         information,
         variance,
         problem.untestable,
-        known.messages,
     )
 
 
 def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[RefittedTerm]:
     """Refits of a unit with its terms and one more, each of the last ones in its turn."""
     unit, terms, tried = task
-    known, fit = readings_of(model, unit), fit_of(model, unit, terms)
+    problem, fit = problem_of(model, unit), fit_of(model, unit, terms)
     found = []
     for term in tried:
-        best = with_term(known.problem, fit, term)
+        best = with_term(problem, fit, term)
         gained = best.log_likelihood - fit.log_likelihood - candidate_of(term).cost_nats
         found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
     return found
