@@ -7,13 +7,13 @@ statement that none does, with what was tried. The search goes over differences 
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from msp_lab.filter_study.bands import WIDTH, Band, StudiedFilter, band_in, find_bands
-from msp_lab.filter_study.changes import ROUND, Changes, ImplementationChange, all_made, double, single
+from msp_lab.filter_study.changes import ROUND, Changes, all_made, double, single
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.table import Row, Table
 
@@ -150,18 +150,19 @@ def _best_alone(tried: Sequence[Changes], base: StudiedFilter, row: Rows) -> Cha
 def _refined(changes: Changes, base: StudiedFilter, rows: Rows) -> Changes:
     """Set each factor to the value that fits best, or to a round one that fits as well."""
     for index, change in enumerate(changes):
-        if not change.is_factor:
-            continue
-
-        def cost(
-            factor: float, index: int = index, change: ImplementationChange = change, changes: Changes = changes
-        ) -> float:
-            others = (*changes[:index], ImplementationChange(change.kind, factor), *changes[index + 1 :])
-            return misfit(all_made(others, base), rows, SEEDS)[0]
-
-        factor = _best_factor(cost, change.value)
-        changes = (*changes[:index], ImplementationChange(change.kind, factor), *changes[index + 1 :])
+        if change.is_factor:
+            changes = _with_best_factor(changes, index, base, rows)
     return changes
+
+
+def _with_best_factor(changes: Changes, index: int, base: StudiedFilter, rows: Rows) -> Changes:
+    def with_factor(factor: float) -> Changes:
+        return (*changes[:index], replace(changes[index], value=factor), *changes[index + 1 :])
+
+    def cost(factor: float) -> float:
+        return misfit(all_made(with_factor(factor), base), rows, SEEDS)[0]
+
+    return with_factor(_best_factor(cost, changes[index].value))
 
 
 def _best_factor(cost: Callable[[float], float], start: float) -> float:

@@ -117,14 +117,13 @@ def _windowed(variant: Variant, reading_cm: Array) -> Array:
         fill = 0.0 if variant.boundary == "zero" else np.nan
         padded = np.pad(reading_cm, ((0, 0), (back, ahead)), constant_values=fill)
     windows = sliding_window_view(padded, window, axis=1)
-    mean = variant.family == "moving average"
-    estimate_cm: Array = windows.mean(axis=2) if mean else np.median(windows, axis=2)
+    average = np.mean if variant.family == "moving average" else np.median
+    estimate_cm: Array = average(windows, axis=2)
     for sample in (*range(min(back, samples)), *range(max(samples - ahead, 0), samples)):
         if variant.boundary == "raw":
             estimate_cm[:, sample] = reading_cm[:, sample]
         elif variant.boundary == "grow":
-            part = reading_cm[:, max(sample - back, 0) : sample + ahead + 1]
-            estimate_cm[:, sample] = part.mean(axis=1) if mean else np.median(part, axis=1)
+            estimate_cm[:, sample] = average(reading_cm[:, max(sample - back, 0) : sample + ahead + 1], axis=1)
     return estimate_cm
 
 

@@ -27,12 +27,12 @@ from msp_lab.logs.log import (
     readings_cm,
     rounded_cm,
     series,
-    tilt_deg,
     truth_source,
 )
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.arrays import Column
 from msp_range.mavlink.orientation import DOWN
+from msp_sim.model.derived import tilt_deg
 
 _WEEK_S = 604_800.0
 _NO_DATA, _TOO_NEAR, _TOO_FAR = 1, 2, 3

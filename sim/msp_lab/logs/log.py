@@ -283,13 +283,8 @@ def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     return runs
 
 
-def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
-    """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
-    return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))
-
-
 def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:
-    """The same angle from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
+    """`tilt_deg` from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
     return np.asarray(np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x**2 + y**2), -1.0, 1.0))))
 
 

@@ -28,7 +28,6 @@ from msp_lab.logs.log import (
     make_log,
     make_ranger,
     readings_cm,
-    tilt_deg,
     truth_source,
 )
 from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
@@ -38,6 +37,7 @@ from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
+from msp_sim.model.derived import tilt_deg
 
 LATEST_US = 4_000_000_000_000_000
 """Times after the year 2096 are none [us]: the log is damaged there."""

@@ -30,11 +30,9 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
 from msp_sim.effects.base import OTHERS, REFERENCE, REFERENCE_STD, TRUE_RANGE
-from msp_sim.model.derived import DERIVED, derived_columns
+from msp_sim.model.derived import DERIVED, PREVIOUS, derived_columns
 from msp_sim.model.model import Model
 
-PREVIOUS = "previous_reading_cm"
-"""Column that the intake adds: the reading of the same sensor and run before this one [cm]."""
 CLOCK_FAULT_CM = 32768.0
 """Readings from here on are a fault of the sensor's clock line and no distance: the highest bit of the answer is set.
 They are left out where a unit is judged by distances."""

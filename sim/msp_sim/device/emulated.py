@@ -4,7 +4,7 @@ An airframe, a world, a pose over time and sensor models enter; a bus leaves, be
 """
 
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -103,6 +103,19 @@ class EmulatedSensor:
         if not ping.has_echo:
             context["true_range_cm"] = None
         return context
+
+
+def ping_contexts(
+    airframe: Airframe, model: SensorModel | None, around: Surroundings, pings: Iterable[tuple[float, str]]
+) -> Iterator[dict[str, Any]]:
+    """The contexts of pings without a bridge, each with its time [s] and its sensor; model None: each sensor's own."""
+    others: LastPings = {}
+    sensors = {
+        each.name: EmulatedSensor(each, model or each.sensor_model, around, default_rng(0), others)
+        for each in airframe.sensors
+    }
+    for time_s, name in pings:
+        yield sensors[name].context(time_s)
 
 
 def ranging_timing(kind: type[RangeFinder], model: SensorModel) -> DeviceTiming:

@@ -17,6 +17,7 @@ from msp_sim.model.model import Model
 _Columns = Mapping[str, Column]
 
 PREVIOUS = "previous_reading_cm"
+"""Column of the reading of the same sensor and run before this one [cm], which the intake of readings adds."""
 CLOSEST_S = 1e-6
 """Rows of a sensor that are closer in time than this say nothing of a rate [s]; two stamps of one reading are."""
 SLOPE_S = 0.1
@@ -102,8 +103,12 @@ def time_in_run_s(columns: _Columns) -> Array:
 
 def _incidence_deg(columns: _Columns) -> Array:
     """Angle between the vehicle's down axis and the vertical [deg]."""
-    roll, pitch = (np.radians(columns[name]) for name in ("roll_deg", "pitch_deg"))
-    return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0))))
+    return tilt_deg(np.radians(columns["roll_deg"]), np.radians(columns["pitch_deg"]))
+
+
+def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
+    """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
+    return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))
 
 
 def _range_rate_cm_s(columns: _Columns) -> Array:

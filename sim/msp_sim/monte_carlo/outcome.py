@@ -22,7 +22,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import column_of
-from msp_sim.device.emulated import EmulatedSensor, LastPings, Surroundings
+from msp_sim.device.emulated import Surroundings, ping_contexts
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
 from msp_sim.flight.flight import Simulation
@@ -120,17 +120,13 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
     world = scenario.world()
     around = Surroundings(world, scenario.vehicle(world, default_rng(for_vehicle)).pose)
-    others: LastPings = {}
-    sensors = {
-        sensor.name: EmulatedSensor(sensor, model or sensor.sensor_model, around, default_rng(0), others)
-        for sensor in scenario.airframe.sensors
-    }
-    contexts: dict[str, list[dict[str, Any]]] = {name: [] for name in sensors}
     groups, interval_s = polling_groups(scenario.airframe), polling_interval_s(scenario.airframe)
-    for turn in range(math.ceil(scenario.duration_s / interval_s)):
-        for name in groups[turn % len(groups)]:
-            contexts[name].append(sensors[name].context(turn * interval_s))
-    seeds = for_readings.generate_state(len(sensors))
+    turns = range(math.ceil(scenario.duration_s / interval_s))
+    pings = ((turn * interval_s, name) for turn in turns for name in groups[turn % len(groups)])
+    contexts: dict[str, list[dict[str, Any]]] = {sensor.name: [] for sensor in scenario.airframe.sensors}
+    for context in ping_contexts(scenario.airframe, model, around, pings):
+        contexts[context["sensor"]].append(context)
+    seeds = for_readings.generate_state(len(contexts))
     readings = [
         _drawn(model or sensor.sensor_model, contexts[sensor.name], int(seeds[i]))
         for i, sensor in enumerate(scenario.airframe.sensors)

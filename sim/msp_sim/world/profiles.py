@@ -86,13 +86,7 @@ class Course:
 
     def coast(self, duration_s: float) -> None:
         """Keep the present speed."""
-        from_m, from_m_s = self.end_m, self.end_m_s
-
-        def piece(t: float) -> Motion:
-            return from_m + from_m_s * t, from_m_s, 0.0
-
-        if duration_s > 0:
-            self._append(piece, duration_s, piece(duration_s))
+        self.change_speed(0.0, duration_s)
 
     def set(self, position_m: float, speed_m_s: float = 0.0) -> None:
         """Jump to another position and speed."""
