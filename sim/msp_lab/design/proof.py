@@ -17,7 +17,7 @@ from msp_lab.gap import naming, rules
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.intake import Comparison, Readings
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.runs import numbered
+from msp_range.arrays import numbered
 from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model

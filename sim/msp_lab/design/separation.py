@@ -19,8 +19,9 @@ from msp_lab.design.session import Columns
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
-from msp_lab.gap.runs import numbered, previous
+from msp_lab.gap.runs import previous
 from msp_lab.readings.intake import PREVIOUS
+from msp_range.arrays import numbered
 from msp_sim.model.model import Model
 
 DRAWN_ROWS = 3_000

@@ -17,7 +17,7 @@ from msp_lab.fleet.terms import FleetTerm, candidate_of
 from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.problem import Problem, with_candidate
 from msp_lab.gap.refit import JointFit, fit_base
-from msp_lab.gap.runs import numbered
+from msp_range.arrays import numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model
 

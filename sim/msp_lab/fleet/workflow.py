@@ -121,16 +121,24 @@ def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
     fleet = number.fleet
     near, near_error = shrunk(number.value, number.error, fleet)
     is_odd = np.isin(number.units, finding.units) if finding.kind == "odd" else np.zeros(number.units.size, dtype=bool)
-    half = TWO_SIDED_95 * near_error
-    rows = np.column_stack([number.value, number.error, near, near - half, near + half]).tolist()
-    of_units = zip(number.units.tolist(), rows, is_odd.tolist(), np.exp(number.log_p).tolist(), strict=True)
+    p_value = np.exp(number.log_p)
     estimates = tuple(
-        UnitEstimate(search.units[unit].vehicle, search.units[unit].sensor, *numbers, odd, p_value)
-        for unit, numbers, odd, p_value in of_units
+        UnitEstimate(
+            search.units[unit].vehicle,
+            search.units[unit].sensor,
+            float(number.value[k]),
+            float(number.error[k]),
+            float(near[k]),
+            float(near[k] - TWO_SIDED_95 * near_error[k]),
+            float(near[k] + TWO_SIDED_95 * near_error[k]),
+            bool(is_odd[k]),
+            float(p_value[k]),
+        )
+        for k, unit in enumerate(number.units.tolist())
     )
     of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
     shown = float(of_odd - fleet.mean * finding.term.is_base)
-    of_mean = TWO_SIDED_95 * fleet.error
+    half = TWO_SIDED_95 * fleet.error
     return FleetEffect(
         finding.kind,
         effect.name,
@@ -140,8 +148,8 @@ def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
         plain_of(finding.term, shown, with_size=bool(is_odd.any()) or finding.kind == "shared"),
         alternatives,
         fleet.mean,
-        fleet.mean - of_mean,
-        fleet.mean + of_mean,
+        fleet.mean - half,
+        fleet.mean + half,
         fleet.tau,
         fleet.i2,
         number.omega,

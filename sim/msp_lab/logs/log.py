@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
-from msp_range.arrays import Array, Column, Flags
+from msp_range.arrays import Array, Column, Flags, angle_deg
 
 LONGEST_GAP_S = 1.0
 """Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
@@ -285,7 +285,7 @@ def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
 
 def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:
     """`tilt_deg` from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
-    return np.asarray(np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x**2 + y**2), -1.0, 1.0))))
+    return angle_deg(1.0 - 2.0 * (x**2 + y**2))
 
 
 def longest_m(maximum_m: Array) -> float:

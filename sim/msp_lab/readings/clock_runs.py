@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Flags, Indices, numbered
 from msp_range.recording.csv_form import MeasuredData
 
 LEAST_BACK_S = 0.1
@@ -148,7 +148,7 @@ def _stamps(table: MeasuredData, senders: list[Indices], time_s: Array) -> list[
 
 def _is_repeated(table: MeasuredData) -> Flags:
     """Rows that are equal to an earlier one in all columns."""
-    codes = np.stack([np.unique(column, return_inverse=True)[1] for column in table.columns.values()], axis=1)
+    codes = np.stack([numbered(column) for column in table.columns.values()], axis=1)
     repeated = np.ones(len(table), dtype=bool)
     repeated[np.unique(codes, axis=0, return_index=True)[1]] = False
     return repeated

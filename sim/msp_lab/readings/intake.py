@@ -22,7 +22,7 @@ from msp_lab.readings.no_echo import NO_ECHO, in_code_of, without_negative
 from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
-from msp_range.arrays import Column, Flags, Indices
+from msp_range.arrays import Column, Flags, Indices, numbered
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.context_limits import check_contexts
 from msp_range.recording.csv_form import MeasuredData, join_tables
@@ -331,7 +331,7 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
 
 def time_order(columns: Mapping[str, Column]) -> Indices:
     """Return row numbers by run, sensor and time; rows of one time stay in the order of the file."""
-    run, sensor = (np.unique(columns[name], return_inverse=True)[1] for name in ("run", "sensor"))
+    run, sensor = (numbered(columns[name]) for name in ("run", "sensor"))
     order: Indices = np.lexsort((columns["time_s"], sensor, run))
     return order
 

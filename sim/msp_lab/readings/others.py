@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msp_lab.readings.smoother import CLIMB, EAST, GATE, HEIGHT, NORTH, STATES, Smoothed, smooth
-from msp_range.arrays import Array, Column, Flags, Indices
+from msp_range.arrays import Array, Column, Flags, Indices, angle_deg
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.geometry import Matrix
 from msp_range.recording.csv_form import MeasuredData
@@ -275,4 +275,4 @@ def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: Array) -> f
     """Angle between a sensor's axis and the ground's normal [deg]."""
     normal = np.array([state[NORTH], state[EAST], 1.0])
     cosine = normal @ np.array(rotation) @ np.array(mounted.boresight) / np.linalg.norm(normal)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return float(angle_deg(cosine))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from msp_range.arrays import Array, Indices
+from msp_range.arrays import Array, Indices, numbered
 from msp_range.reading_model.kernel import on_grid
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model
@@ -92,7 +92,7 @@ def step_with(data: MeasuredData, model: Model) -> float:
         return model.sensor.resolution_cm
     reading_cm = data["reading_cm"]
     usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
-    _, run = np.unique(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]), return_inverse=True)
+    run = numbered(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]))
     limits_cm = model.sensor.minimum_cm, model.sensor.maximum_cm
     return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm, limits_cm)
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_range.arrays import Indices
+from msp_range.arrays import Indices, numbered
 from msp_range.reading_model.sensor_model import Medium, SensorModel
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component
@@ -119,7 +119,7 @@ class Scene:
         """
         if self._run is None:
             own = np.any(np.asarray(self._contexts.get(REFERENCE, "")) == OTHERS) and "run" in self._contexts
-            self._run = np.unique(self._contexts["run"], return_inverse=True)[1] if own else np.zeros(0, dtype=np.intp)
+            self._run = numbered(self._contexts["run"]) if own else np.zeros(0, dtype=np.intp)
         if not self._run.size:
             return bias_cm
         known = np.isfinite(bias_cm) & np.isfinite(self.range_cm)

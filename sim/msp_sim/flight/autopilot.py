@@ -166,7 +166,7 @@ class LoopbackAutopilot:
         self._clock = clock
         self._start_s = clock.now()
         self._pose = pose
-        self._sent_pose = plan.sent_pose
+        self._sent_pose: Callable[[Pose], Pose] = plan.sent_pose
         self._air_c = air_c
         is_px4 = (plan.kind or kind) == "px4"
         self._kind = dialect.MAV_AUTOPILOT_PX4 if is_px4 else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
