@@ -150,12 +150,9 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     here = np.array([session_of[each] for each in problem.contexts["run"].tolist()])
     there = np.array([session_of[each] for each in drawn.scene["run"].tolist()])
     readings = np.bincount(here, minlength=len(sessions))
+    explained = expected[:, free] @ turned.T
     score, information, variance = sums_over_sessions(
-        SimulatedScores(
-            weight,
-            expected[:, places] - expected[:, free] @ turned.T,
-            bounded[:, places] - expected[:, free] @ turned.T,
-        ),
+        SimulatedScores(weight, expected[:, places] - explained, bounded[:, places] - explained),
         there,
         bounded_here[:, places] - measured[:, free] @ turned.T,
         here,
