@@ -72,11 +72,11 @@ def find_in_fleet(
             scores.append(each.value)
         else:
             left_out.append(LeftOut(unit.vehicle, unit.sensor, each.error or ""))
-    if len({unit.vehicle for unit in units}) < MIN_VEHICLES:
+    vehicles = len({unit.vehicle for unit in units})
+    if vehicles < MIN_VEHICLES:
         reasons = "; ".join(f"{each.vehicle} {each.sensor}: {each.why}" for each in left_out[:3])
-        usable = len({unit.vehicle for unit in units})
         raise RecordingError(
-            f"{dataset}: readings of {usable} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
+            f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
     search = Search(units, scores, fdr, run)
@@ -88,7 +88,7 @@ def find_in_fleet(
         sentence="",
         dataset=str(dataset),
         model=str(model),
-        vehicles=len({unit.vehicle for unit in units}),
+        vehicles=vehicles,
         sensors=len(units),
         sessions=sum(len(each.sessions) for each in search.scores),
         readings=sum(int(each.readings.sum()) for each in search.scores),
