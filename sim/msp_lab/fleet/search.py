@@ -60,29 +60,23 @@ class FleetFinding:
 
 @dataclass
 class Search:
-    """The state of the search: what each unit is known to have, and what was found.
-
-    Attributes
-    ----------
-    units, scores, terms
-        Of each unit that can be used.
-    fdr
-        False-discovery rate.
-    run
-        Calls functions for several units.
-    found, tests
-        The findings, and the number of hypotheses.
-    """
+    """The state of the search: what each unit is known to have, and what was found."""
 
     units: Sequence[Unit]
+    """Those that can be used."""
     scores: list[UnitScores]
+    """Of each unit."""
     fdr: float
+    """False-discovery rate."""
     run: Map
+    """Calls functions for several units."""
     found: list[FleetFinding] = field(default_factory=list)
     tests: int = 0
+    """Number of hypotheses."""
 
     def __post_init__(self) -> None:
         self.terms: list[tuple[FleetTerm, ...]] = [() for _ in self.units]
+        """What each unit is known to have."""
         self.before_change: dict[int, UnitScores] = {}
         """Of a unit that changed, its scores before the change was known."""
         self._without: set[tuple[int, Key]] = set()
