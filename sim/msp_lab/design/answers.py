@@ -24,7 +24,6 @@ from msp_range.arrays import Array
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
 
-OFFSETS = "run_offsets"
 FITTED_ROWS = 6_000
 """The answers are fitted to a sample of at most so many readings. Errors of a strength are then those of 6,000
 readings, which `cautious` takes off. More: slower."""
@@ -91,7 +90,9 @@ class OldReadings:
     def run_offset_cm(self) -> float:
         """Standard deviation of offsets between runs, of the model and as found [cm]."""
         found = [
-            each.values["deviation_cm"] for each in (*self.model.effects, *self.terms) if each.effect.name == OFFSETS
+            each.values["deviation_cm"]
+            for each in (*self.model.effects, *self.terms)
+            if each.effect.name == "run_offsets"
         ]
         return float(np.hypot.reduce([0.0, *found]))
 

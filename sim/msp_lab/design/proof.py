@@ -89,16 +89,13 @@ def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: i
         if joined:
             data = join_tables([MeasuredData(old.columns), data])
         comparison = Comparison.of(Readings(data, ()), old.model, old.comparison.settings)
-        findings, _ = naming.name(comparison, _EMPTY, lambda what, share: None)
+        findings, _ = naming.name(comparison, GapFindings(None, rows=0, runs=0), lambda what, share: None)
         if is_right(findings.effects, design, truth):
             right += 1
         else:
             names = ", ".join(" or ".join(sorted(names_of(each))) for each in findings.effects) or "nothing"
             wrong.append(f"{design.answers[truth].answer.label}: found {names}")
     return Proof(right, sessions, tuple(wrong))
-
-
-_EMPTY = GapFindings(None, rows=0, runs=0)
 
 
 def held(session: PlannedSession, model: Model, rng: np.random.Generator) -> Columns:
