@@ -3,10 +3,10 @@
 A dataset and a model enter, `FleetFindings` leave. A sensor whose readings cannot be used is left out with the reason.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,22 +20,15 @@ from msp_lab.fleet.unit import UnitScores, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
 from msp_range.recording.error import RecordingError
-from msp_sim.model.model import Model, load_model
-from msp_sim.workers import ItemOutcome, Workers
+from msp_sim.model.model import load_model
+from msp_sim.workers import Workers
 
 TWO_SIDED_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""
 
 
 def find_in_fleet(
-    dataset: Path,
-    model: Path,
-    *,
-    fdr: float,
-    pattern: str | None,
-    seed: int,
-    date: str,
-    where: Workers,
+    dataset: Path, model: Path, *, fdr: float, pattern: str | None, seed: int, date: str, where: Workers
 ) -> FleetFindings:
     """Find what a fleet shares, who is odd, and what changed.
 
@@ -59,12 +52,8 @@ def find_in_fleet(
     ConfigError
         The model cannot be used, or `pattern` fits no name.
     """
-    compared = load_model(model)
+    run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
-
-    def run(function: Callable[[Model, Any], Any], items: Sequence[Any]) -> Iterator[ItemOutcome[Any]]:
-        return where.map(function, items, compared, what="sensors")
-
     units, scores, left_out = [], [], []
     for unit, each in zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True):
         if each.value is not None:
