@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from msp_lab.gap.problem import Problem, first_state, screened
-from msp_lab.gap.runs import numbered
+from msp_range.arrays import numbered
 from msp_range.recording.columns import CONTEXT_COLUMNS
 from msp_sim.model.derived import time_in_run_s
 from msp_sim.model.model import load_model

@@ -3,8 +3,6 @@
 Samples before and while one sensor is covered enter, the name under which the covered sensor answers leaves.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from msp_range.arrays import Flags
@@ -18,22 +16,6 @@ COVERED_SHARE, FREE_SHARE = 0.6, 0.3
 """The covered sensor has at least the first share of near readings while it is covered, all others at most the second.
 A hand that comes late costs a third of the readings; a sensor that sees the arm has some. Between the two nobody is
 named."""
-
-
-@dataclass(frozen=True)
-class Covered:
-    """Which sensor was covered.
-
-    Attributes
-    ----------
-    name
-        The sensor that answered as covered; None where that is not clear.
-    shares
-        Share of near readings while it was covered, by the sensor's name.
-    """
-
-    name: str | None
-    shares: dict[str, float]
 
 
 def near_share(readings: SensorReadings) -> float:
@@ -57,8 +39,8 @@ def blocked(free: Samples) -> list[str]:
     return names
 
 
-def covered(during: Samples) -> Covered:
-    """The sensor that is covered.
+def covered(during: Samples) -> str | None:
+    """Name of the sensor that answers as covered; None where that is not clear.
 
     Parameters
     ----------
@@ -69,20 +51,4 @@ def covered(during: Samples) -> Covered:
     first = max(shares, key=lambda name: shares[name], default=None)
     others = [share for name, share in shares.items() if name != first]
     clear = first is not None and shares[first] >= COVERED_SHARE and max(others, default=0.0) <= FREE_SHARE
-    return Covered(first if clear else None, shares)
-
-
-def exchanged(answered: dict[str, str]) -> dict[str, str]:
-    """For each sensor that answers under another's name, that other one.
-
-    Parameters
-    ----------
-    answered
-        Name of the sensor that a person covered -> name under which it answered.
-
-    Examples
-    --------
-    >>> exchanged({"front": "rear", "rear": "front", "left": "left"})
-    {'front': 'rear', 'rear': 'front'}
-    """
-    return {asked: found for asked, found in answered.items() if asked != found}
+    return first if clear else None

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from msp_range.arrays import Array
+from msp_range.arrays import Array, angle_deg
 from msp_range.commission.motion import Places
 from msp_range.commission.samples import Samples
 
@@ -111,7 +111,7 @@ def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from
     has_echo = np.abs(np.nan_to_num(readings.range_m[used], nan=-1.0) - floor_m) <= OF_FLOOR_M
     half_angle = np.degrees(beam.half_angle_rad(floor_m))
     candidates = np.vstack([AXES, from_file])
-    off = np.degrees(np.arccos(np.clip(candidates @ down.T, -1.0, 1.0)))
+    off = angle_deg(candidates @ down.T)
     best = np.full(len(candidates), -np.inf)
     for scale in SCALES:
         inside = 1 / (1 + np.exp(-(scale * half_angle - off) / EDGE_DEG))
@@ -127,8 +127,8 @@ def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from
     weight = np.exp(grid[grid >= top - INTERVAL] - top)
     middle = (weight[:, None] * likely).sum(axis=0) if len(likely) else from_file
     middle = middle / np.linalg.norm(middle)
-    width = float(np.degrees(np.arccos(np.clip(likely @ middle, -1.0, 1.0))).max()) if len(likely) else STEP_DEG
-    angle = float(np.degrees(np.arccos(np.clip(middle @ from_file, -1.0, 1.0))))
+    width = float(angle_deg(likely @ middle).max()) if len(likely) else STEP_DEG
+    angle = float(angle_deg(middle @ from_file))
     return Axis(
         (float(middle[0]), float(middle[1]), float(middle[2])),
         max(width, STEP_DEG),

@@ -15,7 +15,7 @@ import itertools
 import math
 import os
 import zlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,7 +31,8 @@ from msp_range.recording.error import RecordingError
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
 BLOCK = 1 << 10
-"""Rows that are held as text at a time: so many stay in a processor's cache."""
+"""Rows that are held as text at a time, which need many times the memory that they need as numbers: so many stay in a
+processor's cache."""
 MOST_WORD_BYTES = 256 * 2**20
 """Memory that a column of words may take: it is as many rows long as its longest word is wide."""
 LARGEST_BYTES = 512 * 2**20
@@ -137,11 +138,11 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
     header = [name.strip() for name in next(rows, (0, []))[1]]
     _check_header(path, header, required)
     parts: list[list[Column]] = [[] for _ in header]
-    first = 0
-    for block in _blocks(_whole_rows(path, rows, len(header))):
-        for name, cells, column in zip(header, zip(*block, strict=True), parts, strict=True):
-            column.append(_column(path, name, cells, first))
-        first += len(block)
+    whole_rows = _whole_rows(path, rows, len(header))
+    while block := list(itertools.islice(whole_rows, BLOCK)):
+        lines, block_rows = zip(*block, strict=True)
+        for name, cells, column in zip(header, zip(*block_rows, strict=True), parts, strict=True):
+            column.append(_column(path, name, cells, lines))
     columns = {}
     for name, blocks in zip(header, parts, strict=True):
         columns[name] = _joined(path, header, name, blocks)
@@ -259,17 +260,11 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
 
 
-def _whole_rows(path: Path, rows: Iterator[tuple[int, list[str]]], width: int) -> Iterator[list[str]]:
+def _whole_rows(path: Path, rows: Iterator[tuple[int, list[str]]], width: int) -> Iterator[tuple[int, list[str]]]:
     for line, row in rows:
         if len(row) != width:
             raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {width} as in the header")
-        yield row
-
-
-def _blocks(rows: Iterator[list[str]]) -> Iterator[list[list[str]]]:
-    """Rows by the `BLOCK`: as text they need many times the memory that they need as numbers."""
-    while block := list(itertools.islice(rows, BLOCK)):
-        yield block
+        yield line, row
 
 
 def _joined(path: Path, header: list[str], name: str, parts: list[Column]) -> Column:
@@ -324,25 +319,27 @@ def _check_words(source: str, name: str, count: int, longest: int) -> None:
         raise RecordingError(f"{found} in a table of {count} rows, expected {MOST_WORD_BYTES // (4 * count)} at most")
 
 
-def _column(path: Path, name: str, cells: Sequence[str], first: int) -> Column:
-    """The cells of a block, the first of which is in this row of the table."""
+def _column(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> Column:
+    """The cells of a block as a column, with the line of each."""
     is_known = name in BASE_COLUMNS or name in CONTEXT_COLUMNS or name in BRIDGE_COLUMNS
+    parse = to_time_s if name == "time_s" else to_number
+
+    def error(row: int, found: str, expected: str) -> RecordingError:
+        return RecordingError(f"{path}:{lines[row]}: column {name!r}: found {found}, expected {expected}")
+
     if name in NEVER_EMPTY and "" in cells:
-        expected = "a number" if name == "time_s" else "a name"
-        raise _cell_error(path, name, first + cells.index(""), "nothing", expected)
+        raise error(cells.index(""), "nothing", "a number" if name == "time_s" else "a name")
     if name not in WORD_COLUMNS:
         try:
-            parse = to_time_s if name == "time_s" else to_number
             numbers = np.array([parse(cell) if cell else math.nan for cell in cells], dtype=float)
             if not (np.abs(numbers) > LARGEST_NUMBER).any() and not (name == "time_s" and np.isnan(numbers).any()):
                 return numbers
         except ValueError:
             pass
         if is_known:
-            is_time = name == "time_s"
-            row = next(row for row, cell in enumerate(cells) if not (is_time_s if is_time else is_number)(cell))
-            expected = "a number, or a time of ISO 8601" if is_time else "a number, or nothing where it is unknown"
-            raise _cell_error(path, name, first + row, repr(cells[row][:LONGEST_CELL]), expected)
+            row = next(row for row, cell in enumerate(cells) if not is_number(cell, parse))
+            or_else = "a time of ISO 8601" if name == "time_s" else "nothing where it is unknown"
+            raise error(row, repr(cells[row][:LONGEST_CELL]), f"a number, or {or_else}")
     return word_column(str(path), name, cells)
 
 
@@ -379,28 +376,12 @@ def to_time_s(cell: str) -> float:
         return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
 
 
-def is_number(cell: str) -> bool:
-    """Whether a cell of a column of numbers can be one: a number, or nothing."""
+def is_number(cell: str, parse: Callable[[str], float] = to_number) -> bool:
+    """Whether a cell of a column of numbers, or of times, can be one: a number, or nothing; NaN is no time."""
     try:
-        return not cell or not abs(to_number(cell)) > LARGEST_NUMBER
+        return not cell or abs(number := parse(cell)) <= LARGEST_NUMBER or (parse is to_number and math.isnan(number))
     except ValueError:
         return False
-
-
-def is_time_s(cell: str) -> bool:
-    """Whether a cell of a column of times can be one."""
-    try:
-        return abs(to_time_s(cell)) <= LARGEST_NUMBER
-    except ValueError:
-        return False
-
-
-def _cell_error(path: Path, name: str, row: int, found: str, expected: str) -> RecordingError:
-    """Say where a cell is; its line is looked up again, because a quoted cell may span several."""
-    rows = csv_rows(path)
-    next(rows)
-    line, _ = next(itertools.islice(rows, row, None))
-    return RecordingError(f"{path}:{line}: column {name!r}: found {found}, expected {expected}")
 
 
 def _cells(name: str, column: Column) -> Iterable[str]:

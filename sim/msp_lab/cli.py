@@ -77,18 +77,19 @@ def collect(
     form of the project) and session-001.mcap ... (everything that was read). For a campaign of flights it asks for the
     recording and the reference of each flight and keeps copies of them; --simulate flies its scenarios.
     """
+    from msp_lab.campaigns.collect import load_collection
     from msp_lab.campaigns.flights import is_of_flights
 
-    of_flights = is_of_flights(campaign_file)
+    collection = None if is_of_flights(campaign_file) else load_collection(campaign_file, only or (), repeat or ())
     if not simulate:
         if model is not None or seed is not None or own_effects:
             raise ConfigError("--model, --seed and --effects: only emulated sensors use them; give --simulate too")
         from msp_lab.campaigns.commands import collect_at_bench, collect_recordings
 
-        if of_flights:
+        if collection is None:
             collect_recordings(campaign_file, out, show_plan)
         else:
-            collect_at_bench(campaign_file, out, bus or "1", only or [], repeat or [], show_plan)
+            collect_at_bench(collection, out, bus or "1", show_plan)
         return
     if bus is not None:
         raise ConfigError("--bus and --simulate: give one of them")
@@ -98,10 +99,10 @@ def collect(
 
     add_own_effects(own_effects or ())
     seed = 1 if seed is None else seed
-    if of_flights:
+    if collection is None:
         fly_flights(campaign_file, out, model, seed, show_plan)
     else:
-        collect_campaign(campaign_file, out, model, seed, only or [], repeat or [], show_plan)
+        collect_campaign(collection, out, model, seed, show_plan)
 
 
 @app.command()

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from scipy.special import ndtri
-from scipy.stats import binom
+from scipy.stats import quantile_test
 
 CONFIDENCE = 0.95
 """Level of all intervals."""
@@ -47,15 +47,11 @@ def quantile(values: Sequence[float], share: float) -> tuple[float, float | None
     Examples
     --------
     >>> quantile(range(1, 101), 0.5)
-    (50, 40, 61)
+    (50, 40.0, 61.0)
     >>> quantile(range(1, 21), 0.95)
-    (19, 17, None)
+    (19, 17.0, None)
     """
-    ranked = sorted(values)
-    n = len(ranked)
-    tail = (1 - CONFIDENCE) / 2
-    # P(rank below low) and P(rank above high) are each at most the tail.
-    low = int(binom.ppf(tail, n, share))
-    high = int(binom.ppf(1 - tail, n, share)) + 1
-    middle = ranked[max(math.ceil(n * share - 1e-9), 1) - 1]
-    return middle, ranked[low - 1] if low >= 1 else None, ranked[high - 1] if high <= n else None
+    middle = sorted(values)[max(math.ceil(len(values) * share - 1e-9), 1) - 1]
+    ends = quantile_test(values, p=share).confidence_interval(CONFIDENCE)
+    low, high = (None if math.isnan(each) else float(each) for each in ends)
+    return middle, low, high

@@ -64,21 +64,14 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class ItemOutcome(Generic[Result]):
-    """What became of an item.
-
-    Attributes
-    ----------
-    index
-        Place of the item in the list.
-    value
-        What the function returned; None if it failed.
-    error
-        Why it failed, in a line; None if it did not.
-    """
+    """What became of an item."""
 
     index: int
+    """Place of the item in the list."""
     value: Result | None
+    """What the function returned; None if it failed."""
     error: str | None
+    """Why it failed, in a line; None if it did not."""
 
 
 class OtherVersion(UserError):

@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
+from msp_lab.campaigns.collect import Collection
 from msp_lab.campaigns.terminal import Terminal
 from msp_lab.cli import app
 from msp_sim.device.device import Fault
@@ -35,8 +36,7 @@ class Bench:
         self._answers = list(answers)
         self.stopped = False
         self.person = Terminal(
-            self.collected.campaign,
-            self.collected.points,
+            Collection(self.collected.campaign, self.collected.points, ()),
             Console(file=self.screen, width=150, force_terminal=terminal),
             self._ask,
             self.collected.bench.clock,

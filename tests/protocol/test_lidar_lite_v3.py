@@ -21,7 +21,7 @@ from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import Fault
-from msp_sim.device.emulated import emulated_bus
+from msp_sim.device.emulated import Surroundings, emulated_bus
 from msp_sim.device.lidar_lite_v3 import EmulatedLidarLiteV3
 from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.flight import Simulation
@@ -269,11 +269,13 @@ def test_an_emulated_flight_of_light_is_one_of_rays() -> None:
     bus = emulated_bus(
         scenario.airframe,
         {"down": scenario.airframe.sensors[0].sensor_model},
-        World(GroundSection(slope_deg=10.0), AirSection()),
-        lambda time_s: Pose(time_s, (0.0, 0.0, -10.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)),
+        Surroundings(
+            World(GroundSection(slope_deg=10.0), AirSection()),
+            lambda time_s: Pose(time_s, (0.0, 0.0, -10.0), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0)),
+            lambda name, time_s, ping, extra: pings.append(ping),
+        ),
         lambda: 0.0,
         SeedSequence(1),
-        lambda name, time_s, ping, extra: pings.append(ping),
         {},
     )
     bus.write(ADDRESS, MEASURE)

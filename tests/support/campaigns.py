@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from msp_lab.campaigns.campaign import Campaign, load_campaign
-from msp_lab.campaigns.collect import Arranged, Decision, Place, collect_readings
+from msp_lab.campaigns.collect import Arranged, Collection, Decision, Place, collect_readings
 from msp_lab.campaigns.plan import Point, make_plan
 from msp_lab.campaigns.simulated_bench import AutoOperator, Draw, SimulatedBench, readings_of
 from msp_lab.campaigns.store import Store
@@ -74,7 +74,8 @@ class Collected:
         person = person or AutoOperator()
         names = [point.name for point in self.points] if wanted is None else wanted
         try:
-            collect_readings(self.campaign, self.points, self.bench, self.store, person, names, again)
+            collection = Collection(self.campaign, self.points, names, again)
+            collect_readings(collection, self.bench, self.store, person)
         finally:
             self.store.close()
         return person

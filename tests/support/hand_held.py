@@ -22,7 +22,7 @@ from msp_range.geometry import angle_between, boresight
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.frames import pack
 from msp_sim.device.bus import EmulatedBus as Devices
-from msp_sim.device.emulated import EmulatedSensor, ranging_timing
+from msp_sim.device.emulated import EmulatedSensor, Surroundings, ranging_timing
 from msp_sim.device.table import emulated_kind
 from msp_sim.flight.autopilot import LoopbackAutopilot
 from msp_sim.world.surfaces import GroundSection
@@ -127,7 +127,8 @@ class HandHeld:
             self.mounted.sensors, SeedSequence(self.seed).spawn(len(self.mounted.sensors)), strict=True
         ):
             model = sensor.sensor_model
-            emulated = EmulatedSensor(sensor, model, self.world, self.pose, default_rng(seed), lambda *_: None, others)
+            around = Surroundings(self.world, self.pose)
+            emulated = EmulatedSensor(sensor, model, around, default_rng(seed), others)
             kind = emulated_kind(model.driver)
             devices.append(
                 kind(
@@ -155,7 +156,7 @@ class HandHeld:
             self.clock,
             lambda time_s: self.pose(max(time_s + made_s - self.attitude_late_s, 0.0)),
             lambda pose: self.world.air_temperature_c(1.0),
-            sent_pose=sent,
+            sent=sent,
             draw=random.Random(self.seed),
         )
 
@@ -180,8 +181,9 @@ class HandHeld:
 class Autopilot(LoopbackAutopilot):
     """The simulated autopilot with what commissioning asks it for besides: parameters, its own distance, arming."""
 
-    def __init__(self, vehicle: HandHeld, *arguments: Any, **options: Any) -> None:
+    def __init__(self, vehicle: HandHeld, *arguments: Any, sent: Callable[[Pose], Pose], **options: Any) -> None:
         super().__init__(*arguments, **options)
+        self._sent_pose = sent
         self._vehicle = vehicle
         self._returned_s = float("-inf")
 

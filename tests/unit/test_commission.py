@@ -221,7 +221,7 @@ def covering(shares: Mapping[str, float]) -> Samples:
     ],
 )
 def test_the_covered_sensor_is_named_where_that_is_clear(shares: Mapping[str, float], expected: str | None) -> None:
-    assert covered(covering(shares)).name == expected
+    assert covered(covering(shares)) == expected
 
 
 def test_something_in_front_of_a_sensor_is_noticed_without_a_hand() -> None:

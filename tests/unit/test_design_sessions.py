@@ -9,7 +9,7 @@ from msp_lab.design.answers import FittedAnswer, OldReadings, fit_answers, with_
 from msp_lab.design.bench import BenchSessions
 from msp_lab.design.choose import Design, Same, SessionPlace, _classes, _long_enough, cheapest
 from msp_lab.design.flight import Pilot
-from msp_lab.design.proof import Proof, merged
+from msp_lab.design.proof import Proof
 from msp_lab.design.questions import NONE, Answer, OpenQuestion
 from msp_lab.design.separation import Separation, needed_nats, power_of, separation, threshold_nats
 from msp_lab.design.session import PlannedSession
@@ -147,14 +147,6 @@ def test_an_effect_of_unknown_strength_gets_the_smallest_that_matters() -> None:
     growth = with_strength(unknown, GIVEN, contexts, np.random.default_rng(1)).terms[-1].values["growth"]
     assert 0.3 < growth < 1.5
     assert with_strength(SCALE, GIVEN, contexts, np.random.default_rng(1)) is SCALE
-
-
-def test_tables_are_put_together_with_blanks() -> None:
-    old = {"true_range_cm": np.array([1.0]), "run": np.array(["a"]), "throttle": np.array([0.5])}
-    new = {"true_range_cm": np.array([2.0]), "run": np.array(["b"]), "target": np.array(["wall"])}
-    data = merged(old, new)
-    assert data["target"].tolist() == ["", "wall"]
-    assert np.isnan(data["throttle"][1])
 
 
 def test_the_interval_of_a_power_that_never_failed() -> None:

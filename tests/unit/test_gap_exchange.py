@@ -12,9 +12,9 @@ from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import _at_others
 from msp_lab.gap.problem import CandidateFit, Problem, State, _has_its_form, first_state, screened, without
 from msp_lab.gap.refit import refit
-from msp_lab.gap.runs import numbered
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.validation import Dropped, Validated
+from msp_range.arrays import numbered
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE

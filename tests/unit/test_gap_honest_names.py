@@ -11,8 +11,8 @@ from msp_lab.gap.naming import NamedModel, name_effects
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, first_state, free_curves, screened
 from msp_lab.gap.refit import refit
-from msp_lab.gap.runs import numbered
 from msp_lab.gap.splits import draw_splits
+from msp_range.arrays import numbered
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from tests.support.known import contains

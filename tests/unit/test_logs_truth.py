@@ -23,6 +23,7 @@ def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     flags = {"estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}}
     kept, refused = px4._without_fused(height, flags, {"EKF2_HGT_REF": 1})
     assert refused == ""
+    assert kept is not None
     assert np.flatnonzero(np.isfinite(kept.values)).tolist() == list(range(7))
     assert px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
     assert "may be fused" in px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
@@ -40,10 +41,14 @@ def old_px4(flags: list[int]) -> dict[str, dict[str, Any]]:
 
 def test_old_logs_of_px4_have_the_flag_of_the_range_in_a_number() -> None:
     tilted, in_range = 0b1, 0b1 | 1 << 10
-    (kept,) = px4._references(old_px4([tilted] * 7 + [in_range] * 3), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    (kept,) = filter(
+        None, px4._references(old_px4([tilted] * 7 + [in_range] * 3), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    )
     assert (kept.kind, kept.refused) == ("ekf", "")
     assert np.isfinite(kept.series.values).tolist() == [True] * 7 + [False] * 3
-    (refused,) = px4._references(old_px4([in_range] * 9 + [tilted]), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    (refused,) = filter(
+        None, px4._references(old_px4([in_range] * 9 + [tilted]), {"EKF2_HGT_MODE": 0, "EKF2_RNG_AID": 1})
+    )
     assert refused.refused == (
         "bit 10 of estimator_status.control_mode_flags is set for 90 % of the time, so the range is fused into it from "
         "0 s on"
@@ -154,10 +159,10 @@ def test_a_fixed_solution_is_that_of_the_receiver_that_has_it() -> None:
         "Status": np.tile([3.0, 6.0], 5),
         "Alt": np.arange(10.0),
     }
-    (rtk,) = ardupilot._references({"GPS": gps}, {})
+    (rtk,) = filter(None, ardupilot._references({"GPS": gps}, {}))
     assert (rtk.kind, rtk.series.source) == ("rtk", "GPS[1].Alt")
     assert rtk.series.values.tolist() == [1.0, 3.0, 5.0, 7.0, 9.0]
-    assert ardupilot._references({"GPS": gps | {"Status": np.full(10, 3.0)}}, {}) == []
+    assert not any(ardupilot._references({"GPS": gps | {"Status": np.full(10, 3.0)}}, {}))
 
 
 def test_a_code_of_no_echo_is_no_distance_where_the_log_states_no_maximum(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.yaml_file import ConfigError
+from msp_sim.flight.autopilot import AutopilotSection
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
-from msp_sim.flight.scenario import AutopilotSection
 from msp_sim.intervals import quantile, wilson
 from msp_sim.monte_carlo.outcome import judged
 from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, FlightStore

@@ -8,12 +8,16 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from msp_range.clock import VirtualClock
-from msp_sim.flight.autopilot import SEA_LEVEL_HPA, BarometerErrors, LoopbackAutopilot
+from msp_sim.flight.autopilot import SEA_LEVEL_HPA, AutopilotSection, BarometerSection, LoopbackAutopilot
 from msp_sim.world.vehicle import HOVER_THROTTLE, IDLE_THROTTLE, Pose
 
 
 def pressure_heights_m(
-    heights_m: list[float], errors: BarometerErrors, throttle: float = HOVER_THROTTLE, seed: int | None = None
+    heights_m: list[float],
+    errors: BarometerSection,
+    throttle: float = HOVER_THROTTLE,
+    seed: int | None = None,
+    ground_c: float = 15.0,
 ) -> np.ndarray:
     """Heights of the standard atmosphere by the pressures of one message a second, at these heights of the feet."""
     clock = VirtualClock()
@@ -27,8 +31,9 @@ def pressure_heights_m(
         clock,
         pose,
         lambda pose: 15.0,
+        AutopilotSection(barometer=errors),
         draw=draw,
-        barometer=errors,
+        ground_c=ground_c,
         clearance_m=lambda time_s: -pose(time_s).position_ned_m[2],
     )
     received, parser = [], mavlink.MAVLink(None)
@@ -41,18 +46,20 @@ def pressure_heights_m(
 
 
 def test_in_standard_air_it_reads_the_height() -> None:
-    assert pressure_heights_m([0.0, 5.0, 100.0], BarometerErrors()) == pytest.approx([0.0, 5.0, 100.0], abs=0.02)
+    assert pressure_heights_m([0.0, 5.0, 100.0], BarometerSection(), ground_c=-15.0) == pytest.approx(
+        [0.0, 5.0, 100.0], abs=0.02
+    )
 
 
 @pytest.mark.parametrize(("air_c", "scale"), [(-15.0, 1.1162), (15.0, 1.0), (40.0, 0.9202)])
 def test_in_cold_air_it_reads_too_high(air_c: float, scale: float) -> None:
     """Pressure falls faster with height the colder the air is: by T / 288.15 K in the scale height."""
-    read_m = pressure_heights_m([0.0, 50.0, 100.0], BarometerErrors(air_c=air_c))
+    read_m = pressure_heights_m([0.0, 50.0, 100.0], BarometerSection(in_air_temperature=True), ground_c=air_c)
     assert read_m == pytest.approx([0.0, 50.0 * scale, 100.0 * scale], abs=0.03)
 
 
 def test_the_ground_effect_fades_with_the_height_and_grows_with_the_thrust() -> None:
-    errors = BarometerErrors(ground_effect_m=-2.0, ground_effect_height_m=0.8)
+    errors = BarometerSection(ground_effect_m=-2.0, ground_effect_height_m=0.8)
     heights_m = [0.0, 0.2, 0.4, 0.8, 3.0]
     read_m = pressure_heights_m(heights_m, errors)
     assert read_m - heights_m == pytest.approx([-2.0, -1.5, -1.0, 0.0, 0.0], abs=0.02)
@@ -63,7 +70,7 @@ def test_the_ground_effect_fades_with_the_height_and_grows_with_the_thrust() -> 
 def test_gusts_have_their_size_and_their_correlation_time() -> None:
     """Gauss-Markov: neighbours a second apart correlate by exp(-1 s / 4 s)."""
     count = 4000
-    gusts = BarometerErrors(gust_m=3.0, gust_s=4.0)
+    gusts = BarometerSection(gust_m=3.0, gust_s=4.0)
     # The same draws of noise cannot be had without gusts, but they are a twentieth; the drift's are taken out.
     read_m = pressure_heights_m([0.0] * count, gusts, seed=2)
     read_m -= np.convolve(read_m, np.ones(201) / 201, mode="same")

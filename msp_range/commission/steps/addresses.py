@@ -1,6 +1,6 @@
 """Which sensor answers at which address: a person covers one after the other with a hand."""
 
-from msp_range.commission.cover import Covered, blocked, covered, exchanged
+from msp_range.commission.cover import blocked, covered
 from msp_range.commission.edit import Address, Edit
 from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import Proposal, StepOutcome
@@ -23,7 +23,7 @@ def run(session: Session) -> StepOutcome:
     airframe = session.airframe()
     names = [sensor.name for sensor in airframe.sensors]
     session.operator.begin(TEXT)
-    found: dict[str, Covered] = {}
+    found: dict[str, str | None] = {}
     with session.live() as live:
         session.operator.instruct(Motion.FREE, "Hands off all sensors.")
         live.record(LEAD_S)
@@ -34,13 +34,13 @@ def run(session: Session) -> StepOutcome:
                 [wrong("cover", f"without a hand there is something in front of {', '.join(closed)}", remedy)]
             )
         for name in [*names, *names]:
-            if name in found and found[name].name is not None:
+            if found.get(name) is not None:
                 continue
             session.operator.instruct(Motion.COVER, f"Cover {name}.", name)
             live.record(LEAD_S)
             found[name] = covered(samples_of(live.record(COVERED_S)))
         session.operator.instruct(Motion.FREE, "Hands off.")
-    return compare(airframe, {name: each.name for name, each in found.items()})
+    return compare(airframe, found)
 
 
 def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
@@ -65,7 +65,7 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
     for name in known:
         if known[name] == name:
             outcome.right(f"cover {name}", "it is the one that answered")
-    others = exchanged(known)
+    others = {name: other for name, other in known.items() if other != name}
     if not others:
         return outcome
     address = {sensor.name: sensor.address for sensor in airframe.sensors}

@@ -127,15 +127,12 @@ class _LastPings:
         self._clock = clock
         self._last_s: dict[str, float] = {}
 
-    def record(self, sensor: str) -> tuple[float, str] | None:
-        """Record a ping; return the time since the last one of another sensor [s], and its name, if there is one."""
+    def record(self, sensor: str) -> float | None:
+        """Record a ping; return the time since the last one of another sensor [s], if there is one."""
         now_s = self._clock.now()
-        others = [(ping_s, name) for name, ping_s in self._last_s.items() if name != sensor]
+        others_s = [ping_s for name, ping_s in self._last_s.items() if name != sensor]
         self._last_s[sensor] = now_s
-        if not others:
-            return None
-        last_s, name = max(others)
-        return now_s - last_s, name
+        return now_s - max(others_s) if others_s else None
 
 
 class _RecordedSensor:
@@ -147,14 +144,14 @@ class _RecordedSensor:
         self._pings = pings
         self.address = device.address
         self.pinged = False
-        self.neighbour: tuple[float, str] | None = None
+        self.lag_s: float | None = None
 
     def ping(self) -> None:
         """Start a ranging."""
         self.pinged = False
         self._device.ping()
         self.pinged = True
-        self.neighbour = self._pings.record(self._name)
+        self.lag_s = self._pings.record(self._name)
 
     def answer(self) -> Decoded:
         """Return the result of the ranging."""
@@ -206,16 +203,13 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
 def _columns(
     columns: Columns, ranging: Ranging, device: _RecordedSensor, rate_cm_s: float, start_s: float
 ) -> dict[str, float | str]:
-    known = dict(columns)
-    start_cm = columns["true_range_cm"]
-    if rate_cm_s and isinstance(start_cm, float):
-        known["true_range_cm"] = round(start_cm + rate_cm_s * (ranging.reading.time_s - start_s), 3)
-    if device.pinged and device.neighbour is not None:
-        lag_s, _ = device.neighbour
-        known["neighbour_lag_ms"] = round(lag_s * 1e3, 3)
+    def range_cm(time_s: float) -> float:
+        start_cm = float(columns["true_range_cm"])
+        return round(start_cm + rate_cm_s * (time_s - start_s), 3) if rate_cm_s else start_cm
+
+    known = {**columns, "true_range_cm": range_cm(ranging.reading.time_s)}
+    if device.pinged and device.lag_s is not None:
+        known["neighbour_lag_ms"] = round(device.lag_s * 1e3, 3)
         # They face the same target.
-        neighbour_cm = start_cm
-        if rate_cm_s and isinstance(start_cm, float):
-            neighbour_cm = round(start_cm + rate_cm_s * (ranging.ping_s - lag_s - start_s), 3)
-        known["neighbour_range_cm"] = neighbour_cm
+        known["neighbour_range_cm"] = range_cm(ranging.ping_s - device.lag_s)
     return known

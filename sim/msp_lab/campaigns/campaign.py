@@ -228,10 +228,6 @@ class Campaign(Section):
                     )
         return self
 
-    def keep_files(self, files: dict[str, str]) -> None:
-        """Store the texts that this campaign was read from."""
-        self._files = files
-
     @property
     def files(self) -> dict[str, str]:
         """Text of the campaign file, as ``campaign.yaml``, and of the sensor model files by the names it gives them."""
@@ -252,8 +248,7 @@ def load_campaign(path: Path | str) -> Campaign:
     """
     path = config_path(path, "campaigns")
     campaign = load(path, Campaign)
-    files = {"campaign.yaml": read_config(path)}
+    campaign.files["campaign.yaml"] = read_config(path)
     for sensor in campaign.sensors:
-        files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
-    campaign.keep_files(files)
+        campaign.files[sensor.model] = read_config(config_path(sensor.model, "sensors", path.parent))
     return campaign

@@ -6,15 +6,16 @@ a usable answer is recorded with its status and repeated; where answers stay awa
 
 import difflib
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from math import cos, radians
+from pathlib import Path
 from typing import Protocol
 
 from msp_lab.campaigns.bench import Bench, rangings
-from msp_lab.campaigns.campaign import Campaign
-from msp_lab.campaigns.plan import Point, changes
+from msp_lab.campaigns.campaign import Campaign, load_campaign
+from msp_lab.campaigns.plan import Point, changes, make_plan
 from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.reading import Reading
@@ -67,49 +68,74 @@ class Operator(Protocol):
 
 @dataclass(frozen=True)
 class Place:
-    """Position in the campaign.
-
-    Attributes
-    ----------
-    number, of
-        Of this point, among all.
-    had
-        Readings of this point that are recorded already, of its first sensor.
-    """
+    """Position in the campaign."""
 
     number: int
     of: int
+    """Of this point, among all."""
     had: int
+    """Readings of this point that are recorded already, of its first sensor."""
 
 
-def collect_readings(
-    campaign: Campaign,
-    points: Sequence[Point],
-    bench: Bench,
-    store: Store,
-    operator: Operator,
-    wanted: Collection[str],
-    again: Collection[str] = (),
-) -> None:
-    """Read the wanted points that are not recorded yet, in the order of the plan; skipped ones come again at the end.
+@dataclass(frozen=True)
+class Collection:
+    """A campaign, and which of its points are to be read."""
+
+    campaign: Campaign
+    points: tuple[Point, ...]
+    """The plan of the campaign."""
+    wanted: Container[str]
+    """Names of the points that are to be read, unless they are recorded."""
+    again: Container[str] = ()
+    """Names of points that are to be read although they are done."""
+
+    def store(self, folder: Path, bench: Bench) -> Store:
+        """The folder for the readings of this campaign at a bench; raises as `Store`."""
+        return Store(folder, self.points, bench.description, bench.clock, self.campaign.files)
+
+    def todo(self, store: Store) -> list[Point]:
+        """The points that are to be read, in the order of the plan."""
+        return [
+            point
+            for point in self.points
+            if point.name in self.again or (point.name in self.wanted and not store.is_done(point))
+        ]
+
+    def left(self, store: Store) -> str:
+        """How many points are not read yet, in words."""
+        return f"{sum(not store.is_done(point) for point in self.points)} of {len(self.points)} points are left"
+
+
+def load_collection(campaign_file: Path, only: Sequence[str], repeat: Sequence[str]) -> Collection:
+    """What the options of a command ask for.
+
+    Raises
+    ------
+    ConfigError
+        The campaign file cannot be used, or no point has such a name.
+    """
+    campaign = load_campaign(campaign_file)
+    points = make_plan(campaign)
+    again = chosen(points, repeat, "--repeat")
+    # --repeat alone reads nothing else.
+    return Collection(campaign, points, chosen(points, only or ([] if repeat else [""]), "--only"), again)
+
+
+def collect_readings(collection: Collection, bench: Bench, store: Store, operator: Operator) -> None:
+    """Read the points that are to be read, in the order of the plan; skipped ones come again at the end.
 
     Parameters
     ----------
-    campaign, points
-        What is to be measured, and the plan of it.
+    collection
+        What is to be measured.
     bench
         Where the sensors are.
     store
-        Where readings are recorded; points that it already has are not read again.
+        Where readings are recorded.
     operator
         Who sets up.
-    wanted
-        Names of the points that are to be read.
-    again
-        Names of points that are to be read although they are done.
     """
-    todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
-    _Session(campaign, points, bench, store, operator).go_through(todo, again)
+    _Session(collection, bench, store, operator).go_through(collection.todo(store))
 
 
 def chosen(points: Sequence[Point], beginnings: Sequence[str], option: str) -> frozenset[str]:
@@ -133,21 +159,20 @@ def chosen(points: Sequence[Point], beginnings: Sequence[str], option: str) -> f
 class _Session:
     """One session at the bench."""
 
-    def __init__(
-        self, campaign: Campaign, points: Sequence[Point], bench: Bench, store: Store, operator: Operator
-    ) -> None:
-        self._campaign = campaign
-        self._numbers = {point.name: number for number, point in enumerate(points, start=1)}
+    def __init__(self, collection: Collection, bench: Bench, store: Store, operator: Operator) -> None:
+        self._campaign = collection.campaign
+        self._again = collection.again
+        self._numbers = {point.name: number for number, point in enumerate(collection.points, start=1)}
         self._bench = bench
         self._store = store
         self._operator = operator
         self._before: Point | None = None
 
-    def go_through(self, todo: Sequence[Point], again: Collection[str]) -> None:
+    def go_through(self, todo: Sequence[Point]) -> None:
         skipped: list[Point] = []
         for last_round in (False, True):
             for point in skipped if last_round else todo:
-                decision = self._visit(point, anew=point.name in again)
+                decision = self._visit(point, anew=point.name in self._again)
                 if decision is Decision.STOP:
                     return
                 if decision is Decision.SKIP and not last_round:

@@ -8,12 +8,10 @@ from pathlib import Path
 
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 
-from msp_lab.campaigns.campaign import load_campaign
-from msp_lab.campaigns.collect import chosen, collect_readings
+from msp_lab.campaigns.collect import Collection, collect_readings
 from msp_lab.campaigns.flights import FlightArchive, load_flights, show_flights
-from msp_lab.campaigns.plan import Point, make_plan
+from msp_lab.campaigns.plan import Point
 from msp_lab.campaigns.simulated_bench import AutoOperator, SimulatedBench, readings_of
-from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.terminal import show_plan
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -46,45 +44,29 @@ class Collecting(Bar):
             print(f"{readings} of {self._total} readings; now {point.condition}: {point.question}")
 
 
-def collect_campaign(
-    campaign_file: Path,
-    out: Path,
-    model: Path | None,
-    seed: int,
-    only: list[str],
-    repeat: list[str],
-    plan_only: bool,
-) -> None:
+def collect_campaign(collection: Collection, out: Path, model: Path | None, seed: int, plan_only: bool) -> None:
     """Read the points of a campaign at the bench; the parameters are the options of the command."""
-    campaign = load_campaign(campaign_file)
-    points = make_plan(campaign)
-    again = chosen(points, repeat, "--repeat")
-    # --repeat alone reads nothing else.
-    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
-    models, described = readings_of(campaign, model)
-    bench = SimulatedBench(campaign, points, models, seed, described)
-    store = Store(out, points, bench.description, bench.clock, campaign.files)
+    models, described = readings_of(collection.campaign, model)
+    bench = SimulatedBench(collection.campaign, collection.points, models, seed, described)
+    store = collection.store(out, bench)
     if plan_only:
-        listed = [point for point in points if point.name in wanted | again]
-        show_plan(PlainConsole(), campaign, listed, store.is_done)
+        show_plan(PlainConsole(), collection, store)
         return
     system = SystemClock()
     started_s = system.now()
-    todo = [point for point in points if point.name in again or (point.name in wanted and not store.is_done(point))]
-    with stop_signals() as stopped, Collecting(todo) as shown:
+    with stop_signals() as stopped, Collecting(collection.todo(store)) as shown:
         operator = AutoOperator(shown.update, lambda: bool(stopped))
         try:
-            collect_readings(campaign, points, bench, store, operator, wanted, again)
+            collect_readings(collection, bench, store, operator)
         finally:
             store.close()
     table, rows = store.write_table()
     for text in operator.texts:
         print(text)
-    left = sum(not store.is_done(point) for point in points)
     print(
         f"{table}: {rows} readings, {operator.readings} of them now in {system.now() - started_s:.1f} s; "
         f"{operator.outliers} outliers, {operator.failed} pings without a usable answer; "
-        f"{left} of {len(points)} points are left"
+        f"{collection.left(store)}"
     )
 
 

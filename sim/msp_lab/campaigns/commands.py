@@ -9,45 +9,34 @@ from pathlib import Path
 from typing import Any
 
 from msp_lab.campaigns.bench import KernelBench
-from msp_lab.campaigns.campaign import load_campaign
-from msp_lab.campaigns.collect import chosen, collect_readings
+from msp_lab.campaigns.collect import Collection, collect_readings
 from msp_lab.campaigns.flights import FlightArchive, collect_flights, load_flights, show_flights
-from msp_lab.campaigns.plan import make_plan
-from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.terminal import Terminal, show_plan
 from msp_range.bus.smbus import bus_of
 from msp_range.service import stop_signals
 from msp_range.terminal import PlainConsole
 
 
-def collect_at_bench(
-    campaign_file: Path, out: Path, bus: str, only: list[str], repeat: list[str], plan_only: bool
-) -> None:
+def collect_at_bench(collection: Collection, out: Path, bus: str, plan_only: bool) -> None:
     """Lead a person through a campaign at the bench; the parameters are the options of the command."""
     console = PlainConsole()
-    campaign = load_campaign(campaign_file)
-    points = make_plan(campaign)
-    again = chosen(points, repeat, "--repeat")
-    # --repeat alone reads nothing else.
-    wanted = chosen(points, only or ([] if repeat else [""]), "--only")
-    bench = KernelBench(bus_of(bus), campaign.thermometer)
-    store = Store(out, points, bench.description, bench.clock, campaign.files)
+    bench = KernelBench(bus_of(bus), collection.campaign.thermometer)
+    store = collection.store(out, bench)
     if plan_only:
-        show_plan(console, campaign, [point for point in points if point.name in wanted | again], store.is_done)
+        show_plan(console, collection, store)
         return
     bench.open()
     with stop_signals() as stopped:
-        operator = Terminal(campaign, points, console, _asking(console), bench.clock, lambda: bool(stopped))
+        operator = Terminal(collection, console, _asking(console), bench.clock, lambda: bool(stopped))
         try:
-            collect_readings(campaign, points, bench, store, operator, wanted, again)
+            collect_readings(collection, bench, store, operator)
         finally:
             operator.close()
             store.close()
             bench.close()
     table, rows = store.write_table()
-    left = sum(not store.is_done(point) for point in points)
     read = f"{table}: {rows} readings" if rows else "nothing was read"
-    print(f"{read}; {left} of {len(points)} points are left")
+    print(f"{read}; {collection.left(store)}")
 
 
 def collect_recordings(campaign_file: Path, out: Path, plan_only: bool) -> None:

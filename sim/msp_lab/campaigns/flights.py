@@ -121,13 +121,13 @@ class FlightArchive:
 
     def recordings(self, flight: Flight) -> list[Path]:
         """Return the recordings of a flight in their order."""
-        numbered = {_number(flight, path): path for path in self._files(flight) if path.suffix == ".mcap"}
-        return [numbered[number] for number in sorted(numbered)]
+        return [path for _, path in sorted(self._numbered(flight)) if path.suffix == ".mcap"]
 
-    def _files(self, flight: Flight) -> list[Path]:
-        """Recordings and references of a flight, in any order."""
-        pattern = re.compile(re.escape(flight.flight) + r"-\d{3,}(\.mcap|\.reference\.csv)")
-        return [path for path in (self.folder / "flights").glob("*") if pattern.fullmatch(path.name)]
+    def _numbered(self, flight: Flight) -> list[tuple[int, Path]]:
+        """Recordings and references of a flight with their numbers, in any order."""
+        pattern = re.compile(re.escape(flight.flight) + r"-(\d{3,})(\.mcap|\.reference\.csv)")
+        paths = (self.folder / "flights").glob("*")
+        return [(int(found[1]), path) for path in paths if (found := pattern.fullmatch(path.name))]
 
     @contextmanager
     def making(self, flight: Flight) -> Iterator[Path]:
@@ -148,7 +148,7 @@ class FlightArchive:
         folder = self.folder / "flights"
         make_folder(folder)
         # A reference whose recording was deleted must not become that of the next one.
-        last = max((_number(flight, path) for path in self._files(flight)), default=0)
+        last = max((number for number, _ in self._numbered(flight)), default=0)
         return folder / f"{flight.flight}-{last + 1:03d}.mcap"
 
     def keep(self, flight: Flight, recording: Path, reference: Path | None) -> None:
@@ -266,10 +266,6 @@ def collect_flights(
                 console.print(f"  {error}", style="yellow")
         if answer == "q":
             return
-
-
-def _number(flight: Flight, path: Path) -> int:
-    return int(path.name.removeprefix(f"{flight.flight}-").partition(".")[0])
 
 
 @contextmanager

@@ -68,31 +68,21 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One set-up and its readings.
-
-    Attributes
-    ----------
-    name
-        Unique in the campaign.
-    condition
-        The experiment, as in the column of that name.
-    setup
-        What to set up.
-    firing
-        Order of the pings of several sensors.
-    readings
-        Number of readings of each sensor.
-    question, note
-        Question and instructions of the experiment.
-    """
+    """One set-up and its readings."""
 
     name: str
+    """Unique in the campaign."""
     condition: str
+    """The experiment, as in the column of that name."""
     setup: Setup
+    """What to set up."""
     firing: Firing
+    """Order of the pings of several sensors."""
     readings: int
+    """Number of readings of each sensor."""
     question: str = ""
     note: str = ""
+    """Question and instructions of the experiment."""
 
     @property
     def columns(self) -> dict[str, float | str]:

@@ -6,23 +6,20 @@ recordings, in the order of the plan: for each point its last complete attempt, 
 """
 
 import json
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import orjson
 
 from msp_lab.campaigns.bench import KnownRanging
 from msp_lab.campaigns.plan import Point
-from msp_range.arrays import Column
 from msp_range.clock import Clock
 from msp_range.reading import Status
-from msp_range.recording.columns import CONTEXT_COLUMNS, WORD_COLUMNS
-from msp_range.recording.csv_form import MeasuredData, word_column, write_csv
+from msp_range.recording.columns import CONTEXT_COLUMNS
+from msp_range.recording.csv_form import MeasuredData, column_of, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import CAMPAIGN_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
@@ -39,27 +36,18 @@ _FAULTS = frozenset(status.value for status in Status if status.is_fault)
 
 @dataclass
 class Attempt:
-    """One attempt at reading a point.
-
-    Attributes
-    ----------
-    number
-        1, 2 ...
-    runs
-        Names of its sessions.
-    rangings
-        Number of rangings, unanswered ones included.
-    readings
-        Number of answers by sensor.
-    done
-        Whether it was read to its end.
-    """
+    """One attempt at reading a point."""
 
     number: int
+    """1, 2 ..."""
     runs: list[str] = field(default_factory=list)
+    """Names of its sessions."""
     rangings: int = 0
+    """Number of rangings, unanswered ones included."""
     readings: Counter[str] = field(default_factory=Counter)
+    """Number of answers by sensor."""
     done: bool = False
+    """Whether it was read to its end."""
 
 
 class Store:
@@ -192,12 +180,9 @@ class Store:
         names = ["time_s", "sensor", "run", "reading_cm", "true_range_cm"]
         found = {name for row in rows for name in row}
         names += [name for name in CONTEXT_COLUMNS if name in found]
-        return MeasuredData({name: self._column(name, [row.get(name) for row in rows]) for name in names})
-
-    def _column(self, name: str, values: list[Any]) -> Column:
-        if name in WORD_COLUMNS:
-            return word_column(str(self.folder), name, ["" if value is None else str(value) for value in values])
-        return np.array([math.nan if value is None else value for value in values], dtype=float)
+        return MeasuredData(
+            {name: column_of(str(self.folder), name, [row.get(name) for row in rows]) for name in names}
+        )
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv`` if anything was read; return its path and its number of rows."""

@@ -11,9 +11,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from msp_lab.campaigns.campaign import Campaign
-from msp_lab.campaigns.collect import Arranged, Decision, Place
+from msp_lab.campaigns.collect import Arranged, Collection, Decision, Place
 from msp_lab.campaigns.plan import Point, changes, reading_s, setup_s
+from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.clock import Clock
 from msp_range.reading import Reading, Status
@@ -42,7 +42,7 @@ class Terminal:
 
     Parameters
     ----------
-    campaign, points
+    collection
         What is measured.
     console
         Where to write.
@@ -56,15 +56,14 @@ class Terminal:
 
     def __init__(
         self,
-        campaign: Campaign,
-        points: Sequence[Point],
+        collection: Collection,
         console: Console,
         ask: Callable[[str], str],
         clock: Clock,
         stopped: Callable[[], bool],
     ) -> None:
-        self._campaign = campaign
-        self._points = list(points)
+        self._campaign = collection.campaign
+        self._points = list(collection.points)
         self._console = console
         self._ask = ask
         self._clock = clock
@@ -291,16 +290,17 @@ def _fault_words(status: Status) -> str:
     }[status]
 
 
-def show_plan(console: Console, campaign: Campaign, points: Sequence[Point], done: Callable[[Point], bool]) -> None:
+def show_plan(console: Console, collection: Collection, store: Store) -> None:
     """Print the points in order, what to change between them, and the time they may take."""
     total_s = 0.0
     readings = 0
+    points = [point for point in collection.points if point.name in collection.wanted or point.name in collection.again]
     for number, (before, point) in enumerate(zip([None, *points], points, strict=False), start=1):
-        mark = "done" if done(point) else f"{point.readings} readings"
+        mark = "done" if store.is_done(point) else f"{point.readings} readings"
         console.print(f"{number:4d}  {point.name}   {mark}")
         for line in changes(before, point):
             console.print(f"        {line}", style="dim")
-        if not done(point):
-            total_s += reading_s(campaign, point) + setup_s(before, point)
+        if not store.is_done(point):
+            total_s += reading_s(collection.campaign, point) + setup_s(before, point)
             readings += point.readings * len(point.setup.sensors)
     console.print(f"{readings} readings are left; estimated time {duration(total_s)}")

@@ -30,81 +30,60 @@ _DENSITIES = (
 
 
 def entries() -> Iterator[Entry]:
-    """Yield the figures of chapters 4 and 5 in their order."""
-    yield (
-        "figure_4_04_range_error",
-        "Figure 4.4: range error, all ranges",
-        _with(range_error.baseline, f"largest error {REPORT.largest_error_cm:g} cm apart from missed readings."),
-    )
+    """Yield the figures of chapters 4 and 5 in their order, each with what the report shows there in its caption."""
+    for name, title, make, remark in (*_chapter_4(), *_chapter_5()):
+        yield name, title, _with(make, remark) if remark else make
+
+
+_Figure = tuple[str, str, Maker, str]
+"""Name, title, the picture, and what the report shows there."""
+
+
+def _chapter_4() -> Iterator[_Figure]:
+    largest = f"largest error {REPORT.largest_error_cm:g} cm apart from missed readings."
+    yield "figure_4_04_range_error", "Figure 4.4: range error, all ranges", range_error.baseline, largest
     two_codes = "2000 readings at 500 cm, with missed ones that read 765 and 255."
+    multi_modal = "the same two codes, and the histogram multi-modal for them."
     for figure, make, what, remark in (
-        (5, partial(longest_range.in_order, masked=False), "measurements", two_codes),
-        (
-            6,
-            partial(longest_range.histogram, masked=False),
-            "histogram",
-            "the same two codes, and the histogram multi-modal for them.",
-        ),
-        (7, partial(longest_range.in_order, masked=True), "measurements, missed reports masked", ""),
-        (
-            8,
-            partial(longest_range.histogram, masked=True),
-            "histogram, missed reports masked",
-            f"a peak near {REPORT.peak_cm:g} cm.",
-        ),
+        (5, longest_range.in_order, "measurements", two_codes),
+        (6, longest_range.histogram, "histogram", multi_modal),
+        (7, longest_range.in_order, "measurements, missed reports masked", ""),
+        (8, longest_range.histogram, "histogram, missed reports masked", f"a peak near {REPORT.peak_cm:g} cm."),
     ):
-        yield f"figure_4_{figure:02d}_maximum_range", f"Figure 4.{figure}: maximum range {what}", _with(make, remark)
+        name = f"figure_4_{figure:02d}_maximum_range"
+        yield name, f"Figure 4.{figure}: maximum range {what}", partial(make, masked=figure > 6), remark
     for figure, (range_cm, angle_deg) in enumerate(REPORT.half_angle_deg.items(), start=9):
-        yield (
-            f"figure_4_{figure:02d}_field_of_view_{range_cm:g}cm",
-            f"Figure 4.{figure}: field of view at {range_cm:g} cm",
-            _with(partial(field_of_view.sweep, range_cm=range_cm), f"{angle_deg:g}°."),
-        )
+        name = f"figure_4_{figure:02d}_field_of_view_{range_cm:g}cm"
+        title = f"Figure 4.{figure}: field of view at {range_cm:g} cm"
+        yield name, title, partial(field_of_view.sweep, range_cm=range_cm), f"{angle_deg:g}°."
+    indistinguishable = "plywood, asphalt and concrete cannot be distinguished."
+    range_error_of = "Figure 4.{}: range error, {}".format
     for figure, material in enumerate(MATERIALS, start=13):
-        yield (
-            f"figure_4_{figure}_{material}",
-            f"Figure 4.{figure}: range error, {material} target",
-            _with(
-                partial(range_error.material, name=material), "plywood, asphalt and concrete cannot be distinguished."
-            ),
-        )
+        make = partial(range_error.material, name=material)
+        yield f"figure_4_{figure}_{material}", range_error_of(figure, f"{material} target"), make, indistinguishable
     for figure, kind, remark in _TEMPERATURES:
-        title = f"Figure 4.{figure}: range error, {kind} temperature"
-        yield f"figure_4_{figure}_{kind}", title, _with(partial(range_error.temperature, kind=kind), remark)
-    yield (
-        "figure_4_19_vibration",
-        "Figure 4.19: range error, vibration",
-        _with(range_error.vibration, "at 60 Hz effectively the same as the baseline."),
-    )
+        make = partial(range_error.temperature, kind=kind)
+        yield f"figure_4_{figure}_{kind}", range_error_of(figure, f"{kind} temperature"), make, remark
+    as_baseline = "at 60 Hz effectively the same as the baseline."
+    yield "figure_4_19_vibration", range_error_of(19, "vibration"), range_error.vibration, as_baseline
     for figure, how, remark in (
         (20, "simultaneous", "sensor 2 reads short, because it receives the earlier ping of sensor 1."),
         (21, "sequential", "the errors go away, at the price of the rate."),
     ):
-        title = f"Figure 4.{figure}: range error, two sensors, {how} transmission"
-        yield (
-            f"figure_4_{figure}_{how}",
-            title,
-            _with(partial(range_error.crosstalk, condition=f"crosstalk_{how}"), remark),
-        )
-    yield (
-        "section_4_3_8_external",
-        "Section 4.3.8: range error, external ultrasound",
-        _with(range_error.external, "no figure, since its test was inconclusive."),
-    )
-    for figure, compensated in ((1, False), (2, True)):
-        how = "with" if compensated else "without"
-        yield (
-            f"figure_5_{figure:02d}_{'' if compensated else 'un'}compensated",
-            f"Figure 5.{figure}: ranging {how} temperature compensation",
-            _with(partial(air.range_errors, after=compensated), ""),
-        )
-    yield "table_5_1_compensation", "Table 5.1 as a picture", _with(air.compensation, _mean_errors())
+        make = partial(range_error.crosstalk, condition=f"crosstalk_{how}")
+        yield f"figure_4_{figure}_{how}", range_error_of(figure, f"two sensors, {how} transmission"), make, remark
+    external = "Section 4.3.8: range error, external ultrasound"
+    yield "section_4_3_8_external", external, range_error.external, "no figure, since its test was inconclusive."
+
+
+def _chapter_5() -> Iterator[_Figure]:
+    for figure, what, how in ((1, "uncompensated", "without"), (2, "compensated", "with")):
+        title = f"Figure 5.{figure}: ranging {how} temperature compensation"
+        yield f"figure_5_{figure:02d}_{what}", title, partial(air.range_errors, after=how == "with"), ""
+    yield "table_5_1_compensation", "Table 5.1 as a picture", air.compensation, _mean_errors()
     for figure, kind, title, remark in _DENSITIES:
-        yield (
-            f"figure_5_{figure:02d}_{kind}",
-            f"Figure 5.{figure}: {title} density",
-            _with(partial(mixture.density, kind=kind), f"{remark}."),
-        )
+        make = partial(mixture.density, kind=kind)
+        yield f"figure_5_{figure:02d}_{kind}", f"Figure 5.{figure}: {title} density", make, f"{remark}."
 
 
 def table_5_1(findings: Findings) -> PageTable | None:
@@ -158,6 +137,6 @@ def _with(make: Maker, remark: str) -> Maker:
 
     def made(findings: Findings, rows: PictureData) -> Drawn:
         drawn = make(findings, rows)
-        return replace(drawn, caption=f"{drawn.caption} The report: {remark}") if remark else drawn
+        return replace(drawn, caption=f"{drawn.caption} The report: {remark}")
 
     return made

@@ -24,7 +24,6 @@ from msp_range.arrays import Array
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
 
-OFFSETS = "run_offsets"
 FITTED_ROWS = 6_000
 """The answers are fitted to a sample of at most so many readings. Errors of a strength are then those of 6,000
 readings, which `cautious` takes off. More: slower."""
@@ -44,46 +43,30 @@ session by so many nats on average: the smallest gap that never counts as closed
 
 @dataclass(frozen=True)
 class FittedAnswer:
-    """An answer with its numbers.
-
-    Attributes
-    ----------
-    answer
-        What it stands for.
-    terms
-        Effects of the model in all, that of the answer last.
-    base
-        Change of the base's numbers.
-    log_likelihood
-        Of the readings that were fitted [nat]; None: they lack its columns.
-    model
-        The whole model, to draw readings from.
-    assumed
-        The strength is not fitted, but the one that matters.
-    """
+    """An answer with its numbers."""
 
     answer: Answer
+    """What it stands for."""
     terms: tuple[Term, ...]
+    """Effects of the model in all, that of the answer last."""
     base: Array
+    """Change of the base's numbers."""
     log_likelihood: float | None
+    """Of the readings that were fitted [nat]; None: they lack its columns."""
     model: Model
+    """The whole model, to draw readings from."""
     assumed: bool = False
+    """The strength is not fitted, but the one that matters."""
 
 
 @dataclass(frozen=True)
 class OldReadings:
-    """The readings of a gap run, its model, and what it named.
-
-    Attributes
-    ----------
-    comparison
-        Readings and model.
-    terms
-        What was added to the model.
-    """
+    """The readings of a gap run, its model, and what it named."""
 
     comparison: Comparison
+    """Readings and model."""
     terms: tuple[Term, ...]
+    """What was added to the model."""
 
     @classmethod
     def load(cls, steps: Steps) -> "OldReadings":
@@ -107,7 +90,9 @@ class OldReadings:
     def run_offset_cm(self) -> float:
         """Standard deviation of offsets between runs, of the model and as found [cm]."""
         found = [
-            each.values["deviation_cm"] for each in (*self.model.effects, *self.terms) if each.effect.name == OFFSETS
+            each.values["deviation_cm"]
+            for each in (*self.model.effects, *self.terms)
+            if each.effect.name == "run_offsets"
         ]
         return float(np.hypot.reduce([0.0, *found]))
 

@@ -16,6 +16,7 @@ from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.plan import SETUP_S, Point, make_plan, reading_interval_s, reading_s, setup_s
 from msp_lab.design.session import Columns, PlannedSession, chosen
 from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.yaml_file import check
 
 LEVELS: Mapping[str, tuple[float, ...]] = {
@@ -66,22 +67,15 @@ INSTEAD = {
 
 @dataclass(frozen=True)
 class BenchSessions:
-    """What all sessions at a bench have in common.
-
-    Attributes
-    ----------
-    model
-        Sensor model file.
-    sensor
-        Its content.
-    sensors
-        Names of the sensors to read.
-    """
+    """What all sessions at a bench have in common."""
 
     instead: ClassVar[Mapping[str, str]] = INSTEAD
     model: Path
+    """Sensor model file."""
     sensor: SensorModel
+    """Its content."""
     sensors: tuple[str, ...]
+    """Names of the sensors to read."""
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a bench can vary."""
@@ -208,9 +202,4 @@ def _contexts(campaign: Campaign, points: Sequence[Point]) -> Columns:
                 part["neighbour_lag_ms"] = np.full(point.readings, first if together and number else last)
                 part["neighbour_range_cm"] = part["true_range_cm"]
             parts.append(part)
-    names = dict.fromkeys(name for part in parts for name in part)
-    return {name: np.concatenate([_or_unknown(part, name) for part in parts]) for name in names}
-
-
-def _or_unknown(part: dict[str, Any], name: str) -> Any:
-    return part[name] if name in part else np.full(part["time_s"].size, np.nan)
+    return join_tables([MeasuredData(part) for part in parts]).columns

@@ -96,19 +96,13 @@ class SessionPlace(Protocol):
 
 @dataclass(frozen=True)
 class Same:
-    """Two answers that no session here tells apart.
-
-    Attributes
-    ----------
-    one, other
-        Their places.
-    nats
-        Expected nats between them in the largest session.
-    """
+    """Two answers that no session here tells apart."""
 
     one: int
     other: int
+    """Their places."""
     nats: float
+    """Expected nats between them in the largest session."""
 
     @property
     def structural(self) -> bool:
@@ -118,40 +112,27 @@ class Same:
 
 @dataclass(frozen=True)
 class Design:
-    """The answer to how a question is decided.
-
-    Attributes
-    ----------
-    question, answers
-        What is to be decided, with the strengths that were planned with.
-    session
-        The cheapest one; None: none is allowed.
-    separations
-        Of the pairs that it tells apart.
-    same
-        Pairs of answers that no session here tells apart with this power.
-    classes
-        Places of the answers that are one as far as any session can say; what is like the same third is alike.
-    power
-        Expected power for the hardest of the other pairs.
-    why
-        Why there is no session; empty where there is one.
-    wanted
-        The power that was asked for.
-    make
-        Makes the session with another number of readings at each point, and of visits.
-    """
+    """The answer to how a question is decided."""
 
     question: OpenQuestion
     answers: tuple[FittedAnswer, ...]
+    """What is to be decided, with the strengths that were planned with."""
     session: PlannedSession | None
+    """The cheapest one; None: none is allowed."""
     separations: tuple[Separation, ...] = ()
+    """Of the pairs that it tells apart."""
     same: tuple[Same, ...] = ()
+    """Pairs of answers that no session here tells apart with this power."""
     classes: tuple[frozenset[int], ...] = ()
+    """Places of the answers that are one as far as any session can say; what is like the same third is alike."""
     power: float = 0.0
+    """Expected power for the hardest of the other pairs."""
     why: str = ""
+    """Why there is no session; empty where there is one."""
     wanted: float = 0.95
+    """The power that was asked for."""
     make: "Make | None" = None
+    """Makes the session with another number of readings at each point, and of visits."""
 
     @property
     def needed_nats(self) -> float:

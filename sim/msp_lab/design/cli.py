@@ -11,21 +11,6 @@ from msp_sim.cli import OwnEffects
 
 app = typer.Typer()
 
-DESIGN = """Design the cheapest bench or flight session that decides what a gap run left open.
-
-Reads GAP_DIR, the folder of 'msp-lab gap', and the readings and the model that it names. For each open question it says
-which contexts to vary, in how many runs of how many readings, how long that takes, and how probable it is that the
-right answer is found; then the simulator holds the session and 'gap' names what it finds. Example:
-
-  msp-lab gap flights/*.csv --model mb1242.yaml --out gaps/june
-
-  msp-lab design gaps/june --bench --max-minutes 90
-
-In --out: a folder for each question with campaign.yaml for 'msp-lab collect', scenario files for 'msp-sim fly', and
-session.png; design.json has all numbers. The last two lines of each question are the commands that collect the readings
-and that put them in with the old ones.
-"""
-
 
 def _design(
     gap: Annotated[Path, typer.Argument(metavar="GAP_DIR", help="folder that 'msp-lab gap' made")],
@@ -48,6 +33,20 @@ def _design(
     force: Annotated[bool, typer.Option("--force", help="replace an earlier design in --out")] = False,
     effects: OwnEffects = None,
 ) -> None:
+    """Design the cheapest bench or flight session that decides what a gap run left open.
+
+    Reads GAP_DIR, the folder of 'msp-lab gap', and the readings and the model that it names. For each open question it
+    says which contexts to vary, in how many runs of how many readings, how long that takes, and how probable it is that
+    the right answer is found; then the simulator holds the session and 'gap' names what it finds. Example:
+
+      msp-lab gap flights/*.csv --model mb1242.yaml --out gaps/june
+
+      msp-lab design gaps/june --bench --max-minutes 90
+
+    In --out: a folder for each question with campaign.yaml for 'msp-lab collect', scenario files for 'msp-sim fly', and
+    session.png; design.json has all numbers. The last two lines of each question are the commands that collect the
+    readings and that put them in with the old ones.
+    """
     require("lab", "msp-lab design")
     from msp_lab.design.designing import Options, plan_sessions
     from msp_lab.design.files import prepare_folder, write_plans
@@ -68,4 +67,4 @@ def _design(
     print_plans(plans, findings, out)
 
 
-app.command("design", help=DESIGN)(_design)
+app.command("design")(_design)

@@ -33,49 +33,32 @@ LENGTHENED = 1.5
 
 @dataclass(frozen=True)
 class Options:
-    """What a user asks of a design.
-
-    Attributes
-    ----------
-    bench
-        Only at the bench, or only in flight; None: whichever is cheaper.
-    max_minutes
-        No session may take longer.
-    power
-        Probability that the right answer is named.
-    sessions
-        Simulated sessions; 0: none.
-    seed
-        Of all draws.
-    airframe
-        Of the vehicle that flies.
-    """
+    """What a user asks of a design."""
 
     bench: bool | None = None
+    """Only at the bench, or only in flight; None: whichever is cheaper."""
     max_minutes: float = 240.0
+    """No session may take longer."""
     power: float = 0.95
+    """Probability that the right answer is named."""
     sessions: int = 20
+    """Simulated sessions; 0: none."""
     seed: int = 1
+    """Of all draws."""
     airframe: str = "quad_pallet"
+    """Of the vehicle that flies."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A design with its proof.
-
-    Attributes
-    ----------
-    design
-        Of one question.
-    proof
-        None where there is no session, or none was simulated.
-    joined
-        The session's readings go in with the old ones; otherwise they are compared alone.
-    """
+    """A design with its proof."""
 
     design: Design
+    """Of one question."""
     proof: Proof | None = None
+    """None where there is no session, or none was simulated."""
     joined: bool = True
+    """The session's readings go in with the old ones; otherwise they are compared alone."""
 
 
 def plan_sessions(folder: Path, options: Options, clock: Clock, report: Progress) -> tuple[GapFindings, list[Plan]]:

@@ -15,8 +15,8 @@ import numpy as np
 from msp_lab.design.session import Columns, PlannedSession, chosen
 from msp_range.config import Airframe
 from msp_range.yaml_file import check
+from msp_sim.device.emulated import Surroundings, ping_contexts
 from msp_sim.flight.scenario import Scenario
-from msp_sim.world.world import MountedBeam
 
 HEIGHTS_M = (1.0, 2.2, 3.6)
 """Heights above ground at which the vehicle hovers if the range is varied."""
@@ -68,20 +68,14 @@ INSTEAD = {
 
 @dataclass(frozen=True)
 class Pilot:
-    """What all sessions in flight have in common.
-
-    Attributes
-    ----------
-    airframe_file, airframe
-        The vehicle.
-    flown
-        Contexts of flights that were simulated, by what they do: flights of a session differ only in their air.
-    """
+    """What all sessions in flight have in common."""
 
     instead: ClassVar[Mapping[str, str]] = INSTEAD
     airframe_file: Path
     airframe: Airframe
+    """The vehicle."""
     flown: dict[str, Columns] = field(default_factory=dict, compare=False, repr=False)
+    """Contexts of flights that were simulated, by what they do: flights of a session differ only in their air."""
 
     def factors(self, columns: frozenset[str]) -> tuple[str, ...]:
         """Those of these columns that a pilot can vary."""
@@ -201,25 +195,10 @@ def _words(varied: Sequence[str], ends_only: bool, air_c: Sequence[float]) -> di
 
 def _simulated(scenario: Scenario, interval_s: float) -> Columns:
     """The truth of each ping of a flight."""
-    world = scenario.world()
-    vehicle = scenario.vehicle(world, np.random.default_rng(1))
-    beams = [
-        MountedBeam(
-            each.position_m,
-            each.boresight,
-            each.sensor_model.beam.half_angle_rad if each.sensor_model.medium == "sound" else None,
-        )
-        for each in scenario.airframe.sensors
-    ]
-    rows: dict[str, list[Any]] = {}
-    for number in range(int(scenario.duration_s / interval_s)):
-        time_s = number * interval_s
-        which = number % len(beams)
-        pose = vehicle.pose(time_s)
-        ping = world.ping(pose, beams[which])
-        row = ping._asdict() | {"time_s": time_s, "throttle": pose.throttle, "uptime_s": time_s}
-        row["sensor"] = scenario.airframe.sensors[which].name
-        if ping.has_echo:
-            for key in TRUTH:
-                rows.setdefault(key, []).append(row[key])
-    return {key: np.array(values) for key, values in rows.items()}
+    world, sensors = scenario.world(), scenario.airframe.sensors
+    around = Surroundings(world, scenario.vehicle(world, np.random.default_rng(1)).pose)
+    turns = range(int(scenario.duration_s / interval_s))
+    pings = ((number * interval_s, sensors[number % len(sensors)].name) for number in turns)
+    contexts = ping_contexts(scenario.airframe, None, around, pings)
+    rows = [each | {"time_s": each["uptime_s"]} for each in contexts if each["has_echo"]]
+    return {key: np.array([row[key] for row in rows]) for key in TRUTH}

@@ -4,9 +4,8 @@ A design enters; its readings are drawn from each answer in turn, put with the o
 them. The share that was right leaves, with its interval.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
@@ -18,28 +17,21 @@ from msp_lab.gap import naming, rules
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.intake import Comparison, Readings
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.runs import numbered
-from msp_range.recording.columns import WORD_COLUMNS
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.arrays import numbered
+from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
 
 
 @dataclass(frozen=True)
 class Proof:
-    """How often the right answer was named.
-
-    Attributes
-    ----------
-    right, held
-        Sessions with the right answer, and all that were simulated.
-    wrong
-        What was found in the others, in words.
-    """
+    """How often the right answer was named."""
 
     right: int
     held: int
+    """Sessions with the right answer, and all that were simulated."""
     wrong: tuple[str, ...] = ()
+    """What was found in the others, in words."""
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -93,18 +85,17 @@ def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: i
         truth = number % len(design.answers)
         rng = np.random.default_rng([seed, number])
         new = held(session, design.answers[truth].model, rng)
-        data = merged(old.columns, new) if joined else new
-        comparison = Comparison.of(Readings(MeasuredData(data), ()), old.model, old.comparison.settings)
-        findings, _ = naming.name(comparison, _EMPTY, lambda what, share: None)
+        data = MeasuredData(new)
+        if joined:
+            data = join_tables([MeasuredData(old.columns), data])
+        comparison = Comparison.of(Readings(data, ()), old.model, old.comparison.settings)
+        findings, _ = naming.name(comparison, GapFindings(None, rows=0, runs=0), lambda what, share: None)
         if is_right(findings.effects, design, truth):
             right += 1
         else:
             names = ", ".join(" or ".join(sorted(names_of(each))) for each in findings.effects) or "nothing"
             wrong.append(f"{design.answers[truth].answer.label}: found {names}")
     return Proof(right, sessions, tuple(wrong))
-
-
-_EMPTY = GapFindings(None, rows=0, runs=0)
 
 
 def held(session: PlannedSession, model: Model, rng: np.random.Generator) -> Columns:
@@ -115,18 +106,6 @@ def held(session: PlannedSession, model: Model, rng: np.random.Generator) -> Col
     shifted = {**contexts, "true_range_cm": contexts["true_range_cm"] + offset_cm[unit]}
     contexts["reading_cm"] = sample_in_order(model, shifted, int(rng.integers(2**31)))
     return contexts
-
-
-def merged(old: Columns | Mapping[str, Any], new: Columns) -> dict[str, Any]:
-    """Two tables in one; what one of them lacks is blank there."""
-    sizes = [np.size(each["true_range_cm"]) for each in (old, new)]
-
-    def column(name: str, table: Mapping[str, Any], size: int) -> Any:
-        blank = np.full(size, "") if name in WORD_COLUMNS else np.full(size, np.nan)
-        return np.asarray(table[name]) if name in table else blank
-
-    parts = [(old, sizes[0]), (new, sizes[1])]
-    return {name: np.concatenate([column(name, *part) for part in parts]) for name in dict.fromkeys([*old, *new])}
 
 
 def names_of(found: FoundEffect) -> frozenset[str]:

@@ -24,17 +24,12 @@ other question. With another verdict nothing points to them, and no session is d
 
 @dataclass(frozen=True)
 class Answer:
-    """One possible answer.
-
-    Attributes
-    ----------
-    name, of
-        Effect of the catalogue, and the sensor, run or target that it is of; None: none of the effects, only the
-        model's own numbers.
-    """
+    """One possible answer."""
 
     name: str | None
     of: str | None = None
+    """Effect of the catalogue, and the sensor, run or target that it is of; None: none of the effects, only the model's
+    own numbers."""
 
     @property
     def label(self) -> str:
@@ -52,22 +47,15 @@ NONE = Answer(None)
 
 @dataclass(frozen=True)
 class OpenQuestion:
-    """What the readings could not decide.
-
-    Attributes
-    ----------
-    kind
-        Why not: alternatives fit as well; an effect is only suggested; a number of the model absorbed it; its column is
-        not recorded.
-    answers
-        Two or more.
-    why
-        What is missing, in a sentence.
-    """
+    """What the readings could not decide."""
 
     kind: Literal["indistinguishable", "suggested", "absorbed", "not testable"]
+    """Why not: alternatives fit as well; an effect is only suggested; a number of the model absorbed it; its column is
+    not recorded."""
     answers: tuple[Answer, ...]
+    """Two or more."""
     why: str
+    """What is missing, in a sentence."""
 
     @property
     def label(self) -> str:

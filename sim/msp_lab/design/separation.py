@@ -19,8 +19,9 @@ from msp_lab.design.session import Columns
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
-from msp_lab.gap.runs import numbered, previous
+from msp_lab.gap.runs import previous
 from msp_lab.readings.intake import PREVIOUS
+from msp_range.arrays import numbered
 from msp_sim.model.model import Model
 
 DRAWN_ROWS = 3_000
@@ -37,33 +38,23 @@ statistic scatters about its mean. Higher: more sessions are planned with the ru
 
 @dataclass(frozen=True)
 class Separation:
-    """How far a wrong answer is from the right one.
-
-    Attributes
-    ----------
-    truth, alternative
-        Places of the right answer and of the wrong one.
-    within_nats, between_nats
-        Nats per reading by what differs inside runs, and by what differs between runs.
-    offsets
-        Variance of what runs differ by anyway, over that of a single reading.
-    correlation
-        Of neighbouring readings' errors.
-    run_scatter
-        Variance of the runs' mean lead of the right answer without offsets, over that of a single reading's; None: the
-        wrong answer is that there is no effect, which `gap` decides by the offsets' own likelihood.
-    other_runs
-        Runs of the old readings, if they go in.
-    """
+    """How far a wrong answer is from the right one."""
 
     truth: int
     alternative: int
+    """Places of the right answer and of the wrong one."""
     within_nats: float
     between_nats: float
+    """Nats per reading by what differs inside runs, and by what differs between runs."""
     offsets: float
+    """Variance of what runs differ by anyway, over that of a single reading."""
     correlation: float
+    """Of neighbouring readings' errors."""
     run_scatter: float | None = None
+    """Variance of the runs' mean lead of the right answer without offsets, over that of a single reading's; None: the
+    wrong answer is that there is no effect, which `gap` decides by the offsets' own likelihood."""
     other_runs: int = 0
+    """Runs of the old readings, if they go in."""
 
     def nats(self, readings: int, runs: int) -> float:
         """Expected nats between the two in a session; the gap workflow selects effects on all of its readings.

@@ -20,39 +20,26 @@ def chosen(levels: tuple[float, ...], ends_only: bool) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class PlannedSession:
-    """A session of a kind, as long as it is.
-
-    Attributes
-    ----------
-    kind
-        At the bench, or in flight.
-    varied
-        Context columns that it varies, with their values in words.
-    contexts
-        Of its readings, (n,), `run` among them.
-    per_point
-        Readings of a sensor at a point, or in a flight.
-    visits
-        How often each point is set up anew, or each group of flights flown.
-    minutes
-        Of setting up and of reading or flying.
-    campaign
-        Content of the campaign file.
-    scenarios
-        Content of the scenario files of its flights, by name.
-    offset_cm
-        Standard deviation of the true range's error of each run: the reference's.
-    """
+    """A session of a kind, as long as it is."""
 
     kind: Kind
+    """At the bench, or in flight."""
     varied: Mapping[str, str]
+    """Context columns that it varies, with their values in words."""
     contexts: Columns
+    """Of its readings, (n,), `run` among them."""
     per_point: int
+    """Readings of a sensor at a point, or in a flight."""
     visits: int
+    """How often each point is set up anew, or each group of flights flown."""
     minutes: float
+    """Of setting up and of reading or flying."""
     campaign: Mapping[str, Any]
+    """Content of the campaign file."""
     scenarios: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Content of the scenario files of its flights, by name."""
     offset_cm: float = 0.0
+    """Standard deviation of the true range's error of each run: the reference's."""
 
     @property
     def readings(self) -> int:

@@ -31,21 +31,14 @@ SEARCH_SEED = 20_240
 
 @dataclass(frozen=True)
 class StudiedFilter:
-    """A filter in a study.
-
-    Attributes
-    ----------
-    variant
-        The filter.
-    noise_factor
-        Factor of the variance of the readings' noise.
-    reversed
-        True if the error is truth less estimate.
-    """
+    """A filter in a study."""
 
     variant: Variant
+    """The filter."""
     noise_factor: float = 1.0
+    """Factor of the variance of the readings' noise."""
     reversed: bool = False
+    """True if the error is truth less estimate."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +46,13 @@ class Band:
     """Bands of one setting in one scenario, arrays in the order of the statistics.
 
     RMS and variance are positive and skewed: their spreads are those of their logarithms.
-
-    Attributes
-    ----------
-    middle
-        Median over the seeds.
-    below, above
-        Spread to either side.
     """
 
     middle: Array
+    """Median over the seeds."""
     below: Array
     above: Array
+    """Spread to either side."""
 
     def distance(self, row: Row) -> Array:
         """Distance of each value of a row from the middle in spreads, less what its rounding explains."""

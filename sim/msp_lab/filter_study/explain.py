@@ -7,12 +7,13 @@ statement that none does, with what was tried. The search goes over differences 
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from msp_lab.filter_study.bands import WIDTH, Band, StudiedFilter, band_in, find_bands
-from msp_lab.filter_study.changes import ROUND, Changes, ImplementationChange, all_made, double, single
+from msp_lab.filter_study.changes import ROUND, Changes, all_made, double, single
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.table import Row, Table
 
@@ -26,6 +27,8 @@ FINALISTS = 12
 """Settings from the search that are checked with all seeds, at most."""
 AS_GOOD = 4.0
 """Prefer a rounder number if the misfit grows by less than this: two standard deviations."""
+MOST_TRIED = 10
+"""Values of a factor that are compared before it is rounded: the best is then known to a few per cent."""
 CAP = 1e4
 """Limit of one value's part of a misfit, so that two rows far outside still count more than one."""
 
@@ -37,36 +40,24 @@ Rows = Mapping[str, Row]
 
 @dataclass(frozen=True)
 class FilterResult:
-    """Result for one filter.
-
-    Attributes
-    ----------
-    filter
-        Its name.
-    rows
-        Its rows in the table, by scenario.
-    before
-        Bands of the study as it is stated, by scenario.
-    changes
-        The explanation of the rows; empty: they lie in those bands; None: nothing that was tried explains them.
-    after
-        Bands with the changes, or with the nearest change.
-    tried
-        Number of settings that were compared.
-    nearest
-        If nothing fits all rows: the single change that comes nearest.
-    alone
-        If nothing fits all rows: the changes that fit each row alone; None: there are none.
-    """
+    """Result for one filter."""
 
     filter: str
+    """Its name."""
     rows: Rows
+    """Its rows in the table, by scenario."""
     before: Mapping[str, Band]
+    """Bands of the study as it is stated, by scenario."""
     changes: Changes | None
+    """The explanation of the rows; empty: they lie in those bands; None: nothing that was tried explains them."""
     after: Mapping[str, Band]
+    """Bands with the changes, or with the nearest change."""
     tried: int
+    """Number of settings that were compared."""
     nearest: Changes | None = None
+    """If nothing fits all rows: the single change that comes nearest."""
     alone: Mapping[str, Changes | None] = field(default_factory=dict)
+    """If nothing fits all rows: the changes that fit each row alone; None: there are none."""
 
 
 def explain_rows(table: Table) -> tuple[bool, list[FilterResult]]:
@@ -159,37 +150,29 @@ def _best_alone(tried: Sequence[Changes], base: StudiedFilter, row: Rows) -> Cha
 def _refined(changes: Changes, base: StudiedFilter, rows: Rows) -> Changes:
     """Set each factor to the value that fits best, or to a round one that fits as well."""
     for index, change in enumerate(changes):
-        if not change.is_factor:
-            continue
-
-        def cost(
-            factor: float, index: int = index, change: ImplementationChange = change, changes: Changes = changes
-        ) -> float:
-            others = (*changes[:index], ImplementationChange(change.kind, factor), *changes[index + 1 :])
-            return misfit(all_made(others, base), rows, SEEDS)[0]
-
-        factor = _best_factor(cost, change.value)
-        changes = (*changes[:index], ImplementationChange(change.kind, factor), *changes[index + 1 :])
+        if change.is_factor:
+            changes = _with_best_factor(changes, index, base, rows)
     return changes
 
 
+def _with_best_factor(changes: Changes, index: int, base: StudiedFilter, rows: Rows) -> Changes:
+    def with_factor(factor: float) -> Changes:
+        return (*changes[:index], replace(changes[index], value=factor), *changes[index + 1 :])
+
+    def cost(factor: float) -> float:
+        return misfit(all_made(with_factor(factor), base), rows, SEEDS)[0]
+
+    return with_factor(_best_factor(cost, changes[index].value))
+
+
 def _best_factor(cost: Callable[[float], float], start: float) -> float:
-    """Golden section over the logarithm, one step of the search to either side; then the roundest number as good."""
-    shrink = (math.sqrt(5) - 1) / 2
-    low, high = math.log(start) - math.log(10) / 4, math.log(start) + math.log(10) / 4
-    left, right = high - shrink * (high - low), low + shrink * (high - low)
-    cost_left, cost_right = cost(math.exp(left)), cost(math.exp(right))
-    for _ in range(8):
-        if cost_left < cost_right:
-            high, right, cost_right = right, left, cost_left
-            left = high - shrink * (high - low)
-            cost_left = cost(math.exp(left))
-        else:
-            low, left, cost_left = left, right, cost_right
-            right = low + shrink * (high - low)
-            cost_right = cost(math.exp(right))
-    factor, best = (left, cost_left) if cost_left < cost_right else (right, cost_right)
-    factor = math.exp(factor)
+    """The best within one step of the search to either side; then the roundest number as good."""
+    step = math.log(10) / 4
+    bounds = math.log(start) - step, math.log(start) + step
+    found = minimize_scalar(
+        lambda log: cost(math.exp(log)), bounds=bounds, method="bounded", options={"maxiter": MOST_TRIED}
+    )
+    factor, best = math.exp(found.x), float(found.fun)
     decade = 10.0 ** math.floor(math.log10(factor))
     # 1 before 10 before the rest, and the nearer before the farther.
     rounds = sorted(

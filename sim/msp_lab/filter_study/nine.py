@@ -21,34 +21,24 @@ Boundary = Literal["grow", "raw", "zero", "first"]
 
 @dataclass(frozen=True)
 class Variant:
-    """One filter with its parameters, and the differences of its implementation.
-
-    Attributes
-    ----------
-    family, parameter
-        The filter; its window M, or its process variance Q [cm^2].
-    centred
-        Moving average and median: the window reaches as far ahead as back; otherwise it ends at its reading.
-    boundary
-        Replacement of readings before the first (and after the last, if centred). grow: the window is shorter
-        there. raw: the reading itself until the window is full, the report's 'not processing the
-        boundary'. zero: zeros. first: the first (last) reading repeated.
-    delay
-        Samples by which the estimate comes late, on top of the filter's own delay; negative: early. Before there is
-        one, the output is the reading.
-    q_factor
-        Kalman: factor of Q. P at the start is R.
-    start_cm
-        Kalman: estimate at the first sample [cm]; None: the first reading.
-    """
+    """One filter with its parameters, and the differences of its implementation."""
 
     family: Family
     parameter: float
+    """The filter; its window M, or its process variance Q [cm^2]."""
     centred: bool = False
+    """Moving average and median: the window reaches as far ahead as back; otherwise it ends at its reading."""
     boundary: Boundary = "grow"
+    """Replacement of readings before the first (and after the last, if centred). grow: the window is shorter there.
+    raw: the reading itself until the window is full, the report's 'not processing the boundary'. zero: zeros. first:
+    the first (last) reading repeated."""
     delay: int = 0
+    """Samples by which the estimate comes late, on top of the filter's own delay; negative: early. Before there is one,
+    the output is the reading."""
     q_factor: float = 1.0
+    """Kalman: factor of Q. P at the start is R."""
     start_cm: float | None = None
+    """Kalman: estimate at the first sample [cm]; None: the first reading."""
 
     @property
     def window(self) -> int:
@@ -127,14 +117,13 @@ def _windowed(variant: Variant, reading_cm: Array) -> Array:
         fill = 0.0 if variant.boundary == "zero" else np.nan
         padded = np.pad(reading_cm, ((0, 0), (back, ahead)), constant_values=fill)
     windows = sliding_window_view(padded, window, axis=1)
-    mean = variant.family == "moving average"
-    estimate_cm: Array = windows.mean(axis=2) if mean else np.median(windows, axis=2)
+    average = np.mean if variant.family == "moving average" else np.median
+    estimate_cm: Array = average(windows, axis=2)
     for sample in (*range(min(back, samples)), *range(max(samples - ahead, 0), samples)):
         if variant.boundary == "raw":
             estimate_cm[:, sample] = reading_cm[:, sample]
         elif variant.boundary == "grow":
-            part = reading_cm[:, max(sample - back, 0) : sample + ahead + 1]
-            estimate_cm[:, sample] = part.mean(axis=1) if mean else np.median(part, axis=1)
+            estimate_cm[:, sample] = average(reading_cm[:, max(sample - back, 0) : sample + ahead + 1], axis=1)
     return estimate_cm
 
 

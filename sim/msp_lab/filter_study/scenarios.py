@@ -33,27 +33,18 @@ NAMES = ("fixed", "steps", "random")
 
 @dataclass(frozen=True)
 class ScenarioRuns:
-    """Runs of one scenario, shape (seeds, samples).
-
-    Attributes
-    ----------
-    name
-        fixed, steps or random.
-    true_cm
-        True range [cm].
-    segment
-        Number of the sample's segment, from 0.
-    ramp
-        Whether that segment is a ramp.
-    reading_cm
-        Readings [cm], whole numbers; NaN where there was no echo.
-    """
+    """Runs of one scenario, shape (seeds, samples)."""
 
     name: str
+    """fixed, steps or random."""
     true_cm: Array
+    """True range [cm]."""
     segment: NDArray[np.int64]
+    """Number of the sample's segment, from 0."""
     ramp: Flags
+    """Whether that segment is a ramp."""
     reading_cm: Array
+    """Readings [cm], whole numbers; NaN where there was no echo."""
 
 
 def report_readings(runs: ScenarioRuns, rng: np.random.Generator, variance_cm2: float = NOISE_CM2) -> ScenarioRuns:

@@ -27,13 +27,13 @@ def error_statistics(error_cm: Array) -> Array:
     >>> print(error_statistics(np.array([[-1.0, 0.0, 1.0, 4.0]])).round(3)[:, 0])
     [2.121 3.1   0.5   1.    4.667]
     """
+    # Functions that leave NaN out take much longer.
+    percentile, mean, var = np.percentile, np.mean, np.var
     if np.isnan(error_cm).any():
-        p90, median = np.nanpercentile(error_cm, (90, 50), axis=1)
-        rms, mean = np.sqrt(np.nanmean(error_cm**2, axis=1)), np.nanmean(error_cm, axis=1)
-        return np.stack([rms, p90, median, mean, np.nanvar(error_cm, axis=1, ddof=1)])
-    p90, median = np.percentile(error_cm, (90, 50), axis=1)
-    rms, mean = np.sqrt((error_cm**2).mean(axis=1)), error_cm.mean(axis=1)
-    return np.stack([rms, p90, median, mean, error_cm.var(axis=1, ddof=1)])
+        percentile, mean, var = np.nanpercentile, np.nanmean, np.nanvar
+    p90, median = percentile(error_cm, (90, 50), axis=1)
+    rms = np.sqrt(mean(error_cm**2, axis=1))
+    return np.stack([rms, p90, median, mean(error_cm, axis=1), var(error_cm, axis=1, ddof=1)])
 
 
 def delay_samples(estimate_cm: Array, true_cm: Array) -> Array:

@@ -36,22 +36,15 @@ STEPS_PER_SEED = 10
 
 @dataclass(frozen=True)
 class FilterComparison:
-    """One scenario with one kind of readings.
-
-    Attributes
-    ----------
-    rms_cm
-        RMS error of each run, by filter: the nine, those that look ahead as 'centred ...', 'changepoint', 'oracle';
-        with outliers also windows counted in samples instead of readings, as '... in time'.
-    delay
-        Mean delay [samples] by filter; NaN where the truth does not change.
-    covered
-        Share of samples with an error within 1.96 of its stated standard deviations.
-    """
+    """One scenario with one kind of readings."""
 
     rms_cm: Mapping[str, Array]
+    """RMS error of each run, by filter: the nine, those that look ahead as 'centred ...', 'changepoint', 'oracle'; with
+    outliers also windows counted in samples instead of readings, as '... in time'."""
     delay: dict[str, float]
+    """Mean delay [samples] by filter; NaN where the truth does not change."""
     covered: float
+    """Share of samples with an error within 1.96 of its stated standard deviations."""
 
     def mean(self, name: str) -> float:
         """Mean RMS of one filter [cm]."""
@@ -104,19 +97,13 @@ def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: 
 
 @dataclass(frozen=True)
 class Response:
-    """Response of the changepoint filter to steps and single outliers, with the mixture with outliers as its model.
-
-    Attributes
-    ----------
-    arrived
-        Share of steps of `STEP_CM` after which the output is within `NEAR_CM` of the new level, after 1 to 4 readings
-        of which some are missing or outliers.
-    moved_cm
-        Largest movement of the output by one reading with an error of `OUTLIER_CM` [cm].
-    """
+    """Response of the changepoint filter to steps and single outliers, with the mixture with outliers as its model."""
 
     arrived: tuple[float, ...]
+    """Share of steps of `STEP_CM` after which the output is within `NEAR_CM` of the new level, after 1 to 4 readings of
+    which some are missing or outliers."""
     moved_cm: float
+    """Largest movement of the output by one reading with an error of `OUTLIER_CM` [cm]."""
 
 
 def responses(rng: np.random.Generator, steps: int) -> Response:

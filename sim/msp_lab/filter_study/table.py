@@ -54,23 +54,16 @@ random,kalman 3,16.724,20.031,-0.889,1.296,280.292
 
 @dataclass(frozen=True)
 class Row:
-    """Statistics of one filter in one scenario, in the order of `STATISTICS`.
-
-    Attributes
-    ----------
-    values
-        RMS, 90th percentile, median, mean [cm] and variance [cm^2], each under its right name.
-    decimals
-        Digits after the point of each value.
-    swapped
-        True if the columns median and mean were exchanged in the table; the values are in the right order.
-    """
+    """Statistics of one filter in one scenario, in the order of `STATISTICS`."""
 
     scenario: str
     filter: str
     values: tuple[float, ...]
+    """RMS, 90th percentile, median, mean [cm] and variance [cm^2], each under its right name."""
     decimals: tuple[int, ...]
+    """Digits after the point of each value."""
     swapped: bool
+    """True if the columns median and mean were exchanged in the table; the values are in the right order."""
 
 
 Table = Mapping[tuple[str, str], Row]

@@ -17,20 +17,9 @@ app = typer.Typer()
 
 WIDTH = 80
 """Columns of the summary."""
-FLEET = """Find what the vehicles of a fleet share, which are odd ones out, and which have changed.
-
-DATASET is what 'msp-lab import' made of logs with a true range, one folder of logs for each vehicle:
-
-    msp-lab import logs/*/*.BIN --truth rtk --out readings
-
-    msp-lab fleet readings --model configs/sensors/mb1242.yaml --out fleet
-
-In --out: report.html with one picture, fleet.csv (every number of every sensor), fleet.json. A fleet is four vehicles
-or more. A vehicle whose readings cannot be used is left out with the reason.
-"""
 
 
-@app.command("fleet", help=FLEET)
+@app.command("fleet")
 @report_user_errors
 def fleet(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="folder that 'msp-lab import' made")],
@@ -53,6 +42,17 @@ def fleet(
     scheduler: Scheduler = None,
     effects: OwnEffects = None,
 ) -> None:
+    """Find what the vehicles of a fleet share, which are odd ones out, and which have changed.
+
+    DATASET is what 'msp-lab import' made of logs with a true range, one folder of logs for each vehicle:
+
+        msp-lab import logs/*/*.BIN --truth rtk --out readings
+
+        msp-lab fleet readings --model configs/sensors/mb1242.yaml --out fleet
+
+    In --out: report.html with one picture, fleet.csv (every number of every sensor), fleet.json. A fleet is four
+    vehicles or more. A vehicle whose readings cannot be used is left out with the reason.
+    """
     require("lab", "msp-lab fleet")
     require("logs", "msp-lab fleet")
     from msp_lab.fleet.report import write_files

@@ -12,31 +12,22 @@ Kind = Literal["shared", "odd", "change", "drift", "calibration"]
 
 @dataclass(frozen=True)
 class UnitEstimate:
-    """One number of one sensor.
-
-    Attributes
-    ----------
-    vehicle, sensor
-        Whose.
-    value, error
-        From its own readings, and the standard error.
-    shrunk, low, high
-        Drawn towards the fleet's mean, with its 95 % interval.
-    odd
-        It is an odd one out.
-    p_value
-        That it deviates from the others by random variation.
-    """
+    """One number of one sensor."""
 
     vehicle: str
     sensor: str
+    """Whose."""
     value: float
     error: float
+    """From its own readings, and the standard error."""
     shrunk: float
     low: float
     high: float
+    """Drawn towards the fleet's mean, with its 95 % interval."""
     odd: bool
+    """It is an odd one out."""
     p_value: float
+    """That it deviates from the others by random variation."""
 
 
 @dataclass(frozen=True)
@@ -50,51 +41,36 @@ class SessionEstimate:
 
 @dataclass(frozen=True)
 class FleetEffect:
-    """One number over the fleet.
-
-    Attributes
-    ----------
-    kind
-        ``shared``: the fleet has it; ``odd``: only some; ``change`` or ``drift``: it became another one;
-        ``calibration``: the fleet's is another one than the sensor model's, and nothing is wrong.
-    name, parameter, unit
-        Effect of the catalogue or number of the base, its parameter and unit.
-    shape
-        Its other parameters, which are the same for all.
-    plain
-        What was found, in words.
-    alternatives
-        Effects that explain it as well, and how much less they gain [nat].
-    mean, low, high
-        Of the ordinary vehicles, with its 95 % interval; None of a change.
-    tau, i2
-        Standard deviation between vehicles, and the share of the scatter that it is.
-    omega
-        Standard deviation between sessions of a vehicle.
-    estimates
-        Of each sensor; of a change the size of it, of the one that changed.
-    since
-        First session after a change.
-    sessions
-        Of a change, the estimates by session.
-    """
+    """One number over the fleet."""
 
     kind: Kind
+    """``shared``: the fleet has it; ``odd``: only some; ``change`` or ``drift``: it became another one;
+    ``calibration``: the fleet's is another one than the sensor model's, and nothing is wrong."""
     name: str
     parameter: str
     unit: str
+    """Effect of the catalogue or number of the base, its parameter and unit."""
     shape: tuple[tuple[str, float], ...]
+    """Its other parameters, which are the same for all."""
     plain: str
+    """What was found, in words."""
     alternatives: tuple[tuple[str, float], ...]
+    """Effects that explain it as well, and how much less they gain [nat]."""
     mean: float | None
     low: float | None
     high: float | None
+    """Of the ordinary vehicles, with its 95 % interval; None of a change."""
     tau: float
     i2: float
+    """Standard deviation between vehicles, and the share of the scatter that it is."""
     omega: float
+    """Standard deviation between sessions of a vehicle."""
     estimates: tuple[UnitEstimate, ...]
+    """Of each sensor; of a change the size of it, of the one that changed."""
     since: str = ""
+    """First session after a change."""
     sessions: tuple[SessionEstimate, ...] = ()
+    """Of a change, the estimates by session."""
 
     @property
     def unit_label(self) -> str:
@@ -118,46 +94,33 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class FleetFindings:
-    """Everything that was found.
-
-    Attributes
-    ----------
-    sentence
-        The answer, for an operator.
-    dataset, model
-        What was compared.
-    vehicles, sensors, sessions, readings
-        How many.
-    effects
-        What was found, and if nothing was, the sensors' constant offsets.
-    found
-        How many of them are findings.
-    left_out
-        Sensors that were not used.
-    fdr, tests
-        False-discovery rate, and the number of hypotheses that were tested.
-    untestable
-        Columns that no vehicle has, with the effects that need them.
-    seed, date, version
-        For the record.
-    """
+    """Everything that was found."""
 
     sentence: str
+    """The answer, for an operator."""
     dataset: str
     model: str
+    """What was compared."""
     vehicles: int
     sensors: int
     sessions: int
     readings: int
+    """How many."""
     effects: tuple[FleetEffect, ...]
+    """What was found, and if nothing was, the sensors' constant offsets."""
     found: int
+    """How many of them are findings."""
     left_out: tuple[LeftOut, ...]
+    """Sensors that were not used."""
     fdr: float
     tests: int
+    """False-discovery rate, and the number of hypotheses that were tested."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
+    """Columns that no vehicle has, with the effects that need them."""
     seed: int
     date: str
     version: str
+    """For the record."""
 
     def as_json(self) -> str:
         """All numbers."""

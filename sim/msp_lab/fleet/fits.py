@@ -17,7 +17,7 @@ from msp_lab.fleet.terms import FleetTerm, candidate_of
 from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.problem import Problem, with_candidate
 from msp_lab.gap.refit import JointFit, fit_base
-from msp_lab.gap.runs import numbered
+from msp_range.arrays import numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
@@ -37,28 +37,19 @@ unit is wrong. Higher: fits to what is left of them."""
 
 @dataclass(frozen=True)
 class Unit:
-    """A sensor of a vehicle, and where its readings are.
-
-    Attributes
-    ----------
-    dataset
-        Folder of the dataset.
-    vehicle, sensor
-        Names.
-    sessions
-        Its runs, in their order.
-    seed
-        Random seed.
-    version
-        Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder.
-    """
+    """A sensor of a vehicle, and where its readings are."""
 
     dataset: Path
+    """Folder of the dataset."""
     vehicle: str
     sensor: str
+    """Names."""
     sessions: tuple[str, ...]
+    """Its runs, in their order."""
     seed: int
+    """Random seed."""
     version: str = ""
+    """Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder."""
 
     @property
     def name(self) -> str:
@@ -66,27 +57,11 @@ class Unit:
         return f"{self.vehicle} {self.sensor}"
 
 
-@dataclass(frozen=True)
-class UnitReadings:
-    """A unit's readings.
-
-    Attributes
-    ----------
-    problem
-        The readings that are fitted.
-    messages
-        What was noticed about them.
-    """
-
-    problem: Problem
-    messages: tuple[str, ...]
-
-
 class UnusableError(UserError):
     """A sensor's readings cannot be compared; the message says why."""
 
 
-def readings_of(model: Model, unit: Unit) -> UnitReadings:
+def problem_of(model: Model, unit: Unit) -> Problem:
     """The readings of a unit, ready for fits.
 
     Raises
@@ -96,11 +71,11 @@ def readings_of(model: Model, unit: Unit) -> UnitReadings:
     UnusableError
         There are too few readings.
     """
-    return _readings(pickle.dumps(model), unit)
+    return _problem(pickle.dumps(model), unit)
 
 
 @lru_cache(maxsize=KEPT_UNITS)
-def _readings(pickled: bytes, unit: Unit) -> UnitReadings:
+def _problem(pickled: bytes, unit: Unit) -> Problem:
     model, _ = with_least_weights(pickle.loads(pickled))
     readings = read_readings([unit.dataset], model, sensors=(unit.sensor,), runs=unit.sessions)
     model = readings.in_step(model)
@@ -113,8 +88,7 @@ def _readings(pickled: bytes, unit: Unit) -> UnitReadings:
     if possible.mean() < 1.0 - MAX_SHARE_LEFT_OUT:
         raise UnusableError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
     rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode())])
-    problem = Problem.of(model, columns, reading_cm, numbered(columns["run"]), rng)
-    return UnitReadings(problem, readings.messages)
+    return Problem.of(model, columns, reading_cm, numbered(columns["run"]), rng)
 
 
 def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
@@ -124,7 +98,7 @@ def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
 
 @lru_cache(maxsize=KEPT_UNITS)
 def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
-    problem = _readings(pickled, unit).problem
+    problem = _problem(pickled, unit)
     return with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
 
 

@@ -9,16 +9,18 @@ ordinary themselves. These are found from medians, which half of the vehicles ca
 the others (a one-step reweighted estimate: Rousseeuw & Leroy 1987, Robust Regression and Outlier Detection).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from scipy.optimize import bisect
 from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from msp_range.arrays import Array, Flags
 
-MEDIAN_SQUARE = 0.454936
+MEDIAN_SQUARE = float(chi2.median(1))
 """Median of the square of a normal number: half of the vehicles are nearer to the mean than its root."""
 ORDINARY_DEVIATIONS = 3.5
 """A vehicle is ordinary within so many deviations of the others. In 2,000 drawn fleets of 20 without odd vehicles,
@@ -38,25 +40,17 @@ ROUNDS = 100
 
 @dataclass(frozen=True)
 class Pooled:
-    """A fleet's estimate of one number.
-
-    Attributes
-    ----------
-    mean, error
-        Mean of the ordinary vehicles, and its standard error.
-    tau
-        Standard deviation between them.
-    i2
-        Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002).
-    ordinary
-        (units,): which vehicles it is from.
-    """
+    """A fleet's estimate of one number."""
 
     mean: float
     error: float
+    """Mean of the ordinary vehicles, and its standard error."""
     tau: float
+    """Standard deviation between them."""
     i2: float
+    """Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002)."""
     ordinary: Flags
+    """(units,): which vehicles it is from."""
 
     @property
     def log_p(self) -> float:
@@ -203,17 +197,19 @@ def _median_fit(values: Array, errors: Array) -> tuple[float, float]:
         middle = _weighted_median(values, 1.0 / variance)
         return middle, float(np.median((values - middle) ** 2 / variance)) / MEDIAN_SQUARE
 
-    middle, at = ratio(0.0)
-    if at <= 1.0:
-        return middle, 0.0
-    low, high = 0.0, float(np.ptp(values)) ** 2 / MEDIAN_SQUARE
-    for _ in range(ROUNDS):
-        half = (low + high) / 2.0
-        middle, at = ratio(half)
-        low, high = (half, high) if at > 1.0 else (low, half)
-        if high - low < 1e-6 * high:
-            break
-    return middle, float(np.sqrt(high))
+    tau2 = where_one(lambda tau2: ratio(tau2)[1], float(np.ptp(values)) ** 2 / MEDIAN_SQUARE)
+    return ratio(tau2)[0], float(np.sqrt(tau2))
+
+
+def where_one(ratio: Callable[[float], float], high: float) -> float:
+    """Where a ratio that falls with a variance is 1, between 0 and `high`; the end of the two that is nearest to it."""
+    if ratio(0.0) <= 1.0:
+        return 0.0
+    return (
+        float(bisect(lambda variance: ratio(variance) - 1.0, 0.0, high, xtol=1e-9 * high))
+        if ratio(high) < 1.0
+        else high
+    )
 
 
 def _weighted_median(values: Array, weights: Array) -> float:

@@ -41,58 +41,42 @@ SHARED_TRIED = 6
 
 @dataclass(frozen=True)
 class FleetFinding:
-    """Something that was found.
-
-    Attributes
-    ----------
-    kind
-        ``shared``: the fleet has it; ``calibration``: that too, and it is a number of the sensor model; ``odd``: some
-        units do, or have more or less of it; ``change`` or ``drift``: one unit's became another one.
-    term
-        The number.
-    units
-        Places of the units.
-    log_p
-        Logarithms of their p-values, or the one of the fleet's mean.
-    alternatives
-        Other effects that explain it as well, with how much less they gain [nat].
-    change
-        Of one unit.
-    """
+    """Something that was found."""
 
     kind: Kind
+    """``shared``: the fleet has it; ``calibration``: that too, and it is a number of the sensor model; ``odd``: some
+    units do, or have more or less of it; ``change`` or ``drift``: one unit's became another one."""
     term: FleetTerm
+    """The number."""
     units: tuple[int, ...]
+    """Places of the units."""
     log_p: tuple[float, ...]
+    """Logarithms of their p-values, or the one of the fleet's mean."""
     alternatives: tuple[tuple[FleetTerm, float], ...] = ()
+    """Other effects that explain it as well, with how much less they gain [nat]."""
     change: Change | None = None
+    """Of one unit."""
 
 
 @dataclass
 class Search:
-    """The state of the search: what each unit is known to have, and what was found.
-
-    Attributes
-    ----------
-    units, scores, terms
-        Of each unit that can be used.
-    fdr
-        False-discovery rate.
-    run
-        Calls functions for several units.
-    found, tests
-        The findings, and the number of hypotheses.
-    """
+    """The state of the search: what each unit is known to have, and what was found."""
 
     units: Sequence[Unit]
+    """Those that can be used."""
     scores: list[UnitScores]
+    """Of each unit."""
     fdr: float
+    """False-discovery rate."""
     run: Map
+    """Calls functions for several units."""
     found: list[FleetFinding] = field(default_factory=list)
     tests: int = 0
+    """Number of hypotheses."""
 
     def __post_init__(self) -> None:
         self.terms: list[tuple[FleetTerm, ...]] = [() for _ in self.units]
+        """What each unit is known to have."""
         self.before_change: dict[int, UnitScores] = {}
         """Of a unit that changed, its scores before the change was known."""
         self._without: set[tuple[int, Key]] = set()

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import chi2, norm
 
-from msp_lab.fleet.meta import MIN_ORDINARY, Pooled, left_out, pooled
+from msp_lab.fleet.meta import MIN_ORDINARY, Pooled, left_out, pooled, where_one
 from msp_lab.fleet.terms import FleetTerm, candidate_of
 from msp_lab.fleet.unit import UnitScores
 from msp_range.arrays import Array, Indices
@@ -21,61 +21,40 @@ MIN_SESSIONS = 4
 """A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
 MIN_SIDE = 2
 """Sessions before and after a change. One flight that differs is no change of the vehicle."""
-BISECTIONS = 60
-"""Halvings of the interval of omega: to the last digit."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """The likeliest change of a number, or its drift, over the sessions of one unit.
-
-    Attributes
-    ----------
-    kind
-        ``change`` or ``drift``.
-    first
-        Place of the first session after a change.
-    size, error
-        By how much the number is larger after it, or a drift's rise from the first session to the last.
-    log_p
-        Logarithm of its p-value, with the search for the place counted.
-    """
+    """The likeliest change of a number, or its drift, over the sessions of one unit."""
 
     kind: Literal["change", "drift"]
+    """``change`` or ``drift``."""
     first: int
+    """Place of the first session after a change."""
     size: float
     error: float
+    """By how much the number is larger after it, or a drift's rise from the first session to the last."""
     log_p: float
+    """Logarithm of its p-value, with the search for the place counted."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """One number over the fleet.
-
-    Attributes
-    ----------
-    term
-        What it is.
-    units
-        Places of the units that have it, (k,).
-    value, error
-        Estimates and standard errors, (k,).
-    omega
-        Standard deviation between sessions of one unit.
-    fleet
-        Mean and spread.
-    deviation, log_p
-        (k,): of each unit from the others.
-    """
+    """One number over the fleet."""
 
     term: FleetTerm
+    """What it is."""
     units: Indices
+    """Places of the units that have it, (k,)."""
     value: Array
     error: Array
+    """Estimates and standard errors, (k,)."""
     omega: float
+    """Standard deviation between sessions of one unit."""
     fleet: Pooled
-    deviation: Array
+    """Mean and spread."""
     log_p: Array
+    """Logarithms of the p-values of each unit's deviation from the others, (k,)."""
 
     @property
     def shared_log_p(self) -> float:
@@ -154,7 +133,7 @@ def _number(series: NumberOverSessions) -> Number:
         deviation = np.clip(value / error, 0.0, np.maximum(deviation, 0.0))
         log_p = np.where(deviation > 0.0, np.maximum(log_p, norm.logsf(deviation)), 0.0)
     units = np.array(series.units)
-    return Number(series.term, units, value, error, float(np.sqrt(omega2)), fleet, deviation, log_p)
+    return Number(series.term, units, value, error, float(np.sqrt(omega2)), fleet, log_p)
 
 
 def between_sessions(series: NumberOverSessions) -> float:
@@ -172,13 +151,7 @@ def between_sessions(series: NumberOverSessions) -> float:
         sums = [float((left[i > 0.0] ** 2 / (v + omega2 * i**2)[i > 0.0]).sum()) for left, i, v in groups]
         return float(np.median(np.array(sums) / usual))
 
-    if ratio(0.0) <= 1.0:
-        return 0.0
-    low, high = 0.0, max(float((left[i > 0.0] ** 2 / i[i > 0.0] ** 2).max()) for left, i, _ in groups)
-    for _ in range(BISECTIONS):
-        half = (low + high) / 2.0
-        low, high = (half, high) if ratio(half) > 1.0 else (low, half)
-    return high
+    return where_one(ratio, max(float((left[i > 0.0] ** 2 / i[i > 0.0] ** 2).max()) for left, i, _ in groups))
 
 
 def over_sessions(score: Array, information: Array, variance: Array, omega2: float) -> Change | None:

@@ -30,33 +30,22 @@ _MEANINGS = {
 
 @dataclass(frozen=True)
 class FleetTerm:
-    """A number that one vehicle may have and others not.
-
-    Attributes
-    ----------
-    effect
-        Name in the catalogue, or one of `BASE_NUMBERS`.
-    number
-        Its parameter.
-    of
-        The target that it is of, or None.
-    shape
-        Values of its other parameters.
-    sessions
-        Sessions in which it acts; none: all.
-    shape_fitted
-        Whether the shape is fitted for each vehicle; else it is held, so that numbers of vehicles compare.
-    start
-        Its number where a fit starts, as a change from the neutral value; 0: not known.
-    """
+    """A number that one vehicle may have and others not."""
 
     effect: str
+    """Name in the catalogue, or one of `BASE_NUMBERS`."""
     number: str
+    """Its parameter."""
     of: str | None = None
+    """The target that it is of, or None."""
     shape: tuple[tuple[str, float], ...] = ()
+    """Values of its other parameters."""
     sessions: tuple[str, ...] = ()
+    """Sessions in which it acts; none: all."""
     shape_fitted: bool = False
+    """Whether the shape is fitted for each vehicle; else it is held, so that numbers of vehicles compare."""
     start: float = 0.0
+    """Its number where a fit starts, as a change from the neutral value; 0: not known."""
 
     @property
     def key(self) -> tuple[str, str | None]:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_lab.fleet.fits import Unit, fit_of, readings_of, with_term
+from msp_lab.fleet.fits import Unit, fit_of, problem_of, with_term
 from msp_lab.fleet.rare import RareReadings
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
 from msp_lab.gap import rules
@@ -42,39 +42,25 @@ errors are shares of 1 to 8 %. Lower: few improbable readings decide; higher: th
 
 @dataclass(frozen=True)
 class UnitScores:
-    """What a sensor's readings say of C numbers, by R sessions.
-
-    Attributes
-    ----------
-    terms
-        The numbers, (C,).
-    sessions
-        Sessions that have readings, in their order.
-    readings
-        How many, (R,).
-    value
-        At the fit, (C,): 0 of what is absent.
-    fitted
-        Whether a number is fitted, as those of the base are, (C,).
-    score, information, variance
-        (R, C): sums of efficient scores, by how much they grow with the number, and the sums of their squares, expected
-        or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected.
-    untestable
-        Effects that lack a column, with the columns.
-    messages
-        What was noticed about the readings.
-    """
+    """What a sensor's readings say of C numbers, by R sessions."""
 
     terms: tuple[FleetTerm, ...]
+    """The numbers, (C,)."""
     sessions: tuple[str, ...]
+    """Sessions that have readings, in their order."""
     readings: Indices
+    """How many, (R,)."""
     value: Array
+    """At the fit, (C,): 0 of what is absent."""
     fitted: Flags
+    """Whether a number is fitted, as those of the base are, (C,)."""
     score: Array
     information: Array
     variance: Array
+    """(R, C): sums of efficient scores, by how much they grow with the number, and the sums of their squares, expected
+    or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
-    messages: tuple[str, ...]
+    """Effects that lack a column, with the columns."""
 
     @property
     def factor(self) -> Array:
@@ -86,19 +72,13 @@ class UnitScores:
 
 @dataclass(frozen=True)
 class SimulatedScores:
-    """Efficient scores of C numbers at m simulated readings.
-
-    Attributes
-    ----------
-    weight
-        Of each reading, (m, 1): its probability without the effects over that with which it was drawn.
-    scores, bounded
-        (m, C): the scores, and the same with those of shares at `SMALL_SHARE`.
-    """
+    """Efficient scores of C numbers at m simulated readings."""
 
     weight: Array
+    """Of each reading, (m, 1): its probability without the effects over that with which it was drawn."""
     scores: Array
     bounded: Array
+    """(m, C): the scores, and the same with those of shares at `SMALL_SHARE`."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +103,10 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     Raises
     ------
     UserError
-        As `readings_of`.
+        As `problem_of`.
     """
     unit, terms, with_others = task
-    known, fit = readings_of(model, unit), fit_of(model, unit, terms)
-    problem = known.problem
+    problem, fit = problem_of(model, unit), fit_of(model, unit, terms)
     own = {(*each.key, each.number) for each in terms if not each.sessions}
     candidates = [
         each
@@ -171,12 +150,9 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     here = np.array([session_of[each] for each in problem.contexts["run"].tolist()])
     there = np.array([session_of[each] for each in drawn.scene["run"].tolist()])
     readings = np.bincount(here, minlength=len(sessions))
+    explained = expected[:, free] @ turned.T
     score, information, variance = sums_over_sessions(
-        SimulatedScores(
-            weight,
-            expected[:, places] - expected[:, free] @ turned.T,
-            bounded[:, places] - expected[:, free] @ turned.T,
-        ),
+        SimulatedScores(weight, expected[:, places] - explained, bounded[:, places] - explained),
         there,
         bounded_here[:, places] - measured[:, free] @ turned.T,
         here,
@@ -203,17 +179,16 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         information,
         variance,
         problem.untestable,
-        known.messages,
     )
 
 
 def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[RefittedTerm]:
     """Refits of a unit with its terms and one more, each of the last ones in its turn."""
     unit, terms, tried = task
-    known, fit = readings_of(model, unit), fit_of(model, unit, terms)
+    problem, fit = problem_of(model, unit), fit_of(model, unit, terms)
     found = []
     for term in tried:
-        best = with_term(known.problem, fit, term)
+        best = with_term(problem, fit, term)
         gained = best.log_likelihood - fit.log_likelihood - candidate_of(term).cost_nats
         found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
     return found

@@ -3,10 +3,10 @@
 A dataset and a model enter, `FleetFindings` leave. A sensor whose readings cannot be used is left out with the reason.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,22 +20,15 @@ from msp_lab.fleet.unit import UnitScores, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
 from msp_range.recording.error import RecordingError
-from msp_sim.model.model import Model, load_model
-from msp_sim.workers import ItemOutcome, Workers
+from msp_sim.model.model import load_model
+from msp_sim.workers import Workers
 
 TWO_SIDED_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""
 
 
 def find_in_fleet(
-    dataset: Path,
-    model: Path,
-    *,
-    fdr: float,
-    pattern: str | None,
-    seed: int,
-    date: str,
-    where: Workers,
+    dataset: Path, model: Path, *, fdr: float, pattern: str | None, seed: int, date: str, where: Workers
 ) -> FleetFindings:
     """Find what a fleet shares, who is odd, and what changed.
 
@@ -59,12 +52,8 @@ def find_in_fleet(
     ConfigError
         The model cannot be used, or `pattern` fits no name.
     """
-    compared = load_model(model)
+    run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
-
-    def run(function: Callable[[Model, Any], Any], items: Sequence[Any]) -> Iterator[ItemOutcome[Any]]:
-        return where.map(function, items, compared, what="sensors")
-
     units, scores, left_out = [], [], []
     for unit, each in zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True):
         if each.value is not None:
@@ -72,11 +61,11 @@ def find_in_fleet(
             scores.append(each.value)
         else:
             left_out.append(LeftOut(unit.vehicle, unit.sensor, each.error or ""))
-    if len({unit.vehicle for unit in units}) < MIN_VEHICLES:
+    vehicles = len({unit.vehicle for unit in units})
+    if vehicles < MIN_VEHICLES:
         reasons = "; ".join(f"{each.vehicle} {each.sensor}: {each.why}" for each in left_out[:3])
-        usable = len({unit.vehicle for unit in units})
         raise RecordingError(
-            f"{dataset}: readings of {usable} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
+            f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
     search = Search(units, scores, fdr, run)
@@ -88,7 +77,7 @@ def find_in_fleet(
         sentence="",
         dataset=str(dataset),
         model=str(model),
-        vehicles=len({unit.vehicle for unit in units}),
+        vehicles=vehicles,
         sensors=len(units),
         sessions=sum(len(each.sessions) for each in search.scores),
         readings=sum(int(each.readings.sum()) for each in search.scores),

@@ -8,8 +8,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.cells import Stack
-from msp_lab.gap.runs import numbered
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Flags, Indices, numbered
 
 
 def unit_sums(scores: Array, unit: Indices, stack: Stack) -> tuple[Array, Array, Indices]:

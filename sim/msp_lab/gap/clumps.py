@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.runs import numbered, places_in
-from msp_range.arrays import Array, Indices
+from msp_lab.gap.runs import places_in
+from msp_range.arrays import Array, Indices, numbered
 
 
 def clumping(slope: Array, run: Indices, alike: Array | None = None) -> float:

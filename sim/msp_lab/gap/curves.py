@@ -19,7 +19,7 @@ from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, bias_cm, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
-from msp_lab.gap.runs import numbered
+from msp_range.arrays import numbered
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import make_curve_term

@@ -16,13 +16,13 @@ from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
-from msp_lab.gap.runs import known_values, numbered, places_in, sample, taken
+from msp_lab.gap.runs import known_values, places_in, sample, taken
 from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
 from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
 from msp_lab.readings.suspicious import suspicious
-from msp_range.arrays import Array, Column, Indices, Texts
+from msp_range.arrays import Array, Column, Indices, Texts, numbered
 from msp_range.reading_model.kernel import is_on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData

@@ -21,10 +21,10 @@ from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats, of_one_run
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit, templates
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import Dependence, dependence, numbered, previous, sample, spacing_s, taken
+from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
-from msp_range.arrays import Array, Indices
+from msp_range.arrays import Array, Indices, numbered
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal

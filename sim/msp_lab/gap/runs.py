@@ -20,11 +20,6 @@ NO_PARTS = frozenset({"time_s", "reading_cm", PREVIOUS})
 """Columns that do not say where one part of a run ends and another begins."""
 
 
-def numbered(runs: Column) -> Indices:
-    """Runs, or other values, as numbers from 0 in their order."""
-    return np.unique(runs, return_inverse=True)[1].astype(np.intp)
-
-
 def places_in(unit: Indices) -> Indices:
     """Place of each reading among those of its unit, from 0, (n,)."""
     counts = np.bincount(unit)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import median_abs_deviation
 
 from msp_range.arrays import Array
 
@@ -27,8 +28,6 @@ RESAMPLES = 500
 GATE = 4.5
 """Readings whose difference is more than so many standard deviations from the median are outliers; of a normal
 distribution one good reading in 150,000 is lost."""
-MEDIAN_TO_STD = 1.4826
-"""Standard deviation of a normal distribution over the median distance from its middle."""
 LEAST_STD_CM = 0.5
 """Differences scatter at least by this [cm] where a gate is set: the rounding of readings and logs."""
 WIDEST_SHARE = 0.25
@@ -40,26 +39,18 @@ LEAST_READINGS = 50
 
 @dataclass(frozen=True)
 class Alignment:
-    """What the comparison of readings with a reference shows.
-
-    Attributes
-    ----------
-    lag_s, lag_low_s, lag_high_s
-        How much later than the reference the readings are, with its 95 % interval; NaN: cannot be seen.
-    offset_cm
-        Median of readings minus reference at that lag.
-    scatter_cm
-        Standard deviation of the differences, outliers left out.
-    no_lag
-        Why the lag cannot be seen, in a few words; empty: it can.
-    """
+    """What the comparison of readings with a reference shows."""
 
     lag_s: float
     lag_low_s: float
     lag_high_s: float
+    """How much later than the reference the readings are, with its 95 % interval; NaN: cannot be seen."""
     offset_cm: float
+    """Median of readings minus reference at that lag."""
     scatter_cm: float
+    """Standard deviation of the differences, outliers left out."""
     no_lag: str = ""
+    """Why the lag cannot be seen, in a few words; empty: it can."""
 
     @property
     def has_lag(self) -> bool:
@@ -170,8 +161,7 @@ def _without_lag(off_cm: Array, why: str) -> Alignment:
 
 def _spread(values: Array) -> float:
     """Standard deviation, by the median of the distances from the median."""
-    known = values[np.isfinite(values)]
-    return MEDIAN_TO_STD * float(np.median(np.abs(known - np.median(known))))
+    return float(median_abs_deviation(values[np.isfinite(values)], scale="normal"))
 
 
 def _blocks(time_s: Array) -> np.ndarray:

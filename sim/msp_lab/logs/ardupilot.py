@@ -22,16 +22,17 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    make_log,
     make_ranger,
-    negative,
     readings_cm,
     rounded_cm,
     series,
-    tilt_deg,
+    truth_source,
 )
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.arrays import Column
 from msp_range.mavlink.orientation import DOWN
+from msp_sim.model.derived import tilt_deg
 
 _WEEK_S = 604_800.0
 _NO_DATA, _TOO_NEAR, _TOO_FAR = 1, 2, 3
@@ -73,19 +74,15 @@ def read_ardupilot(path: Path, progress: Progress, named_field: str = "") -> Veh
         "board_temperature_c": _first(found, "BARO", "Temp"),
         "vibration_m_s2": _vibration(found),
     }
-    references = [*_references(found, parameters)]
-    if field and (column := _first(found, message, field)) is not None:
-        by_ekf = by_ekf2_of_ardupilot if "EK2_ALT_SOURCE" in parameters and "XKF1" not in found else by_ekf3
-        references.append(TruthSource("column", column, refused=by_ekf(parameters) if is_estimate(named_field) else ""))
-    return VehicleLog(
-        path,
-        f"ArduPilot dataflash log, {_version(found)}",
-        tuple(_rangers(found, parameters)),
-        {name: each for name, each in context.items() if each is not None and len(each)},
-        tuple(references),
-        (f"{lost}.",) if lost else (),
-        clock,
-    )
+    by_ekf = by_ekf2_of_ardupilot if "EK2_ALT_SOURCE" in parameters and "XKF1" not in found else by_ekf3
+    refused = by_ekf(parameters) if is_estimate(named_field) else ""
+    references = [
+        *_references(found, parameters),
+        truth_source("column", _first(found, message, field), refused=refused),
+    ]
+    form = f"ArduPilot dataflash log, {_version(found)}"
+    notes = (f"{lost}.",) if lost else ()
+    return make_log(path, form, _rangers(found, parameters), context, references, notes, clock)
 
 
 def _make_continuous(found: Messages) -> tuple[ClockRun, ...]:
@@ -161,26 +158,23 @@ def _limit_m(limit: str, number: int, parameters: Mapping[str, float], otherwise
     return parameters.get(f"RNGFND{number}_{limit}", value_cm / 100.0)
 
 
-def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource]:
-    references = []
-    if (simulated := _first(found, "SIM", "Alt")) is not None:
-        references.append(TruthSource("simulator", simulated))
+def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource | None]:
     gps = found.get("GPS", {})
     with_fix = gps.get("Status", np.zeros(0)) == RTK_FIXED
     # Of several receivers the first one that ever has a fixed solution.
     receiver = float(gps["I"][with_fix].min()) if with_fix.any() and "I" in gps else 0.0
     altitude, status = (_first(found, "GPS", each, receiver) for each in ("Alt", "Status"))
+    fixed = None
     if with_fix.any() and altitude is not None and status is not None:
         fixed = replace(altitude, values=np.where(status.values == RTK_FIXED, altitude.values, np.nan))
-        references.append(TruthSource("rtk", fixed, std=_first(found, "GPA", "VAcc", receiver)))
-    if (seen := _up(found, "VISP", "PZ")) is not None:
-        references.append(TruthSource("mocap", seen))
-    for message, refused in (("XKF1", by_ekf3(parameters)), ("NKF1", by_ekf2_of_ardupilot(parameters))):
-        if (height := _up(found, message, "PD")) is not None:
-            references.append(TruthSource("ekf", height, refused=refused))
-    if (pressure := _barometer(found, parameters)) is not None:
-        references.append(TruthSource("barometer", pressure))
-    return references
+    return [
+        truth_source("simulator", _first(found, "SIM", "Alt")),
+        truth_source("rtk", fixed, std=_first(found, "GPA", "VAcc", receiver)),
+        truth_source("mocap", _up(found, "VISP", "PZ")),
+        truth_source("ekf", _up(found, "XKF1", "PD"), refused=by_ekf3(parameters)),
+        truth_source("ekf", _up(found, "NKF1", "PD"), refused=by_ekf2_of_ardupilot(parameters)),
+        truth_source("barometer", _barometer(found, parameters)),
+    ]
 
 
 def _barometer(found: Messages, parameters: Mapping[str, float]) -> Series | None:
@@ -240,7 +234,7 @@ def _instance(fields: Mapping[str, Column], otherwise: Column) -> Column:
 def _up(found: Messages, message: str, field: str) -> Series | None:
     """A field that counts downwards, upwards."""
     down = _first(found, message, field)
-    return None if down is None else negative(down)
+    return None if down is None else replace(down, values=-down.values)
 
 
 def _has_time(fields: Mapping[str, Column]) -> bool:

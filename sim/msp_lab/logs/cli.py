@@ -21,19 +21,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-IMPORT = """Import flight logs as one dataset of readings with true range and context, for 'gap' and 'characterise'.
-
-Reads ArduPilot .BIN, PX4 .ulg, .tlog of ground stations, ROS 1 and 2 bags, recordings of msp-range (.mcap), and CSV
-(with --map where its columns have other names). In --out: Parquet files by run and sensor, and dataset.json with what
-was found in each log. Runs are added to a dataset that is there. A log that cannot be used is named, the others are
-imported, and the exit code is 4; with --jobs, several logs are read at the same time.
-
---truth is what readings are compared with: recorded, rtk, mocap, ekf, simulator, barometer, others, none, sensor:NAME
-(another range finder of the log), or column:MESSAGE.FIELD*FACTOR (any field, in metres after the factor). Default: the
-best that a log has. 'ekf' is refused while the log shows that the range is fused into it. SOURCE@FILE takes the
-reference from another file and aligns the clocks: mocap@room.bag, column:z*0.001@room.csv.
-"""
-
 
 def _import(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="logs, each of which becomes a run")],
@@ -60,6 +47,18 @@ def _import(
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
 ) -> None:
+    """Import flight logs as one dataset of readings with true range and context, for 'gap' and 'characterise'.
+
+    Reads ArduPilot .BIN, PX4 .ulg, .tlog of ground stations, ROS 1 and 2 bags, recordings of msp-range (.mcap), and CSV
+    (with --map where its columns have other names). In --out: Parquet files by run and sensor, and dataset.json with
+    what was found in each log. Runs are added to a dataset that is there. A log that cannot be used is named, the
+    others are imported, and the exit code is 4; with --jobs, several logs are read at the same time.
+
+    --truth is what readings are compared with: recorded, rtk, mocap, ekf, simulator, barometer, others, none,
+    sensor:NAME (another range finder of the log), or column:MESSAGE.FIELD*FACTOR (any field, in metres after the
+    factor). Default: the best that a log has. 'ekf' is refused while the log shows that the range is fused into it.
+    SOURCE@FILE takes the reference from another file and aligns the clocks: mocap@room.bag, column:z*0.001@room.csv.
+    """
     from msp_lab.logs.show import show
     from msp_sim.workers import EXIT_SOME_FAILED
 
@@ -183,4 +182,4 @@ def with_logs_imported(
     return [*as_they_are, out], truth if truth == OTHERS else RECORDED
 
 
-app.command("import", help=IMPORT)(_import)
+app.command("import")(_import)

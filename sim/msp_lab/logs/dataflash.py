@@ -75,26 +75,21 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
     if not dfindexer.available:
         raise RecordingError(f"{path}: this pymavlink has no indexer for dataflash logs; install one from a wheel")
     found: dict[str, dict[str, list[Column]]] = {}
-    formats = b""
-    bad = 0
+    formats, rest, bad = b"", b"", 0
     try:
         with open_input(path, LARGEST_FILE_BYTES) as file:
             size = file.seek(0, 2)
             if not size:
                 raise RecordingError(f"{path}: no dataflash log: the file is empty")
             file.seek(0)
-            rest = b""
             while new := file.read(PIECE_BYTES):
-                begins = len(formats)
-                piece = formats + rest + new
+                begins, piece = len(formats), formats + rest + new
                 offsets = _index(path, piece)
                 if not offsets[_FMT]:
                     raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
-                known = _formats(piece, offsets[_FMT])
                 # The last message may go on in the next piece, and is read with that one.
-                end = begins
-                in_messages = 0
-                for kind, form in known.items():
+                end, in_messages = begins, 0
+                for kind, form in _formats(piece, offsets[_FMT]).items():
                     first, last = bisect_left(offsets[kind], begins), bisect_right(offsets[kind], len(piece) - form.len)
                     places = offsets[kind][first:last]
                     if places:
@@ -106,15 +101,14 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
                             at = np.array(places) + (file.tell() - len(piece))
                             found.setdefault(form.name, {}).setdefault(PLACE, []).append(at)
                 bad += end - begins - in_messages
+                rest = piece[end:]
                 if len(piece) - begins - in_messages > MOST_BAD_BYTES:
                     if not formats:
                         raise RecordingError(f"{path}: no dataflash log, or damaged at its beginning")
                     bad += size - file.tell()
-                    rest = piece[end:]
                     break
                 newest = {piece[at + 3]: piece[at : at + _FMT_BYTES] for at in offsets[_FMT]}
                 formats = b"".join(each for each in newest.values() if len(each) == _FMT_BYTES)
-                rest = piece[end:]
                 progress(file.tell() / size)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None

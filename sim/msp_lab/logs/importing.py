@@ -60,67 +60,46 @@ class FoundSeries:
 
 @dataclass(frozen=True)
 class FoundRanger:
-    """A range finder of a log.
-
-    Attributes
-    ----------
-    name, source, rate_hz, readings
-        What it is called, where the log has it, how often it was logged, and how often in all.
-    silent
-        Readings without an answer.
-    too_near
-        Readings nearer than the minimum that the log states; they are empty in the dataset.
-    no_echo
-        Readings at or beyond the maximum that the log states.
-    maximum_cm
-        That maximum; None: the log states none.
-    low_cm, high_cm
-        Smallest and largest reading of the other ones.
-    is_down
-        Whether it looks down.
-    with_truth
-        Readings with a true range.
-    repeated
-        Share of the readings that are the one before them, while the range changes.
-    lag_s
-        How much later than the reference, and its 95 % interval; None: cannot be seen.
-    offset_cm
-        Readings less the reference, the median; taken off where the reference does not know the ground.
-    scatter_cm
-        Standard deviation of the differences, without outliers.
-    reference_span_cm
-        How much the reference changes over the log, between its 2.5 and 97.5 % points; None: there is none.
-    reference_std_cm
-        Standard deviation of the reference's error, and its 95 % interval; None: not known.
-    reference_std_from
-        What that is from.
-    notes
-        Why readings have no true range, or what is worth knowing of it.
-    no_lag
-        Why the lag cannot be seen; empty: it can, or there is no reference.
-    """
+    """A range finder of a log."""
 
     name: str
     source: str
     rate_hz: float | None
     readings: int
+    """What it is called, where the log has it, how often it was logged, and how often in all."""
     silent: int
+    """Readings without an answer."""
     too_near: int
+    """Readings nearer than the minimum that the log states; they are empty in the dataset."""
     no_echo: int
+    """Readings at or beyond the maximum that the log states."""
     maximum_cm: float | None
+    """That maximum; None: the log states none."""
     low_cm: float | None
     high_cm: float | None
+    """Smallest and largest reading of the other ones."""
     is_down: bool
+    """Whether it looks down."""
     with_truth: int
+    """Readings with a true range."""
     repeated: float
+    """Share of the readings that are the one before them, while the range changes."""
     lag_s: tuple[float, float, float] | None = None
+    """How much later than the reference, and its 95 % interval; None: cannot be seen."""
     offset_cm: float | None = None
+    """Readings less the reference, the median; taken off where the reference does not know the ground."""
     scatter_cm: float | None = None
+    """Standard deviation of the differences, without outliers."""
     reference_span_cm: float | None = None
+    """How much the reference changes over the log, between its 2.5 and 97.5 % points; None: there is none."""
     reference_std_cm: tuple[float, float, float] | None = None
+    """Standard deviation of the reference's error, and its 95 % interval; None: not known."""
     reference_std_from: str = ""
+    """What that is from."""
     notes: tuple[str, ...] = ()
+    """Why readings have no true range, or what is worth knowing of it."""
     no_lag: str = ""
+    """Why the lag cannot be seen; empty: it can, or there is no reference."""
 
 
 @dataclass(frozen=True)
@@ -134,84 +113,57 @@ class Missing:
 
 @dataclass(frozen=True)
 class Imported:
-    """What was found in a log, and became a run of the dataset.
-
-    Attributes
-    ----------
-    runs
-        Names of its runs: one, but of a bench's table or recording with several.
-    file, sha256, form
-        Path and SHA-256 of the log, and what it is.
-    duration_s
-        From the first to the last reading.
-    rangers
-        Its range finders.
-    series
-        What is known of the flight.
-    truth
-        Kind of the reference; empty: none.
-    truth_source
-        Where the log has it.
-    has_datum
-        Whether the reference knows the ground's height.
-    is_shifted
-        Whether the readings' lag was taken off.
-    others
-        References that the log has too, with their source, or the reason for which they are refused.
-    refused
-        Those of them that are refused.
-    missing
-        What is not there, and what that costs.
-    notes
-        What was lost, or is worth knowing.
-    """
+    """What was found in a log, and became a run of the dataset."""
 
     runs: tuple[str, ...]
+    """Names of its runs: one, but of a bench's table or recording with several."""
     file: str
     sha256: str
     form: str
+    """Path and SHA-256 of the log, and what it is."""
     duration_s: float
+    """From the first to the last reading."""
     rangers: tuple[FoundRanger, ...]
+    """Its range finders."""
     series: tuple[FoundSeries, ...]
+    """What is known of the flight."""
     truth: str
+    """Kind of the reference; empty: none."""
     truth_source: str
+    """Where the log has it."""
     has_datum: bool
+    """Whether the reference knows the ground's height."""
     is_shifted: bool
+    """Whether the readings' lag was taken off."""
     others: Mapping[str, str]
+    """References that the log has too, with their source, or the reason for which they are refused."""
     refused: tuple[str, ...]
+    """Those of them that are refused."""
     missing: tuple[Missing, ...]
+    """What is not there, and what that costs."""
     notes: tuple[str, ...]
+    """What was lost, or is worth knowing."""
 
 
 @dataclass(frozen=True)
 class Import:
-    """What all logs of an import have in common.
-
-    Attributes
-    ----------
-    out
-        The dataset; runs are added to one that is there.
-    truth
-        Which reference.
-    sensor
-        Its maximum is the reading of no echo in CSV files; its biases are taken off where the others are the reference.
-    column_map
-        For CSV files.
-    shift
-        Whether the readings' lag is taken off; it always is where the reference is in another file.
-    seed
-        Random seed of the intervals.
-    progress
-        Called with what is being done and the share of all logs that is done; None: not called.
-    """
+    """What all logs of an import have in common."""
 
     out: Path
+    """The dataset; runs are added to one that is there."""
     truth: Truth
+    """Which reference."""
     sensor: SensorModel
+    """Its maximum is the reading of no echo in CSV files; its biases are taken off where the others are the
+    reference."""
     column_map: ColumnMap | None = None
+    """For CSV files."""
     shift: bool = False
+    """Whether the readings' lag is taken off; it always is where the reference is in another file."""
     seed: int = 1
+    """Random seed of the intervals."""
     progress: Progress | None = None
+    """Called with what is being done and the share of all logs that is done; None: not called."""
 
 
 @dataclass(frozen=True)

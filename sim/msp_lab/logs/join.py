@@ -43,30 +43,20 @@ class TruthAccuracy:
 
 @dataclass(frozen=True)
 class Joined:
-    """A range finder's readings with everything that is known of them.
-
-    Attributes
-    ----------
-    ranger
-        The range finder.
-    data
-        Its table.
-    alignment
-        How its readings fit the reference; None: no reference, or hardly any reading with one.
-    error
-        How well the reference is known; None: nothing says.
-    is_shifted
-        Whether the lag was taken off.
-    notes
-        Why readings have no true range, or what is worth knowing of it, a sentence each without a full stop.
-    """
+    """A range finder's readings with everything that is known of them."""
 
     ranger: Ranger
+    """The range finder."""
     data: MeasuredData
+    """Its table."""
     alignment: Alignment | None = None
+    """How its readings fit the reference; None: no reference, or hardly any reading with one."""
     error: TruthAccuracy | None = None
+    """How well the reference is known; None: nothing says."""
     is_shifted: bool = False
+    """Whether the lag was taken off."""
     notes: tuple[str, ...] = ()
+    """Why readings have no true range, or what is worth knowing of it, a sentence each without a full stop."""
 
 
 def join(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
-from msp_range.arrays import Array, Column, Flags
+from msp_range.arrays import Array, Column, Flags, angle_deg
 
 LONGEST_GAP_S = 1.0
 """Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
@@ -40,19 +40,13 @@ CONTEXT = {
 
 @dataclass(frozen=True)
 class Series:
-    """A quantity over time.
-
-    Attributes
-    ----------
-    source
-        Where the log has it, such as ``RFND.Dist`` or ``/mocap/pose``.
-    time_s, values
-        In the order of time, of equal length; the unit is that of the name under which it is kept.
-    """
+    """A quantity over time."""
 
     source: str
+    """Where the log has it, such as ``RFND.Dist`` or ``/mocap/pose``."""
     time_s: Array
     values: Array
+    """In the order of time, of equal length; the unit is that of the name under which it is kept."""
 
     def __len__(self) -> int:
         return self.time_s.size
@@ -98,34 +92,23 @@ class Series:
 
 @dataclass(frozen=True)
 class Ranger:
-    """A range finder's readings.
-
-    Attributes
-    ----------
-    name
-        What the log calls it, or what distinguishes it from its other ones.
-    series
-        Readings [cm]; NaN: no answer, or nearer than the minimum that the log states. Readings beyond the maximum that
-        the log states are that maximum: no echo.
-    is_down
-        Whether it looks down along the vehicle's axis.
-    maximum_cm
-        Reading of no echo; infinite where the log does not state it.
-    code_cm
-        Where it does not: the sensor's code of no echo. Other readings may be beyond it, of another sensor.
-    columns
-        What the log says of each reading, in the names of the CSV form.
-    near
-        Times of the readings that are nearer than the minimum that the log states.
-    """
+    """A range finder's readings."""
 
     name: str
+    """What the log calls it, or what distinguishes it from its other ones."""
     series: Series
+    """Readings [cm]; NaN: no answer, or nearer than the minimum that the log states. Readings beyond the maximum that
+    the log states are that maximum: no echo."""
     is_down: bool = True
+    """Whether it looks down along the vehicle's axis."""
     maximum_cm: float = np.inf
+    """Reading of no echo; infinite where the log does not state it."""
     columns: Mapping[str, Column] = field(default_factory=dict)
+    """What the log says of each reading, in the names of the CSV form."""
     near: Series | None = None
+    """Times of the readings that are nearer than the minimum that the log states."""
     code_cm: float = np.nan
+    """Where it does not: the sensor's code of no echo. Other readings may be beyond it, of another sensor."""
 
     @property
     def too_near(self) -> int:
@@ -149,64 +132,47 @@ class Ranger:
 
 @dataclass(frozen=True)
 class TruthSource:
-    """A possible true range.
-
-    Attributes
-    ----------
-    kind
-        How ``--truth`` calls it.
-    series
-        Height above the ground or a range along the beam [m].
-    has_datum
-        Whether its zero is the ground's height; otherwise a constant is taken off.
-    along_beam
-        Whether it is a range along the vehicle's down axis and not a height.
-    std
-        Standard deviation of its error as the log states it [m].
-    refused
-        Why it is no independent reference; empty: it is one.
-    ranger
-        The range finder of the same log whose readings it is; empty: none.
-    """
+    """A possible true range."""
 
     kind: str
+    """How ``--truth`` calls it."""
     series: Series
+    """Height above the ground or a range along the beam [m]."""
     has_datum: bool = False
+    """Whether its zero is the ground's height; otherwise a constant is taken off."""
     along_beam: bool = False
+    """Whether it is a range along the vehicle's down axis and not a height."""
     std: Series | None = None
+    """Standard deviation of its error as the log states it [m]."""
     refused: str = ""
+    """Why it is no independent reference; empty: it is one."""
     ranger: str = ""
+    """The range finder of the same log whose readings it is; empty: none."""
+
+
+def truth_source(kind: str, found: Series | None, std: Series | None = None, refused: str = "") -> TruthSource | None:
+    """A possible true range with these of its fields; None: the log does not have it."""
+    return None if found is None else TruthSource(kind, found, std=std, refused=refused)
 
 
 @dataclass(frozen=True)
 class VehicleLog:
-    """What a log holds that matters here.
-
-    Attributes
-    ----------
-    path
-        The file.
-    form
-        What wrote it, for people: ``ArduPilot dataflash``.
-    rangers
-        Its range finders.
-    context
-        Names of `CONTEXT` -> series.
-    references
-        Possible references, the best ones first.
-    notes
-        What was lost, or is worth knowing, a sentence each.
-    clock
-        The runs between steps of its clock, on whose continuous form its times are; none: it does not step.
-    """
+    """What a log holds that matters here."""
 
     path: Path
+    """The file."""
     form: str
+    """What wrote it, for people: ``ArduPilot dataflash``."""
     rangers: tuple[Ranger, ...]
+    """Its range finders."""
     context: Mapping[str, Series]
+    """Names of `CONTEXT` -> series."""
     references: tuple[TruthSource, ...]
+    """Possible references, the best ones first."""
     notes: tuple[str, ...] = ()
+    """What was lost, or is worth knowing, a sentence each."""
     clock: tuple[ClockRun, ...] = ()
+    """The runs between steps of its clock, on whose continuous form its times are; none: it does not step."""
 
     def runs(self) -> "Iterator[VehicleLog]":
         """The log itself, or what it holds between the steps of its clock, each with the times of the log."""
@@ -227,6 +193,20 @@ class VehicleLog:
             )
         if not self.clock:
             yield self
+
+
+def make_log(
+    path: Path,
+    form: str,
+    rangers: Iterable[Ranger],
+    context: Mapping[str, Series | None],
+    references: Iterable[TruthSource | None],
+    notes: Iterable[str],
+    clock: tuple[ClockRun, ...],
+) -> VehicleLog:
+    """A log without the series and references that it lacks, which are None or empty."""
+    known = {name: each for name, each in context.items() if each is not None and len(each)}
+    return VehicleLog(path, form, tuple(rangers), known, tuple(filter(None, references)), tuple(notes), clock)
 
 
 def between_samples(at_s: Array, time_s: Array, values: Array, longest_s: float) -> Array:
@@ -303,19 +283,9 @@ def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     return runs
 
 
-def negative(found: Series) -> Series:
-    """What counts downwards, upwards."""
-    return replace(found, values=-found.values)
-
-
-def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
-    """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
-    return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll_rad) * np.cos(pitch_rad), -1.0, 1.0))))
-
-
 def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:
-    """The same angle from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
-    return np.asarray(np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x**2 + y**2), -1.0, 1.0))))
+    """`tilt_deg` from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
+    return angle_deg(1.0 - 2.0 * (x**2 + y**2))
 
 
 def longest_m(maximum_m: Array) -> float:

@@ -31,11 +31,13 @@ from msp_lab.logs.log import (
     TruthSource,
     VehicleLog,
     longest_m,
+    make_log,
     make_ranger,
     readings_cm,
     rounded_cm,
     series,
     tilt_of_quaternion_deg,
+    truth_source,
 )
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.arrays import Array, Column
@@ -110,25 +112,17 @@ def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
         "air_temperature_c": _air_temperature(found),
         "vibration_m_s2": _field(found, "vehicle_imu_status", "accel_vibration_metric"),
     }
-    references = _references(found, parameters)
-    if field and (column := _field(found, topic, field)) is not None:
-        kept, refused = _without_fused(column, found, parameters) if is_estimate(named_field) else (column, "")
-        references.append(TruthSource("column", kept, refused=refused))
+    column, refused = _field(found, topic, field), ""
+    if is_estimate(named_field):
+        column, refused = _without_fused(column, found, parameters)
+    references = [*_references(found, parameters), truth_source("column", column, refused=refused)]
     notes = []
     if log.file_corruption:
         notes.append("The file is damaged; what could be read is here.")
     if log.dropouts:
         lost_s = sum(each.duration for each in log.dropouts) / 1e3
         notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.3g} s in all.")
-    return VehicleLog(
-        path,
-        f"PX4 ULog, {_version(log)}",
-        tuple(_rangers(found)),
-        {name: each for name, each in context.items() if each is not None and len(each)},
-        tuple(references),
-        tuple(notes),
-        clock,
-    )
+    return make_log(path, f"PX4 ULog, {_version(log)}", _rangers(found), context, references, notes, clock)
 
 
 def _make_continuous(found: dict[str, dict[str, Column]], places: list[Column]) -> tuple[ClockRun, ...]:
@@ -219,26 +213,24 @@ def _rangers(found: _Topics) -> list[Ranger]:
     return rangers
 
 
-def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSource]:
-    references = []
-    if (simulated := _field(found, "vehicle_local_position_groundtruth", "z", -1.0)) is not None:
-        references.append(TruthSource("simulator", simulated))
-    if (rtk := _rtk(found)) is not None:
-        references.append(TruthSource("rtk", rtk, std=_field(found, "vehicle_gps_position", "epv")))
-    for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry"):
-        seen = _field(found, topic, "position[2]", -1.0) or _field(found, topic, "z", -1.0)
-        if seen is not None:
-            references.append(TruthSource("mocap", seen))
-    if (height := _field(found, "vehicle_local_position", "z", -1.0)) is not None:
-        kept, refused = _without_fused(height, found, parameters)
-        references.append(TruthSource("ekf", kept, refused=refused))
-    if (pressure := _field(found, "vehicle_air_data", "baro_alt_meter")) is not None:
-        references.append(TruthSource("barometer", pressure))
-    return references
+def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSource | None]:
+    height, refused = _without_fused(_field(found, "vehicle_local_position", "z", -1.0), found, parameters)
+    return [
+        truth_source("simulator", _field(found, "vehicle_local_position_groundtruth", "z", -1.0)),
+        truth_source("rtk", _rtk(found), std=_field(found, "vehicle_gps_position", "epv")),
+        *(
+            truth_source("mocap", _field(found, topic, "position[2]", -1.0) or _field(found, topic, "z", -1.0))
+            for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry")
+        ),
+        truth_source("ekf", height, refused=refused),
+        truth_source("barometer", _field(found, "vehicle_air_data", "baro_alt_meter")),
+    ]
 
 
-def _without_fused(height: Series, found: _Topics, parameters: Mapping[str, Any]) -> tuple[Series, str]:
+def _without_fused(height: Series | None, found: _Topics, parameters: Mapping[str, Any]) -> tuple[Series | None, str]:
     """EKF2's height until the range is first fused into it, and why it is refused where that is most of the log."""
+    if height is None:
+        return None, ""
     flags = _field(found, "estimator_status_flags", "cs_rng_hgt") or _range_height_bit(found)
     if flags is None or not len(flags):
         return height, by_px4(parameters)

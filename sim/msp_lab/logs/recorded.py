@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from msp_lab.logs.log import TILT, Ranger, Series, VehicleLog, series, tilt_deg
+from msp_lab.logs.log import TILT, Ranger, Series, VehicleLog, series
 from msp_lab.readings.clock_runs import with_clock_runs
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.column_map import read_table as read_rows
@@ -16,6 +16,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.pings import recorded_attitudes
 from msp_range.recording.reader import Recording
+from msp_sim.model.derived import tilt_deg
 
 LARGEST_RECORDING_BYTES = 200 * 2**20
 """A larger recording of our own is refused: its messages are held as Python objects, some ten times the file. A flight

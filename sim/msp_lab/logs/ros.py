@@ -24,6 +24,7 @@ from msp_lab.logs.log import (
     VehicleLog,
     longest_m,
     make_continuous,
+    make_log,
     make_ranger,
     readings_cm,
     rounded_cm,
@@ -86,8 +87,7 @@ def read_bag(path: Path, progress: Callable[[float], None], named_field: str = "
     clock = make_continuous([*topics.values(), *columns.values()])
     references = _references(topics)
     references += [TruthSource("column", found.series(field)) for found in columns.values()]
-    rangers, context = tuple(_rangers(topics)), _context(topics)
-    return VehicleLog(path, "ROS bag", rangers, context, tuple(references), tuple(notes), clock)
+    return make_log(path, "ROS bag", _rangers(topics), _context(topics), references, notes, clock)
 
 
 def _messages(
@@ -158,7 +158,7 @@ def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
             found["humidity_pct"] = each.series("relative_humidity", 100.0 * each["relative_humidity"])
         elif each.kind in ("VfrHud", "VFR_HUD"):
             found[THROTTLE] = each.series("throttle")
-    return {name: each for name, each in found.items() if len(each)}
+    return found
 
 
 def _references(topics: Mapping[str, _Topic]) -> list[TruthSource]:

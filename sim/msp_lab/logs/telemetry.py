@@ -25,10 +25,10 @@ from msp_lab.logs.log import (
     VehicleLog,
     longest_m,
     make_continuous,
+    make_log,
     make_ranger,
-    negative,
     readings_cm,
-    tilt_deg,
+    truth_source,
 )
 from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
 from msp_range.input_file import open_input
@@ -37,6 +37,7 @@ from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
+from msp_sim.model.derived import tilt_deg
 
 LATEST_US = 4_000_000_000_000_000
 """Times after the year 2096 are none [us]: the log is damaged there."""
@@ -105,12 +106,11 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
     notes = ["Times are those of arrival at the ground station, so lags contain the radio link's."]
     if bad:
         notes.append(f"{bad} bytes that belong to no message are left out.")
-    references = _references(flight, parameters)
-    if field and message in flight:
-        refused = by_any(parameters) if is_estimate(named_field) else ""
-        references.append(TruthSource("column", _series(flight, message, field), refused=refused))
-    form, rangers = "telemetry log (MAVLink)", tuple(_rangers(distances))
-    return VehicleLog(path, form, rangers, _context(flight), tuple(references), tuple(notes), clock)
+    column = _series(flight, message, field) if field else None
+    refused = by_any(parameters) if is_estimate(named_field) else ""
+    references = [*_references(flight, parameters), truth_source("column", column, refused=refused)]
+    form, rangers = "telemetry log (MAVLink)", _rangers(distances)
+    return make_log(path, form, rangers, _context(flight), references, notes, clock)
 
 
 def _frames(path: Path, wanted: set[int]) -> Iterator[tuple[float, Frame | None, int, int, int]]:
@@ -194,8 +194,8 @@ def _rangers(distances: Mapping[tuple[int, int, int], MessageColumns]) -> list[R
     return rangers
 
 
-def _context(flight: Mapping[str, MessageColumns]) -> dict[str, Series]:
-    found = {}
+def _context(flight: Mapping[str, MessageColumns]) -> dict[str, Series | None]:
+    found: dict[str, Series | None] = {}
     if "ATTITUDE" in flight:
         attitude = flight["ATTITUDE"]
         found[TILT] = attitude.series(values=tilt_deg(attitude["roll"], attitude["pitch"]))
@@ -203,41 +203,33 @@ def _context(flight: Mapping[str, MessageColumns]) -> dict[str, Series]:
         vibration = flight["VIBRATION"]
         squares = sum(vibration[f"vibration_{axis}"] ** 2 for axis in "xyz")
         found["vibration_m_s2"] = vibration.series(values=np.sqrt(squares))
-    for name, message, field, factor in (
-        (CLIMB, "GLOBAL_POSITION_INT", "vz", -0.01),
-        (THROTTLE, "VFR_HUD", "throttle", 0.01),
-        ("air_temperature_c", HYGROMETER, "temperature", 0.01),
-        ("board_temperature_c", "SCALED_PRESSURE", "temperature", 0.01),
-    ):
-        if message in flight:
-            found[name] = _series(flight, message, field, factor)
+    found |= {
+        CLIMB: _series(flight, "GLOBAL_POSITION_INT", "vz", -0.01),
+        THROTTLE: _series(flight, "VFR_HUD", "throttle", 0.01),
+        "air_temperature_c": _series(flight, HYGROMETER, "temperature", 0.01),
+        "board_temperature_c": _series(flight, "SCALED_PRESSURE", "temperature", 0.01),
+    }
     if HYGROMETER in flight:
         hygrometer = flight[HYGROMETER]
         found["humidity_pct"] = hygrometer.series("humidity", relative_humidity_percent(hygrometer["humidity"]))
     return found
 
 
-def _references(flight: Mapping[str, MessageColumns], parameters: Mapping[str, float]) -> list[TruthSource]:
-    references = []
-    for message, factor in (("SIM_STATE", 1.0), ("HIL_STATE_QUATERNION", 0.001)):
-        if message in flight:
-            references.append(TruthSource("simulator", _series(flight, message, "alt", factor)))
-    gps = flight.get("GPS_RAW_INT")
-    if gps is not None and (gps["fix_type"] == RTK_FIXED).any():
-        altitude = _series(flight, "GPS_RAW_INT", "alt", 0.001)
-        fixed = _series(flight, "GPS_RAW_INT", "fix_type").values == RTK_FIXED
-        height = Series(altitude.source, altitude.time_s, np.where(fixed, altitude.values, np.nan))
-        std = _series(flight, "GPS_RAW_INT", "v_acc", 0.001)
-        references.append(TruthSource("rtk", height, std=std if (std.values > 0.0).any() else None))
-    for message in ("ATT_POS_MOCAP", "VISION_POSITION_ESTIMATE"):
-        if message in flight:
-            references.append(TruthSource("mocap", negative(_series(flight, message, "z"))))
-    if "GLOBAL_POSITION_INT" in flight:
-        height = _series(flight, "GLOBAL_POSITION_INT", "relative_alt", 0.001)
-        references.append(TruthSource("ekf", height, refused=by_any(parameters)))
-    return references
+def _references(flight: Mapping[str, MessageColumns], parameters: Mapping[str, float]) -> list[TruthSource | None]:
+    gps, fixed, std = flight.get("GPS_RAW_INT"), None, None
+    if gps is not None and (is_fixed := gps["fix_type"] == RTK_FIXED).any():
+        fixed = gps.series("alt", np.where(is_fixed, 0.001 * gps["alt"], np.nan))
+        std = _series(flight, "GPS_RAW_INT", "v_acc", 0.001) if (gps["v_acc"] > 0.0).any() else None
+    return [
+        truth_source("simulator", _series(flight, "SIM_STATE", "alt")),
+        truth_source("simulator", _series(flight, "HIL_STATE_QUATERNION", "alt", 0.001)),
+        truth_source("rtk", fixed, std=std),
+        truth_source("mocap", _series(flight, "ATT_POS_MOCAP", "z", -1.0)),
+        truth_source("mocap", _series(flight, "VISION_POSITION_ESTIMATE", "z", -1.0)),
+        truth_source("ekf", _series(flight, "GLOBAL_POSITION_INT", "relative_alt", 0.001), refused=by_any(parameters)),
+    ]
 
 
-def _series(flight: Mapping[str, MessageColumns], message: str, field: str, factor: float = 1.0) -> Series:
-    found = flight[message]
-    return found.series(field, factor * found[field])
+def _series(flight: Mapping[str, MessageColumns], message: str, field: str, factor: float = 1.0) -> Series | None:
+    found = flight.get(message)
+    return None if found is None else found.series(field, factor * found[field])

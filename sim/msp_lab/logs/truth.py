@@ -31,24 +31,16 @@ INDEPENDENT = {"simulator", "rtk", "mocap", "barometer", "sensor", "column"}
 
 @dataclass(frozen=True)
 class Truth:
-    """What ``--truth`` asks for.
-
-    Attributes
-    ----------
-    kind
-        A key of `KINDS`, ``sensor``, ``column``, or empty: the best that the log has.
-    name
-        Of the sensor, or MESSAGE.FIELD of the column.
-    factor
-        From the column's unit to metres.
-    file
-        Another log that has the reference, on a clock of its own; None: the log itself.
-    """
+    """What ``--truth`` asks for."""
 
     kind: str = ""
+    """A key of `KINDS`, ``sensor``, ``column``, or empty: the best that the log has."""
     name: str = ""
+    """Of the sensor, or MESSAGE.FIELD of the column."""
     factor: float = 1.0
+    """From the column's unit to metres."""
     file: Path | None = None
+    """Another log that has the reference, on a clock of its own; None: the log itself."""
 
     @property
     def field(self) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Flags, Indices, numbered
 from msp_range.recording.csv_form import MeasuredData
 
 LEAST_BACK_S = 0.1
@@ -34,21 +34,14 @@ is longer than the longest interval of a series."""
 
 @dataclass(frozen=True)
 class Stamps:
-    """Times of one sender's messages in the order of the log.
-
-    Attributes
-    ----------
-    place
-        Where in the log each message is, in any unit that all senders share; it increases.
-    time_s
-        Its time.
-    other_s
-        That time by another clock; NaN where it is not known.
-    """
+    """Times of one sender's messages in the order of the log."""
 
     place: NDArray[np.int64]
+    """Where in the log each message is, in any unit that all senders share; it increases."""
     time_s: Array
+    """Its time."""
     other_s: Array
+    """That time by another clock; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +148,7 @@ def _stamps(table: MeasuredData, senders: list[Indices], time_s: Array) -> list[
 
 def _is_repeated(table: MeasuredData) -> Flags:
     """Rows that are equal to an earlier one in all columns."""
-    codes = np.stack([np.unique(column, return_inverse=True)[1] for column in table.columns.values()], axis=1)
+    codes = np.stack([numbered(column) for column in table.columns.values()], axis=1)
     repeated = np.ones(len(table), dtype=bool)
     repeated[np.unique(codes, axis=0, return_index=True)[1]] = False
     return repeated

@@ -22,7 +22,7 @@ from msp_lab.readings.no_echo import NO_ECHO, in_code_of, without_negative
 from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
-from msp_range.arrays import Column, Flags, Indices
+from msp_range.arrays import Column, Flags, Indices, numbered
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.context_limits import check_contexts
 from msp_range.recording.csv_form import MeasuredData, join_tables
@@ -30,11 +30,9 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
 from msp_sim.effects.base import OTHERS, REFERENCE, REFERENCE_STD, TRUE_RANGE
-from msp_sim.model.derived import DERIVED, derived_columns
+from msp_sim.model.derived import DERIVED, PREVIOUS, derived_columns
 from msp_sim.model.model import Model
 
-PREVIOUS = "previous_reading_cm"
-"""Column that the intake adds: the reading of the same sensor and run before this one [cm]."""
 CLOCK_FAULT_CM = 32768.0
 """Readings from here on are a fault of the sensor's clock line and no distance: the highest bit of the answer is set.
 They are left out where a unit is judged by distances."""
@@ -67,24 +65,16 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class LoadedReadings:
-    """Readings of all files together.
-
-    Attributes
-    ----------
-    data
-        All rows in the order of the files, with `run` and `previous_reading_cm`.
-    sources
-        The files.
-    messages
-        What was left out or noticed, a sentence each.
-    sensors
-        The sensors that the user selected; none: all.
-    """
+    """Readings of all files together."""
 
     data: MeasuredData
+    """All rows in the order of the files, with `run` and `previous_reading_cm`."""
     sources: tuple[SourceFile, ...]
+    """The files."""
     messages: tuple[str, ...] = ()
+    """What was left out or noticed, a sentence each."""
     sensors: tuple[str, ...] = ()
+    """The sensors that the user selected; none: all."""
 
 
 def load_readings(
@@ -341,7 +331,7 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
 
 def time_order(columns: Mapping[str, Column]) -> Indices:
     """Return row numbers by run, sensor and time; rows of one time stay in the order of the file."""
-    run, sensor = (np.unique(columns[name], return_inverse=True)[1] for name in ("run", "sensor"))
+    run, sensor = (numbered(columns[name]) for name in ("run", "sensor"))
     order: Indices = np.lexsort((columns["time_s"], sensor, run))
     return order
 

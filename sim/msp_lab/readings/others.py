@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from msp_lab.readings.smoother import CLIMB, EAST, GATE, HEIGHT, NORTH, STATES, Smoothed, smooth
-from msp_range.arrays import Array, Column, Flags, Indices
+from msp_range.arrays import Array, Column, Flags, Indices, angle_deg
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.geometry import Matrix
 from msp_range.recording.csv_form import MeasuredData
@@ -53,37 +53,24 @@ what does not fit it; a fourth changes nothing that is printed."""
 
 @dataclass(frozen=True)
 class Referenced:
-    """Readings with the other sensors as reference.
-
-    Attributes
-    ----------
-    data
-        In the order of time.
-    offsets_cm
-        Of each sensor that has a reference: how much more than the others it read on average, which was taken off.
-    rows
-        Of how many readings that is the average.
-    """
+    """Readings with the other sensors as reference."""
 
     data: MeasuredData
+    """In the order of time."""
     offsets_cm: Mapping[str, float]
+    """Of each sensor that has a reference: how much more than the others it read on average, which was taken off."""
     rows: Mapping[str, int]
+    """Of how many readings that is the average."""
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """Where a vehicle's sensors are, and how it was turned.
-
-    Attributes
-    ----------
-    sensors
-        Those that look down, by name.
-    rotations
-        From times [s] in order to body to north, east, down; None where it is not known, which counts as level.
-    """
+    """Where a vehicle's sensors are, and how it was turned."""
 
     sensors: Mapping[str, DownwardSensor]
+    """Those that look down, by name."""
     rotations: Callable[[Array], Sequence[Matrix | None]]
+    """From times [s] in order to body to north, east, down; None where it is not known, which counts as level."""
 
 
 def side_by_side(names: Collection[str]) -> Mounting:
@@ -288,4 +275,4 @@ def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: Array) -> f
     """Angle between a sensor's axis and the ground's normal [deg]."""
     normal = np.array([state[NORTH], state[EAST], 1.0])
     cosine = normal @ np.array(rotation) @ np.array(mounted.boresight) / np.linalg.norm(normal)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return float(angle_deg(cosine))

@@ -1,8 +1,10 @@
 """The resolution of readings: the step in which a file's readings come, and the one in which they are compared."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from msp_range.arrays import Array, Indices
+from msp_range.arrays import Array, Indices, numbered
 from msp_range.reading_model.kernel import on_grid
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model
@@ -16,8 +18,10 @@ TOLERANCE = 0.005
 millimetre; of readings without a step 1 % are within this, so that 30 of them never are."""
 
 
-def step_of(reading_cm: Array, share: float = 1.0) -> float:
-    """Return the largest usual step of which this share of the readings are whole multiples [cm]; 0: there is none.
+def step_of(reading_cm: Array, share: float = 1.0, steps: Sequence[float] = STEPS_CM) -> float:
+    """Return the first of these steps of which this share of the readings are whole multiples [cm]; 0: there is none.
+
+    The largest one, where they are the usual ones.
 
     Examples
     --------
@@ -25,7 +29,7 @@ def step_of(reading_cm: Array, share: float = 1.0) -> float:
     1.0 0.01
     """
     known = reading_cm[~np.isnan(reading_cm)]
-    return next((step_cm for step_cm in STEPS_CM if _share_on(known, step_cm) >= share), 0.0)
+    return next((step_cm for step_cm in steps if _share_on(known, step_cm) >= share), 0.0)
 
 
 COMPARED_CM = (0.1, 0.2, 0.5, 1.0)
@@ -88,7 +92,7 @@ def step_with(data: MeasuredData, model: Model) -> float:
         return model.sensor.resolution_cm
     reading_cm = data["reading_cm"]
     usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
-    _, run = np.unique(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]), return_inverse=True)
+    run = numbered(np.char.add(np.char.add(data["run"], "\0"), data["sensor"]))
     limits_cm = model.sensor.minimum_cm, model.sensor.maximum_cm
     return compared_step(reading_cm[usual], run[usual], model.sensor.resolution_cm, limits_cm)
 
@@ -142,7 +146,7 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_
             gaps.append(np.diff(values))
             weights.append(np.minimum(counts[1:], counts[:-1]).astype(np.float64))
         if np.unique(own).size >= LEAST_VALUES:
-            least_cm = max(least_cm, _own_step(own, steps))
+            least_cm = max(least_cm, step_of(own, ON_STEP_SHARE, steps[::-1]))
     gap, weight = np.concatenate(gaps), np.concatenate(weights)
     if not gap.size:
         return model_step_cm
@@ -161,11 +165,6 @@ def _has_neighbours(gap: Array, weight: Array, step_cm: float) -> bool:
     steps = np.rint(gap / step_cm).astype(np.intp)
     times = np.bincount(np.minimum(steps, MAX_GAP), weight, MAX_GAP + 1)
     return bool(times[1] > 0.0 and times[1] >= NEIGHBOURS_SHARE * times[2:MAX_GAP].max())
-
-
-def _own_step(reading_cm: Array, steps: list[float]) -> float:
-    """The largest of the steps of which these readings are multiples; 0: none."""
-    return max((step_cm for step_cm in steps if _share_on(reading_cm, step_cm) >= ON_STEP_SHARE), default=0.0)
 
 
 def _share_on(reading_cm: Array, step_cm: float) -> float:

@@ -29,19 +29,13 @@ MOST_REFUSED = 3
 
 @dataclass(frozen=True)
 class Smoothed:
-    """States at n times, of each of B sets of readings.
-
-    Attributes
-    ----------
-    mean, covariance
-        (B, n, 5) and (B, n, 5, 5).
-    log_likelihood
-        Of each reading given those before it, (B, n); 0 where it is left out.
-    """
+    """States at n times, of each of B sets of readings."""
 
     mean: Array
     covariance: Array
+    """(B, n, 5) and (B, n, 5, 5)."""
     log_likelihood: Array
+    """Of each reading given those before it, (B, n); 0 where it is left out."""
 
     def predicted(self, geometry: Array) -> tuple[Array, Array]:
         """What a reading of this geometry should be, and its variance, each (B, n)."""
@@ -76,36 +70,32 @@ def smooth(
         False: the filtered states, for their likelihood.
     """
     sets, n = variance_m2.shape
-    mean, covariance = np.zeros((sets, n, 5)), np.zeros((sets, n, 5, 5))
-    ahead_mean, ahead_covariance = np.zeros((sets, n, 5)), np.zeros((sets, n, 5, 5))
+    mean, ahead_mean = np.zeros((2, sets, n, 5))
+    covariance, ahead_covariance = np.zeros((2, sets, n, 5, 5))
     log_likelihood = np.zeros((sets, n))
     moves, noises = _steps(time_s)
     x, p = np.zeros((sets, 5)), np.broadcast_to(np.diag(START_STD**2), (sets, 5, 5)).copy()
     first = np.flatnonzero(np.isfinite(variance_m2).any(axis=0))
     x[:, HEIGHT] = reading_m[first[0]] if first.size else 0.0
-    refused = np.zeros(sets)
-    slope_noise = np.zeros((sets, 5, 5))
+    refused, slope_noise = np.zeros(sets), np.zeros((sets, 5, 5))
     slope_noise[:, NORTH, NORTH] = slope_noise[:, EAST, EAST] = slope_per_s
     pauses_s = np.minimum(np.diff(time_s, prepend=time_s[0]), MAX_STEP_S)
     for i in range(n):
         move = moves[i]
-        x = x @ move.T
-        p = move @ p @ move.T + jerk[:, i, None, None] * noises[i] + slope_noise * pauses_s[i]
-        ahead_mean[:, i], ahead_covariance[:, i] = x, p
+        x = ahead_mean[:, i] = x @ move.T
+        p = ahead_covariance[:, i] = move @ p @ move.T + jerk[:, i, None, None] * noises[i] + slope_noise * pauses_s[i]
         across = p @ geometry[i]
         whole = across @ geometry[i] + variance_m2[:, i]
         off = reading_m[i] - x @ geometry[i]
         used = np.isfinite(whole)
-        fits = off**2 < GATE**2 * whole
-        taken = used & (fits | (refused >= MOST_REFUSED))
+        taken = used & ((off**2 < GATE**2 * whole) | (refused >= MOST_REFUSED))
         refused = np.where(used, np.where(taken, 0.0, refused + 1.0), refused)
         gain = np.where(taken, 1.0 / whole, 0.0)[:, None] * across
-        x = x + gain * off[:, None]
-        p = p - gain[:, :, None] * across[:, None, :]
+        x = mean[:, i] = x + gain * off[:, None]
+        p = covariance[:, i] = p - gain[:, :, None] * across[:, None, :]
         with np.errstate(invalid="ignore"):
             square = np.minimum(off**2 / whole, GATE**2)
             log_likelihood[:, i] = np.where(used, -0.5 * (np.log(whole) + square), 0.0)
-        mean[:, i], covariance[:, i] = x, p
     if backward:
         for i in range(n - 2, -1, -1):
             ahead = ahead_covariance[:, i + 1]

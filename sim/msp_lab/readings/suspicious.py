@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msp_range.arrays import Array, Indices
+from msp_range.arrays import Array, Indices, numbered
 from msp_range.recording.csv_form import MeasuredData
 
 MIN_ROWS = 20
@@ -55,7 +55,7 @@ def suspicious(data: MeasuredData) -> list[str]:
 def _series(data: MeasuredData) -> Iterator[Indices]:
     """Rows with a true range of each sensor in each run, in the order of the file."""
     known = np.isfinite(data["true_range_cm"]) & np.isfinite(data["time_s"])
-    keys = [np.unique(data[name], return_inverse=True)[1] for name in ("run", "sensor") if name in data]
+    keys = [numbered(data[name]) for name in ("run", "sensor") if name in data]
     key = keys[0] if len(keys) == 1 else keys[0] * (keys[1].max(initial=0) + 1) + keys[1]
     order = np.argsort(key, kind="stable")
     order = order[known[order]]
@@ -115,7 +115,7 @@ def _lagging(data: MeasuredData) -> list[str]:
     middle_cm = float(np.nanmedian(error_cm)) if np.isfinite(error_cm).any() else 0.0
     hit = np.abs(error_cm - middle_cm) < FASTEST_CM
     rows, slope, error_cm = rows[hit], slope[hit], error_cm[hit] - middle_cm
-    _, part = np.unique(data["run"][rows], return_inverse=True)
+    part = numbered(data["run"][rows])
     if part.max(initial=0) + 1 < LAG_BLOCKS:
         part = np.arange(rows.size) * LAG_BLOCKS // max(rows.size, 1)
     weight = np.bincount(part, slope**2)

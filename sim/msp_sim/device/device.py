@@ -23,22 +23,15 @@ class NotAcknowledged(Exception):
 
 @dataclass(frozen=True)
 class DeviceTiming:
-    """How long a sensor ranges, and for how long an address change keeps it busy.
-
-    Attributes
-    ----------
-    ready_s, s_per_cm
-        A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm].
-    no_echo_s
-        A ranging without an echo takes this long [s], and none takes longer.
-    address_change_s
-        After an address change [s].
-    """
+    """How long a sensor ranges, and for how long an address change keeps it busy."""
 
     ready_s: float
     s_per_cm: float
+    """A ranging with an echo takes ``ready_s + s_per_cm * reading_cm`` [s, s/cm]."""
     no_echo_s: float
+    """A ranging without an echo takes this long [s], and none takes longer."""
     address_change_s: float = 0.0
+    """After an address change [s]."""
 
     def ranging_s(self, reading_cm: int, no_echo_cm: int) -> float:
         """Time from the ping until the ranging has ended [s]."""
@@ -79,33 +72,6 @@ DRAWN = frozenset({"noisy", "fixed_object", "dust"})
 class Fault:
     """A fault that lasts from ``start_s`` up to ``end_s``.
 
-    Attributes
-    ----------
-    kind
-        One of `FAULT_KINDS`.
-    start_s, end_s
-        When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length.
-    probability
-        That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
-        "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift",
-        "constant", "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen.
-    word
-        The 16-bit answer of the kind "impossible".
-    spread_cm
-        Standard deviation of the error of the kind "noisy" [cm].
-    offset_cm
-        Error of the kind "offset" [cm].
-    rate_cm_s
-        How fast the error of the kind "drift" grows [cm/s]; negative: ranges become too short.
-    constant_cm
-        Reading of the kind "constant" [cm].
-    object_cm, jitter_cm
-        Mean range of the object of the kind "fixed_object", and standard deviation from ping to ping [cm].
-    swing_cm, swing_period_s
-        The object swings about its mean range with this amplitude [cm] and period [s].
-    dust_cm
-        How far down the dust of the kind "dust" is [cm].
-
     Raises
     ------
     ValueError
@@ -114,19 +80,32 @@ class Fault:
     """
 
     kind: str
+    """One of `FAULT_KINDS`."""
     start_s: float
     end_s: float
+    """When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length."""
     probability: float = 1.0
+    """That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
+    "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift", "constant",
+    "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen."""
     word: int = 1000
+    """The 16-bit answer of the kind "impossible"."""
     spread_cm: float = 100.0
+    """Standard deviation of the error of the kind "noisy" [cm]."""
     offset_cm: float = 100.0
+    """Error of the kind "offset" [cm]."""
     rate_cm_s: float = 2.0
+    """How fast the error of the kind "drift" grows [cm/s]; negative: ranges become too short."""
     constant_cm: int = 100
+    """Reading of the kind "constant" [cm]."""
     object_cm: float = 40.0
     jitter_cm: float = 0.5
+    """Mean range of the object of the kind "fixed_object", and standard deviation from ping to ping [cm]."""
     swing_cm: float = 0.0
     swing_period_s: float = 2.0
+    """The object swings about its mean range with this amplitude [cm] and period [s]."""
     dust_cm: float = 100.0
+    """How far down the dust of the kind "dust" is [cm]."""
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
@@ -211,7 +190,8 @@ class RangeFinder(ABC):
         self._now = now
         self._echo = echo
         self._timing = timing or self.default_timing
-        self._chance = chance
+        # Where nothing is drawn, none is needed.
+        self._chance = chance or random.Random(0)
         self._power_cycles = sorted((f for f in faults if f.kind == "power_cycle"), key=lambda fault: fault.start_s)
         self.power_cycle()
 
@@ -298,21 +278,20 @@ class RangeFinder(ABC):
     def _fault_strikes(self, fault: Fault, now_s: float) -> bool:
         if not fault.start_s <= now_s < fault.end_s:
             return False
-        return fault.probability == 1.0 or (self._chance is not None and self._chance.random() < fault.probability)
+        return fault.probability == 1.0 or self._chance.random() < fault.probability
 
     def _misrange(self, reading_cm: int, now_s: float) -> int:
         """Return what is ranged instead, each fault on top of those before it in the list; busy times follow it."""
         for fault in self.faults:
-            if fault.kind in _ERRORS and self._fault_strikes(fault, now_s):
-                error_cm = _ERRORS[fault.kind](fault, now_s, self._chance)
-                # No echo stays no echo.
-                if reading_cm not in (self.no_echo_cm, *self.no_echo_codes):
-                    reading_cm = self._within_limits(reading_cm + error_cm)
-            elif fault.kind in _NEAREST and self._fault_strikes(fault, now_s):
-                nearest_cm = self._within_limits(_NEAREST[fault.kind](fault, now_s, self._chance, self.minimum_cm))
-                reading_cm = min(reading_cm, nearest_cm)
-            elif fault.kind in _INSTEAD and self._fault_strikes(fault, now_s):
-                reading_cm = self._within_limits(_INSTEAD[fault.kind](fault))
+            if fault.kind not in _RANGED or not self._fault_strikes(fault, now_s):
+                continue
+            ranged_cm = _RANGED[fault.kind](fault, now_s, self._chance, self.minimum_cm)
+            if fault.kind not in _ERRORS:
+                nearest_cm = reading_cm if fault.kind in _IN_THE_BEAM else self.no_echo_cm
+                reading_cm = min(nearest_cm, self._within_limits(ranged_cm))
+            # No echo stays no echo.
+            elif reading_cm not in (self.no_echo_cm, *self.no_echo_codes):
+                reading_cm = self._within_limits(reading_cm + ranged_cm)
         return reading_cm
 
     def _within_limits(self, range_cm: float) -> int:
@@ -337,34 +316,25 @@ _CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
 }
 
 
-def _gauss_cm(std_cm: float, chance: random.Random | None) -> float:
-    assert chance is not None  # A range finder refuses a fault that draws its errors without it.
-    return chance.gauss(0.0, std_cm)
-
-
-def _object_cm(fault: Fault, now_s: float, chance: random.Random | None, minimum_cm: int) -> float:
+def _object_cm(fault: Fault, now_s: float, chance: random.Random, minimum_cm: int) -> float:
     swing_cm = fault.swing_cm * math.sin(2 * math.pi * now_s / fault.swing_period_s)
-    return fault.object_cm + swing_cm + _gauss_cm(fault.jitter_cm, chance)
+    return fault.object_cm + swing_cm + chance.gauss(0.0, fault.jitter_cm)
 
 
-def _dust_cm(fault: Fault, now_s: float, chance: random.Random | None, minimum_cm: int) -> float:
-    assert chance is not None  # As in _gauss_cm.
+def _dust_cm(fault: Fault, now_s: float, chance: random.Random, minimum_cm: int) -> float:
     return chance.uniform(minimum_cm, max(fault.dust_cm, minimum_cm))
 
 
-_ERRORS: dict[str, Callable[[Fault, float, random.Random | None], float]] = {
-    "noisy": lambda fault, now_s, chance: _gauss_cm(fault.spread_cm, chance),
-    "offset": lambda fault, now_s, chance: fault.offset_cm,
-    "drift": lambda fault, now_s, chance: fault.rate_cm_s * (now_s - fault.start_s),
-}
-"""What a fault adds to a range [cm]."""
-_NEAREST: dict[str, Callable[[Fault, float, random.Random | None, int], float]] = {
+_RANGED: dict[str, Callable[[Fault, float, random.Random, int], float]] = {
+    "noisy": lambda fault, now_s, chance, minimum_cm: chance.gauss(0.0, fault.spread_cm),
+    "offset": lambda fault, now_s, chance, minimum_cm: fault.offset_cm,
+    "drift": lambda fault, now_s, chance, minimum_cm: fault.rate_cm_s * (now_s - fault.start_s),
     "fixed_object": _object_cm,
     "dust": _dust_cm,
+    "no_echo": lambda fault, now_s, chance, minimum_cm: math.inf,
+    "constant": lambda fault, now_s, chance, minimum_cm: fault.constant_cm,
 }
-"""Ranges of what a fault puts into the beam [cm]: the sensor reads the nearest."""
-_INSTEAD: dict[str, Callable[[Fault], float]] = {
-    "no_echo": lambda fault: math.inf,
-    "constant": lambda fault: fault.constant_cm,
-}
-"""Ranges that a fault gives instead [cm]."""
+"""What a fault ranges instead [cm], or for `_ERRORS` what it adds to a range."""
+_ERRORS = ("noisy", "offset", "drift")
+_IN_THE_BEAM = ("fixed_object", "dust")
+"""Faults that put something into the beam: the sensor reads the nearest."""

@@ -4,8 +4,8 @@ An airframe, a world, a pose over time and sensor models enter; a bus leaves, be
 """
 
 import random
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from numpy.random import Generator, SeedSequence, default_rng
@@ -29,6 +29,17 @@ KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, Any]], None]
 """Takes a sensor's name, the time of a ping in the flight [s], what it met, and all of its context by column."""
 
 
+@dataclass(frozen=True)
+class Surroundings:
+    """What emulated sensors are in."""
+
+    world: World
+    pose: Callable[[float], Pose]
+    """Where the vehicle is at a time of the flight [s]."""
+    keep: KeepTruth = lambda *_: None
+    """Called for each ping."""
+
+
 class EmulatedSensor:
     """One sensor's pings: what they meet, and what the sensor makes of it.
 
@@ -41,12 +52,10 @@ class EmulatedSensor:
         As mounted on the vehicle.
     model
         What it reads.
-    world, pose
-        What is there, and where the vehicle is at a time of the flight [s].
+    around
+        What is there, and where the vehicle is.
     generator
         Its chance.
-    keep
-        Called for each ping.
     others
         Time [s] and true range [cm] of the last ping of each sensor of the vehicle, by name; kept up to date here.
     """
@@ -55,19 +64,15 @@ class EmulatedSensor:
         self,
         sensor: SensorSettings,
         model: SensorModel,
-        world: World,
-        pose: Callable[[float], Pose],
+        around: Surroundings,
         generator: Generator,
-        keep: KeepTruth,
         others: LastPings,
     ) -> None:
         self._name = sensor.name
         half_angle_rad = model.beam.half_angle_rad if model.medium == "sound" else None
         self._beam = MountedBeam(sensor.position_m, sensor.boresight, half_angle_rad)
         self._readings = Sampler(Model.of(model), generator)
-        self._world = world
-        self._pose = pose
-        self._keep = keep
+        self._around = around
         self._others = others
         self._previous_cm: float | None = None
 
@@ -80,8 +85,8 @@ class EmulatedSensor:
 
     def context(self, ping_s: float) -> dict[str, Any]:
         """What a ping at a time of the flight [s] meets, as the context of its reading; None where it is unknown."""
-        pose = self._pose(ping_s)
-        ping = self._world.ping(pose, self._beam)
+        pose = self._around.pose(ping_s)
+        ping = self._around.world.ping(pose, self._beam)
         context: dict[str, Any] = ping._asdict()
         context["uptime_s"] = ping_s
         if pose.throttle is not None:
@@ -93,11 +98,24 @@ class EmulatedSensor:
             if neighbour_cm is not None:
                 context["neighbour_range_cm"] = neighbour_cm
         self._others[self._name] = (ping_s, ping.true_range_cm)
-        self._keep(self._name, ping_s, ping, context)
+        self._around.keep(self._name, ping_s, ping, context)
         context["sensor"], context["run"], context["time_in_run_s"] = self._name, RUN, ping_s
         if not ping.has_echo:
             context["true_range_cm"] = None
         return context
+
+
+def ping_contexts(
+    airframe: Airframe, model: SensorModel | None, around: Surroundings, pings: Iterable[tuple[float, str]]
+) -> Iterator[dict[str, Any]]:
+    """The contexts of pings without a bridge, each with its time [s] and its sensor; model None: each sensor's own."""
+    others: LastPings = {}
+    sensors = {
+        each.name: EmulatedSensor(each, model or each.sensor_model, around, default_rng(0), others)
+        for each in airframe.sensors
+    }
+    for time_s, name in pings:
+        yield sensors[name].context(time_s)
 
 
 def ranging_timing(kind: type[RangeFinder], model: SensorModel) -> DeviceTiming:
@@ -130,11 +148,9 @@ def within_limits(echo: Callable[[float], int], model: SensorModel, kind: type[R
 def emulated_bus(
     airframe: Airframe,
     models: dict[str, SensorModel],
-    world: World,
-    pose: Callable[[float], Pose],
+    around: Surroundings,
     now: Callable[[], float],
     seed: SeedSequence,
-    keep: KeepTruth,
     faults: Mapping[str, Sequence[Fault]],
 ) -> Bus:
     """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
@@ -143,7 +159,7 @@ def emulated_bus(
     for sensor, of_sensor in zip(airframe.sensors, seed.spawn(len(airframe.sensors)), strict=True):
         model = models[sensor.name]
         for_readings, for_faults = of_sensor.spawn(2)
-        emulated = EmulatedSensor(sensor, model, world, pose, default_rng(for_readings), keep, others)
+        emulated = EmulatedSensor(sensor, model, around, default_rng(for_readings), others)
         chance = random.Random(int(for_faults.generate_state(1)[0]))
         kind = emulated_kind(sensor.sensor_model.driver)
         # Readings of another kind of sensor are answered as the device on the bus answers, at its times too.

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_range.arrays import Indices
+from msp_range.arrays import Indices, numbered
 from msp_range.reading_model.sensor_model import Medium, SensorModel
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Component
@@ -33,46 +33,32 @@ WORD_COLUMNS = frozenset({"sensor", "run", "target"})
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: a strength, which has a neutral value, or a shape parameter, which has a default.
-
-    Attributes
-    ----------
-    name
-        Name, ending with the unit if there is one.
-    unit
-        Unit as people write it; "1" for a ratio.
-    meaning
-        What it is, for help texts.
-    low, high
-        Bounds.
-    neutral
-        Value at which the effect does nothing; None for a shape parameter.
-    default
-        Default of a shape parameter, if a model file leaves it out.
-    grid
-        Values of a shape parameter at which a search starts.
-    step
-        A small change, for numeric derivatives.
-    power
-        Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero.
-    physical_low
-        A fit below this means another cause: an age below 0 is that of the reference. None: no such limit.
-    jumps
-        The likelihood jumps along it, so that its slope says nothing: the values of its grid are tried, and no others.
-    """
+    """A parameter of an effect: a strength, which has a neutral value, or a shape parameter, which has a default."""
 
     name: str
+    """Name, ending with the unit if there is one."""
     unit: str
+    """Unit as people write it; "1" for a ratio."""
     meaning: str
+    """What it is, for help texts."""
     low: float
     high: float
+    """Bounds."""
     neutral: float | None = 0.0
+    """Value at which the effect does nothing; None for a shape parameter."""
     default: float | None = None
+    """Default of a shape parameter, if a model file leaves it out."""
     grid: tuple[float, ...] = ()
+    """Values of a shape parameter at which a search starts."""
     step: float = 1e-3
+    """A small change, for numeric derivatives."""
     power: int = 1
+    """Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero."""
     physical_low: float | None = None
+    """A fit below this means another cause: an age below 0 is that of the reference. None: no such limit."""
     jumps: bool = False
+    """The likelihood jumps along it, so that its slope says nothing: the values of its grid are tried, and no
+    others."""
 
 
 def share_of_readings(meaning: str) -> Parameter:
@@ -133,7 +119,7 @@ class Scene:
         """
         if self._run is None:
             own = np.any(np.asarray(self._contexts.get(REFERENCE, "")) == OTHERS) and "run" in self._contexts
-            self._run = np.unique(self._contexts["run"], return_inverse=True)[1] if own else np.zeros(0, dtype=np.intp)
+            self._run = numbered(self._contexts["run"]) if own else np.zeros(0, dtype=np.intp)
         if not self._run.size:
             return bias_cm
         known = np.isfinite(bias_cm) & np.isfinite(self.range_cm)
@@ -155,34 +141,24 @@ def _is_known(values: Any) -> Any:
 
 
 class Contribution(NamedTuple):
-    """What an effect changes in the distribution of n readings; None leaves that part unchanged.
-
-    Attributes
-    ----------
-    bias_cm
-        Added to the centre of the hits [cm].
-    log_spread
-        Added to the logarithm of the hits' standard deviation.
-    run_offset_cm
-        Standard deviation of an offset that is common to all readings of a run [cm].
-    log_odds_short, log_odds_missed, log_odds_random
-        Added to the log odds of a short, missed or random reading against a hit.
-    component, share
-        One more component of the mixture, and its share of the readings if it were the only one.
-    fault, fault_share
-        A fault of the reading's code, and the share of the readings affected.
-    """
+    """What an effect changes in the distribution of n readings; None leaves that part unchanged."""
 
     bias_cm: Any = None
+    """Added to the centre of the hits [cm]."""
     log_spread: Any = None
+    """Added to the logarithm of the hits' standard deviation."""
     run_offset_cm: float | None = None
+    """Standard deviation of an offset that is common to all readings of a run [cm]."""
     log_odds_short: Any = None
     log_odds_missed: Any = None
     log_odds_random: Any = None
+    """Added to the log odds of a short, missed or random reading against a hit."""
     component: Component | None = None
     share: Any = None
+    """One more component of the mixture, and its share of the readings if it were the only one."""
     fault: CodeFault | None = None
     fault_share: Any = None
+    """A fault of the reading's code, and the share of the readings affected."""
 
 
 def damage(fault: CodeFault) -> Callable[[Scene, Values], Contribution]:
@@ -196,68 +172,46 @@ def damage(fault: CodeFault) -> Callable[[Scene, Values], Contribution]:
 
 @dataclass(frozen=True)
 class Effect:
-    """An entry of the catalogue.
-
-    Attributes
-    ----------
-    name
-        Name in model files.
-    sentence
-        What it does, in a sentence for a pilot.
-    physics
-        Equation or mechanism, and its range of validity.
-    source
-        Source of the equation.
-    parameters
-        Parameters.
-    requires
-        Context columns without which it does nothing.
-    channels
-        Parts of the distribution that it changes.
-    experiment
-        An experiment that shows this effect alone.
-    apply
-        Function from the contexts and the parameters' values by name to a `Contribution`; nothing at the neutral
-        values.
-    optional
-        Further context columns that it uses if they are known.
-    per
-        Column of words if the effect concerns one of them (`mounting_offset` of one sensor); None: all readings.
-    base
-        Parameter of the sensor model with the same meaning; adding the effect is then calibration.
-    equivalent_causes
-        Other causes that change every reading in the same way.
-    media
-        What the sensors range with that it happens to.
-    moves
-        Parameter in proportion to which it moves a part of the hits, all else as it was; empty: it does not.
-    gathers
-        Parameter with the range [cm] at which it gathers readings, wherever the surface is; empty: it does not.
-    any_step
-        Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres.
-    finding
-        What was found of it, in words for a pilot, without a full stop: {of} and its parameters in braces, with
-        the formats of `msp_sim.effects.plain`. Empty: the sentence, and the parameters behind it.
-    """
+    """An entry of the catalogue."""
 
     name: str
+    """Name in model files."""
     sentence: str
+    """What it does, in a sentence for a pilot."""
     physics: str
+    """Equation or mechanism, and its range of validity."""
     source: str
+    """Source of the equation."""
     parameters: tuple[Parameter, ...]
+    """Parameters."""
     channels: tuple[Channel, ...]
+    """Parts of the distribution that it changes."""
     experiment: str
+    """An experiment that shows this effect alone."""
     apply: Callable[[Scene, Values], Contribution] = field(repr=False)
+    """Function from the contexts and the parameters' values by name to a `Contribution`; nothing at the neutral
+    values."""
     requires: tuple[str, ...] = ()
+    """Context columns without which it does nothing."""
     optional: tuple[str, ...] = ()
+    """Further context columns that it uses if they are known."""
     per: Literal["sensor", "run", "target"] | None = None
+    """Column of words if the effect concerns one of them (`mounting_offset` of one sensor); None: all readings."""
     base: str | None = None
+    """Parameter of the sensor model with the same meaning; adding the effect is then calibration."""
     equivalent_causes: tuple[str, ...] = ()
+    """Other causes that change every reading in the same way."""
     media: tuple[Medium, ...] = get_args(Medium)
+    """What the sensors range with that it happens to."""
     moves: str = ""
+    """Parameter in proportion to which it moves a part of the hits, all else as it was; empty: it does not."""
     gathers: str = ""
+    """Parameter with the range [cm] at which it gathers readings, wherever the surface is; empty: it does not."""
     any_step: bool = False
+    """Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres."""
     finding: str = ""
+    """What was found of it, in words for a pilot, without a full stop: {of} and its parameters in braces, with the
+    formats of `msp_sim.effects.plain`. Empty: the sentence, and the parameters behind it."""
 
     def happens_to(self, sensor: SensorModel) -> bool:
         """Whether it can happen to a sensor: by what it ranges with, and by the step of its readings."""

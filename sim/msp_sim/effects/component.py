@@ -42,18 +42,12 @@ class Component(Protocol):
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal distribution about a fixed range, or about a distance from the hit.
-
-    Attributes
-    ----------
-    location_cm
-        The centre [cm], or with ``from_hit`` its distance from the hits' centre.
-    sigma_cm
-        Standard deviation [cm]; None: that of the hits, times ``wider``.
-    """
+    """Normal distribution about a fixed range, or about a distance from the hit."""
 
     location_cm: Any
+    """The centre [cm], or with ``from_hit`` its distance from the hits' centre."""
     sigma_cm: float | None = None
+    """Standard deviation [cm]; None: that of the hits, times ``wider``."""
     from_hit: bool = False
     wider: float = 1.0
 
@@ -80,15 +74,10 @@ class Normal:
 
 @dataclass(frozen=True)
 class FirstBefore:
-    """The first event of a Poisson process, given that there is one before the hit: exponential, truncated at the hit.
-
-    Attributes
-    ----------
-    rate_per_m
-        Events per metre of range [1/m]; above 0 if the component has a share.
-    """
+    """The first event of a Poisson process, if there is one before the hit: exponential, truncated at the hit."""
 
     rate_per_m: Any
+    """Events per metre of range [1/m]; above 0 if the component has a share."""
 
     def prob(self, first_cm: Array, last_cm: Array, hits: Hits, slopes: bool = False) -> Array:
         lowest, highest = hits.minimum_cm, hits.maximum_cm

@@ -9,8 +9,10 @@ receives both autopilot and bridge.
 import math
 import random
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 from msp_range.clock import Clock
 from msp_range.geometry import Vector, rotate_back, rotation_matrix
@@ -18,6 +20,8 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.frames import pack_values
 from msp_range.mavlink.transport import Transport, TransportStats, Wrapped
+from msp_range.yaml_file import Section
+from msp_sim.world.profiles import NotNegative, Positive
 from msp_sim.world.vehicle import GRAVITY_M_S2, HOVER_THROTTLE, Pose
 
 BOOTED_BEFORE_S = 42.5
@@ -49,30 +53,72 @@ _MOTION = ("pressure", "raw_imu", "highres_imu")
 """Messages that are not sent if ``sends_motion`` is False."""
 
 
-class BarometerErrors(NamedTuple):
-    """Errors of a barometer on a vehicle, on top of noise and drift.
+class AttitudeFault(Section):
+    """Invalid attitude messages for some time."""
 
-    Attributes
-    ----------
-    ground_effect_m
-        Error on the ground at hover thrust [m of height].
-    ground_effect_height_m
-        Height of the feet at which that has faded to nothing, along a straight line [m].
-    gust_m, gust_s
-        Standard deviation and correlation time of the error by gusts, a first-order Gauss-Markov process [m, s].
-    air_c
-        Temperature of the air below the vehicle [deg C]: in colder air the pressure falls faster with height.
+    kind: Literal["roll", "huge", "not_a_number"]
+    """roll: this roll is sent; huge: 1e38 rad; not_a_number: NaN"""
+    from_s: NotNegative
+    """when it begins, from the start of the flight [s]"""
+    to_s: NotNegative
+    """when it ends [s]"""
+    roll_deg: float = 180.0
+    """the roll of the kind roll [deg]"""
+
+    @property
+    def roll_rad(self) -> float:
+        """The roll that is sent [rad]."""
+        return {"roll": math.radians(self.roll_deg), "huge": 1e38, "not_a_number": math.nan}[self.kind]
+
+
+class BarometerSection(Section):
+    """What the autopilot's barometer does on a vehicle, on top of noise and drift.
+
+    The defaults are a barometer that only the weather disturbs.
     """
 
-    ground_effect_m: float = 0.0
-    ground_effect_height_m: float = 1.0
-    gust_m: float = 0.0
-    gust_s: float = 3.0
-    air_c: float = STANDARD_C
+    ground_effect_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
+    """error of its height on the ground at hover thrust [m]; negative: the rotors raise the pressure below the vehicle
+    and it reads too low, as most do. It grows with the thrust. Autopilots expect up to 4 or 5 m"""
+    ground_effect_height_m: Positive = 1.0
+    """height of the vehicle's feet at which that has faded to nothing, along a straight line [m]; one to two rotor
+    diameters. ArduPilot's own simulation has 2 m"""
+    gust_m: NotNegative = 0.0
+    """standard deviation of the error of its height by gusts [m]"""
+    gust_s: Positive = 3.0
+    """correlation time of that error [s]"""
+    in_air_temperature: bool = False
+    """whether the pressure falls with height as in the scenario's air, faster the colder it is; otherwise as in air of
+    15 C, which autopilots and the bridge assume. In air of -15 C a climb of 9 m then reads 10 m"""
 
 
-NO_ERRORS = BarometerErrors()
-"""A barometer that only noise and drift disturb, in standard air."""
+class AutopilotSection(Section):
+    """The simulated autopilot at the other end of the link."""
+
+    kind: Autopilot | None = None
+    """ardupilot or px4; default: the one that the airframe's link names"""
+    first_heartbeat_s: NotNegative = 0.0
+    """time of its first heartbeat, from the start of the flight [s]"""
+    reboots_at_s: tuple[NotNegative, ...] = ()
+    """times at which it reboots, which resets its clock [s]"""
+    attitude_faults: tuple[AttitudeFault, ...] = ()
+    """invalid attitudes, in any order"""
+    barometer: BarometerSection = BarometerSection()
+    """errors of its barometer"""
+    sends_motion: bool = True
+    """whether it sends accelerations and pressures; without pressures it does not send its barometer's temperature
+    either"""
+
+    def sent_pose(self, pose: Pose) -> Pose:
+        """The pose that its messages contain."""
+        for fault in self.attitude_faults:
+            if fault.from_s <= pose.time_s < fault.to_s:
+                pose = pose._replace(roll_rad=fault.roll_rad)
+        return pose
+
+
+DEFAULT_PLAN = AutopilotSection()
+"""A healthy autopilot that is there from the beginning."""
 
 
 class LoopbackAutopilot:
@@ -84,19 +130,16 @@ class LoopbackAutopilot:
         The flight's clock; its time at construction is the start of the flight.
     pose, air_c
         The vehicle's pose and the air temperature [deg C] at a time of the flight [s].
-    sent_pose
-        Function from the true pose to the pose that it sends; None: the truth.
+    plan
+        What it does; None: no message of it is ever received.
     kind
-        Which autopilot it claims to be.
+        Which autopilot it claims to be, where the plan does not say it.
     draw
         Source of its accelerometer's and barometer's noise; None: no noise.
-    first_heartbeat_s, reboots_at_s
-        Time of the first heartbeat, and times of reboots [s from the start of the flight].
-    sends_motion
-        Whether it sends accelerations and pressures; otherwise requests for them are denied.
-    barometer, clearance_m
-        Errors of its barometer, and the height of the vehicle's feet above the ground at a time [s], on which its
-        ground effect depends [m].
+    clearance_m
+        Height of the vehicle's feet above the ground at a time [s], on which the barometer's ground effect depends [m].
+    ground_c
+        Temperature of the air at the ground [deg C].
     """
 
     description = "loopback"
@@ -109,36 +152,36 @@ class LoopbackAutopilot:
         clock: Clock,
         pose: Callable[[float], Pose],
         air_c: Callable[[Pose], float],
+        plan: AutopilotSection | None = DEFAULT_PLAN,
         *,
-        sent_pose: Callable[[Pose], Pose] | None = None,
         kind: Autopilot = "ardupilot",
         draw: random.Random | None = None,
-        first_heartbeat_s: float = 0.0,
-        reboots_at_s: Sequence[float] = (),
-        sends_motion: bool = True,
-        barometer: BarometerErrors = NO_ERRORS,
         clearance_m: Callable[[float], float] = lambda time_s: math.inf,
+        ground_c: float = STANDARD_C,
     ) -> None:
+        plan = plan or DEFAULT_PLAN.model_copy(update={"first_heartbeat_s": math.inf})
         self.stats = TransportStats()
         self._frames: list[tuple[float, bytes]] = []
         self._decoded: list[tuple[float, Any]] = []
         self._clock = clock
         self._start_s = clock.now()
         self._pose = pose
-        self._sent_pose = sent_pose or (lambda pose: pose)
+        self._sent_pose: Callable[[Pose], Pose] = plan.sent_pose
         self._air_c = air_c
-        self._kind = dialect.MAV_AUTOPILOT_PX4 if kind == "px4" else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
-        self._first_heartbeat_s = first_heartbeat_s
-        self._reboots_at_s = sorted(reboots_at_s)
+        is_px4 = (plan.kind or kind) == "px4"
+        self._kind = dialect.MAV_AUTOPILOT_PX4 if is_px4 else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
+        self._first_heartbeat_s = plan.first_heartbeat_s
+        self._reboots_at_s = sorted(plan.reboots_at_s)
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
         self._sequence = 0
-        self._refused = () if sends_motion else _MOTION
+        self._refused = () if plan.sends_motion else _MOTION
         self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
         self._gauss = draw.gauss if draw else lambda mean, std: mean
         self._drift_m = self._gust_m = self._drift_s = 0.0
-        self._barometer = barometer
+        self._barometer = plan.barometer
+        self._barometer_c = ground_c if plan.barometer.in_air_temperature else STANDARD_C
         self._clearance_m = clearance_m
         self._sampled = pose(0.0)
         self._force_bias = [self._gauss(0.0, ACCELEROMETER_BIAS_M_S2) for _ in range(3)]
@@ -255,7 +298,7 @@ class LoopbackAutopilot:
         elapsed_s = now_s - self._drift_s
         self._drift_m += self._gauss(0.0, BAROMETER_DRIFT_M * math.sqrt(elapsed_s))
         self._drift_s = now_s
-        scale = (273.15 + STANDARD_C) / (273.15 + of.air_c)
+        scale = (273.15 + STANDARD_C) / (273.15 + self._barometer_c)
         height_m = self._drift_m + self._gauss(0.0, BAROMETER_STD_M) - scale * pose.position_ned_m[2]
         if of.gust_m > 0.0:
             kept = math.exp(-elapsed_s / of.gust_s)

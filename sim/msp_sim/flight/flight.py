@@ -6,7 +6,7 @@ link. The result is a `FlightResult`: what became of each reading, together with
 
 import hashlib
 import random
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,17 @@ from numpy.random import SeedSequence, default_rng
 
 from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
-from msp_range.correction.temperature import FileSource
+from msp_range.config import Airframe
 from msp_range.correction.thermometer import LoopReader
 from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.device.emulated import emulated_bus
-from msp_sim.flight.autopilot import NO_ERRORS, LoopbackAutopilot
-from msp_sim.flight.flight_log import FlightLog
+from msp_sim.device.device import Fault
+from msp_sim.device.emulated import Surroundings, emulated_bus
+from msp_sim.flight.autopilot import LoopbackAutopilot
+from msp_sim.flight.flight_log import FlightLog, FlightResult
 from msp_sim.flight.scenario import Scenario
+from msp_sim.world.vehicle import Pose
+from msp_sim.world.world import World
 
 
 class _LoggingTransport(Wrapped):
@@ -50,7 +53,83 @@ class _LoggingTransport(Wrapped):
         super().close()
 
 
-class Simulation:
+class EmulatedFlight:
+    """The real bridge on emulated sensors, and what becomes of their readings: what all simulated flights share.
+
+    Parameters
+    ----------
+    airframe, clock
+        The vehicle; its time starts at the clock's present one.
+    world
+        The true world.
+    pose
+        The vehicle's pose at a time of the flight [s].
+    model
+        Sensor model for all sensors; None: each sensor's own model file.
+    recorder
+        Records every stage of every reading, and the truth.
+    """
+
+    def __init__(
+        self,
+        airframe: Airframe,
+        clock: Clock,
+        world: World,
+        pose: Callable[[float], Pose],
+        model: SensorModel | None,
+        recorder: Records | None,
+    ) -> None:
+        self._clock = clock
+        self._start_s = clock.now()
+        self.world = world
+        self._pose = pose
+        self._airframe = airframe
+        self._models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
+        self._recorder = recorder
+        self._log = FlightLog(airframe, self._models, world, pose, self._start_s, recorder)
+        self.flight = self._log.flight
+
+    def _make_bridge(
+        self,
+        transport: Transport,
+        seed: SeedSequence,
+        faults: Mapping[str, Sequence[Fault]],
+        sensed_pose: Callable[[float], Pose],
+        **options: Any,
+    ) -> None:
+        """Make the bridge, with the emulated sensors on its bus at the pose that they sense."""
+        around = Surroundings(self.world, sensed_pose, self._log.record_truth)
+        bus = emulated_bus(self._airframe, self._models, around, self.now_s, seed, faults)
+        thermometer = LoopReader(lambda source: self._displayed_c() / source.scale)
+        options |= {"recorder": self._recorder, "thermometer": thermometer}
+        self.bridge = Bridge(self._airframe, bus, self._clock, transport, **options)
+
+    def now_s(self) -> float:
+        """Time of the flight [s]."""
+        return self._clock.now() - self._start_s
+
+    def step(self) -> list[Step]:
+        """Run one step of the bridge and record it."""
+        steps = self.bridge.step()
+        for step in steps:
+            self._log.record_step(step)
+        return steps
+
+    def finish(self) -> FlightResult:
+        """Complete the result of the flight and return it."""
+        self._log.finish(self.now_s(), self.bridge)
+        return self.flight
+
+    def _air_c(self, time_s: float) -> float:
+        """Air temperature at the vehicle at a time of the flight [deg C]."""
+        return self.world.air_temperature_c(-self._pose(time_s).position_ned_m[2])
+
+    def _displayed_c(self) -> float:
+        """Present reading of the vehicle's thermometers, instead of this computer's own files [deg C]."""
+        return self._air_c(self.now_s())
+
+
+class Simulation(EmulatedFlight):
     """One flight of a scenario.
 
     Parameters
@@ -91,87 +170,54 @@ class Simulation:
     ) -> None:
         airframe = scenario.airframe
         for_vehicle, for_sensors, for_autopilot = SeedSequence(seed).spawn(3)
-        self._clock = clock
-        self._start_s = clock.now()
+        world = scenario.world()
+        self.vehicle = scenario.vehicle(world, default_rng(for_vehicle))
+        super().__init__(airframe, clock, world, self.vehicle.pose, model, recorder)
         self._duration_s = scenario.duration_s
-        self.world = scenario.world()
-        self.vehicle = scenario.vehicle(self.world, default_rng(for_vehicle))
-        models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
-        self._log = FlightLog(airframe, models, self.world, self.vehicle.pose, self._start_s, recorder)
-        self.flight = self._log.flight
-        bus = emulated_bus(
-            airframe,
-            models,
-            self.world,
-            self.vehicle.pose,
-            self.now_s,
-            for_sensors,
-            self._log.record_truth,
-            scenario.device_faults(),
-        )
-        self._reference_down_m = airframe.reference_down_m
-        self._displayed_c = scenario.thermometer.reading_c
-        plan = scenario.autopilot
+        self._thermometer = scenario.thermometer
         self._autopilot = LoopbackAutopilot(
             clock,
             self.vehicle.pose,
-            lambda pose: self._displayed_c(pose.time_s, self._air_c),
-            sent_pose=plan.sent_pose if plan else None,
+            lambda pose: self._thermometer.reading_c(pose.time_s, self._air_c),
+            scenario.autopilot,
+            kind=airframe.link.autopilot,
             draw=random.Random(int(for_autopilot.generate_state(1)[0])),
-            kind=(plan.kind if plan else None) or airframe.link.autopilot,
-            first_heartbeat_s=plan.first_heartbeat_s if plan else float("inf"),
-            reboots_at_s=plan.reboots_at_s if plan else (),
-            sends_motion=plan.sends_motion if plan else True,
-            barometer=plan.barometer.errors(scenario.air.ground_c) if plan else NO_ERRORS,
             clearance_m=self.vehicle.clearance_m,
+            ground_c=scenario.air.ground_c,
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
         self.transport = _LoggingTransport(transport, clock, tlog)
-        self.bridge = Bridge(
-            airframe,
-            bus,
-            clock,
+        self._make_bridge(
             self.transport,
-            recorder=recorder,
+            for_sensors,
+            scenario.device_faults(),
+            self.vehicle.pose,
             report=lambda severity, text: self._log.record_text(self.now_s(), severity, text),
-            thermometer=LoopReader(self._thermometer),
         )
-
-    def now_s(self) -> float:
-        """Time of the flight [s]."""
-        return self._clock.now() - self._start_s
 
     def height_m(self) -> float:
         """Present vertical distance from where the fused stream measures to the surface below [m]."""
-        return self.world.height_m(self.vehicle.pose(self.now_s())) - self._reference_down_m
+        return self.world.height_m(self.vehicle.pose(self.now_s())) - self._airframe.reference_down_m
 
     def fly(self) -> Generator[list[Step], None, None]:
         """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""
         end_s = self._start_s + self._duration_s
-        now, step = self._clock.now, self.bridge.step
         try:
-            while now() < end_s:
-                steps = step()
-                for each in steps:
-                    self._log.record_step(each)
-                yield steps
+            while self._clock.now() < end_s:
+                yield self.step()
         finally:
-            self._finish()
+            self.finish()
 
-    def _thermometer(self, source: FileSource) -> float:
-        """Reading of the vehicle's thermometers, instead of this computer's own files."""
-        return self._displayed_c(self.now_s(), self._air_c) / source.scale
+    def _displayed_c(self) -> float:
+        return self._thermometer.reading_c(self.now_s(), self._air_c)
 
-    def _air_c(self, time_s: float) -> float:
-        """Air temperature at the vehicle at a time of the flight [deg C]."""
-        return self.world.air_temperature_c(-self.vehicle.pose(time_s).position_ned_m[2])
-
-    def _finish(self) -> None:
-        self._log.finish(self.now_s(), self.bridge)
-        flight = self.flight
+    def finish(self) -> FlightResult:
+        """Complete the result of the flight, close its link and return it."""
+        flight = super().finish()
         flight.autopilot_received = dict(self._autopilot.received_counts())
         flight.frames_sha256 = self.transport.sha256.hexdigest()
         self.transport.close()
+        return flight
 
     @property
     def received(self) -> list[tuple[float, Any]]:

@@ -61,33 +61,24 @@ class SensorTrack:
 
 @dataclass(slots=True)
 class FlightResult:
-    """The result of a flight.
-
-    Attributes
-    ----------
-    tracks
-        Readings by sensor.
-    fused
-        The fused stream; its ``raw_m`` is empty, and ``why`` is ``edge`` where the ground differs between the sensors.
-    texts
-        Health messages: time [s], severity, text.
-    rejected, sent, dropped
-        Rejected readings by sensor and reason; numbers of messages by type.
-    frames_sha256
-        Hash of all bytes sent, in order.
-    duration_s
-        Time flown [s].
-    """
+    """The result of a flight."""
 
     tracks: dict[str, SensorTrack]
+    """Readings by sensor."""
     fused: SensorTrack
+    """The fused stream; its ``raw_m`` is empty, and ``why`` is ``edge`` where the ground differs between the
+    sensors."""
     texts: list[tuple[float, str, str]]
+    """Health messages: time [s], severity, text."""
     rejected: dict[str, dict[str, int]] = field(default_factory=dict)
     sent: dict[str, int] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
+    """Rejected readings by sensor and reason; numbers of messages by type."""
     autopilot_received: dict[str, int] = field(default_factory=dict)
     frames_sha256: str = ""
+    """Hash of all bytes sent, in order."""
     duration_s: float = 0.0
+    """Time flown [s]."""
 
 
 class FlightLog:

@@ -34,27 +34,18 @@ without a reason, more only delay the message."""
 
 @dataclass(frozen=True)
 class SampledFlight:
-    """One flight with random parameters.
-
-    Attributes
-    ----------
-    scenario
-        To be flown.
-    seed
-        Random seed of the flight itself.
-    values
-        What was drawn, by the parameter's path.
-    faults
-        Random faults, as in a scenario's section ``faults``.
-    refused
-        Number of draws before it in which the vehicle would have flown into the ground, or longer than the scenario.
-    """
+    """One flight with random parameters."""
 
     scenario: Scenario
+    """To be flown."""
     seed: int
+    """Random seed of the flight itself."""
     values: Mapping[str, Any]
+    """What was drawn, by the parameter's path."""
     faults: tuple[Mapping[str, Any], ...]
+    """Random faults, as in a scenario's section ``faults``."""
     refused: int
+    """Number of draws before it in which the vehicle would have flown into the ground, or longer than the scenario."""
 
     def text(self, airframe: str) -> str:
         """The scenario as a file, with the airframe file of this name."""

@@ -15,15 +15,14 @@ from numpy.random import Generator, default_rng
 from pydantic import Field, model_validator
 
 from msp_range.config import NamedAirframe
-from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.yaml_file import Section, config_path, load
 from msp_sim.device import device
 from msp_sim.device.table import emulated_kind
-from msp_sim.flight.autopilot import STANDARD_C, BarometerErrors
+from msp_sim.flight.autopilot import AutopilotSection
 from msp_sim.flight.vary import VarySection
-from msp_sim.world.profiles import Positive
+from msp_sim.world.profiles import NotNegative, Positive
 from msp_sim.world.surfaces import GroundSection
-from msp_sim.world.vehicle import FlightSection, Pose, Vehicle
+from msp_sim.world.vehicle import FlightSection, Vehicle
 from msp_sim.world.world import AirSection, World
 
 CHECK_EVERY_S = 0.1
@@ -37,8 +36,6 @@ LONGEST_EXCESS_S = 3600.0
 """If the altitude segments exceed the flight by more than this, the error is reported without simulating them [s]."""
 GROUND_TOLERANCE_M = 0.01
 """Depth to which the vehicle's feet may be in the ground without an error [m]: sloped ground under a landed vehicle."""
-
-NotNegative = Annotated[float, Field(ge=0)]
 
 _VALUE_OF_KIND = {
     "word": "impossible",
@@ -155,80 +152,6 @@ class Thermometer(Section):
         active = [fault for fault in self.faults if fault.from_s <= time_s < fault.to_s]
         frozen_s = [fault.from_s for fault in active if fault.kind == "freeze"]
         return air_c(min([time_s, *frozen_s])) + self.warmer_by_c + sum(fault.error_c(time_s) for fault in active)
-
-
-class AttitudeFault(Section):
-    """Invalid attitude messages for some time."""
-
-    kind: Literal["roll", "huge", "not_a_number"]
-    """roll: this roll is sent; huge: 1e38 rad; not_a_number: NaN"""
-    from_s: NotNegative
-    """when it begins, from the start of the flight [s]"""
-    to_s: NotNegative
-    """when it ends [s]"""
-    roll_deg: float = 180.0
-    """the roll of the kind roll [deg]"""
-
-    @property
-    def roll_rad(self) -> float:
-        """The roll that is sent [rad]."""
-        return {"roll": math.radians(self.roll_deg), "huge": 1e38, "not_a_number": math.nan}[self.kind]
-
-
-class BarometerSection(Section):
-    """What the autopilot's barometer does on a vehicle, on top of noise and drift.
-
-    The defaults are a barometer that only the weather disturbs.
-    """
-
-    ground_effect_m: Annotated[float, Field(ge=-10, le=10)] = 0.0
-    """error of its height on the ground at hover thrust [m]; negative: the rotors raise the pressure below the vehicle
-    and it reads too low, as most do. It grows with the thrust. Autopilots expect up to 4 or 5 m"""
-    ground_effect_height_m: Positive = 1.0
-    """height of the vehicle's feet at which that has faded to nothing, along a straight line [m]; one to two rotor
-    diameters. ArduPilot's own simulation has 2 m"""
-    gust_m: NotNegative = 0.0
-    """standard deviation of the error of its height by gusts [m]"""
-    gust_s: Positive = 3.0
-    """correlation time of that error [s]"""
-    in_air_temperature: bool = False
-    """whether the pressure falls with height as in the scenario's air, faster the colder it is; otherwise as in air of
-    15 C, which autopilots and the bridge assume. In air of -15 C a climb of 9 m then reads 10 m"""
-
-    def errors(self, air_c: float) -> BarometerErrors:
-        """Its errors in air of a temperature [deg C]."""
-        return BarometerErrors(
-            self.ground_effect_m,
-            self.ground_effect_height_m,
-            self.gust_m,
-            self.gust_s,
-            air_c if self.in_air_temperature else STANDARD_C,
-        )
-
-
-class AutopilotSection(Section):
-    """The simulated autopilot at the other end of the link."""
-
-    kind: Autopilot | None = None
-    """ardupilot or px4; default: the one that the airframe's link names"""
-    first_heartbeat_s: NotNegative = 0.0
-    """time of its first heartbeat, from the start of the flight [s]"""
-    reboots_at_s: tuple[NotNegative, ...] = ()
-    """times at which it reboots, which resets its clock [s]"""
-    attitude_faults: tuple[AttitudeFault, ...] = ()
-    """invalid attitudes, in any order"""
-    barometer: BarometerSection = BarometerSection()
-    """errors of its barometer"""
-    sends_motion: bool = True
-    """whether it sends accelerations and pressures; without pressures it does not send its barometer's temperature
-    either"""
-
-    def sent_pose(self, pose: Pose) -> Pose:
-        """The pose that its messages contain."""
-        for fault in self.attitude_faults:
-            if fault.from_s <= pose.time_s < fault.to_s:
-                pose = pose._replace(roll_rad=fault.roll_rad)
-        return pose
 
 
 class Scenario(Section):

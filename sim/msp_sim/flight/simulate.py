@@ -20,22 +20,15 @@ from msp_sim.flight.summary import summarise
 
 
 class SimulatedFlight(NamedTuple):
-    """What a simulated flight gave.
-
-    Attributes
-    ----------
-    summary
-        The numbers of ``summary.json``.
-    readings
-        Columns by name, a row for each reading: `time_s`, `sensor`, `true_range_m` (what a sensor without errors
-        would read), `range_m` (as the sensor gave it), `filtered_m` (after correction and filters). NaN: none.
-    fused
-        The same for the fused distance: `time_s`, `true_range_m`, `filtered_m`.
-    """
+    """What a simulated flight gave."""
 
     summary: dict[str, Any]
+    """The numbers of ``summary.json``."""
     readings: dict[str, Column]
+    """Columns by name, a row for each reading: `time_s`, `sensor`, `true_range_m` (what a sensor without errors would
+    read), `range_m` (as the sensor gave it), `filtered_m` (after correction and filters). NaN: none."""
     fused: dict[str, Column]
+    """The same for the fused distance: `time_s`, `true_range_m`, `filtered_m`."""
 
 
 def simulate_flight(

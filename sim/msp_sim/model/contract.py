@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 from scipy.stats import chisquare, kstest
 
-from msp_range.arrays import Array, Column
+from msp_range.arrays import Array, Column, numbered
 from msp_range.reading_model.kernel import on_grid
 from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel
@@ -38,21 +38,14 @@ def codes(sensor: SensorModel) -> Array:
 
 @dataclass(frozen=True)
 class Check:
-    """A requirement on an effect.
-
-    Attributes
-    ----------
-    title
-        What is checked.
-    find
-        Returns what is wrong with an effect; None if nothing is.
-    advice
-        How to correct it.
-    """
+    """A requirement on an effect."""
 
     title: str
+    """What is checked."""
     find: Callable[["Trial"], str | None]
+    """Returns what is wrong with an effect; None if nothing is."""
     advice: str
+    """How to correct it."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +54,10 @@ class Result:
 
     check: Check
     found: str | None
+
+
+def _draw(model: Model, given: Columns, seed: int) -> Array:
+    return model.sample(given, np.random.default_rng(seed))
 
 
 def _description(trial: Trial) -> str | None:
@@ -110,8 +107,8 @@ def _shows(trial: Trial) -> str | None:
 def _neutral(trial: Trial) -> str | None:
     base, given = trial.neighbour(), trial.contexts(3000)
     neutral = Model(base.sensor, (*base.effects, trial.at(trial.effect.neutral_values())))
-    readings_cm = base.sample(given, np.random.default_rng(4))
-    other = (neutral.sample(given, np.random.default_rng(4)) != readings_cm).sum()
+    readings_cm = _draw(base, given, 4)
+    other = (_draw(neutral, given, 4) != readings_cm).sum()
     if other:
         return f"at its neutral values {other} of 3000 readings differ from those without it"
     off = np.abs(neutral.log_prob(readings_cm, given) - base.log_prob(readings_cm, given)).max()
@@ -121,12 +118,12 @@ def _neutral(trial: Trial) -> str | None:
 def _requires_context(trial: Trial) -> str | None:
     effect, base, given = trial.effect, trial.neighbour(), trial.contexts(3000)
     with_effect = trial.on(base)
-    readings_cm = base.sample(given, np.random.default_rng(4))
+    readings_cm = _draw(base, given, 4)
     for column in sorted({*effect.requires, *([effect.per] if effect.per else [])} - {TRUE_RANGE}):
         absent = {key: values for key, values in given.items() if key != column}
         empty = np.full(3000, "" if given[column].dtype.kind == "U" else np.nan)
         for unknown, how in ((absent, "is absent"), ({**given, column: empty}, "is empty")):
-            drawn_cm = with_effect.sample(unknown, np.random.default_rng(4))
+            drawn_cm = _draw(with_effect, unknown, 4)
             scores_differ = with_effect.log_prob(readings_cm, unknown) != base.log_prob(readings_cm, unknown)
             if (drawn_cm != readings_cm).any() or scores_differ.any():
                 return f"it changes readings although the column {column} {how}"
@@ -185,7 +182,7 @@ def _draws(trial: Trial) -> str | None:
 
 def uniformity(model: Model, given: Columns) -> float:
     """p-value of a model's own draws under its probabilities; 0 where one has none."""
-    readings_cm = model.sample(given, np.random.default_rng(2))
+    readings_cm = _draw(model, given, 2)
     rows = model.rows(given)
     p = np.exp(rows.log_prob(readings_cm))
     if not (p > 0.0).all():
@@ -203,7 +200,7 @@ def _draws_of_one(trial: Trial) -> str | None:
     for row in acting:
         given = {column: np.repeat(values[row], n) for column, values in few.items()}
         given["run"] = np.arange(n).astype(str) if trial.effect.per is None else given["run"]
-        readings_cm = model.sample(given, np.random.default_rng(int(row)))
+        readings_cm = _draw(model, given, int(row))
         one = {column: np.repeat(values[row], every.size) for column, values in few.items()}
         expected = n * np.exp(model.log_prob(every, one))
         observed = np.bincount(np.searchsorted(every, readings_cm), minlength=every.size)
@@ -219,7 +216,7 @@ def _draws_of_one(trial: Trial) -> str | None:
 def _grouped(observed: Column, expected: Column) -> tuple[Column, Column]:
     """Counts of neighbouring codes together, ten or more expected in each group."""
     group = np.floor(np.cumsum(expected) / 10.0).astype(int)
-    group = np.unique(group, return_inverse=True)[1]
+    group = numbered(group)
     group[group == group.max()] = max(group.max() - 1, 0)
     return np.bincount(group, observed), np.bincount(group, expected)
 
@@ -240,7 +237,7 @@ def _one_at_a_time(trial: Trial) -> str | None:
 def _alone(trial: Trial) -> str | None:
     """Probabilities of parts of a table equal those of the whole table."""
     model, given, n = trial.on(trial.base), trial.contexts(600), 600
-    readings_cm = model.sample(given, np.random.default_rng(4))
+    readings_cm = _draw(model, given, 4)
     together = model.log_prob(readings_cm, given)
     parts = [slice(i, i + 60) for i in range(0, n, 60)]
     apart = [
@@ -266,9 +263,9 @@ def _leaves_others(trial: Trial) -> str | None:
         if name == effect.name:
             continue
         other = trial.base.adding(name, **values)
-        readings_cm = other.sample(given, np.random.default_rng(9))
+        readings_cm = _draw(other, given, 9)
         for both in (trial.on(other), Model(other.sensor, (trial.strong, *other.effects))):
-            same = both.sample(given, np.random.default_rng(9)) == readings_cm
+            same = _draw(both, given, 9) == readings_cm
             if not same[inactive].all():
                 return f"next to {name}, readings change where it has no effect"
     return None
@@ -279,9 +276,9 @@ def _rare(trial: Trial) -> str | None:
         return None
     n = 20_000
     given = trial.contexts(n)
-    readings_cm = trial.base.sample(given, np.random.default_rng(9))
+    readings_cm = _draw(trial.base, given, 9)
     rare = Model(trial.base.sensor, (trial.at(dict(trial.strong.values) | {"share": 0.01}),))
-    changed = float((rare.sample(given, np.random.default_rng(9)) != readings_cm).mean())
+    changed = float((_draw(rare, given, 9) != readings_cm).mean())
     return None if changed < 0.0125 else f"with a share of 1 % it changes {100 * changed:.1f} % of the readings"
 
 

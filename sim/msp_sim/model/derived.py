@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
-from msp_range.arrays import Array, Column, Indices
+from msp_range.arrays import Array, Column, Indices, angle_deg, numbered
 from msp_range.recording.export import neighbour_lags_ms
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.model.history import History
@@ -17,6 +17,7 @@ from msp_sim.model.model import Model
 _Columns = Mapping[str, Column]
 
 PREVIOUS = "previous_reading_cm"
+"""Column of the reading of the same sensor and run before this one [cm], which the intake of readings adds."""
 CLOSEST_S = 1e-6
 """Rows of a sensor that are closer in time than this say nothing of a rate [s]; two stamps of one reading are."""
 SLOPE_S = 0.1
@@ -94,7 +95,7 @@ def time_in_run_s(columns: _Columns) -> Array:
     time_s: Array = np.asarray(columns["time_s"], dtype=np.float64)
     if "run" not in columns:
         return np.asarray(time_s - time_s.min())
-    _, run = np.unique(columns["run"], return_inverse=True)
+    run = numbered(columns["run"])
     first_s = np.full(int(run.max(initial=0)) + 1, np.inf)
     np.minimum.at(first_s, run, time_s)
     return np.asarray(time_s - first_s[run])
@@ -102,14 +103,18 @@ def time_in_run_s(columns: _Columns) -> Array:
 
 def _incidence_deg(columns: _Columns) -> Array:
     """Angle between the vehicle's down axis and the vertical [deg]."""
-    roll, pitch = (np.radians(columns[name]) for name in ("roll_deg", "pitch_deg"))
-    return np.asarray(np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0))))
+    return tilt_deg(np.radians(columns["roll_deg"]), np.radians(columns["pitch_deg"]))
+
+
+def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
+    """Angle between the vehicle's down axis and straight down: its cosine is cos(roll) cos(pitch)."""
+    return angle_deg(np.cos(roll_rad) * np.cos(pitch_rad))
 
 
 def _range_rate_cm_s(columns: _Columns) -> Array:
     """Slope of the true range over the rows near in time, of the same sensor and run [cm/s]; NaN where it jumps."""
     range_cm, time_s = (np.asarray(columns[name], dtype=np.float64) for name in (TRUE_RANGE, "time_s"))
-    words = [np.unique(columns[name], return_inverse=True)[1] for name in ("run", "sensor") if name in columns]
+    words = [numbered(columns[name]) for name in ("run", "sensor") if name in columns]
     order = np.lexsort((time_s, *words))
     order = order[np.isfinite(range_cm[order])]
     starts = np.diff(time_s[order], prepend=-math.inf) > FARTHEST_S

@@ -27,30 +27,20 @@ HIT_SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class History:
-    """Readings in the order of their time, series by series; a series is one sensor in one run.
-
-    Attributes
-    ----------
-    order
-        Places of the readings, series by series and in order of time, (n,).
-    series
-        Number of the series of each reading in that order, (n,), from 0.
-    time_s
-        Time of each reading in that order [s], (n,); its number within the series where no time is recorded.
-    names
-        Name of each series.
-    correlation
-        Of two hits that are `spacing_s` apart.
-    spacing_s
-        The time to which `correlation` refers [s].
-    """
+    """Readings in the order of their time, series by series; a series is one sensor in one run."""
 
     order: Indices
+    """Places of the readings, series by series and in order of time, (n,)."""
     series: Indices
+    """Number of the series of each reading in that order, (n,), from 0."""
     time_s: Array
+    """Time of each reading in that order [s], (n,); its number within the series where no time is recorded."""
     names: tuple[str, ...]
+    """Name of each series."""
     correlation: float
+    """Of two hits that are `spacing_s` apart."""
     spacing_s: float
+    """The time to which `correlation` refers [s]."""
 
     @classmethod
     def of(cls, columns: Mapping[str, Any], size: int, correlation: float, spacing_s: float) -> "History":

@@ -50,25 +50,17 @@ class RunOffset(NamedTuple):
 
 @dataclass(frozen=True)
 class Carry:
-    """What readings carry over from the last hit before them, each (n,); all zero where there is none.
-
-    Attributes
-    ----------
-    before
-        Place of the last hit.
-    factor
-        By how much a centre moves if that hit's centre moves back by one.
-    shift_cm
-        By how much the hit's error moves the centre [cm].
-    correlation_shift_cm, log_sigma_slope
-        Derivatives by the correlation, of the centre [cm] and of the logarithm of the spread.
-    """
+    """What readings carry over from the last hit before them, each (n,); all zero where there is none."""
 
     before: Indices
+    """Place of the last hit."""
     factor: Array
+    """By how much a centre moves if that hit's centre moves back by one."""
     shift_cm: Array
+    """By how much the hit's error moves the centre [cm]."""
     correlation_shift_cm: Array
     log_sigma_slope: Array
+    """Derivatives by the correlation, of the centre [cm] and of the logarithm of the spread."""
 
 
 @dataclass(frozen=True)

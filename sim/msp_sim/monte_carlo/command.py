@@ -50,7 +50,6 @@ def fly_monte_carlo(
     path = config_path(scenario_file, "scenarios")
     sampled = Sampled(load_scenario(path), str(path))
     sensor_model = load_sensor_model(model) if model is not None else None
-    columns = [*(DRAWN if model_only else FLOWN), "refused", *sampled.vary.parameters]
     settings = {
         "scenario": sampled.scenario.name,
         "files": _sha256(sampled, sensor_model),
@@ -60,11 +59,10 @@ def fly_monte_carlo(
     }
     if sampled.scenario.vary is None:
         _print_variation(sampled)
-    store = FlightStore(out, columns, settings)
-    flown = {row[NUMBER] for row in store.rows}
-    wanted = [number for number in range(flights) if number not in flown]
-    if flown:
-        print(f"{out}: {len(flown)} flights are here already; {len(wanted)} are to be flown")
+    store = FlightStore(out, [*(DRAWN if model_only else FLOWN), "refused", *sampled.vary.parameters], settings)
+    wanted = sorted({*range(flights)} - {row[NUMBER] for row in store.rows})
+    if store.rows:
+        print(f"{out}: {len(store.rows)} flights are here already; {len(wanted)} are to be flown")
     failed: dict[int, str] = {}
     try:
         with workers(jobs, scheduler, COMMAND) as where:

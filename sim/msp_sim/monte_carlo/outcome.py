@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.random import SeedSequence, default_rng
 
+from msp_range.arrays import Array
 from msp_range.assembly import fused_stream, polling_groups, polling_interval_s, single_streams, windows_of
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
@@ -21,13 +22,12 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import column_of
-from msp_sim.device.emulated import EmulatedSensor, LastPings
+from msp_sim.device.emulated import Surroundings, ping_contexts
 from msp_sim.effects.own import add_own_effects_once
-from msp_sim.flight.autopilot import REBOOT_S
+from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.sampled import Sampled, SampledFlight
-from msp_sim.flight.scenario import AutopilotSection
 from msp_sim.flight.summary import error_numbers
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
@@ -69,22 +69,15 @@ Numbers = dict[str, Any]
 
 @dataclass(frozen=True)
 class Flights:
-    """What all flights have in common.
-
-    Attributes
-    ----------
-    sampled, seed
-        The scenario with what varies, and the random seed.
-    model
-        Sensor model for all sensors; None: each sensor's own.
-    effects
-        Files with effects that the models name, and that are not in the catalogue.
-    """
+    """What all flights have in common."""
 
     sampled: Sampled
     seed: int
+    """The scenario with what varies, and the random seed."""
     model: SensorModel | None = None
+    """Sensor model for all sensors; None: each sensor's own."""
     effects: tuple[Path, ...] = ()
+    """Files with effects that the models name, and that are not in the catalogue."""
 
     def sample(self, index: int) -> SampledFlight:
         """Draw a flight, with the effects added to the catalogue of this process."""
@@ -126,20 +119,14 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     scenario = sample.scenario
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
     world = scenario.world()
-    vehicle = scenario.vehicle(world, default_rng(for_vehicle))
-    others: LastPings = {}
-    sensors = {
-        sensor.name: EmulatedSensor(
-            sensor, model or sensor.sensor_model, world, vehicle.pose, default_rng(0), lambda *_: None, others
-        )
-        for sensor in scenario.airframe.sensors
-    }
-    contexts: dict[str, list[dict[str, Any]]] = {name: [] for name in sensors}
+    around = Surroundings(world, scenario.vehicle(world, default_rng(for_vehicle)).pose)
     groups, interval_s = polling_groups(scenario.airframe), polling_interval_s(scenario.airframe)
-    for turn in range(math.ceil(scenario.duration_s / interval_s)):
-        for name in groups[turn % len(groups)]:
-            contexts[name].append(sensors[name].context(turn * interval_s))
-    seeds = for_readings.generate_state(len(sensors))
+    turns = range(math.ceil(scenario.duration_s / interval_s))
+    pings = ((turn * interval_s, name) for turn in turns for name in groups[turn % len(groups)])
+    contexts: dict[str, list[dict[str, Any]]] = {sensor.name: [] for sensor in scenario.airframe.sensors}
+    for context in ping_contexts(scenario.airframe, model, around, pings):
+        contexts[context["sensor"]].append(context)
+    seeds = for_readings.generate_state(len(contexts))
     readings = [
         _drawn(model or sensor.sensor_model, contexts[sensor.name], int(seeds[i]))
         for i, sensor in enumerate(scenario.airframe.sensors)
@@ -282,32 +269,22 @@ def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
     return numbers | {"error_worst_cm": round(worst_cm, 3)}
 
 
-class _Readings:
-    """Readings of one sensor with their truth, both [cm]; the truth is NaN where no echo is expected."""
-
-    def __init__(self, time_s: Any, reading_cm: Any, true_cm: Any, maximum_cm: float) -> None:
-        self.time_s, self.reading_cm, self.true_cm = time_s, reading_cm, true_cm
-        self.expected = np.isfinite(true_cm) & (true_cm < maximum_cm)
-        self.answered = reading_cm < maximum_cm
-
-
-def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> _Readings:
+def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> Array:
+    """Time [s], reading, truth (NaN where no echo is expected) and code of no echo [cm] of a sensor's pings, (4, n)."""
     columns = {name: column_of("drawn", name, [each.get(name) for each in contexts]) for name in contexts[0]}
     columns["time_s"] = columns["uptime_s"]
     reading_cm = sample_in_order(Model.of(model), columns, seed)
-    return _Readings(columns["time_s"], reading_cm, columns["true_range_cm"], model.maximum_cm)
+    maximum_cm = np.full(reading_cm.shape, float(model.maximum_cm))
+    return np.stack([columns["time_s"], reading_cm, columns["true_range_cm"], maximum_cm])
 
 
-def _judged_readings(sensors: Sequence[_Readings]) -> Numbers:
-    expected = sum(int(each.expected.sum()) for each in sensors)
-    both = [each.expected & each.answered for each in sensors]
-    errors_cm = np.concatenate(
-        [each.reading_cm[rows] - each.true_cm[rows] for each, rows in zip(sensors, both, strict=True)]
-    )
+def _judged_readings(sensors: Sequence[Array]) -> Numbers:
+    time_s, reading_cm, true_cm, maximum_cm = np.concatenate(sensors, axis=1)
+    is_expected, is_answered = true_cm < maximum_cm, reading_cm < maximum_cm
+    expected = int(is_expected.sum())
+    errors_cm = (reading_cm - true_cm)[is_expected & is_answered]
     wrong = int((np.abs(errors_cm) > WRONG_CM).sum())
-    answered_s = np.sort(np.concatenate([each.time_s[each.answered] for each in sensors]))
-    end_s = max(float(each.time_s[-1]) for each in sensors)
-    gaps_s = np.diff(np.concatenate([[0.0], answered_s, [end_s]]))
+    gaps_s = np.diff(np.concatenate([[0.0], np.sort(time_s[is_answered]), [time_s.max()]]))
     return {
         "wrong_share": round(wrong / expected, 5) if expected else None,
         "missed_share": round(1.0 - errors_cm.size / expected, 5) if expected else None,

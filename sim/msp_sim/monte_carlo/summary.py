@@ -49,25 +49,17 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Summary:
-    """The numbers of many flights.
-
-    Attributes
-    ----------
-    flights
-        Number of flights.
-    shares, distributions
-        What happened how often, and how large it was.
-    worst
-        Rows of the worst flights, the worst first.
-    failed
-        Error messages of flights that could not be flown, by number.
-    """
+    """The numbers of many flights."""
 
     flights: int
+    """Number of flights."""
     shares: tuple[Share, ...]
     distributions: tuple[Distribution, ...]
+    """What happened how often, and how large it was."""
     worst: tuple[Row, ...]
+    """Rows of the worst flights, the worst first."""
     failed: Mapping[int, str]
+    """Error messages of flights that could not be flown, by number."""
 
 
 EVENTS = {

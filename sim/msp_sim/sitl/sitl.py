@@ -20,11 +20,9 @@ from typing import Any
 
 from numpy.random import SeedSequence
 
-from msp_range.bridge import Bridge, Records, Step
+from msp_range.bridge import Records
 from msp_range.clock import Clock
 from msp_range.config import Airframe
-from msp_range.correction.temperature import FileSource
-from msp_range.correction.thermometer import LoopReader
 from msp_range.geometry import Vector
 from msp_range.health import Report, Severity
 from msp_range.mavlink.dialect import dialect
@@ -33,8 +31,7 @@ from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.device import Fault, NotAcknowledged
-from msp_sim.device.emulated import emulated_bus
-from msp_sim.flight.flight_log import FlightLog, FlightResult
+from msp_sim.flight.flight import EmulatedFlight
 from msp_sim.world.vehicle import EulerAngles, Pose
 from msp_sim.world.world import World
 
@@ -201,7 +198,7 @@ def landed_clearance_m(airframe: Airframe) -> float:
     return max(sensor.position_m[2] + sensor.sensor_model.minimum_cm / 100 for sensor in airframe.sensors)
 
 
-class Sitl:
+class Sitl(EmulatedFlight):
     """The real bridge with emulated sensors on a vehicle that its autopilot simulates.
 
     While the pose is unknown no sensor answers, because a distance would be invented.
@@ -250,70 +247,32 @@ class Sitl:
     ) -> None:
         if clearance_m is None:
             clearance_m = landed_clearance_m(airframe)
-        self._clock = clock
-        self._start_s = clock.now()
-        self._world = world
-        self._report = report
         self.vehicle = AutopilotVehicle(world.elevation_m, clearance_m, start_m)
-        models = {sensor.name: model or sensor.sensor_model for sensor in airframe.sensors}
-        self._log = FlightLog(airframe, models, world, self.vehicle.pose, self._start_s, recorder)
-        self.flight = self._log.flight
-        bus = emulated_bus(
-            airframe,
-            models,
-            world,
-            self._known_pose,
-            self.now_s,
-            SeedSequence(seed),
-            self._log.record_truth,
-            faults,
-        )
-        self._bridge = Bridge(
-            airframe,
-            bus,
-            clock,
+        super().__init__(airframe, clock, world, self.vehicle.pose, model, recorder)
+        self._report = report
+        self._make_bridge(
             transport,
-            recorder=recorder,
+            SeedSequence(seed),
+            faults,
+            self._known_pose,
             report=self._on_health,
             on_message=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
             wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
-            thermometer=LoopReader(self._thermometer),
             signing=signing_of(airframe.link.signing_key, clock),
         )
 
-    def now_s(self) -> float:
-        """Time since the start [s]."""
-        return self._clock.now() - self._start_s
-
     def height_m(self) -> float:
         """Present vertical distance from the vehicle's reference point to the surface below [m]."""
-        return self._world.height_m(self.vehicle.pose(self.now_s()))
+        return self.world.height_m(self.vehicle.pose(self.now_s()))
 
     def is_autopilot_connected(self) -> bool:
         """Whether heartbeats of an autopilot are being received."""
-        return self._bridge.link.autopilot_is_present
-
-    def step(self) -> list[Step]:
-        """Run one step of the bridge and record it."""
-        steps = self._bridge.step()
-        for step in steps:
-            self._log.record_step(step)
-        return steps
-
-    def finish(self) -> FlightResult:
-        """Complete the result of the flight and return it."""
-        self._log.finish(self.now_s(), self._bridge)
-        return self.flight
+        return self.bridge.link.autopilot_is_present
 
     def _known_pose(self, time_s: float) -> Pose:
         if not self.vehicle.is_known(time_s):
             raise NotAcknowledged
         return self.vehicle.pose(time_s)
-
-    def _thermometer(self, source: FileSource) -> float:
-        """Air temperature at the vehicle, instead of this computer's own files."""
-        height_m = -self.vehicle.pose(self.now_s()).position_ned_m[2]
-        return self._world.air_temperature_c(height_m) / source.scale
 
     def _on_health(self, severity: Severity, text: str) -> None:
         self._log.record_text(self.now_s(), severity, text)

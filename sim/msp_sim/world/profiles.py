@@ -29,6 +29,7 @@ SAMPLES_PER_SECTION = (5, 19)
 figures."""
 
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 SurfaceHeight = Callable[[float], float]
 """Height of the ground under the vehicle's course above its start [m], by time [s]."""
 Motion = tuple[float, float, float]
@@ -85,13 +86,7 @@ class Course:
 
     def coast(self, duration_s: float) -> None:
         """Keep the present speed."""
-        from_m, from_m_s = self.end_m, self.end_m_s
-
-        def piece(t: float) -> Motion:
-            return from_m + from_m_s * t, from_m_s, 0.0
-
-        if duration_s > 0:
-            self._append(piece, duration_s, piece(duration_s))
+        self.change_speed(0.0, duration_s)
 
     def set(self, position_m: float, speed_m_s: float = 0.0) -> None:
         """Jump to another position and speed."""

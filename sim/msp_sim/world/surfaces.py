@@ -98,27 +98,18 @@ class GroundSection(Section):
 
 
 class Echo(NamedTuple):
-    """An echo of a ping, or the point where a ray ends.
-
-    Attributes
-    ----------
-    range_m
-        Perpendicular distance to a face, distance to the nearest point of an edge [m].
-    direction
-        Unit vector along which ``range_m`` is measured, away from the sensor, NED.
-    slant_m
-        Distance along the boresight to the face's plane; the same as ``range_m`` for an edge [m].
-    target
-        Name of the surface.
-    target_size_m
-        Shorter side of a box [m]; None for the ground.
-    """
+    """An echo of a ping, or the point where a ray ends."""
 
     range_m: float
+    """Perpendicular distance to a face, distance to the nearest point of an edge [m]."""
     direction: Vector
+    """Unit vector along which ``range_m`` is measured, away from the sensor, NED."""
     slant_m: float
+    """Distance along the boresight to the face's plane; the same as ``range_m`` for an edge [m]."""
     target: str
+    """Name of the surface."""
     target_size_m: float | None
+    """Shorter side of a box [m]; None for the ground."""
 
 
 _Found = tuple[float, Vector, float]

@@ -25,29 +25,20 @@ FULL_SWAY_HEIGHT_M = 0.5
 
 
 class Pose(NamedTuple):
-    """Position, attitude and velocity of the vehicle at one time.
-
-    Attributes
-    ----------
-    time_s
-        Time [s].
-    position_ned_m
-        Body frame's origin, north, east and down [m].
-    roll_rad, pitch_rad, yaw_rad
-        Euler angles, intrinsic z-y'-x'' as in `msp_range.geometry` [rad].
-    velocity_ned_m_s
-        Velocity north, east and down [m/s].
-    throttle
-        0 to 1; None if unknown.
-    """
+    """Position, attitude and velocity of the vehicle at one time."""
 
     time_s: float
+    """Time [s]."""
     position_ned_m: Vector
+    """Body frame's origin, north, east and down [m]."""
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
+    """Euler angles, intrinsic z-y'-x'' as in `msp_range.geometry` [rad]."""
     velocity_ned_m_s: Vector
+    """Velocity north, east and down [m/s]."""
     throttle: float | None = None
+    """0 to 1; None if unknown."""
 
 
 class Sway(Section):

@@ -61,22 +61,15 @@ class AirSection(Section):
 
 
 class MountedBeam(NamedTuple):
-    """A sensor's position on the vehicle, its direction and its beam.
-
-    Attributes
-    ----------
-    position_m
-        Position, body FRD [m].
-    boresight
-        Unit vector of its axis, body FRD.
-    half_angle_rad
-        Half angle of the beam [rad] as a function of range [m]; does not grow with range. None: a ray of light, which
-        returns from the first surface that the boresight meets.
-    """
+    """A sensor's position on the vehicle, its direction and its beam."""
 
     position_m: Vector
+    """Position, body FRD [m]."""
     boresight: Vector
+    """Unit vector of its axis, body FRD."""
     half_angle_rad: HalfAngle | None
+    """Half angle of the beam [rad] as a function of range [m]; does not grow with range. None: a ray of light, which
+    returns from the first surface that the boresight meets."""
 
 
 class Ping(NamedTuple):
@@ -84,35 +77,24 @@ class Ping(NamedTuple):
 
     Without an echo, ranges, incidence and target are those of the surface that the boresight meets, or None if there is
     none.
-
-    Attributes
-    ----------
-    has_echo
-        Whether an echo returns from within the beam.
-    true_range_cm
-        Perpendicular distance to the surface; for an edge the distance to its nearest point [cm].
-    slant_range_cm
-        Distance along the boresight to that surface's plane; the same as ``true_range_cm`` for an edge [cm].
-    incidence_deg
-        Angle between the boresight and the direction of ``true_range_cm`` (a surface's normal), 0 to 90 [deg].
-    range_rate_cm_s
-        Rate of ``true_range_cm`` due to the vehicle's velocity; its rotation is neglected [cm/s].
-    air_temperature_c
-        Mean along the path; at the sensor if there is no surface [deg C].
-    target
-        Name of the surface.
-    target_size_cm
-        Shorter side of a box [cm]; None for the ground.
     """
 
     has_echo: bool
+    """Whether an echo returns from within the beam."""
     true_range_cm: float | None
+    """Perpendicular distance to the surface; for an edge the distance to its nearest point [cm]."""
     slant_range_cm: float | None
+    """Distance along the boresight to that surface's plane; the same as ``true_range_cm`` for an edge [cm]."""
     incidence_deg: float | None
+    """Angle between the boresight and the direction of ``true_range_cm`` (a surface's normal), 0 to 90 [deg]."""
     range_rate_cm_s: float | None
+    """Rate of ``true_range_cm`` due to the vehicle's velocity; its rotation is neglected [cm/s]."""
     air_temperature_c: float
+    """Mean along the path; at the sensor if there is no surface [deg C]."""
     target: str | None
+    """Name of the surface."""
     target_size_cm: float | None
+    """Shorter side of a box [cm]; None for the ground."""
 
 
 class World:
