@@ -21,33 +21,23 @@ Form = Literal["none", "offset and scale", "piecewise linear"]
 
 @dataclass(frozen=True)
 class Baseline:
-    """Accuracy on the axis with nothing varied.
-
-    Attributes
-    ----------
-    points
-        By range.
-    bias
-        Mean error over the points, which are the unit [cm].
-    spread
-        Of readings about their point's mean, without the rounding [cm].
-    between_points
-        Standard deviation of the points' mean errors about the straight line, beyond what the scatter of readings
-        explains [cm]: how well ranges were set up, and how far the sensor is from linear; these data cannot part them.
-    missed, outliers
-        Shares of all readings.
-    largest_error_cm, largest_hit_error_cm
-        Largest error of a reading that is no code, and of a hit, signed.
-    """
+    """Accuracy on the axis with nothing varied."""
 
     points: tuple[PointResult, ...]
+    """By range."""
     bias: IntervalEstimate
+    """Mean error over the points, which are the unit [cm]."""
     spread: IntervalEstimate
+    """Of readings about their point's mean, without the rounding [cm]."""
     between_points: IntervalEstimate | None
+    """Standard deviation of the points' mean errors about the straight line, beyond what the scatter of readings
+    explains [cm]: how well ranges were set up, and how far the sensor is from linear; these data cannot part them."""
     missed: IntervalEstimate
     outliers: IntervalEstimate
+    """Shares of all readings."""
     largest_error_cm: float
     largest_hit_error_cm: float
+    """Largest error of a reading that is no code, and of a hit, signed."""
 
 
 @dataclass(frozen=True)
@@ -60,75 +50,53 @@ class MeasuredKnot:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How well a form of calibration fitted without some points predicts them.
-
-    Attributes
-    ----------
-    form
-        Of the calibration.
-    rms_cm
-        Root mean square error over the points left out in turn [cm].
-    gain
-        Mean square error that it takes off the form that was kept before it [cm^2], by points; None for the first.
-    """
+    """How well a form of calibration fitted without some points predicts them."""
 
     form: Form
+    """Of the calibration."""
     rms_cm: float
+    """Root mean square error over the points left out in turn [cm]."""
     gain: IntervalEstimate | None
+    """Mean square error that it takes off the form that was kept before it [cm^2], by points; None for the first."""
 
 
 @dataclass(frozen=True)
 class CalibrationFindings:
-    """Readings against the reference.
-
-    Attributes
-    ----------
-    form, knots
-        What the model file gets: nothing, a straight line (two knots) or a piecewise linear one.
-    reason
-        Why this form, in a sentence.
-    bias, offset, scale
-        Mean error [cm]; reading at no range [cm] and reading a true centimetre of the straight line. Points are the
-        unit: their scatter about the line is in the intervals.
-    spread
-        Standard deviation of readings about their point's mean, before rounding [cm].
-    resolution
-        Step of the readings, and its evidence in `resolution_note`.
-    linearity
-        Largest distance of a point's mean from the straight line [cm], and in `linearity_noise_floor_cm` what the
-        scatter of readings and the stated error of the placements reach in 95 % of cases.
-    reference_std_cm
-        Standard deviation of the reference itself as its owner states it [cm]; None: not stated.
-    set_up_offset
-        Standard deviation between set-ups about the calibration, beyond the scatter of readings and the stated error
-        of their true ranges [cm]: an offset of the sensor that differs from one session to the next. None: not stated.
-    held_out
-        The forms tried and how each did on ranges that it had not seen.
-    held_out_unit
-        What was left out in turn: "range", or "range and run" where runs hold several ranges each.
-    true_cm, reading_cm, reading_std_cm
-        The points' data: apparent true range, mean of the hits, standard error of their difference as far as the
-        readings and the stated error of the placement say it.
-    """
+    """Readings against the reference."""
 
     form: Form
     knots: tuple[MeasuredKnot, ...]
+    """What the model file gets: nothing, a straight line (two knots) or a piecewise linear one."""
     reason: str
+    """Why this form, in a sentence."""
     bias: IntervalEstimate
     offset: IntervalEstimate | None
     scale: IntervalEstimate | None
+    """Mean error [cm]; reading at no range [cm] and reading a true centimetre of the straight line. Points are the
+    unit: their scatter about the line is in the intervals."""
     spread: IntervalEstimate
+    """Standard deviation of readings about their point's mean, before rounding [cm]."""
     resolution: IntervalEstimate
+    """Step of the readings, and its evidence in `resolution_note`."""
     resolution_note: str
     linearity: IntervalEstimate | None
+    """Largest distance of a point's mean from the straight line [cm], and in `linearity_noise_floor_cm` what the
+    scatter of readings and the stated error of the placements reach in 95 % of cases."""
     linearity_noise_floor_cm: float | None
     reference_std_cm: float | None
+    """Standard deviation of the reference itself as its owner states it [cm]; None: not stated."""
     held_out: tuple[HeldOut, ...]
+    """The forms tried and how each did on ranges that it had not seen."""
     held_out_unit: str
+    """What was left out in turn: "range", or "range and run" where runs hold several ranges each."""
     true_cm: tuple[float, ...]
     reading_cm: tuple[float, ...]
     reading_std_cm: tuple[float, ...]
+    """The points' data: apparent true range, mean of the hits, standard error of their difference as far as the
+    readings and the stated error of the placement say it."""
     set_up_offset: IntervalEstimate | None = None
+    """Standard deviation between set-ups about the calibration, beyond the scatter of readings and the stated error of
+    their true ranges [cm]: an offset of the sensor that differs from one session to the next. None: not stated."""
 
 
 @dataclass(frozen=True)
@@ -141,30 +109,21 @@ class Peak:
 
 @dataclass(frozen=True)
 class MaximumRange:
-    """Readings at the longest range, with missed ones and without.
-
-    Attributes
-    ----------
-    true_range_cm
-        Where.
-    histogram
-        (reading [cm], count) of all answers.
-    no_echo, saturated
-        Counts of 765 and 255, which are masked.
-    peaks_before, peaks_after
-        Peaks of the histogram, the largest first.
-    peak
-        Where the masked histogram has its peak [cm]: the most frequent reading, and those not significantly rarer.
-    """
+    """Readings at the longest range, with missed ones and without."""
 
     true_range_cm: float
+    """Where."""
     readings: int
     histogram: tuple[tuple[int, int], ...]
+    """(reading [cm], count) of all answers."""
     no_echo: int
     saturated: int
+    """Counts of 765 and 255, which are masked."""
     peaks_before: tuple[Peak, ...]
     peaks_after: tuple[Peak, ...]
+    """Peaks of the histogram, the largest first."""
     peak: IntervalEstimate
+    """Where the masked histogram has its peak [cm]: the most frequent reading, and those not significantly rarer."""
 
 
 @dataclass(frozen=True)
@@ -192,65 +151,41 @@ class PlacementError:
 
 @dataclass(frozen=True)
 class Mixture:
-    """The mixture of Thrun fitted by maximum likelihood (Probabilistic Robotics, section 6.3).
-
-    Attributes
-    ----------
-    parameters
-        In the order of the sensor model file.
-    readings
-        How many were fitted.
-    log_likelihood
-        At the fit.
-    pit_counts
-        Histogram of the randomised probability integral transform over [0, 1] in equal bins; flat where the model fits.
-    pit_p_value
-        Of uniformity; a small one means that the model does not fit. None: too few readings for it.
-    conditional
-        What depends on range, and why, in a sentence.
-    notes
-        What to know of these numbers.
-    set_ups
-        Set-ups that were fitted about their own mean, with its distance from the calibration.
-    """
+    """The mixture of Thrun fitted by maximum likelihood (Probabilistic Robotics, section 6.3)."""
 
     parameters: tuple[MixtureParameter, ...]
+    """In the order of the sensor model file."""
     readings: int
+    """How many were fitted."""
     log_likelihood: float
+    """At the fit."""
     pit_counts: tuple[int, ...]
+    """Histogram of the randomised probability integral transform over [0, 1] in equal bins; flat where the model
+    fits."""
     pit_p_value: float | None
+    """Of uniformity; a small one means that the model does not fit. None: too few readings for it."""
     conditional: str
+    """What depends on range, and why, in a sentence."""
     notes: tuple[str, ...] = ()
+    """What to know of these numbers."""
     set_ups: tuple[PlacementError, ...] = ()
+    """Set-ups that were fitted about their own mean, with its distance from the calibration."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """All findings. A part that the data do not allow is None or empty, and `absent` has the reason.
-
-    Attributes
-    ----------
-    sensor
-        Name of the part.
-    date
-        Of the characterisation, ISO 8601.
-    sources
-        The data.
-    points
-        All set-ups.
-    calibration_temperature_c
-        Air temperature that the sensor assumes [deg C]; None for light and radio, whose ranges are not the air's.
-    absent
-        Part -> why it is missing.
-    warnings
-        Warnings about the use of these numbers.
-    """
+    """All findings. A part that the data do not allow is None or empty, and `absent` has the reason."""
 
     sensor: str
+    """Name of the part."""
     date: str
+    """Of the characterisation, ISO 8601."""
     calibration_temperature_c: float | None
+    """Air temperature that the sensor assumes [deg C]; None for light and radio, whose ranges are not the air's."""
     sources: tuple[SourceFile, ...]
+    """The data."""
     points: tuple[PointResult, ...]
+    """All set-ups."""
     baseline: Baseline | None = None
     calibration: CalibrationFindings | None = None
     mixture: Mixture | None = None
@@ -261,7 +196,9 @@ class Findings:
     hot_boxes: tuple[HotBox, ...] = ()
     temperature_compensation: tuple[CompensationRow, ...] = ()
     absent: dict[str, str] = field(default_factory=dict)
+    """Part -> why it is missing."""
     warnings: tuple[str, ...] = ()
+    """Warnings about the use of these numbers."""
 
 
 def as_json(findings: Findings) -> str:

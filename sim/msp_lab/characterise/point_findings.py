@@ -5,28 +5,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """A number with its 95 % interval.
-
-    Attributes
-    ----------
-    value
-        The estimate.
-    low, high
-        Ends of the interval; None where the data give none on that side.
-    unit
-        Of all three; "" for a share or a ratio.
-    n
-        How many independent things it rests on, which `of` names.
-    of
-        What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target).
-    """
+    """A number with its 95 % interval."""
 
     value: float
+    """The estimate."""
     low: float | None
     high: float | None
+    """Ends of the interval; None where the data give none on that side."""
     unit: str
+    """Of all three; "" for a share or a ratio."""
     n: int
+    """How many independent things it rests on, which `of` names."""
     of: str = "readings"
+    """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
 
     @classmethod
     def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
@@ -36,56 +27,40 @@ class IntervalEstimate:
 
 @dataclass(frozen=True)
 class PointResult:
-    """One set-up of the bench and its readings.
-
-    Attributes
-    ----------
-    condition
-        Experiment of the campaign, as the CSV form's column `condition` names it.
-    sensor, run
-        As in the data.
-    level
-        Of what the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied.
-    true_range_cm
-        Of the reference.
-    incidence_deg, air_temperature_c, target_temperature_c
-        Means over the point; None where unknown.
-    readings
-        All rows; the next six add up to it.
-    hits
-        Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`).
-    short, long
-        Readings before and after the gate: of something else.
-    no_echo, saturated, no_answer
-        Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading.
-    error, spread
-        Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
-        contain the scatter of readings, not the error of the placement. None without hits.
-    compensated_error
-        The mean error compensated for the air's temperature; None without one, and for light and radio.
-    worst_error_cm
-        Largest error of a reading that is no code, signed.
-    """
+    """One set-up of the bench and its readings."""
 
     condition: str
+    """Experiment of the campaign, as the CSV form's column `condition` names it."""
     sensor: str
     run: str
+    """As in the data."""
     level: str
+    """Of what the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied."""
     true_range_cm: float
+    """Of the reference."""
     incidence_deg: float | None
     air_temperature_c: float | None
     target_temperature_c: float | None
+    """Means over the point; None where unknown."""
     readings: int
+    """All rows; the next six add up to it."""
     hits: int
+    """Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`)."""
     short: int
     long: int
+    """Readings before and after the gate: of something else."""
     no_echo: int
     saturated: int
     no_answer: int
+    """Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading."""
     error: IntervalEstimate | None
     spread: IntervalEstimate | None
+    """Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
+    contain the scatter of readings, not the error of the placement. None without hits."""
     compensated_error: IntervalEstimate | None
+    """The mean error compensated for the air's temperature; None without one, and for light and radio."""
     worst_error_cm: float | None
+    """Largest error of a reading that is no code, signed."""
 
     @property
     def place_cm(self) -> float:

@@ -68,42 +68,30 @@ NEAR_KHZ = 1.0
 
 @dataclass(frozen=True)
 class PointReadings:
-    """The readings of one point.
-
-    Parameters
-    ----------
-    condition, sensor, run, level
-        As in `findings.PointResult`.
-    reading_cm, true_range_cm, air_temperature_c
-        A row each; NaN where there was no answer, or where the temperature is unknown.
-    reference_std_cm
-        Standard deviation of the error of each row's true range [cm]; 0 where it is not stated.
-    incidence_deg, target_temperature_c
-        NaN where unknown.
-    sensor_model
-        Limits, codes and calibration temperature.
-    step_cm
-        Of the readings.
-    rows
-        Their row numbers in the data.
-    usual_spread_cm
-        Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any.
-    """
+    """The readings of one point."""
 
     condition: str
     sensor: str
     run: str
     level: str
+    """As in `findings.PointResult`."""
     reading_cm: Array
     true_range_cm: Array
     air_temperature_c: Array
+    """A row each; NaN where there was no answer, or where the temperature is unknown."""
     reference_std_cm: Array
+    """Standard deviation of the error of each row's true range [cm]; 0 where it is not stated."""
     incidence_deg: float
     target_temperature_c: float
+    """NaN where unknown."""
     sensor_model: SensorModel
+    """Limits, codes and calibration temperature."""
     step_cm: float
+    """Of the readings."""
     rows: NDArray[np.int64]
+    """Their row numbers in the data."""
     usual_spread_cm: float | None = None
+    """Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any."""
 
     @cached_property
     def range_cm(self) -> float:

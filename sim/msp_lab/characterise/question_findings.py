@@ -27,56 +27,40 @@ class HotBoxRow:
 
 @dataclass(frozen=True)
 class HotBox:
-    """A box of hot or cold air about the sensor.
-
-    Attributes
-    ----------
-    box_c, room_c
-        Air temperatures in the box and beyond.
-    depth
-        Length of the box's air that explains the shifts [cm].
-    per_cent, uniform_per_cent
-        Correction in per cent of range: what the readings call for (minus the slope of their shift), and what that air
-        all the way would.
-    compared
-        Whether the first may be the second, as words of a sentence.
-    best
-        Which idea is nearest: "uniform", "gradient", "confined", or "none" where no shift is seen.
-    """
+    """A box of hot or cold air about the sensor."""
 
     level: str
     box_c: float
     room_c: float
+    """Air temperatures in the box and beyond."""
     room_is_assumed: bool
     depth: IntervalEstimate
+    """Length of the box's air that explains the shifts [cm]."""
     per_cent: IntervalEstimate
     uniform_per_cent: float
+    """Correction in per cent of range: what the readings call for (minus the slope of their shift), and what that air
+    all the way would."""
     compared: Literal["as", "and not"]
+    """Whether the first may be the second, as words of a sentence."""
     rows: tuple[HotBoxRow, ...]
     best: AirBefore | Literal["none"]
+    """Which idea is nearest: "uniform", "gradient", "confined", or "none" where no shift is seen."""
     answer: str
 
 
 @dataclass(frozen=True)
 class CompensationRow:
-    """Mean error at a range without and with temperature compensation [cm].
-
-    Attributes
-    ----------
-    thermometer_c
-        Air temperature that the compensation used; None: no thermometer, and no compensated error.
-    implied_c
-        The one air temperature that would bring the mean error to 0 with this calibration temperature.
-    note
-        What to know of this row; "": nothing.
-    """
+    """Mean error at a range without and with temperature compensation [cm]."""
 
     range_cm: float
     uncompensated: IntervalEstimate
     compensated: IntervalEstimate | None
     thermometer_c: float | None
+    """Air temperature that the compensation used; None: no thermometer, and no compensated error."""
     implied_c: IntervalEstimate
+    """The one air temperature that would bring the mean error to 0 with this calibration temperature."""
     note: str
+    """What to know of this row; "": nothing."""
 
 
 Metric = Literal["bias", "spread", "missed", "outliers"]
@@ -85,68 +69,46 @@ Verdict = Literal["matters", "does not matter", "cannot tell"]
 
 @dataclass(frozen=True)
 class FactorEffect:
-    """What a factor does to one property of the readings.
-
-    Attributes
-    ----------
-    metric
-        "bias" (mean error of the hits, cm), "spread" (ratio of standard deviations), "missed" and "outliers" (odds
-        ratios).
-    estimate
-        Size; no effect is 0 for the bias and 1 for a ratio. 95 % interval, not corrected for the number of questions.
-    p_value, p_adjusted
-        Of no effect, and after Holm over all effects that were asked for.
-    bound
-        What is small enough not to matter, in the estimate's unit: |bias| below it, a ratio within 1/bound to bound.
-    verdict
-        "matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter":
-        it is within the bound by two one-sided tests, after Holm. Else "cannot tell".
-    smallest_detectable
-        Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
-        thousandfold, or it is not known.
-    """
+    """What a factor does to one property of the readings."""
 
     metric: Metric
+    """"bias" (mean error of the hits, cm), "spread" (ratio of standard deviations), "missed" and "outliers" (odds
+    ratios)."""
     estimate: IntervalEstimate | None
+    """Size; no effect is 0 for the bias and 1 for a ratio. 95 % interval, not corrected for the number of questions."""
     p_value: float | None
     p_adjusted: float | None
+    """Of no effect, and after Holm over all effects that were asked for."""
     bound: float
+    """What is small enough not to matter, in the estimate's unit: |bias| below it, a ratio within 1/bound to bound."""
     verdict: Verdict
+    """"matters": there is an effect by the adjusted p-value, and it may exceed the bound. "does not matter": it is
+    within the bound by two one-sided tests, after Holm. Else "cannot tell"."""
     smallest_detectable: float | None
+    """Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
+    thousandfold, or it is not known."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """Does it matter?
-
-    Attributes
-    ----------
-    name
-        material, temperature, vibration, crosstalk_simultaneous, crosstalk_sequential, external_interference.
-    level, reference
-        What is compared with what: "concrete" with "plywood", "60 Hz" with "0 Hz".
-    sensor
-        Whose readings; "" for all.
-    pairs
-        Points of equal range that were compared; the unit of the bias.
-    effects
-        bias, spread, missed, outliers, in this order.
-    verdict
-        "matters" if one effect does, "does not matter" if none does, else "cannot tell".
-    answer
-        In a sentence.
-    points, reference_points
-        What was compared.
-    """
+    """Does it matter?"""
 
     name: str
+    """Material, temperature, vibration, crosstalk_simultaneous, crosstalk_sequential, external_interference."""
     question: str
     level: str
     reference: str
+    """What is compared with what: "concrete" with "plywood", "60 Hz" with "0 Hz"."""
     sensor: str
+    """Whose readings; "" for all."""
     pairs: int
+    """Points of equal range that were compared; the unit of the bias."""
     effects: tuple[FactorEffect, ...]
+    """Bias, spread, missed, outliers, in this order."""
     verdict: Verdict
+    """"matters" if one effect does, "does not matter" if none does, else "cannot tell"."""
     answer: str
+    """In a sentence."""
     points: tuple[PointResult, ...] = ()
     reference_points: tuple[PointResult, ...] = ()
+    """What was compared."""

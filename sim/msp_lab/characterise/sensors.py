@@ -29,32 +29,22 @@ TABLE = "sensors.csv"
 
 @dataclass(frozen=True)
 class Characterisation:
-    """What a model is made from, and how.
-
-    Attributes
-    ----------
-    data
-        Files of readings.
-    start
-        File of the starting model.
-    column_map
-        Options ``--map``.
-    truth
-        What the true range is.
-    date, seed
-        Date to record, and random seed of the goodness-of-fit test.
-    reference_std_cm, set_up_std_cm
-        As for `msp_lab.characterise.analysis.characterise`.
-    """
+    """What a model is made from, and how."""
 
     data: tuple[Path, ...]
+    """Files of readings."""
     start: Path
+    """File of the starting model."""
     column_map: tuple[str, ...]
+    """Options ``--map``."""
     truth: Literal["recorded", "others"]
+    """What the true range is."""
     date: str
     seed: int
+    """Date to record, and random seed of the goodness-of-fit test."""
     reference_std_cm: float | None = None
     set_up_std_cm: float | None = None
+    """As for `msp_lab.characterise.analysis.characterise`."""
 
 
 @dataclass(frozen=True)

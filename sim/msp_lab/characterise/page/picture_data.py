@@ -66,21 +66,14 @@ class Drawn:
 
 @dataclass(frozen=True)
 class PictureData:
-    """What pictures are drawn from: measured data with every column that they need, NaN or "" where the file has none.
-
-    Attributes
-    ----------
-    data
-        The readings.
-    model
-        The sensor model with the fitted numbers.
-    reference
-        Earlier numbers to mark next to the new ones; None: nothing is marked.
-    """
+    """What pictures are drawn from: measured data in which a column that the file lacks is NaN or ""."""
 
     data: MeasuredData
+    """The readings."""
     model: SensorModel
+    """The sensor model with the fitted numbers."""
     reference: ReferenceNumbers | None = None
+    """Earlier numbers to mark next to the new ones; None: nothing is marked."""
 
     @cached_property
     def true_cm(self) -> Array:

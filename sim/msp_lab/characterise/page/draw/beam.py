@@ -31,22 +31,15 @@ from msp_sim.page.style import (
 
 @dataclass(frozen=True)
 class Sweep:
-    """Readings of a wall at one perpendicular distance, over the sensor's angle.
-
-    Parameters
-    ----------
-    range_cm
-        Perpendicular distance r_0 [cm].
-    incidence_deg, reading_cm
-        Of each reading, shape (n,); NaN for a reading: no answer.
-    missed
-        Which readings are codes for no echo, shape (n,).
-    """
+    """Readings of a wall at one perpendicular distance, over the sensor's angle."""
 
     range_cm: float
+    """Perpendicular distance r_0 [cm]."""
     incidence_deg: Array
     reading_cm: Array
+    """Of each reading, shape (n,); NaN for a reading: no answer."""
     missed: Flags
+    """Which readings are codes for no echo, shape (n,)."""
 
 
 def draw_sweep(

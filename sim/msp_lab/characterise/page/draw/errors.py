@@ -30,24 +30,16 @@ LINEAR_CM = 5.0
 
 @dataclass(frozen=True)
 class Errors:
-    """Readings of one sensor in one condition, each with its true range.
-
-    Parameters
-    ----------
-    label
-        Whose they are; on the panel where there is more than one.
-    true_range_cm
-        Where the target was [cm], shape (n,).
-    error_cm
-        Reading minus true range [cm], shape (n,); positive: reads long. NaN where `missed`.
-    missed
-        Readings that are no distance (the codes for no echo) and answers that did not come, shape (n,).
-    """
+    """Readings of one sensor in one condition, each with its true range."""
 
     label: str
+    """Whose they are; on the panel where there is more than one."""
     true_range_cm: Array
+    """Where the target was [cm], shape (n,)."""
     error_cm: Array
+    """Reading minus true range [cm], shape (n,); positive: reads long. NaN where `missed`."""
     missed: Flags
+    """Readings that are no distance (the codes for no echo) and answers that did not come, shape (n,)."""
 
 
 @dataclass(frozen=True)
@@ -61,24 +53,16 @@ class Line:
 
 @dataclass(frozen=True)
 class ErrorAxes:
-    """What the panels of several pictures share, so that they can be compared side by side.
-
-    Parameters
-    ----------
-    limits_cm
-        Lowest and highest error [cm]; None: what the errors need.
-    points
-        Marked points.
-    band_cm
-        Errors between plus and minus this are shaded [cm].
-    band_label
-        What the band is.
-    """
+    """What the panels of several pictures share, so that they can be compared side by side."""
 
     limits_cm: tuple[float, float] | None = None
+    """Lowest and highest error [cm]; None: what the errors need."""
     points: Sequence[Line] = ()
+    """Marked points."""
     band_cm: float | None = None
+    """Errors between plus and minus this are shaded [cm]."""
     band_label: str = ""
+    """What the band is."""
 
 
 def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:

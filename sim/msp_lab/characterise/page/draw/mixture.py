@@ -40,27 +40,18 @@ SINGLE_CM = 25.0
 
 @dataclass(frozen=True)
 class Densities:
-    """Probabilities of each whole centimetre by each kind of reading, and what was read.
-
-    Parameters
-    ----------
-    true_range_cm
-        The true range that they are for, in the centimetres that the sensor reads: after calibration and air [cm].
-    reading_cm
-        Readings that the sensor can report, shape (k,).
-    density
-        By kind: probability of each reading if the reading is of this kind, shape (k,); its sum is 1.
-    weight
-        By kind: share of the readings.
-    counts
-        How often each was read at this range, shape (k,); None: there are no readings at one range.
-    """
+    """Probabilities of each whole centimetre by each kind of reading, and what was read."""
 
     true_range_cm: float
+    """The true range that they are for, in the centimetres that the sensor reads: after calibration and air [cm]."""
     reading_cm: Array
+    """Readings that the sensor can report, shape (k,)."""
     density: dict[str, Array]
+    """By kind: probability of each reading if the reading is of this kind, shape (k,); its sum is 1."""
     weight: dict[str, float]
+    """By kind: share of the readings."""
     counts: Array | None
+    """How often each was read at this range, shape (k,); None: there are no readings at one range."""
 
 
 def draw_hit(densities: Densities) -> Figure:

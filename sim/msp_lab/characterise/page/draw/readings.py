@@ -15,21 +15,14 @@ from msp_sim.page.style import DOTS, GREY, INK, ORANGE, OURS, REFERENCE, legend_
 
 @dataclass(frozen=True)
 class FixedRange:
-    """Readings at a fixed true range, in order.
-
-    Parameters
-    ----------
-    true_range_cm
-        Where the target was [cm].
-    reading_cm
-        What was read [cm], shape (n,); NaN: no answer.
-    missed
-        Which readings are codes for no echo, shape (n,).
-    """
+    """Readings at a fixed true range, in order."""
 
     true_range_cm: float
+    """Where the target was [cm]."""
     reading_cm: Array
+    """What was read [cm], shape (n,); NaN: no answer."""
     missed: Flags
+    """Which readings are codes for no echo, shape (n,)."""
 
     @property
     def kept_cm(self) -> Array:
