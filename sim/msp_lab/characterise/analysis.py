@@ -15,11 +15,12 @@ from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum
 from msp_lab.characterise.beam_findings import BreakawayAngle
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.correlation import hit_correlation
+from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import CalibrationFindings, Findings
 from msp_lab.characterise.mixture import FittedMixture, fit_mixture, with_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
-from msp_lab.characterise.questions import TOPICS, answer_questions
+from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
@@ -34,7 +35,6 @@ COMPENSATION = "temperature_compensation"
 SESSION_EFFECT = "run_offsets"
 """Name of the simulator's effect for an offset that differs between sessions."""
 NOT_MEASURED = "no readings of this condition, or none at ranges to compare with"
-KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
 """Warn about points with fewer readings: the 95 % interval of their mean error is wider than half their spread."""
 
@@ -140,7 +140,7 @@ def characterise(
         ("maximum_range", longest, NOT_MEASURED),
         ("field_of_view", view, "no range was tried at more than one angle (incidence_deg)"),
         ("sonar", sonar, no_sound or "needs breakaway angles at three ranges at least"),
-        *((name, any(each.name == name for each in asked), NOT_MEASURED) for name in TOPICS),
+        *((name, any(each.name == name for each in asked), NOT_MEASURED) for name in QUESTIONS),
         (
             "hot_boxes",
             boxes,
@@ -277,8 +277,8 @@ def _warnings(
     rows: Sequence[tuple[float, float]],
 ) -> list[str]:
     found = list(loaded.messages)
-    for word in sorted({p.condition for p in points} - KNOWN_CONDITIONS):
-        near = difflib.get_close_matches(word, KNOWN_CONDITIONS, n=1)
+    for word in sorted({p.condition for p in points} - EXPERIMENTS.keys()):
+        near = difflib.get_close_matches(word, EXPERIMENTS, n=1)
         found.append(f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
     unknown = len(loaded.data) - sum(p.reading_cm.size for p in points)
     if unknown:

@@ -1,6 +1,7 @@
 """What was found at one point of the bench, and a number with its interval: values only, as in `findings.py`."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -20,9 +21,19 @@ class IntervalEstimate:
     """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
 
     @classmethod
+    def exact(cls, value: float, unit: str = "") -> "IntervalEstimate":
+        """A number of which no interval is known."""
+        return cls(value, None, None, unit, 0)
+
+    @classmethod
     def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
         """A number with an interval that reaches as far to both sides."""
         return cls(value, value - half, value + half, unit, n, of)
+
+    def mapped(self, change: Callable[[float], float]) -> "IntervalEstimate":
+        """The estimate and both ends of its interval changed by a rising function."""
+        low, high = (None if end is None else change(end) for end in (self.low, self.high))
+        return replace(self, value=change(self.value), low=low, high=high)
 
 
 @dataclass(frozen=True)
@@ -66,3 +77,13 @@ class PointResult:
     def place_cm(self) -> float:
         """The true range to a millimetre: points of the same one are compared."""
         return round(self.true_range_cm, 1)
+
+    @property
+    def missed(self) -> int:
+        """Readings without an echo: codes, and rows without an answer."""
+        return self.no_echo + self.saturated + self.no_answer
+
+    @property
+    def outliers(self) -> int:
+        """Readings of something else than the surface."""
+        return self.short + self.long

@@ -65,6 +65,12 @@ class CompensationRow:
 
 Metric = Literal["bias", "spread", "missed", "outliers"]
 Verdict = Literal["matters", "does not matter", "cannot tell"]
+NAMES: dict[Metric, str] = {
+    "bias": "bias",
+    "spread": "spread",
+    "missed": "odds of a missed echo",
+    "outliers": "odds of an outlier",
+}
 
 
 @dataclass(frozen=True)
@@ -88,13 +94,22 @@ class FactorEffect:
     """Effect that these data would have shown in 80 % of cases at the adjusted level; None: not even a metre or a
     thousandfold, or it is not known."""
 
+    @property
+    def is_ratio(self) -> bool:
+        """Whether no effect is 1, and not 0."""
+        return self.metric != "bias"
+
+    def mirrored(self, size: float) -> float:
+        """An effect of this size in the other direction."""
+        return 1.0 / size if self.is_ratio else -size
+
 
 @dataclass(frozen=True)
 class Question:
     """Does it matter?"""
 
     name: str
-    """Material, temperature, vibration, crosstalk_simultaneous, crosstalk_sequential, external_interference."""
+    """Its experiment, one of `experiments.QUESTIONS`."""
     question: str
     level: str
     reference: str

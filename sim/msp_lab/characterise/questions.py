@@ -8,7 +8,7 @@ point at equal ranges; shares of readings get the variance between points where 
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -17,8 +17,9 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from msp_lab.characterise.estimates import Z, detectable, holm, student
+from msp_lab.characterise.experiments import QUESTIONS
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
-from msp_lab.characterise.question_findings import FactorEffect, Metric, Question, Verdict
+from msp_lab.characterise.question_findings import NAMES, FactorEffect, Metric, Question, Verdict
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 
 LEVEL = 0.05
@@ -45,26 +46,6 @@ MIN_SCATTER_CM = 0.05
 """Smallest scatter between set-ups that is assumed [cm]: equal readings at two points do not prove 0."""
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
 """Experiments with two sensors, each with its own question -> name of their level."""
-METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
-
-
-@dataclass(frozen=True)
-class _Topic:
-    question: str
-    matters: str
-
-
-TOPICS = {
-    "material": _Topic("Does the material of the target matter?", "the material"),
-    "temperature": _Topic("Does hot or cold air at the sensor matter?", "the air at the sensor"),
-    "vibration": _Topic("Does vibration of the housing matter?", "the vibration"),
-    "crosstalk_simultaneous": _Topic(
-        "Does a second sensor that pings at the same time matter?", "the other sensor's ping"
-    ),
-    "crosstalk_sequential": _Topic("Does a second sensor matter that waits for the first?", "the sensor that waits"),
-    "external_interference": _Topic("Does external ultrasound matter?", "the external source"),
-}
-"""Condition -> what is asked."""
 
 
 class _Raw(NamedTuple):
@@ -89,12 +70,8 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     points
         Every set-up of the data.
     """
-    asked = [
-        each
-        for name, topic in TOPICS.items()
-        for each in _compared(name, topic, [p for p in points if p.condition == name], points)
-    ]
-    raw = {(i, metric): _effect(metric, each) for i, each in enumerate(asked) for metric in METRICS}
+    asked = [each for name in QUESTIONS for each in _compared(name, [p for p in points if p.condition == name], points)]
+    raw = {(i, metric): _effect(metric, each) for i, each in enumerate(asked) for metric in NAMES}
     estimated = [key for key, each in raw.items() if each is not None]
     tests = [raw[key] for key in estimated]
     different = dict(zip(estimated, holm([each.p_value for each in tests if each]), strict=True))
@@ -103,15 +80,13 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     for i, each in enumerate(asked):
         effects = tuple(
             _effect_found(metric, raw[i, metric], different.get((i, metric)), alike.get((i, metric)), len(estimated))
-            for metric in METRICS
+            for metric in NAMES
         )
         answered.append(_answered(replace(each, effects=effects)))
     return tuple(answered)
 
 
-def _compared(
-    name: str, topic: _Topic, points: Sequence[PointResult], everything: Sequence[PointResult]
-) -> Iterable[Question]:
+def _compared(name: str, points: Sequence[PointResult], everything: Sequence[PointResult]) -> Iterable[Question]:
     """One question for each level of an experiment, and for each sensor where two are at work."""
     by_sensor = name in CROSSTALK
     for sensor in sorted({p.sensor for p in points}) if by_sensor else [""]:
@@ -126,7 +101,7 @@ def _compared(
             ranges = {p.place_cm for p in varied} & {p.place_cm for p in reference}
             yield Question(
                 name=name,
-                question=topic.question,
+                question=QUESTIONS[name].question,
                 level=level or CROSSTALK.get(name, name),
                 reference=reference_name,
                 sensor=sensor,
@@ -342,8 +317,7 @@ def _size(effect: FactorEffect) -> str:
     low, high = estimate.low, estimate.high
     if effect.metric == "bias":
         return f"bias {estimate.value:+.2f} cm ({low:+.2f} to {high:+.2f})"
-    name = {"spread": "spread", "missed": "odds of a missed echo"}.get(effect.metric, "odds of an outlier")
-    return f"{name} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
+    return f"{NAMES[effect.metric]} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
 
 
 def _doubt(effect: FactorEffect) -> str:

@@ -111,16 +111,19 @@ def style() -> Iterator[None]:
 
 
 def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
-    """Make an empty figure on its own canvas.
-
-    Parameters
-    ----------
-    height_in, width_in
-        Size [in].
-    """
+    """Make an empty figure of this size [in] on its own canvas."""
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def new_axes(height_in: float, x: str = "", y: str = "") -> tuple[Figure, Axes]:
+    """Make a figure with one axes, and label what is over what."""
+    figure = new_figure(height_in)
+    axes = figure.subplots()
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    return figure, axes
 
 
 def choose_format(name: str) -> None:
@@ -187,8 +190,18 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = 
     )
 
 
-def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
-    """Add a legend below the axes, in as many columns as fit.
+def label(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any) -> None:
+    """Write a few words next to a place, so many points to the right of it and above."""
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **look)
+
+
+def line_at_zero(axes: Axes, **look: Any) -> None:
+    """Draw the line on which there is no difference."""
+    axes.axhline(0.0, color=GREY, linewidth=0.9, **look)
+
+
+def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> Figure:
+    """Add a legend below the axes, in as many columns as fit, and return the figure.
 
     Parameters
     ----------
@@ -200,12 +213,12 @@ def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
     if handles is None:
         handles = figure.axes[0].get_legend_handles_labels()[0]
     labels = [str(handle.get_label()) for handle in handles]
-    if not labels:
-        return
-    columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
-    # The smallest number of columns with the same number of lines.
-    columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
-    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+    if labels:
+        columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
+        # The smallest number of columns with the same number of lines.
+        columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
+        figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+    return figure
 
 
 def _fits(labels: Sequence[str], columns: int, figure: Figure) -> bool:
@@ -234,14 +247,3 @@ def edges_between(centres: list[float]) -> list[float]:
 def signed(tick: float, _: float) -> str:
     """Label of a tick of an axis of differences: with its sign, and 0 without one."""
     return f"{tick:+g}".replace("-", "−") if tick else "0"
-
-
-def p_text(p_value: float) -> str:
-    """A p-value as text with two digits, never zero.
-
-    Examples
-    --------
-    >>> p_text(0.4123), p_text(0.0), p_text(3.2e-5)
-    ('0.41', 'below 1e-12', '3.2e-05')
-    """
-    return "below 1e-12" if p_value < 1e-12 else f"{p_value:.2g}"
