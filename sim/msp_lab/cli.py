@@ -178,7 +178,6 @@ def characterise(
     and the exit code is 4.
     """
     require("lab", "msp-lab characterise")
-    from msp_lab.characterise.model_file import write_model
     from msp_lab.characterise.publish import check_free, publish_findings
     from msp_lab.characterise.sensors import Characterisation, characterised
     from msp_lab.characterise.show import show_findings
@@ -221,7 +220,7 @@ def characterise(
     pages: list[Path] = []
     with progress.status("reading") as status:
         made = characterised(how, of or (), status.update)
-        write_model(out, made.model, made.findings, made.changes, how.start.name)
+        made.write(out)
         if report is not None:
             status.update("drawing the report")
             pages = [publish_findings(made.findings, made.data, made.model, report)]

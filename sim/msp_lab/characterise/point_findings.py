@@ -30,6 +30,10 @@ class IntervalEstimate:
         """A number with an interval that reaches as far to both sides."""
         return cls(value, value - half, value + half, unit, n, of)
 
+    def holds(self, value: float) -> bool:
+        """Whether a value is within the interval; an end that is not known is no limit."""
+        return (self.low is None or self.low <= value) and (self.high is None or value <= self.high)
+
     def mapped(self, change: Callable[[float], float]) -> "IntervalEstimate":
         """The estimate and both ends of its interval changed by a rising function."""
         low, high = (None if end is None else change(end) for end in (self.low, self.high))

@@ -14,6 +14,7 @@ from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
 from msp_lab.characterise.findings import Mixture
+from msp_lab.characterise.mixture import KINDS
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
 from msp_lab.characterise.page.text import interval
 from msp_lab.readings.resolution import to_step
@@ -36,7 +37,6 @@ from msp_sim.page.style import (
 )
 from msp_sim.page.text import p_text, sentence
 
-KINDS = ("hit", "short", "missed", "random")
 _LOOKS = {"hit": (OURS, "-"), "short": (ORANGE, "--"), "missed": (PURPLE, "-"), "random": (GREEN, "-.")}
 _PARAMETERS = {
     "hit": ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
