@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.characterise.findings import FactorEffect, Question
 from msp_lab.characterise.points import sort_into_points
-from msp_lab.characterise.question_findings import FactorEffect, Question
 from msp_lab.characterise.questions import _paired, answer_questions
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.known import contains, known

@@ -4,7 +4,7 @@ What the data do not determine stays as in the starting model, and the findings 
 """
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
-from msp_lab.characterise.beam_findings import BreakawayAngle
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
-from msp_lab.characterise.findings import CalibrationFindings, Findings
+from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
 from msp_lab.characterise.mixture import fit_mixture, with_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
@@ -259,53 +258,50 @@ def _warnings(
     points: Sequence[PointReadings],
     undisturbed: Sequence[PointReadings],
     calibration: CalibrationFindings | None,
-) -> list[str]:
-    found = list(loaded.messages)
+) -> Iterator[str]:
+    yield from loaded.messages
     for word in sorted({p.condition for p in points} - EXPERIMENTS.keys()):
         near = difflib.get_close_matches(word, EXPERIMENTS, n=1)
-        found.append(f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
+        yield f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else "")
     unknown = len(loaded.data) - sum(p.reading_cm.size for p in points)
     if unknown:
-        found.append(f"{unknown} rows without a true range are left out")
+        yield f"{unknown} rows without a true range are left out"
     sensors = sorted({p.sensor for p in undisturbed})
     if len(sensors) > 1:
-        found.append(f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise")
+        yield f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise"
     ranges = {round(p.range_cm, 1) for p in undisturbed}
     if len(ranges) == 1:
-        found.append("one range only: no scale, no linearity, and nothing that depends on range can be found")
+        yield "one range only: no scale, no linearity, and nothing that depends on range can be found"
     by_sound = any(p.sensor_model.medium == "sound" for p in undisturbed)
     if calibration is not None and by_sound and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
-        found.append(
+        yield (
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"
         )
     few = [p for p in undisturbed if p.reading_cm.size < FEW_READINGS]
     if few:
-        found.append(f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings")
+        yield f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
     silent = [p for p in undisturbed if p.found.error is None]
     if silent:
         shown = ", ".join(f"{p.range_cm:g}" for p in silent[:5])
-        found.append(f"{len(silent)} points have almost no reading of the surface: at {shown} cm")
-    return found
+        yield f"{len(silent)} points have almost no reading of the surface: at {shown} cm"
 
 
-def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float, float]]) -> list[str]:
-    found = []
+def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float, float]]) -> Iterator[str]:
     for angle in angles:
         if angle.half_angle.value == 0.0:
-            found.append(f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table")
+            yield f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table"
         elif angle.half_angle.high is None:
-            found.append(f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider")
+            yield f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider"
         if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 3.6:
-            found.append(
+            yield (
                 f"at {angle.range_cm:g} cm the two sides differ ({angle.negative.value:g} and "
                 f"{angle.positive.value:g} deg): is the sensor's axis where 0 deg is?"
             )
     measured = {angle.range_cm: angle.half_angle.value for angle in angles}
     wider = ", ".join(f"{r:g}" for r, half_deg in rows if half_deg < measured[r])
     if wider:
-        found.append(f"an angle larger than at a shorter range was limited to that one: at {wider} cm")
-    return found
+        yield f"an angle larger than at a shorter range was limited to that one: at {wider} cm"
 
 
 def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]:

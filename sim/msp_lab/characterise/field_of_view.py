@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from scipy.special import xlogy
 
-from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.estimates import half_of_mean, share, student
+from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
 from msp_range.acoustics.beam import BreakawayTable
@@ -39,12 +39,7 @@ MIN_DIFFERENCE_CM = 1.0
 def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration) -> FieldOfView | None:
     """Breakaway angles of each range; None where no range was tried at more than one angle.
 
-    Parameters
-    ----------
-    points
-        Of the field-of-view experiment; those at 90 deg, or of an unknown angle, are left out.
-    calibration
-        Of the sensor: what it reads at a range.
+    Points at 90 deg, or of an unknown angle, are left out.
     """
     found = sorted(
         (_angle_point(point, calibration) for point in points if abs(point.incidence_deg) < 90.0),

@@ -19,8 +19,8 @@ from scipy.special import logit
 
 from msp_lab.characterise.estimates import detectable, holm, student
 from msp_lab.characterise.experiments import QUESTIONS
+from msp_lab.characterise.findings import NAMES, FactorEffect, Metric, Question, Verdict
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
-from msp_lab.characterise.question_findings import NAMES, FactorEffect, Metric, Question, Verdict
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 from msp_range.arrays import Array
 

@@ -13,17 +13,17 @@ from urllib.parse import quote
 from numpy.random import default_rng
 
 from msp_lab.characterise.analysis import characterise
-from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.findings import Findings, as_json
 from msp_lab.characterise.model_file import changed, write_model
-from msp_lab.characterise.publish import check_free, publish_findings
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.dataset import is_dataset, sensors_of
 from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
+from msp_range.yaml_file import ConfigError
 from msp_sim.workers import Workers, write_rows
 
-TABLE = "sensors.csv"
+NUMBERS, PAGE, TABLE = "findings.json", "report.html", "sensors.csv"
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,37 @@ class SensorResult:
     def write(self, path: Path) -> None:
         """Write the model file; ConfigError if there is a file already, or it cannot be written."""
         write_model(path, self.model, self.findings, self.changes, self.start)
+
+    def publish(self, folder: Path) -> Path:
+        """Write all numbers and the page, and return the page; ConfigError if they cannot be written."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with (folder / NUMBERS).open("x", encoding="utf-8") as file:
+                file.write(as_json(self.findings))
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
+        from msp_lab.characterise.page.write import write_report
+
+        return write_report(self.findings, self.data, self.model, folder)
+
+
+def check_free(out: Path, folder: Path | None) -> None:
+    """Check before the analysis that its model file, and in the folder numbers and page, can be written.
+
+    Raises
+    ------
+    ConfigError
+        One of the files exists, its folder cannot be created, or is the model file.
+    """
+    if folder is not None and out in (folder, *folder.parents):
+        raise ConfigError(f"--report {folder}: {out} is to be the model file, expected another name for the folder")
+    for path in (out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])):
+        if path.exists():
+            there = "folder" if path.is_dir() else "file"
+            raise ConfigError(f"{path}: there is a {there} already, and none is overwritten")
+        for parent in path.parents:
+            if parent.exists() and not parent.is_dir():
+                raise ConfigError(f"{path}: {parent} is a file, expected a folder")
 
 
 def characterised(
@@ -133,7 +164,7 @@ def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
     made = characterised(common.how, [sensor])
     made.write(path)
     if report is not None:
-        publish_findings(made.findings, made.data, made.model, report)
+        made.publish(report)
     mixture = made.model.reading_model
     shares = mixture.weights
     return OfSensor(sensor, len(made.data), mixture.sigma_cm, shares.short, shares.missed, shares.random, str(path))

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import stats
 
 from msp_lab.characterise.estimates import CONFIDENCE, Z, half_of_mean, mean_of_points, standard_error, student
+from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
-from msp_lab.characterise.question_findings import AirBefore, CompensationRow, HotBox, HotBoxRow
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
@@ -51,12 +51,7 @@ class _Air(NamedTuple):
 def hot_boxes(points: Sequence[PointResult], calibration_c: float) -> tuple[HotBox, ...]:
     """One finding for each level of the temperature experiment that is not room temperature.
 
-    Parameters
-    ----------
-    points
-        Every set-up of the data.
-    calibration_c
-        Air temperature that the sensor assumes [deg C].
+    `points` is every set-up of the data, `calibration_c` the air temperature that the sensor assumes [deg C].
     """
     here = [p for p in points if p.condition == "temperature" and p.air_temperature_c is not None and p.error]
     room = [p for p in here if abs((p.air_temperature_c or 0.0) - ROOM_C) < ROOM_WITHIN_C]
@@ -149,14 +144,9 @@ def _depth(range_cm: Array, shift_cm: Array, air: _Air) -> IntervalEstimate:
 
 
 def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:
-    """Mean error of each range as read and after compensation of the air's temperature.
+    """Mean error of each range of the compensation experiment as read, and compensated for the air's temperature.
 
-    Parameters
-    ----------
-    points
-        Of the temperature compensation experiment.
-    calibration
-        Of the sensor, inverted first: compensation is about the air alone.
+    The sensor's calibration is inverted first: compensation is about the air alone.
     """
     ranges = sorted({round(point.range_cm, 3) for point in points})
     rows = [_row(r, [p for p in points if round(p.range_cm, 3) == r], calibration) for r in ranges]

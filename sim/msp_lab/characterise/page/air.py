@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from msp_lab.characterise.findings import CompensationRow, HotBox
 from msp_lab.characterise.page.errors import Line, draw_errors, scale_of, with_reach
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.characterise.question_findings import CompensationRow, HotBox
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.air import compensate_range
 from msp_range.arrays import Array

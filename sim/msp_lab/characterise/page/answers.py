@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from msp_lab.characterise.experiments import EXPERIMENTS
-from msp_lab.characterise.findings import Findings, Form, MaximumRange
+from msp_lab.characterise.findings import NAMES, Findings, Form, MaximumRange, Question, Verdict
 from msp_lab.characterise.page.text import counted, half_interval, interval
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.characterise.question_findings import NAMES, Question, Verdict
 from msp_sim.page.text import minus, p_text, plus, sentence
 
 Kind = Literal["yes", "no", "open"]

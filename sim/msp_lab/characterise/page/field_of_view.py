@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, SonarFit
+from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, SonarFit
 from msp_lab.characterise.page.errors import share_bars, with_reach
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
 from msp_lab.characterise.page.text import half_interval

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from msp_lab.characterise.experiments import EXPERIMENTS
+from msp_lab.characterise.findings import FactorEffect, Question
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
 from msp_lab.characterise.page.tables import METRICS
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.characterise.question_findings import FactorEffect, Question
 from msp_lab.characterise.questions import SHARE_BOUND
 from msp_sim.page.style import GREEN, GREY, INK, PALE, REFERENCE, legend_below, new_figure
 from msp_sim.page.text import sentence

@@ -1,9 +1,8 @@
 """The tables of the page: every effect, temperature compensation, the mixture's parameters, and every set-up."""
 
-from msp_lab.characterise.findings import Findings
+from msp_lab.characterise.findings import CompensationRow, FactorEffect, Findings, Metric
 from msp_lab.characterise.page.text import interval
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
-from msp_lab.characterise.question_findings import CompensationRow, FactorEffect, Metric
 from msp_lab.characterise.questions import SHARE_BOUND
 from msp_sim.page.page import PageTable
 from msp_sim.page.text import number, p_text, sentence
