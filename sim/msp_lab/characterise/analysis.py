@@ -135,15 +135,7 @@ def characterise(
         ),
     )
     findings = replace(findings, absent=_absent(findings, sensor, str(fitted)))
-    determined = {
-        "calibration": _knots(calibration),
-        "breakaway": tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None,
-        "oblique_reading": None if view is None or view.oblique.verdict == "unknown" else view.oblique.verdict,
-        "heard_on_axis_cm": heard_cm,
-        "reading_model": parameters,
-        "effects": _with_set_up_offset(sensor, calibration),
-    }
-    changes = {name: value for name, value in determined.items() if value is not None}
+    changes = _changes(findings, sensor, heard_cm, parameters)
     if not asked and not table and not changes:
         why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
         raise RecordingError(
@@ -227,24 +219,27 @@ def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
-def _knots(calibration: CalibrationFindings | None) -> tuple[CalibrationKnot, ...] | None:
+def _changes(
+    findings: Findings, sensor: SensorModel, heard_cm: float | None, parameters: MixtureParameters | None
+) -> dict[str, Any]:
+    """New values of the sensor model's fields, where the readings determine them."""
+    view, calibration = findings.field_of_view, findings.calibration
+    found: dict[str, Any] = {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
     # Without held-out ranges nothing was decided, and the starting model's stays.
-    if calibration is None or not calibration.held_out:
-        return None
-    return tuple(CalibrationKnot(true_cm=knot.true_cm, reading_cm=knot.reading_cm) for knot in calibration.knots)
-
-
-def _with_set_up_offset(
-    sensor: SensorModel, calibration: CalibrationFindings | None
-) -> tuple[dict[str, Any], ...] | None:
-    """Effects with the offset of sessions, if its interval excludes 0."""
-    found = None if calibration is None else calibration.set_up_offset
-    if found is None or not found.low:
-        return None
-    others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
-    rounded = found.mapped(lambda end: round(end, 3))
-    own = {"value": rounded.value, "low": rounded.low, "high": rounded.high or 0, "unit": "cm"}
-    return (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
+    if calibration is not None and calibration.held_out:
+        knots = [(each.true_cm, each.reading_cm) for each in calibration.knots]
+        found["calibration"] = tuple(CalibrationKnot(true_cm=x, reading_cm=y) for x, y in knots)
+    if view is not None:
+        rows = breakaway_rows(view.angles)
+        found["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None
+        found["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
+    # An offset between sessions enters if its interval excludes 0.
+    if calibration is not None and calibration.set_up_offset is not None and calibration.set_up_offset.low:
+        offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))
+        own = {"value": offset.value, "low": offset.low, "high": offset.high or 0, "unit": "cm"}
+        others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
+        found["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> float | None:

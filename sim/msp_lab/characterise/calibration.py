@@ -221,9 +221,7 @@ def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
     errors = np.empty_like(data.true_cm)
     for each in np.unique(group):
         out = group == each
-        knots = _fit_knots(data.select(~out), pieces)
-        predicted = data.true_cm[out] if knots is None else _extended(data.true_cm[out], *knots)
-        errors[out] = data.reading_cm[out] - predicted
+        errors[out] = data.reading_cm[out] - _extended(data.true_cm[out], *_fitted(data.select(~out), pieces))
     return errors
 
 
@@ -233,14 +231,14 @@ def _gain(simpler: Array, complex_: Array, group: Array) -> IntervalEstimate:
     return mean_of_points([float(saved[group == each].mean()) for each in np.unique(group)], "cm^2")
 
 
-def _fit_knots(data: _Points, pieces: int) -> tuple[Array, Array] | None:
-    """Knots of a curve of straight pieces by least squares; None: no calibration."""
-    if pieces == 0:
-        return None
+def _fitted(data: _Points, pieces: int) -> tuple[Array, Array]:
+    """Knots of a curve of straight pieces by least squares, ranges and readings; without pieces they are equal."""
     x, y = data.true_cm, data.reading_cm
-    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1)).astype(np.float64)
+    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, max(pieces, 1) + 1))
+    if pieces == 0:
+        return places, places
     # Hat functions; the outer ones go on beyond the ends as straight lines.
-    design = np.column_stack([_extended(x, places, np.eye(places.size)[i]) for i in range(places.size)])
+    design = np.column_stack([_extended(x, places, hat) for hat in np.eye(places.size)])
     root_weight = 1.0 / np.sqrt(data.variance_cm2 + 1e-12)
     values, *_ = np.linalg.lstsq(design * root_weight[:, None], y * root_weight, rcond=None)
     return places, values.astype(np.float64)
@@ -251,10 +249,7 @@ def _extended(x: Array, places: Array, values: Array) -> Array:
 
 
 def _knots(data: _Points, pieces: int) -> tuple[MeasuredKnot, ...]:
-    found = _fit_knots(data, pieces)
-    if found is None:
-        return ()
-    pairs = zip(*(each.tolist() for each in found), strict=True)
+    pairs = np.column_stack(_fitted(data, pieces)).tolist() if pieces else []
     return tuple(MeasuredKnot(round(x, 2), round(y, 3)) for x, y in pairs)
 
 

@@ -63,14 +63,9 @@ def characterise(
     1
     >>> folder.cleanup()
     """
-    how = Characterisation(
-        tuple(paths_of(files)),
-        config_path(sensor, "sensors"),
-        () if columns is None else tuple(map_options(columns)),
-        "recorded",
-        date_of(SystemClock().utc()),
-        seed,
-    )
+    column_map = () if columns is None else tuple(map_options(columns))
+    today = date_of(SystemClock().utc())
+    how = Characterisation(tuple(paths_of(files)), config_path(sensor, "sensors"), column_map, "recorded", today, seed)
     with threadpool_limits(limits=1):
         made = characterised(how)
     if out is not None:

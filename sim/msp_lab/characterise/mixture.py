@@ -54,23 +54,9 @@ class FittedMixture(NamedTuple):
 def fit_mixture(
     points: Sequence[PointReadings], calibration: Calibration, sensor: SensorModel, rng: np.random.Generator
 ) -> FittedMixture | str:
-    """Fit the mixture to readings at known ranges.
+    """Fit the mixture to undisturbed readings on the axis; the reason where it cannot be fitted.
 
-    Parameters
-    ----------
-    points
-        Undisturbed, on the axis.
-    calibration
-        Of the sensor.
-    sensor
-        Limits and codes, and the parameters to compare with.
-    rng
-        For the randomised goodness of fit.
-
-    Returns
-    -------
-    FittedMixture or str
-        The reason where it cannot be fitted.
+    `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit.
     """
     try:
         grid = ReadingGrid.of(sensor)

@@ -21,9 +21,9 @@ class IntervalEstimate:
     """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
 
     @classmethod
-    def exact(cls, value: float, unit: str = "") -> "IntervalEstimate":
+    def exact(cls, value: float) -> "IntervalEstimate":
         """A number of which no interval is known."""
-        return cls(value, None, None, unit, 0)
+        return cls(value, None, None, "", 0)
 
     @classmethod
     def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":

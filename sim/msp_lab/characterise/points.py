@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread, root_without
 from msp_lab.characterise.point_findings import PointResult
@@ -150,7 +151,7 @@ class PointReadings:
         middle = float(np.median(window))
         if abs(middle) > max(FARTHEST_CM, FARTHEST_SHARE * self.range_cm):
             return 0.0, 0.0
-        deviation = 1.4826 * float(np.median(np.abs(window - middle)))
+        deviation = float(stats.median_abs_deviation(window, scale="normal"))
         half = max(GATE_CM, min(GATE_DEVIATIONS * deviation, GATE_SHARE * self.range_cm))
         return middle - half, middle + half
 

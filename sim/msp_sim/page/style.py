@@ -174,7 +174,7 @@ def _file(figure: Figure, name: str) -> bytes:
     return file.getvalue()
 
 
-def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = INK) -> None:
+def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
     """Write a few words inside an axes, at a fraction of its width and height, on a white background."""
     axes.text(
         x,
@@ -184,7 +184,7 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = 
         ha="right" if x > 0.5 else "left",
         va="top" if y > 0.5 else "bottom",
         fontsize=8.0,
-        color=colour,
+        color=INK,
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0},
         zorder=10,
     )
