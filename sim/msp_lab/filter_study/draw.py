@@ -50,10 +50,10 @@ def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array
     whole, close = figure.subplots(2, 1)
     for axes in (whole, close):
         axes.plot(time_s, runs.reading_cm[0], ".", color=GREY, markersize=3, label="readings")
-        axes.plot(time_s, runs.true_cm[0], color=INK, linewidth=1.0, label="true range")
+        axes.plot(time_s, runs.true_cm[0], color=INK, label="true range")
         for (name, cm), (colour, _) in zip(estimates.items(), SERIES, strict=False):
-            axes.plot(time_s, cm, color=colour, linewidth=1.2, label=name)
-        axes.plot(time_s, newest_cm, "--", color=INK, linewidth=1.0, label="changepoint")
+            axes.plot(time_s, cm, color=colour, label=name)
+        axes.plot(time_s, newest_cm, "--", color=INK, label="changepoint")
         axes.set_ylabel("range [cm]")
     whole.set_title(title)
     begin_s = _interesting_s(runs)

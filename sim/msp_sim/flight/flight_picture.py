@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from msp_range.arrays import Array
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
-from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, style
+from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, shaded, style
 
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
@@ -46,9 +46,9 @@ def draw(flight: FlightResult, path: Path, title: str) -> None:
     edges = _edges(flight.fused)
     for first_s, last_s in edges:
         for axes in (top, *below):
-            axes.axvspan(first_s, last_s, color=PALE, alpha=0.4, linewidth=0, zorder=-1)
+            axes.axvspan(first_s, last_s, **shaded())
     if edges:
-        top.fill_between([], [], [], color=PALE, alpha=0.4, label="sensors over different ground")
+        top.fill_between([], [], [], label="sensors over different ground", **shaded())
     (below or [top])[-1].set_xlabel("time [s]")
     save(legend_below(figure), path)
 
@@ -74,7 +74,7 @@ def _draw_ranges(top: Axes, flight: FlightResult) -> None:
         top.plot(*truth, "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
     if fused.time_s:
         heights = _interrupted(fused.time_s, _numbers(fused.filtered_m))
-        top.plot(*heights, "-", color=INK, linewidth=1, label="fused")
+        top.plot(*heights, "-", color=INK, label="fused")
     top.set_ylabel("range [m]")
 
 
@@ -108,7 +108,7 @@ def _draw_errors(axes: Axes, flight: FlightResult) -> None:
     errors_cm = 100 * (_numbers(fused.filtered_m) - _numbers(fused.truth_m))
     known = np.isfinite(errors_cm)
     line = _interrupted(_numbers(fused.time_s)[known], _unless(fused, "edge", errors_cm)[known])
-    axes.plot(*line, "-", color=INK, linewidth=1)
+    axes.plot(*line, "-", color=INK)
     axes.set_ylabel("error [cm]")
     axes.set_ylim(-SHOWN_CM, SHOWN_CM)
     of_line = "; line: fused" if known.any() else ""

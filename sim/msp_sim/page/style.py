@@ -40,6 +40,19 @@ REFERENCE = VERMILION
 SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (VERMILION, "P"))
 """Colour and marker of the first, second ... of several series of equal importance."""
 
+BARS: dict[str, Any] = {"color": OURS, "alpha": 0.7}
+"""Look of counts and shares, for `Axes.bar`."""
+
+MARKED: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "X",
+    "markersize": 7,
+    "color": REFERENCE,
+    "markeredgecolor": "white",
+    "zorder": 6,
+}
+"""Look of a reference's values, for `Axes.plot`."""
+
 DOTS: dict[str, Any] = {
     "linestyle": "none",
     "marker": "o",
@@ -47,7 +60,6 @@ DOTS: dict[str, Any] = {
     "color": INK,
     "markerfacecolor": "white",
     "elinewidth": 1.0,
-    "capsize": 2.5,
     "zorder": 5,
 }
 """Look of measured values with their intervals, for `Axes.errorbar`."""
@@ -97,6 +109,7 @@ _STYLE: dict[Any, Any] = {
     "legend.borderpad": 0.3,
     "legend.handlelength": 1.8,
     "lines.linewidth": 1.5,
+    "errorbar.capsize": 2.5,
     "lines.markersize": 5.0,
     "path.simplify_threshold": 0.5,
     "agg.path.chunksize": 20_000,
@@ -192,12 +205,17 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
 
 def label(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any) -> None:
     """Write a few words next to a place, so many points to the right of it and above."""
-    axes.annotate(text, at, xytext=offset, textcoords="offset points", **look)
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.0} | look)
 
 
-def line_at_zero(axes: Axes, **look: Any) -> None:
+def shaded(colour: str = PALE) -> dict[str, Any]:
+    """Look of a range of values, for `Axes.axhspan`, `Axes.axvspan` and `Axes.fill_between`."""
+    return {"color": colour, "alpha": 0.6 if colour == PALE else 0.2, "linewidth": 0}
+
+
+def line_at_zero(axes: Axes) -> None:
     """Draw the line on which there is no difference."""
-    axes.axhline(0.0, color=GREY, linewidth=0.9, **look)
+    axes.axhline(0.0, color=GREY, linewidth=0.9)
 
 
 def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> Figure:

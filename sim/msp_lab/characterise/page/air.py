@@ -91,13 +91,13 @@ def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str]
     colour, marker = series
     after = [row for row in rows if row[2] is not None]
     for x, one, other in after:
-        axes.vlines(x, one.value, other.value, color=colour, linewidth=1.0, alpha=0.6)
+        axes.vlines(x, one.value, other.value, color=colour, alpha=0.6)
     white: dict[str, Any] = {"markerfacecolor": "white", "markeredgewidth": 1.4}
     for points, end, words, look in ((rows, 1, "uncompensated", {}), (after, 2, "compensated", white)):
         x, (y, reach) = [x for x, *_ in points], with_reach([row[end] for row in points])
-        axes.plot(x, y, marker, linestyle="none", markersize=6, color=colour, label=f"{who}{words}", **look)
+        axes.plot(x, y, marker, linestyle="none", color=colour, label=f"{who}{words}", **look)
         if np.any(reach):
-            axes.errorbar(x, y, yerr=reach, linestyle="none", color=colour, capsize=3, elinewidth=1)
+            axes.errorbar(x, y, yerr=reach, linestyle="none", color=colour)
 
 
 def _boxes(rows: PictureData) -> Drawn:
@@ -114,7 +114,7 @@ def _draw_boxes(boxes: Sequence[HotBox]) -> Figure:
         range_cm = [row.range_cm for row in box.rows]
         uniform, gradient, confined = np.array([(r.uniform_cm, r.gradient_cm, r.confined_cm) for r in box.rows]).T
         line_at_zero(axes)
-        axes.plot(range_cm, uniform, ":", color=REFERENCE, linewidth=1.8, label="that air all the way")
+        axes.plot(range_cm, uniform, ":", color=REFERENCE, label="that air all the way")
         axes.plot(range_cm, gradient, "-.", color=PURPLE, label="linear fall to the room's at the target")
         axes.plot(range_cm, confined, "-", color=GREEN, label="that air in the box only")
         shift_cm, reach_cm = with_reach([row.shift for row in box.rows])

@@ -18,8 +18,10 @@ from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.arrays import Array, Flags
 from msp_sim.page.style import (
+    BARS,
     DOTS,
     GREY,
+    MARKED,
     OURS,
     REFERENCE,
     edges_between,
@@ -27,6 +29,7 @@ from msp_sim.page.style import (
     legend_below,
     line_at_zero,
     new_figure,
+    shaded,
     signed,
 )
 
@@ -106,12 +109,11 @@ def draw_errors(
         _set_up(row, scale)
         if band is not None:
             half_cm, words = band
-            row.axhspan(-half_cm, half_cm, color=REFERENCE, alpha=0.10, linewidth=0, label=words, zorder=0)
+            row.axhspan(-half_cm, half_cm, label=words, **shaded(REFERENCE))
         draw = _bars if ranges_cm.size <= MOST_RANGES else _cloud
         draw(row, each, ranges_cm, scale)
         if marked is not None:
-            look: dict[str, Any] = {"marker": "X", "markersize": 7, "color": REFERENCE, "markeredgecolor": "white"}
-            row.plot(marked.range_cm, marked.error_cm, linestyle="none", label=marked.label, zorder=6, **look)
+            row.plot(marked.range_cm, marked.error_cm, label=marked.label, **MARKED)
         if len(panels) > 1:
             row.set_title(each.label, pad=24.0)
     if len(panels) > 1:
@@ -146,8 +148,8 @@ def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
 
 def share_bars(axes: Axes, left: ArrayLike, reading_cm: ArrayLike, width: ArrayLike) -> None:
     """Draw histograms on their side: a bar of a centimetre for each reading, as wide as its share."""
-    look: dict[str, Any] = {"align": "edge", "color": OURS, "alpha": 0.6, "linewidth": 0, "zorder": 2}
-    axes.bar(left, 0.88, width, np.asarray(reading_cm) - 0.44, label="readings: width is the share", **look)
+    words = "readings: width is the share"
+    axes.bar(left, 0.88, width, np.asarray(reading_cm) - 0.44, align="edge", label=words, **BARS)
 
 
 def _set_up(row: Axes, scale: Scale) -> None:
@@ -157,7 +159,7 @@ def _set_up(row: Axes, scale: Scale) -> None:
         row.yaxis.set_minor_locator(NullLocator())
     row.yaxis.set_major_formatter(signed)
     row.set_ylim(scale.low, scale.high)
-    line_at_zero(row, zorder=1)
+    line_at_zero(row)
 
 
 def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
@@ -194,10 +196,9 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
         share_bars(row, x - width / 2.0, y, width)
     if far:
         words = "readings farther off" if scale.compressed else "readings outside"
-        look: dict[str, Any] = {"markersize": 6, "markeredgewidth": 1.0, "color": OURS, "zorder": 2, "clip_on": False}
-        row.plot(*np.array(far).T, "_", label=words, **look)
+        row.plot(*np.array(far).T, "_", color=OURS, clip_on=False, label=words)
     words = "median" if scale.compressed else "mean of those not outside, 95 % interval"
-    _middles(row, middles, scale, words, {"markeredgewidth": 1.1, "elinewidth": 1.1, "capsize": 2})
+    _middles(row, middles, scale, words)
     for line, words in enumerate(("missed ", f"over ±{LINEAR_CM:g} cm ") if scale.compressed else ("missed ",)):
         _write_above(row, words, 0.0, "axes fraction", line, ha="right", fontsize=6.5, color=GREY)
     row.set_xlim(edges[0], edges[-1])
@@ -219,15 +220,13 @@ def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
         bins = [index == i for i in range(24) if np.count_nonzero(index == i) >= 5]
         middles = [(float(np.mean(x[here])), *scale.middle_of(y[here])) for here in bins]
         words = "median in bins" if scale.compressed else "mean in bins and its 95 % interval"
-        _middles(row, middles, scale, words, {"linestyle": "-", "linewidth": 1.0, "markersize": 4, "capsize": 2})
+        _middles(row, middles, scale, words, linestyle="-")
     missed = int(np.count_nonzero(each.missed))
     words, colour = f"missed {missed} of {each.missed.size}", REFERENCE if missed else GREY
     row.text(1.0, 1.01, words, transform=row.transAxes, ha="right", va="bottom", fontsize=7, color=colour)
 
 
-def _middles(
-    row: Axes, middles: Sequence[tuple[float, float, float]], scale: Scale, words: str, look: dict[str, Any]
-) -> None:
+def _middles(row: Axes, middles: Sequence[tuple[float, float, float]], scale: Scale, words: str, **look: Any) -> None:
     """Draw the middles of errors with their intervals."""
     if middles:
         x, y, halves = np.array(middles).T

@@ -18,7 +18,21 @@ from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
 from msp_range.arrays import Array, Flags
 from msp_sim.page import style
-from msp_sim.page.style import GREEN, GREY, INK, ORANGE, OURS, PALE, REFERENCE, edges_between, label, legend_below
+from msp_sim.page.style import (
+    BARS,
+    GREEN,
+    GREY,
+    INK,
+    MARKED,
+    ORANGE,
+    OURS,
+    PALE,
+    REFERENCE,
+    edges_between,
+    label,
+    legend_below,
+    shaded,
+)
 from msp_sim.page.text import sentence
 
 MAX_SWEEPS = 8
@@ -90,18 +104,18 @@ def _draw_sweep(
     slant_cm = base_cm / np.cos(theta)
     low, high = min(base_cm, range_cm) - 4.0, max(float(np.max(slant_cm)), range_cm) + 5.0
     _draw_shares(top, rows, chosen, angle_deg, width, (low, high))
-    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ", zorder=4)
+    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
     if half_deg > 0.0:
         nearest_cm = base_cm / np.cos(np.maximum(np.abs(theta) - np.radians(half_deg), 0.0))
         words = f"nearest point in a beam of ±{half_deg:.1f}°"
-        top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, linewidth=1.3, zorder=4, label=words)
+        top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, label=words)
     top.set_ylim(low, high)
     top.set_ylabel("reading [cm]")
     top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
 
     reliable = 100.0 * np.array([point.reliable.value for point in points])
-    bottom.bar(angle_deg, reliable, width=width, color=OURS, alpha=0.75, zorder=2)
-    bottom.bar(angle_deg, 100.0 - reliable, width=width, bottom=reliable, color=PALE, zorder=2)
+    bottom.bar(angle_deg, reliable, width, **BARS)
+    bottom.bar(angle_deg, 100.0 - reliable, width, reliable, color=PALE)
     bottom.set_ylim(0.0, 100.0)
     bottom.set_yticks([0, 50, 100])
     bottom.set_ylabel("reliable [%]")
@@ -109,11 +123,10 @@ def _draw_sweep(
     _mark_breakaway(top, bottom, breakaway)
     reference_deg = None if rows.reference is None else rows.reference.half_angle_deg.get(range_cm)
     if rows.reference is not None and reference_deg is not None:
-        look: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 2.0}
-        for sign in (-1, 1):
-            for axes in (top, bottom):
-                axes.axvline(sign * reference_deg, zorder=5, **look)
-        top.plot([], [], label=f"{rows.reference.name}'s ±{reference_deg:g}°", **look)
+        for axes in (top, bottom):
+            for sign in (-1, 1):
+                axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":")
+        top.plot([], [], ":", color=REFERENCE, label=f"{rows.reference.name}'s ±{reference_deg:g}°")
     bottom.set_xticks(_ticks(angle_deg))
     bottom.xaxis.set_major_formatter("{x:g}")
     bottom.set_xlim(edges[0], edges[-1])
@@ -152,7 +165,6 @@ def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -
     sides = [] if breakaway is None else [(-1.0, breakaway.negative), (1.0, breakaway.positive)]
     # 0 stands for a side on which no angle is reliable.
     known = [(sign, side) for sign, side in sides if side is not None and side.value]
-    stretch: dict[str, Any] = {"color": ORANGE, "alpha": 0.22, "linewidth": 0}
     ended = False
     for sign, side in known:
         last = sign * side.value
@@ -160,25 +172,23 @@ def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -
         ended |= has_end
         for axes in (top, bottom):
             if has_end and side.high is not None:
-                axes.axvspan(*sorted((last, sign * side.high)), zorder=1, **stretch)
-            axes.axvline(last, color=INK, linewidth=1.3, zorder=5)
+                axes.axvspan(*sorted((last, sign * side.high)), **shaded(ORANGE))
+            axes.axvline(last, color=INK)
         top.text(
             last,
             0.985,
             f" {abs(last):.1f}°",
             transform=top.get_xaxis_transform(),
-            fontsize=8.5,
             weight="bold",
             ha="left" if last < 0 else "right",
             va="top",
             color=INK,
-            zorder=6,
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
         )
     if known:
-        top.plot([], [], "-", color=INK, linewidth=1.3, label="breakaway: last reliable angle")
+        top.plot([], [], "-", color=INK, label="breakaway: last reliable angle")
     if ended:
-        top.fill_between([], [], [], label="up to the next angle tried", **stretch)
+        top.fill_between([], [], [], label="up to the next angle tried", **shaded(ORANGE))
 
 
 def _sonar(rows: PictureData) -> Drawn:
@@ -209,31 +219,30 @@ def _draw_beam(rows: PictureData, sonar: SonarFit, measured: Sequence[BreakawayA
     figure, axes = style.new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
     ends = span_deg - STEP_DEG, span_deg + STEP_DEG
-    axes.fill_between(span_cm, *ends, color=PALE, alpha=0.6, linewidth=0, label=words, zorder=1)
-    axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted", zorder=3)
+    axes.fill_between(span_cm, *ends, label=words, **shaded())
+    axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted")
     used_deg = measured_deg + [angle for _, angle in sonar.beyond]
-    axes.plot(used_cm, used_deg, "--", color=INK, linewidth=1.2, label="what the bridge uses", zorder=4)
+    axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
     intervals = {angle.range_cm: angle.half_angle for angle in measured}
     known = [
         replace(intervals.get(range_cm, IntervalEstimate.exact(angle)), value=angle)
         for range_cm, angle in zip(x, measured_deg, strict=True)
     ]
     words = "measured, up to the next angle tried"
-    axes.errorbar(x, *with_reach(known), fmt="o", markersize=9, color=OURS, capsize=4, zorder=6, label=words)
+    axes.errorbar(x, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
     reference = rows.reference
     earlier_deg = {} if reference is None else reference.half_angle_deg
     pairs = [(each, earlier_deg[each]) for each in x if each in earlier_deg]
     if pairs and reference is not None:
-        look: dict[str, Any] = {"markersize": 7, "color": REFERENCE, "markeredgecolor": "white", "zorder": 7}
-        axes.plot(*zip(*pairs, strict=True), "X", label=f"{reference.name}'s", **look)
+        axes.plot(*zip(*pairs, strict=True), label=f"{reference.name}'s", **MARKED)
     left_out = [(row.range_cm, row.left_out_deg) for row in sonar.rows if row.left_out_deg is not None]
     if left_out:
-        look = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE, "zorder": 8}
-        axes.plot(*zip(*left_out, strict=True), "D", label="predicted from the others", **look)
+        look: dict[str, Any] = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE}
+        axes.plot(*zip(*left_out, strict=True), "D", label="predicted from the others", zorder=7, **look)
         for row in sonar.rows:
             if row.left_out_deg is None:
                 words = "the others predict\nno echo here"
-                label(axes, words, (row.range_cm, 0.0), (0, 6), ha="center", fontsize=7, color=GREY)
+                label(axes, words, (row.range_cm, 0.0), (0, 6), ha="center", color=GREY)
     axes.set_ylim(0.0, 1.2 * max([*measured_deg, *(angle for _, angle in (*pairs, *left_out))]))
     axes.set_xlim(0.0, max(used_cm))
     return legend_below(figure)

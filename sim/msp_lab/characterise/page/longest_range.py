@@ -15,7 +15,7 @@ from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Picture
 from msp_lab.characterise.page.text import counted, interval
 from msp_range.arrays import Array, Flags
 from msp_range.reading_model.mixture import ReadingModel
-from msp_sim.page.style import DOTS, GREY, INK, ORANGE, OURS, REFERENCE, label, legend_below, new_axes, note
+from msp_sim.page.style import BARS, DOTS, GREY, INK, ORANGE, OURS, REFERENCE, label, legend_below, new_axes, note
 
 PEAK_RANGE_CM = 1.0
 """A reference's peak is marked where its true range is this near to the one of the readings [cm]."""
@@ -105,11 +105,11 @@ def _draw_in_order(fixed: _FixedRange, masked: bool) -> Figure:
     number = np.arange(1.0, fixed.reading_cm.size + 1.0)
     # Thousands of dots would be a bar of one colour: let the ground shine through.
     alpha = min(1.0, max(0.08, 2000.0 / number.size)) if masked else 1.0
-    look: dict[str, Any] = {"markeredgewidth": 0, "color": OURS, "alpha": alpha, "zorder": 3}
+    look: dict[str, Any] = {"markeredgewidth": 0, "color": OURS, "alpha": alpha}
     axes.plot(
         number[fixed.is_distance], fixed.reading_cm[fixed.is_distance], "o", markersize=2.2 if masked else 1.8, **look
     )
-    axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--", linewidth=1.1, zorder=4)
+    axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--")
     handles = axes.plot([], [], "o", color=OURS, markersize=4, label="reading")
     handles += axes.plot([], [], "--", color=REFERENCE, label=f"true range, {fixed.true_range_cm:g} cm")
     if masked:
@@ -121,7 +121,7 @@ def _draw_in_order(fixed: _FixedRange, masked: bool) -> Figure:
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         for code, where in fixed.codes:
-            axes.plot(where, np.full(where.size, code), "|", markersize=9, color=ORANGE, zorder=3)
+            axes.plot(where, np.full(where.size, code), "|", markersize=9, color=ORANGE)
             words = f"{code:g} cm:\n{where.size} ({100.0 * where.size / number.size:.2g} %)"
             beyond = axes.get_yaxis_transform()
             axes.text(1.005, code, words, transform=beyond, va="center", fontsize=7.5, color=INK)
@@ -139,7 +139,7 @@ def _running_mean(axes: Axes, number: Array, reading_cm: Array) -> list[Any]:
     if each < 10:
         return []
     x, y = (column[: each * 50].reshape(50, each).mean(axis=1) for column in (number, reading_cm))
-    return axes.plot(x, y, "-", color=INK, linewidth=1.2, zorder=5, label=f"mean of {each} readings")
+    return axes.plot(x, y, "-", color=INK, label=f"mean of {each} readings")
 
 
 def histogram(rows: PictureData, masked: bool) -> Drawn:
@@ -165,11 +165,11 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
     else:
         _draw_all(axes, fixed)
     words = f"true range, {fixed.true_range_cm:g} cm"
-    axes.axvline(fixed.true_range_cm, color=REFERENCE, linestyle="--", label=words, zorder=4)
+    axes.axvline(fixed.true_range_cm, color=REFERENCE, linestyle="--", label=words)
     earlier = rows.reference
     if masked and earlier is not None and abs(fixed.true_range_cm - earlier.peak_range_cm) < PEAK_RANGE_CM:
         words = f"{earlier.name}'s peak, {earlier.peak_cm:g} cm"
-        axes.axvline(earlier.peak_cm, color=GREY, linestyle=":", label=words, zorder=4)
+        axes.axvline(earlier.peak_cm, color=GREY, linestyle=":", label=words)
     axes.grid(axis="x", visible=False)
     return Drawn(legend_below(figure), caption, "How often each centimetre was read at the longest range.")
 
@@ -182,14 +182,14 @@ def _draw_bulk(axes: Axes, fixed: _FixedRange, fitted: Array | None) -> None:
     """How often each distance was read, and of a fitted model the probabilities of the readings 0, 1, 2 ... cm."""
     distances_cm = fixed.reading_cm[fixed.is_distance]
     words = f"{distances_cm.size:,} readings"
-    axes.bar(*np.unique(distances_cm, return_counts=True), width=0.86, color=OURS, alpha=0.75, label=words, zorder=2)
+    axes.bar(*np.unique(distances_cm, return_counts=True), width=0.86, label=words, **BARS)
     low, high = fixed.limits_cm
     if fitted is not None:
         k = np.arange(int(np.ceil(low)), int(np.floor(high)) + 1)
         k = k[(k >= 0) & (k < fitted.size)]
         expected = fitted[k] * fixed.reading_cm.size
         half, words = Z * np.sqrt(np.maximum(expected, 0.0)), "fitted model, and 95 % of counts"
-        axes.errorbar(k, expected, yerr=half, label=words, **DOTS | {"markersize": 4})
+        axes.errorbar(k, expected, yerr=half, label=words, **DOTS)
     axes.set_xlim(low, high)
     axes.set_ylim(bottom=0.0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -202,15 +202,15 @@ def _draw_all(axes: Axes, fixed: _FixedRange) -> None:
     answers_cm = fixed.reading_cm[np.isfinite(fixed.reading_cm)]
     values, counts = np.unique(answers_cm, return_counts=True)
     is_code = np.isin(values, [code for code, _ in fixed.codes])
-    axes.bar(values[~is_code], counts[~is_code], width=3.0, color=OURS, label="readings", zorder=2)
-    axes.bar(values[is_code], counts[is_code], width=5.0, color=ORANGE, label="code for no echo", zorder=3)
+    axes.bar(values[~is_code], counts[~is_code], width=3.0, color=OURS, label="readings")
+    axes.bar(values[is_code], counts[is_code], width=5.0, color=ORANGE, label="code for no echo")
     axes.set_xlim(0.0, 1.06 * max(float(np.max(values)), fixed.true_range_cm))
     axes.set_yscale("log")
     axes.set_ylim(0.7, float(np.max(counts)) * 4.0)
     axes.yaxis.set_major_formatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else "")
     for value, count in zip(values[is_code].tolist(), counts[is_code].tolist(), strict=True):
         words = f"{value:g} cm\n{count} ({100.0 * count / answers_cm.size:.2g} %)"
-        label(axes, words, (value, count), (0, 4), ha="center", fontsize=7.5, color=INK)
+        label(axes, words, (value, count), (0, 4), ha="center")
 
 
 def _probabilities(rows: PictureData, true_cm: float) -> Array:

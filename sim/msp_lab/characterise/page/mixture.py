@@ -22,6 +22,7 @@ from msp_range.arrays import Array, Flags
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.page.style import (
+    BARS,
     DOTS,
     GREEN,
     INK,
@@ -33,6 +34,7 @@ from msp_sim.page.style import (
     legend_below,
     new_axes,
     note,
+    shaded,
     signed,
 )
 from msp_sim.page.text import p_text, sentence
@@ -181,7 +183,7 @@ def _draw_hit(axes: Axes, fitted: Densities) -> None:
     """The Gaussian's probability of each centimetre, next to the share that was read."""
     shown = fitted.bulk(1e-5)
     k, p = fitted.reading_cm[shown], fitted.density["hit"][shown]
-    axes.bar(k, p, width=0.9, color=OURS, alpha=0.45, label="fitted: integral over each centimetre")
+    axes.bar(k, p, width=0.9, label="fitted: integral over each centimetre", **BARS)
     if fitted.counts is not None:
         near = fitted.counts[shown]
         _dots(axes, k, near, float(np.sum(near)), "share read, and its 95 % interval", omits_none=True)
@@ -191,7 +193,7 @@ def _draw_hit(axes: Axes, fitted: Densities) -> None:
 def _draw_short(axes: Axes, fitted: Densities) -> None:
     """Unexpected obstacles (5.4): the exponential that ends at the expected range."""
     k = fitted.reading_cm
-    _curve(axes, fitted, "short", k <= fitted.true_range_cm + 0.5, 0.35)
+    _curve(axes, fitted, "short", k <= fitted.true_range_cm + 0.5)
     # Nothing else can be distinguished from the hits where they begin.
     _binned(axes, fitted, "short", (k < k[fitted.bulk(1e-7)][0]) & (k > k[0]))
     if fitted.weight["short"] < NO_WEIGHT:
@@ -212,7 +214,7 @@ def _draw_missed(axes: Axes, fitted: Densities) -> None:
             _dots(axes, [code], [count], total, name, 100.0)
             words += f"\nread {100.0 * count / total:.2f} %"
         side, ha = (-1, "right") if code > 0.85 * k[-1] else (1, "left")
-        label(axes, words, (code, percent), (14 * side, 2), fontsize=8, va="bottom", ha=ha)
+        label(axes, words, (code, percent), (14 * side, 2), va="bottom", ha=ha)
     axes.set_xlim(0.0, float(k[-1]) * 1.06)
     axes.margins(y=0.3)
 
@@ -220,21 +222,21 @@ def _draw_missed(axes: Axes, fitted: Densities) -> None:
 def _draw_random(axes: Axes, fitted: Densities) -> None:
     """Random readings: the same for each centimetre that the sensor can report, from its minimum and not 0."""
     k = fitted.reading_cm
-    _curve(axes, fitted, "random", np.ones(k.size, dtype=bool), 0.3)
+    _curve(axes, fitted, "random", np.ones(k.size, dtype=bool))
     # Beyond the hits only random readings and codes are left.
     _binned(axes, fitted, "random", (k > k[fitted.bulk(1e-7)][-1]) & (k < k[-1]))
     if fitted.weight["random"] < NO_WEIGHT:
         note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
     for edge, side, x in ((k[0], "right", -4), (k[-1], "left", 4)):
-        label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side, fontsize=8)
+        label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side)
     axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
     axes.margins(y=0.25)
 
 
-def _curve(axes: Axes, fitted: Densities, kind: str, where: Flags, alpha: float) -> None:
+def _curve(axes: Axes, fitted: Densities, kind: str, where: Flags) -> None:
     """Probabilities of centimetres as a line with the ground below it."""
     (colour, _), k, p = _LOOKS[kind], fitted.reading_cm[where], fitted.density[kind][where]
-    axes.fill_between(k, 0.0, p, step="mid", color=colour, alpha=alpha, linewidth=0)
+    axes.fill_between(k, 0.0, p, step="mid", **shaded(colour))
     axes.step(k, p, where="mid", color=colour, label="fitted, if a reading is of this kind")
 
 
@@ -297,10 +299,10 @@ def _draw_mixture(fitted: Densities) -> Figure:
         colour, dashes = _LOOKS[kind]
         words = f"{kind}, weight {fitted.weight[kind]:.3g}"
         if kind == "missed":
-            axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=words, zorder=3)
+            axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=words)
         else:
-            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=words, zorder=3)
-    axes.plot(k, np.where(is_code, np.nan, fitted.total), color=INK, linewidth=0.8, label="all together", zorder=4)
+            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=words)
+    axes.plot(k, np.where(is_code, np.nan, fitted.total), color=INK, linewidth=0.8, label="all together")
     axes.set_yscale("log")
     axes.set_ylim(least, 2.0)
     axes.set_xlim(0.0, float(k[-1]) * 1.03)
@@ -335,11 +337,11 @@ def _draw_pit(counts: Sequence[int], p_value: float) -> Figure:
     figure, axes = new_axes(3.2, words, "readings more than expected [%]")
     bins, n = len(counts), float(sum(counts))
     low, high = 100.0 * (binom.ppf([0.025, 0.975], n, 1.0 / bins) / (n / bins) - 1.0)
-    axes.axhspan(low, high, color=REFERENCE, alpha=0.15, linewidth=0, label="95 % of each bar if the model is right")
-    axes.axhline(0.0, color=REFERENCE, linewidth=1.0)
+    axes.axhspan(low, high, label="95 % of each bar if the model is right", **shaded(REFERENCE))
+    axes.axhline(0.0, color=REFERENCE)
     excess = 100.0 * (np.array(counts, dtype=float) / (n / bins) - 1.0)
     left, words = np.arange(bins) / bins, f"{n:,.0f} readings"
-    axes.bar(left, excess, width=0.94 / bins, align="edge", color=OURS, alpha=0.75, label=words, zorder=2)
+    axes.bar(left, excess, width=0.94 / bins, align="edge", label=words, **BARS)
     reach = max(float(np.max(np.abs(excess))), high) * 1.3
     axes.set_ylim(-reach, reach)
     axes.yaxis.set_major_formatter(signed)

@@ -15,7 +15,7 @@ from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Picture
 from msp_lab.characterise.page.tables import METRICS
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.questions import SHARE_BOUND
-from msp_sim.page.style import GREEN, GREY, INK, PALE, REFERENCE, legend_below, new_figure
+from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, legend_below, new_figure, shaded
 from msp_sim.page.text import sentence
 
 LABEL_LETTERS = 30
@@ -75,7 +75,7 @@ def _draw(questions: Sequence[Question]) -> Figure:
     for metric, axes in zip(metrics, panels, strict=True):
         _panel(axes, [row for row in rows if row[1].metric == metric])
         axes.set_ylim(0.0, height)
-        axes.set_title(METRICS[metric].replace(", ", ",\n") + (" [cm]" if metric == "bias" else ""), fontsize=8.5)
+        axes.set_title(METRICS[metric].replace(", ", ",\n") + (" [cm]" if metric == "bias" else ""))
         axes.grid(axis="y", visible=False)
         axes.spines["left"].set_visible(False)
     panels[0].set_yticks(middles, labels, fontsize=7.5)
@@ -84,9 +84,9 @@ def _draw(questions: Sequence[Question]) -> Figure:
     first, handles = panels[0], []
     for verdict, (colour, marker, fill) in VERDICTS.items():
         handles += first.plot([], [], marker, color=colour, fillstyle=fill, markersize=6, label=verdict)
-    handles += [first.fill_between([], [], [], color=PALE, alpha=0.8, linewidth=0, label="too small to matter")]
+    handles += [first.fill_between([], [], [], label="too small to matter", **shaded())]
     words = "smallest that these data show"
-    handles += first.plot([], [], "|", color=INK, markersize=9, markeredgewidth=1.2, label=words)
+    handles += first.plot([], [], "|", color=INK, markersize=9, label=words)
     return legend_below(figure, handles)
 
 
@@ -95,30 +95,30 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
     is_ratio = rows[0][1].is_ratio
     _set_scale(axes, rows, is_ratio)
     left, right = axes.get_xlim()
-    axes.axvline(1.0 if is_ratio else 0.0, color=GREY, linewidth=1.0, zorder=1)
+    axes.axvline(1.0 if is_ratio else 0.0, color=GREY)
     for y, effect, size in rows:
         colour, marker, fill = VERDICTS[effect.verdict]
         small = [effect.mirrored(effect.bound), effect.bound]
-        axes.fill_between(small, y - 0.8, y + 0.8, color=PALE, alpha=0.8, linewidth=0, zorder=0)
+        axes.fill_between(small, y - 0.8, y + 0.8, **shaded())
         smallest = effect.smallest_detectable
         for edge in () if smallest is None else (smallest, effect.mirrored(smallest)):
             if left <= edge <= right:
-                axes.vlines(edge, y - 0.7, y + 0.7, color=INK, linewidth=1.1, zorder=2)
+                axes.vlines(edge, y - 0.7, y + 0.7, color=INK)
         low, high = size.low, size.high
         ends = [left if low is None else max(low, left), right if high is None else min(high, right)]
-        axes.plot(ends, [y, y], color=colour, linewidth=1.6, zorder=3)
+        axes.plot(ends, [y, y], color=colour)
         arrow: dict[str, Any] = {"color": colour, "clip_on": False}
         if low is None or low < left:
-            axes.plot([left], [y], marker="<", markersize=5, zorder=4, **arrow)
+            axes.plot([left], [y], marker="<", markersize=5, **arrow)
         if high is None or high > right:
-            axes.plot([right], [y], marker=">", markersize=5, zorder=4, **arrow)
+            axes.plot([right], [y], marker=">", markersize=5, **arrow)
         if size.value < left:
-            axes.plot([left], [y], marker="<", markersize=7, zorder=5, **arrow)
+            axes.plot([left], [y], marker="<", markersize=7, **arrow)
         elif size.value > right:
-            axes.plot([right], [y], marker=">", markersize=7, zorder=5, **arrow)
+            axes.plot([right], [y], marker=">", markersize=7, **arrow)
         else:
             look: dict[str, Any] = {"fillstyle": fill, "markerfacecolor": "white" if fill == "none" else colour}
-            axes.plot([size.value], [y], marker=marker, color=colour, markersize=6, zorder=5, **look)
+            axes.plot([size.value], [y], marker=marker, color=colour, markersize=6, **look)
 
 
 def _set_scale(axes: Axes, rows: Sequence[Row], is_ratio: bool) -> None:

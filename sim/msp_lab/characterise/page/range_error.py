@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +16,7 @@ from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, Picture
 from msp_lab.characterise.page.text import interval, span
 from msp_lab.characterise.temperature import ROOM_C
 from msp_range.correction.calibration import curve_through
-from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, legend_below, line_at_zero, new_figure
+from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, legend_below, line_at_zero, new_figure, shaded
 from msp_sim.page.text import plus, sentence
 
 MAX_LEVELS = 5
@@ -65,30 +66,20 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     line_at_zero(axes)
     if found.reference_std_cm:
         half_cm, words = 2.0 * found.reference_std_cm, "± 2 standard deviations of the reference"
-        axes.axhspan(-half_cm, half_cm, color=PALE, alpha=0.5, linewidth=0, label=words)
-    size, alpha, width = (2.0, 0.4, 0.5) if true_cm.size > CROWDED else (4.0, 1.0, 0.9)
-    axes.errorbar(
-        true_cm,
-        reading_cm - true_cm,
-        yerr=Z * np.array(found.reading_std_cm),
-        fmt="o",
-        markersize=size,
-        color=OURS,
-        alpha=alpha,
-        elinewidth=width,
-        capsize=0,
-        label="mean of a point, 95 % by its readings",
-        zorder=3,
-    )
+        axes.axhspan(-half_cm, half_cm, label=words, **shaded())
+    size, alpha = (2.0, 0.4) if true_cm.size > CROWDED else (4.0, 1.0)
+    look: dict[str, Any] = {"color": OURS, "markersize": size, "alpha": alpha, "elinewidth": 0.8, "capsize": 0}
+    reach_cm, words = Z * np.array(found.reading_std_cm), "mean of a point, 95 % by its readings"
+    axes.errorbar(true_cm, reading_cm - true_cm, reach_cm, fmt="o", label=words, **look)
     if found.offset is not None and found.scale is not None:
         line_cm = found.offset.value + (found.scale.value - 1.0) * span_cm
-        axes.plot(span_cm, line_cm, "--", color=REFERENCE, label="straight line", zorder=4)
+        axes.plot(span_cm, line_cm, "--", color=REFERENCE, label="straight line")
     if found.knots:
         kept_cm = curve_through(found.knots).forward(span_cm) - span_cm
-        axes.plot(span_cm, kept_cm, "-", color=GREEN, label="calibration that is kept", zorder=5)
+        axes.plot(span_cm, kept_cm, "-", color=GREEN, label="calibration that is kept")
         inside = [each for each in found.knots if span_cm[0] <= each.true_cm <= span_cm[-1]]
         x, y = [each.true_cm for each in inside], [each.reading_cm - each.true_cm for each in inside]
-        axes.plot(x, y, "s", markersize=5, color=GREEN, markeredgecolor="white", zorder=6)
+        axes.plot(x, y, "s", markersize=5, color=GREEN, markeredgecolor="white")
     axes.set_xlabel("true range [cm]" + (", in air of the calibration temperature" if by_sound else ""))
     axes.set_ylabel("mean reading − true range [cm]")
     for each in side:
