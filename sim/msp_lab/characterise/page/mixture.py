@@ -1,7 +1,7 @@
 """Pictures of the fitted mixture: its four densities, all of them together, and how well they fit."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
@@ -181,12 +181,10 @@ def _fitted(mixture: Mixture, kind: str) -> str:
 
 def _draw_hit(axes: Axes, fitted: Densities) -> None:
     """The Gaussian's probability of each centimetre, next to the share that was read."""
-    shown = fitted.bulk(1e-5)
+    shown = np.flatnonzero(fitted.bulk(1e-5))
     k, p = fitted.reading_cm[shown], fitted.density["hit"][shown]
     axes.bar(k, p, width=0.9, label="fitted: integral over each centimetre", **BARS)
-    if fitted.counts is not None:
-        near = fitted.counts[shown]
-        _dots(axes, k, near, float(np.sum(near)), "share read, and its 95 % interval", omits_none=True)
+    _dots(axes, fitted, shown[:, None], "share read, and its 95 % interval", of=shown)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
@@ -203,18 +201,16 @@ def _draw_short(axes: Axes, fitted: Densities) -> None:
 
 def _draw_missed(axes: Axes, fitted: Densities) -> None:
     """Maximum range (5.5): the mass at the code, which a sensor may garble into a second one."""
-    k, counts = fitted.reading_cm, fitted.counts
-    mass = {code: 100.0 * float(fitted.total[k == code][0]) for code in fitted.codes}
-    axes.bar(list(mass), list(mass.values()), width=14.0, color=PURPLE, alpha=0.5, label="fitted mass")
-    for code, percent in mass.items():
-        words = f"{code:g} cm\nfitted {percent:.2f} %"
-        if counts is not None:
-            count, total = float(np.sum(counts[k == code])), float(np.sum(counts))
-            name = "read, and its 95 % interval" if code == fitted.codes[0] else None
-            _dots(axes, [code], [count], total, name, 100.0)
-            words += f"\nread {100.0 * count / total:.2f} %"
-        side, ha = (-1, "right") if code > 0.85 * k[-1] else (1, "left")
-        label(axes, words, (code, percent), (14 * side, 2), va="bottom", ha=ha)
+    k, places = fitted.reading_cm, np.flatnonzero(np.isin(fitted.reading_cm, fitted.codes))
+    percent = 100.0 * fitted.total[places]
+    axes.bar(k[places], percent, width=14.0, color=PURPLE, alpha=0.5, label="fitted mass")
+    _dots(axes, fitted, places[:, None], "read, and its 95 % interval", 100.0, omits_none=False)
+    for place, height in zip(places.tolist(), percent.tolist(), strict=True):
+        words = f"{k[place]:g} cm\nfitted {height:.2f} %"
+        if fitted.counts is not None:
+            words += f"\nread {100.0 * fitted.counts[place] / np.sum(fitted.counts):.2f} %"
+        side, ha = (-1, "right") if k[place] > 0.85 * k[-1] else (1, "left")
+        label(axes, words, (k[place], height), (14 * side, 2), va="bottom", ha=ha)
     axes.set_xlim(0.0, float(k[-1]) * 1.06)
     axes.margins(y=0.3)
 
@@ -248,33 +244,43 @@ def _binned(axes: Axes, fitted: Densities, kind: str, where: Flags) -> None:
     """
     parts, weight = fitted.parts, fitted.weight[kind]
     places = np.flatnonzero(where & (parts["missed"] == 0.0))
-    if fitted.counts is None or places.size < 2 or weight < NO_WEIGHT:
+    if places.size < 2 or weight < NO_WEIGHT:
         return
-    words: str | None = "read, in bins, times the model's share of this kind"
+    bins, scales = [], []
     for cells in np.array_split(places, max(min(places.size // 20, 16), 1)):
         of_all = sum(float(np.sum(part[cells])) for part in parts.values())
         if of_all > 0.0:
-            scale = float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size)
-            count, middle_cm = float(np.sum(fitted.counts[cells])), np.mean(fitted.reading_cm[cells])
-            _dots(axes, [middle_cm], [count], float(np.sum(fitted.counts)), words, scale)
-            words = None
+            bins.append(cells)
+            scales.append(float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size))
+    words = "read, in bins, times the model's share of this kind"
+    _dots(axes, fitted, bins, words, scales, omits_none=False)
 
 
 def _dots(
     axes: Axes,
-    reading_cm: ArrayLike,
-    counts: ArrayLike,
-    total: float,
-    words: str | None,
-    scale: float = 1.0,
+    fitted: Densities,
+    bins: Iterable[NDArray[np.intp]],
+    words: str,
+    scale: ArrayLike = 1.0,
     *,
-    omits_none: bool = False,
+    of: NDArray[np.intp] | slice = slice(None),
+    omits_none: bool = True,
 ) -> None:
-    """Shares of the readings times a scale, each with its interval; those of which there are none may be omitted."""
-    read = [(k, n) for k, n in zip(np.ravel(reading_cm), np.ravel(counts), strict=True) if n or not omits_none]
-    shares = np.array([scale * n / total for _, n in read])
-    low, high = scale * np.array([wilson(float(n), total) for _, n in read]).reshape(-1, 2).T
-    axes.errorbar([k for k, _ in read], shares, yerr=[shares - low, high - shares], label=words, **DOTS)
+    """Shares of the readings in bins times a scale, each with its interval.
+
+    The readings are those ``of`` some centimetres; bins without any may be omitted.
+    """
+    if fitted.counts is None or not np.any(fitted.counts[of]):
+        return
+    total, pairs = float(np.sum(fitted.counts[of])), []
+    for cells in bins:
+        count = float(np.sum(fitted.counts[cells]))
+        pairs.append((np.mean(fitted.reading_cm[cells]), count / total, *wilson(count, total)))
+    k, *shares = np.array(pairs).reshape(-1, 4).T
+    share, low, high = np.array(shares) * np.asarray(scale)
+    shown = (share > 0.0) | (not omits_none)
+    reach = np.array([share - low, high - share])
+    axes.errorbar(k[shown], share[shown], reach[:, shown], label=words, **DOTS)
 
 
 def _whole_mixture(rows: PictureData) -> Drawn:
@@ -294,7 +300,9 @@ def _draw_mixture(fitted: Densities) -> Figure:
     plain = np.concatenate([p[~is_code & (p > 0.0)] for p in (parts["short"], parts["random"])])
     least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
     if fitted.counts is not None:
-        _draw_counts(axes, k, fitted.counts, (np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
+        bins = _fine_and_broad((np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
+        words = f"read ({np.sum(fitted.counts):,.0f} readings)"
+        _dots(axes, fitted, bins, words, [1.0 / cells.size for cells in bins])
     for kind, p in parts.items():
         colour, dashes = _LOOKS[kind]
         words = f"{kind}, weight {fitted.weight[kind]:.3g}"
@@ -309,15 +317,11 @@ def _draw_mixture(fitted: Densities) -> Figure:
     return legend_below(figure)
 
 
-def _draw_counts(axes: Axes, k: Array, counts: Array, single: Flags) -> None:
-    """Shares of the readings: single centimetres, and the others in bins, in which few readings look like few."""
-    n = float(np.sum(counts))
-    _dots(axes, k[single], counts[single], n, f"read ({n:,.0f} readings)", omits_none=True)
-    for stretch in np.split(np.arange(k.size), np.flatnonzero(np.diff(single.astype(int))) + 1):
-        if not single[stretch[0]]:
-            for cells in np.array_split(stretch, max(stretch.size // 25, 1)):
-                count = float(np.sum(counts[cells]))
-                _dots(axes, [k[cells].mean()], [count], n, None, 1.0 / cells.size, omits_none=True)
+def _fine_and_broad(single: Flags) -> list[NDArray[np.intp]]:
+    """Bins of one centimetre where it is single, elsewhere of some 25, in which few readings look like few."""
+    stretches = np.split(np.arange(single.size), np.flatnonzero(np.diff(single.astype(int))) + 1)
+    parts = [stretch.size if single[stretch[0]] else max(stretch.size // 25, 1) for stretch in stretches]
+    return [cells for stretch, count in zip(stretches, parts, strict=True) for cells in np.array_split(stretch, count)]
 
 
 def _pit(rows: PictureData) -> Drawn:
