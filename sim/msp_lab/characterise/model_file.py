@@ -5,7 +5,7 @@ before it is written, so what is on disk loads.
 """
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,20 @@ from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 
 _DIGITS = 6
+_SECTIONS = (
+    ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
+    ("resolution_cm",),
+    ("calibration_temperature_c",),
+    ("oblique_reading",),
+    ("timing", "frequency_hz"),
+    ("breakaway",),
+    ("heard_on_axis_cm",),
+    ("calibration",),
+    ("reading_model",),
+    ("effects", "in_flight"),
+    ("evidence",),
+)
+"""Fields that stand below one comment, which is about the first of them."""
 _WRAPPER = textwrap.TextWrapper(width=118, break_long_words=False, break_on_hyphens=False)
 
 
@@ -79,32 +93,15 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ma
 def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
     """The model file's text, with a comment over each part on whether it was fitted."""
     content = sensor.model_dump(mode="json")
-    kept = [f"Kept from {start}."]
-    reasons = _why_kept(sensor, findings) | {"heard_on_axis_cm": "", "resolution_cm": ""}
-    fitted = _how_fitted(findings)
-
-    def comments(name: str) -> list[str]:
-        if name in changes:
-            return fitted[name]
-        return [f"Kept from {start}{f': {why}' if (why := reasons[name]) else ''}."]
-
-    sections: list[tuple[list[str], Sequence[str]]] = [
-        (kept, ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm")),
-        (comments("resolution_cm"), ("resolution_cm",)),
-        (kept, ("calibration_temperature_c",)),
-        (comments("oblique_reading"), ("oblique_reading",)),
-        (kept, ("timing", "frequency_hz")),
-        (comments("breakaway"), ("breakaway",)),
-        (comments("heard_on_axis_cm"), ("heard_on_axis_cm",)),
-        (comments("calibration"), ("calibration",)),
-        (comments("reading_model"), ("reading_model",)),
-        (comments("effects"), ("effects", "in_flight")),
-        (["What this file was made from, the newest last."], ("evidence",)),
-    ]
-    named = {name for _, names in sections for name in names}
+    named = {name for names in _SECTIONS for name in names}
     assert named == set(content), f"no section for {set(content) ^ named}"
+    kept, fitted = _why_kept(sensor, findings), _how_fitted(findings)
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
-    for words, names in sections:
+    for names in _SECTIONS:
+        why = kept.get(names[0], "")
+        words = [f"Kept from {start}{f': {why}' if why else ''}."]
+        if names[0] in (*changes, "evidence"):
+            words = fitted[names[0]]
         lines += [f"# {line}" for each in words for line in _WRAPPER.wrap(each)]
         lines += [_yaml(name, content[name]) for name in names]
         lines.append("")
@@ -126,6 +123,7 @@ def _why_kept(sensor: SensorModel, findings: Findings) -> dict[str, str]:
 def _how_fitted(findings: Findings) -> dict[str, list[str]]:
     """How fields of the new model were found, where they can be."""
     found = {
+        "evidence": ["What this file was made from, the newest last."],
         "resolution_cm": ["Step of the readings."],
         "heard_on_axis_cm": ["Fitted: longest range of the maximum range experiment that was read reliably."],
     }

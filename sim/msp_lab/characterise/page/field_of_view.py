@@ -17,7 +17,6 @@ from msp_lab.characterise.page.text import half_interval
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.acoustics.sonar import STEP_DEG, Sonar
 from msp_range.arrays import Array, Flags
-from msp_sim.page import style
 from msp_sim.page.style import (
     BARS,
     GREEN,
@@ -31,6 +30,8 @@ from msp_sim.page.style import (
     edges_between,
     label,
     legend_below,
+    new_axes,
+    new_figure,
     shaded,
 )
 from msp_sim.page.text import sentence
@@ -90,7 +91,7 @@ def _draw_sweep(
     rows: PictureData, range_cm: float, chosen: Flags, points: Sequence[AnglePoint], breakaway: BreakawayAngle | None
 ) -> Figure:
     """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
-    figure = style.new_figure(4.5)
+    figure = new_figure(4.5)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
     angle_deg = np.array([point.incidence_deg for point in points])
     edges = edges_between(angle_deg.tolist())
@@ -216,7 +217,7 @@ def _draw_beam(rows: PictureData, sonar: SonarFit, measured: Sequence[BreakawayA
     # Where there is no echo, None becomes NaN.
     radians = np.array([equation.half_angle_rad(range_cm / 100.0) for range_cm in span_cm.tolist()], dtype=float)
     span_deg = np.degrees(radians)
-    figure, axes = style.new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
+    figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
     ends = span_deg - STEP_DEG, span_deg + STEP_DEG
     axes.fill_between(span_cm, *ends, label=words, **shaded())

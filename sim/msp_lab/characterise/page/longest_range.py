@@ -40,37 +40,43 @@ class _FixedRange:
     missed: Flags
 
     @cached_property
-    def is_distance(self) -> Flags:
-        return np.asarray(~self.missed & np.isfinite(self.reading_cm))
+    def distance_cm(self) -> Array:
+        """The readings, NaN where one is no distance [cm]."""
+        return np.where(self.missed, np.nan, self.reading_cm)
 
     @cached_property
     def codes(self) -> list[tuple[float, Array]]:
         """Codes for no echo [cm], and the numbers of the readings that are one."""
         found = np.unique(self.reading_cm[self.missed & np.isfinite(self.reading_cm)]).tolist()
-        number = np.arange(1.0, self.reading_cm.size + 1.0)
-        return [(code, number[self.missed & (self.reading_cm == code)]) for code in found]
+        return [(code, _numbers(self.missed & (self.reading_cm == code))) for code in found]
 
     @cached_property
     def limits_cm(self) -> tuple[float, float]:
         """Limits about the bulk of the distances and the true range [cm]; single ones far off do not count."""
-        true_cm = self.true_range_cm
-        low, middle, high = np.quantile(self.reading_cm[self.is_distance], [0.1, 0.5, 0.9]).tolist()
+        low, middle, high = np.nanquantile(self.distance_cm, [0.1, 0.5, 0.9]).tolist()
         reach = max(3.0 * (high - low), 8.0)
-        return min(middle - reach, true_cm - 3.0), max(middle + reach, true_cm + 3.0)
+        return min(middle - reach, self.true_range_cm - 3.0), max(middle + reach, self.true_range_cm + 3.0)
 
     @cached_property
     def inside(self) -> Flags:
+        """Which distances are within the limits."""
         low, high = self.limits_cm
-        return np.asarray(self.is_distance & (self.reading_cm >= low) & (self.reading_cm <= high))
+        return np.asarray((self.distance_cm >= low) & (self.distance_cm <= high))
 
     @property
     def outside(self) -> int:
         """How many distances are not within the limits."""
-        return int(np.count_nonzero(self.is_distance & ~self.inside))
+        return int(np.count_nonzero(np.isfinite(self.distance_cm)) - np.count_nonzero(self.inside))
 
     @property
     def missed_percent(self) -> float:
+        """Share of the readings that are codes for no echo, or no answer."""
         return 100.0 * np.count_nonzero(self.missed) / self.reading_cm.size
+
+
+def _numbers(chosen: Flags) -> Array:
+    """Numbers of the readings that are chosen, from 1 on."""
+    return np.flatnonzero(chosen).astype(np.float64) + 1.0
 
 
 def _readings(rows: PictureData, masked: bool) -> _FixedRange:
@@ -83,7 +89,7 @@ def _readings(rows: PictureData, masked: bool) -> _FixedRange:
     best = float(ranges[np.lexsort((ranges, counts))[-1]])
     chosen = found & (rows.true_cm == best)
     fixed = _FixedRange(best, rows.reading_cm[chosen], rows.missed[chosen])
-    if masked and not np.any(fixed.is_distance):
+    if masked and not np.any(np.isfinite(fixed.distance_cm)):
         raise Absent(f"All {fixed.reading_cm.size:,} readings at {best:g} cm are codes for no echo.")
     if not np.any(np.isfinite(fixed.reading_cm)):
         raise Absent(f"None of the {fixed.reading_cm.size:,} pings at {best:g} cm was answered.")
@@ -106,18 +112,16 @@ def _draw_in_order(fixed: _FixedRange, masked: bool) -> Figure:
     # Thousands of dots would be a bar of one colour: let the ground shine through.
     alpha = min(1.0, max(0.08, 2000.0 / number.size)) if masked else 1.0
     look: dict[str, Any] = {"markeredgewidth": 0, "color": OURS, "alpha": alpha}
-    axes.plot(
-        number[fixed.is_distance], fixed.reading_cm[fixed.is_distance], "o", markersize=2.2 if masked else 1.8, **look
-    )
+    axes.plot(number, fixed.distance_cm, "o", markersize=2.2 if masked else 1.8, **look)
     axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--")
     handles = axes.plot([], [], "o", color=OURS, markersize=4, label="reading")
     handles += axes.plot([], [], "--", color=REFERENCE, label=f"true range, {fixed.true_range_cm:g} cm")
     if masked:
         axes.set_ylim(*fixed.limits_cm)
         if fixed.outside:
-            percent = 100 * fixed.outside / np.count_nonzero(fixed.is_distance)
+            percent = 100 * fixed.outside / np.count_nonzero(np.isfinite(fixed.distance_cm))
             note(axes, f"{fixed.outside} readings ({percent:.2g} %) lie outside of this picture")
-        handles += _running_mean(axes, number[fixed.inside], fixed.reading_cm[fixed.inside])
+        handles += _running_mean(axes, _numbers(fixed.inside), fixed.reading_cm[fixed.inside])
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         for code, where in fixed.codes:
@@ -180,7 +184,7 @@ def _are_peaks(count: int) -> str:
 
 def _draw_bulk(axes: Axes, fixed: _FixedRange, fitted: Array | None) -> None:
     """How often each distance was read, and of a fitted model the probabilities of the readings 0, 1, 2 ... cm."""
-    distances_cm = fixed.reading_cm[fixed.is_distance]
+    distances_cm = fixed.distance_cm[np.isfinite(fixed.distance_cm)]
     words = f"{distances_cm.size:,} readings"
     axes.bar(*np.unique(distances_cm, return_counts=True), width=0.86, label=words, **BARS)
     low, high = fixed.limits_cm

@@ -107,16 +107,15 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
         low, high = size.low, size.high
         ends = [left if low is None else max(low, left), right if high is None else min(high, right)]
         axes.plot(ends, [y, y], color=colour)
-        arrow: dict[str, Any] = {"color": colour, "clip_on": False}
-        if low is None or low < left:
-            axes.plot([left], [y], marker="<", markersize=5, **arrow)
-        if high is None or high > right:
-            axes.plot([right], [y], marker=">", markersize=5, **arrow)
-        if size.value < left:
-            axes.plot([left], [y], marker="<", markersize=7, **arrow)
-        elif size.value > right:
-            axes.plot([right], [y], marker=">", markersize=7, **arrow)
-        else:
+        for edge, arrow, points, is_beyond in (
+            (left, "<", 5, low is None or low < left),
+            (right, ">", 5, high is None or high > right),
+            (left, "<", 7, size.value < left),
+            (right, ">", 7, size.value > right),
+        ):
+            if is_beyond:
+                axes.plot([edge], [y], marker=arrow, markersize=points, color=colour, clip_on=False)
+        if left <= size.value <= right:
             look: dict[str, Any] = {"fillstyle": fill, "markerfacecolor": "white" if fill == "none" else colour}
             axes.plot([size.value], [y], marker=marker, color=colour, markersize=6, **look)
 
