@@ -135,7 +135,7 @@ def _set_up_offset(
 
 
 def line_design(x: Array) -> Array:
-    """Of a straight line: offset and scale."""
+    """Design matrix of a straight line: offset and scale."""
     return np.column_stack([np.ones_like(x), x])
 
 
@@ -217,7 +217,7 @@ def _has_runs(data: _Points) -> bool:
 
 
 def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
-    """Of each point, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
+    """Error of each reading, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
     errors = np.empty_like(data.true_cm)
     for each in np.unique(group):
         out = group == each

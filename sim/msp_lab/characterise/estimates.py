@@ -298,7 +298,7 @@ def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSprea
 
 
 def _log_likelihood(steps: Array, counts: NDArray[np.int64], means: Array, spreads: Array) -> Array:
-    """Of rounded values, shape (means, spreads); each may be a stray."""
+    """Log likelihood of rounded values, shape (means, spreads); each may be a stray."""
     total = np.zeros((means.size, spreads.size))
     for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
         a = (step - 0.5 - means[:, None]) / spreads
@@ -316,7 +316,7 @@ def _where_likely(grid: Array, profile: Array, top: float) -> tuple[float, float
 
 
 def standard_error(estimate: IntervalEstimate) -> float:
-    """Of an estimate whose interval is roughly symmetric."""
+    """Standard error of an estimate whose interval is roughly symmetric."""
     if estimate.low is None or estimate.high is None:
         return math.inf
     return (estimate.high - estimate.low) / (2 * Z)

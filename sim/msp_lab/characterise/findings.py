@@ -21,11 +21,11 @@ class Baseline:
     """Accuracy on the axis with nothing varied."""
 
     points: tuple[PointResult, ...]
-    """By range."""
+    """Set-ups, sorted by range."""
     bias: IntervalEstimate
     """Mean error over the points, which are the unit [cm]."""
     spread: IntervalEstimate
-    """Of readings about their point's mean, without the rounding [cm]."""
+    """Standard deviation of readings about their point's mean, without the rounding [cm]."""
     between_points: IntervalEstimate | None
     """Standard deviation of the points' mean errors about the straight line, beyond what the scatter of readings
     explains [cm]: how well ranges were set up, and how far the sensor is from linear; these data cannot part them."""
@@ -50,7 +50,7 @@ class HeldOut:
     """How well a form of calibration fitted without some points predicts them."""
 
     form: Form
-    """Of the calibration."""
+    """Form of the calibration."""
     rms_cm: float
     """Root mean square error over the points left out in turn [cm]."""
     gain: IntervalEstimate | None
@@ -109,7 +109,7 @@ class MaximumRange:
     """Readings at the longest range, with missed ones and without."""
 
     true_range_cm: float
-    """Where."""
+    """True range of these readings [cm]."""
     readings: int
     histogram: tuple[tuple[int, int], ...]
     """(reading [cm], count) of all answers."""
@@ -151,16 +151,16 @@ class Mixture:
     """The mixture of Thrun fitted by maximum likelihood (Probabilistic Robotics, section 6.3)."""
 
     parameters: tuple[MixtureParameter, ...]
-    """In the order of the sensor model file."""
+    """Fitted parameters, in the order of the sensor model file."""
     readings: int
-    """How many were fitted."""
+    """Number of readings that were fitted."""
     log_likelihood: float
     """At the fit."""
     pit_counts: tuple[int, ...]
     """Histogram of the randomised probability integral transform over [0, 1] in equal bins; flat where the model
     fits."""
     pit_p_value: float | None
-    """Of uniformity; a small one means that the model does not fit. None: too few readings for it."""
+    """p-value of uniformity; a small one means that the model does not fit. None: too few readings for it."""
     conditional: str
     """What depends on range, and why, in a sentence."""
     notes: tuple[str, ...] = ()
@@ -179,12 +179,12 @@ class AnglePoint:
     reliable: IntervalEstimate
     """Share of the readings that are of the wall, with its interval."""
     is_reliable: bool
-    """By the criterion of `FieldOfView`, at this angle alone."""
+    """Whether it fulfils the criterion of `FieldOfView`, at this angle alone."""
     reading: IntervalEstimate | None
     """Mean of those readings [cm]; None without any."""
     slant_cm: float
     nearest_cm: float
-    """Its value by the two hypotheses, after the calibration."""
+    """Mean reading that the two hypotheses expect, after the calibration."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,7 @@ class SonarFit:
     within_a_step: bool
     """Every fitted angle is within the motor's step of the measured one."""
     note: str
-    """How many parameters for how many points."""
+    """Number of parameters, and of points that they were fitted to."""
 
 
 AirBefore = Literal["uniform", "gradient", "confined"]
@@ -329,7 +329,7 @@ class FactorEffect:
     """Size; no effect is 0 for the bias and 1 for a ratio. 95 % interval, not corrected for the number of questions."""
     p_value: float | None
     p_adjusted: float | None
-    """Of no effect, and after Holm over all effects that were asked for."""
+    """p-value of no effect, and that after Holm over all effects that were asked for."""
     bound: float
     """What is small enough not to matter, in the estimate's unit: |bias| below it, a ratio within 1/bound to bound."""
     verdict: Verdict
@@ -368,7 +368,7 @@ class Question:
     verdict: Verdict
     """"matters" if one effect does, "does not matter" if none does, else "cannot tell"."""
     answer: str
-    """In a sentence."""
+    """The answer in a sentence."""
     points: tuple[PointResult, ...] = ()
     reference_points: tuple[PointResult, ...] = ()
     """What was compared."""
@@ -381,7 +381,7 @@ class Findings:
     sensor: str
     """Name of the part."""
     date: str
-    """Of the characterisation, ISO 8601."""
+    """Date of the characterisation, ISO 8601."""
     calibration_temperature_c: float | None
     """Air temperature that the sensor assumes [deg C]; None for light and radio, whose ranges are not the air's."""
     sources: tuple[SourceFile, ...]

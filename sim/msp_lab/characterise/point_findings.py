@@ -14,9 +14,9 @@ class IntervalEstimate:
     high: float | None
     """Ends of the interval; None where the data give none on that side."""
     unit: str
-    """Of all three; "" for a share or a ratio."""
+    """Unit of all three; "" for a share or a ratio."""
     n: int
-    """How many independent things it rests on, which `of` names."""
+    """Number of independent things it rests on, which `of` names."""
     of: str = "readings"
     """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
 
@@ -48,11 +48,11 @@ class PointResult:
     """Experiment of the campaign, as the CSV form's column `condition` names it."""
     sensor: str
     run: str
-    """As in the data."""
+    """Names of the sensor and the run in the data."""
     level: str
-    """Of what the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied."""
+    """What the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied."""
     true_range_cm: float
-    """Of the reference."""
+    """True range by the reference."""
     incidence_deg: float | None
     air_temperature_c: float | None
     target_temperature_c: float | None

@@ -89,7 +89,7 @@ class PointReadings:
     sensor_model: SensorModel
     """Limits, codes and calibration temperature."""
     step_cm: float
-    """Of the readings."""
+    """Step of the readings [cm]; 0 where they have none."""
     rows: NDArray[np.int64]
     """Their row numbers in the data."""
     usual_spread_cm: float | None = None

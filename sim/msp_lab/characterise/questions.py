@@ -67,7 +67,7 @@ class _Test(NamedTuple):
     n: int
     of: str
     p_value: float
-    """Of no effect."""
+    """p-value of no effect."""
     small_share: bool = False
     """A share that changes by less than `SHARE_BOUND`, by its 90 % interval: small by itself."""
     detectable: Callable[[float], float] | None = None
@@ -201,7 +201,7 @@ def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], floa
 
 
 class _Counts(NamedTuple):
-    """Of how many of the readings at some points something is true."""
+    """Readings at some points of which something is true, and all readings there."""
 
     counts: Array
     of: Array

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import cycle, pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -88,9 +87,8 @@ def _draw_rejected(axes: Axes, flight: FlightResult, reasons: Sequence[str]) -> 
             for t, why in zip(track.time_s, track.why, strict=True)
             if why == reason
         ]
-        (colour, _), words = SERIES[place % len(SERIES)], _words(reason)
-        look: dict[str, Any] = {"color": colour, "markersize": 4.5, "markerfacecolor": "none"}
-        axes.plot(*zip(*points, strict=True), marker, label=words, **look)
+        colour, _ = SERIES[place % len(SERIES)]
+        axes.plot(*zip(*points, strict=True), marker, color=colour, markerfacecolor="none", label=_words(reason))
     axes.set_yticks(range(len(flight.tracks)), list(flight.tracks))
     axes.set_ylim(len(flight.tracks) - 0.5, -0.5)
     axes.set_title("readings that were not used")

@@ -14,7 +14,7 @@ from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_sim.page.text import minus, p_text, plus, sentence
 
 Kind = Literal["yes", "no", "open"]
-"""Of a mark: something to look at, nothing to look at, not known."""
+"""Kinds of marks: something to look at, nothing to look at, not known."""
 
 _AIR = {"none": "no shift seen", "uniform": "all the way", "gradient": "gradient", "confined": "in the box only"}
 _MARKS: dict[Verdict, Kind] = {"matters": "yes", "does not matter": "no", "cannot tell": "open"}
