@@ -73,7 +73,7 @@ def _draw_ranges(top: Axes, flight: FlightResult) -> None:
         top.plot(*truth, "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
     if fused.time_s:
         heights = _interrupted(fused.time_s, _numbers(fused.filtered_m))
-        top.plot(*heights, "-", color=INK, label="fused")
+        top.plot(*heights, "-", color=INK, linewidth=1, label="fused")
     top.set_ylabel("range [m]")
 
 
@@ -106,7 +106,7 @@ def _draw_errors(axes: Axes, flight: FlightResult) -> None:
     errors_cm = 100 * (_numbers(fused.filtered_m) - _numbers(fused.truth_m))
     known = np.isfinite(errors_cm)
     line = _interrupted(_numbers(fused.time_s)[known], _unless(fused, "edge", errors_cm)[known])
-    axes.plot(*line, "-", color=INK)
+    axes.plot(*line, "-", color=INK, linewidth=1)
     axes.set_ylabel("error [cm]")
     axes.set_ylim(-SHOWN_CM, SHOWN_CM)
     of_line = "; line: fused" if known.any() else ""
