@@ -179,9 +179,7 @@ def characterise(
     and the exit code is 4.
     """
     require("lab", "msp-lab characterise")
-    from msp_lab.characterise.model_file import write_model
-    from msp_lab.characterise.publish import check_free, publish_findings
-    from msp_lab.characterise.sensors import Characterisation, characterised
+    from msp_lab.characterise.sensors import Characterisation, characterised, check_free
     from msp_lab.characterise.show import show_findings
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
@@ -222,10 +220,10 @@ def characterise(
     pages: list[Path] = []
     with progress.status("reading") as status:
         made = characterised(how, of or (), status.update)
-        write_model(out, made.model, made.findings, made.changes, how.start.name)
+        made.write(out)
         if report is not None:
             status.update("drawing the report")
-            pages = [publish_findings(made.findings, made.data, made.model, report)]
+            pages = [made.publish(report)]
             if compare_with_report:
                 from msp_lab.comparison.write import write_comparison
 
@@ -329,7 +327,6 @@ def filters(
     require("lab", "msp-lab filters")
     from msp_lab.filter_study.explain import explain_rows
     from msp_lab.filter_study.goals import check_goals
-    from msp_lab.filter_study.publish import publish_study
     from msp_lab.filter_study.show import print_explanations, print_goals, print_tables
     from msp_lab.filter_study.study import delays, run_study
     from msp_lab.filter_study.table import read_table, report_table
@@ -348,6 +345,8 @@ def filters(
     print_explanations(shown, reverse, verdicts)
     print_goals(shown, check_goals(results))
     if out is not None:
+        from msp_lab.filter_study.publish import publish_study
+
         for path in publish_study(out, results, reverse, verdicts, seed):
             print(f"written: {path}")
 

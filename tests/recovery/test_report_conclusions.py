@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from msp_lab.characterise.analysis import characterise
-from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.question_findings import FactorEffect, Question
+from msp_lab.characterise.findings import FactorEffect, Findings, Question
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv

@@ -11,19 +11,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.findings import (
+    AnglePoint,
     Baseline,
+    BreakawayAngle,
     CalibrationFindings,
+    CompensationRow,
+    FactorEffect,
+    FieldOfView,
     Findings,
     HeldOut,
+    HotBox,
+    HotBoxRow,
     MaximumRange,
     Mixture,
     MixtureParameter,
+    Oblique,
     Peak,
+    Question,
+    SonarFit,
+    SonarRow,
+    Verdict,
 )
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
-from msp_lab.characterise.question_findings import CompensationRow, FactorEffect, HotBox, HotBoxRow, Question, Verdict
 from msp_lab.readings.intake import SourceFile
 from msp_range.recording.csv_form import MeasuredData
 from tests.support.known import known

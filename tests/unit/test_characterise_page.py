@@ -13,7 +13,7 @@ from PIL import Image
 
 from msp_lab.characterise.findings import Findings, HeldOut
 from msp_lab.characterise.page.answers import conclusions
-from msp_lab.characterise.page.draw.errors import Errors, draw_errors
+from msp_lab.characterise.page.errors import Errors, draw_errors
 from msp_lab.characterise.page.write import write_report
 from msp_lab.comparison.report import check_sensor
 from msp_lab.comparison.write import write_comparison

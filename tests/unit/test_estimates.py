@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from msp_lab.characterise.estimates import common_spread, detectable, fit_points, holm, mean_and_spread, share
+from msp_lab.characterise.point_findings import IntervalEstimate
 from tests.support.known import contains, width
 from tests.support.slow import slow
 
@@ -115,3 +116,9 @@ def test_points_that_agree_get_no_variance_between_them() -> None:
     fit = fit_points(np.column_stack([np.ones_like(x), x]), 2.0 + x, np.full(x.size, 0.01))
     assert fit.between == 0.0
     assert fit.coefficients == pytest.approx([2.0, 1.0])
+
+
+def test_an_estimate_is_changed_with_its_interval_and_holds_what_is_within() -> None:
+    estimate = IntervalEstimate(2.0, 1.0, None, "cm", 5)
+    assert estimate.mapped(lambda end: end - 1.5) == IntervalEstimate(0.5, -0.5, None, "cm", 5)
+    assert [estimate.holds(value) for value in (0.9, 1.0, 1e9)] == [False, True, True]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.characterise.beam_findings import FieldOfView
 from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
+from msp_lab.characterise.findings import FieldOfView
 from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.reading_model.sensor_model import load_sensor_model

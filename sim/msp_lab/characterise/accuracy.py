@@ -27,51 +27,34 @@ evenly over the sensor's range would have."""
 
 
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
-    """Accuracy on the axis with nothing varied.
-
-    Parameters
-    ----------
-    points
-        Of the baseline.
-    reference_std_cm
-        As for `calibration.calibrate`.
-    """
+    """Accuracy at the points with nothing varied; ``reference_std_cm`` as for `calibration.calibrate`."""
     found = sorted((point.found for point in points), key=lambda each: each.true_range_cm)
-    errors = [each.error for each in found if each.error is not None]
-    echoes = [point for point in points if point.found.error is not None]
-    if not errors:
+    known = [(each.true_range_cm, each.error) for each in found if each.error is not None]
+    if not known:
         return None
-    readings = sum(each.readings for each in found)
+    echoes = [point for point in points if point.found.error is not None]
     hits = np.concatenate([point.error_cm[point.is_hit] for point in echoes])
-    range_cm = np.array([each.true_range_cm for each in found if each.error is not None])
-    mean_cm = np.array([each.value for each in errors])
-    variance_cm2 = np.array([standard_error(each) ** 2 for each in errors])
+    range_cm, mean_cm = (np.array(column) for column in zip(*((r, each.value) for r, each in known), strict=True))
+    variance_cm2 = np.array([standard_error(each) ** 2 for _, each in known])
     between = None
     if np.unique(range_cm).size >= 3:
         line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
-        between = IntervalEstimate(math.sqrt(line.between), None, None, "cm", len(errors), "points")
+        between = IntervalEstimate(math.sqrt(line.between), None, None, "cm", len(known), "points")
+    readings = sum(each.readings for each in found)
     return Baseline(
         points=tuple(found),
-        bias=fit_points(np.ones((len(errors), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
+        bias=fit_points(np.ones((len(known), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
         spread=pooled_spread(echoes),
         between_points=between,
-        missed=share(sum(each.no_echo + each.saturated + each.no_answer for each in found), readings),
-        outliers=share(sum(each.short + each.long for each in found), readings),
+        missed=share(sum(each.missed for each in found), readings),
+        outliers=share(sum(each.outliers for each in found), readings),
         largest_error_cm=max((each.worst_error_cm or 0.0 for each in found), key=abs),
-        largest_hit_error_cm=float(hits[np.abs(hits).argmax()]),
+        largest_hit_error_cm=float(max(hits, key=abs)),
     )
 
 
 def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> MaximumRange | None:
-    """Histogram and peaks at the longest range, before and after missed echoes are masked.
-
-    Parameters
-    ----------
-    points
-        Of the maximum range experiment; the longest range of them is taken, all its runs together.
-    sensor
-        Its codes.
-    """
+    """Histogram and peaks at the longest of these points' ranges, before and after missed echoes are masked."""
     echoes = [point for point in points if point.hits]
     if not echoes:
         return None
@@ -95,17 +78,10 @@ def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> Maxim
 
 
 def peaks(reading_cm: Array, span_cm: float) -> tuple[Peak, ...]:
-    """Peaks of whole-centimetre readings, the largest first.
+    """Peaks of whole-centimetre readings of a sensor that reads over this span, the largest first.
 
     A peak is where most readings are within `PEAK_HALF_CM`, of at least `MIN_PEAK_SHARE`, `MIN_READINGS` and
     `PEAK_DEVIATIONS`; it ends where they are less than a tenth of its top.
-
-    Parameters
-    ----------
-    reading_cm
-        Readings.
-    span_cm
-        From the sensor's shortest reading to its longest.
 
     Examples
     --------

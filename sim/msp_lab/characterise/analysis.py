@@ -4,22 +4,22 @@ What the data do not determine stays as in the starting model, and the findings 
 """
 
 import difflib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
-from msp_lab.characterise.beam_findings import BreakawayAngle
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.correlation import hit_correlation
+from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
-from msp_lab.characterise.findings import CalibrationFindings, Findings
-from msp_lab.characterise.mixture import FittedMixture, fit_mixture, with_correlation
+from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
+from msp_lab.characterise.mixture import fit_mixture, with_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
-from msp_lab.characterise.questions import TOPICS, answer_questions
+from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
@@ -33,30 +33,17 @@ UNDISTURBED = (BASELINE, "maximum_range")
 COMPENSATION = "temperature_compensation"
 SESSION_EFFECT = "run_offsets"
 """Name of the simulator's effect for an offset that differs between sessions."""
+NOTHING_UNDISTURBED = "no readings of the surface with nothing varied"
 NOT_MEASURED = "no readings of this condition, or none at ranges to compare with"
-KNOWN_CONDITIONS = {*UNDISTURBED, COMPENSATION, "field_of_view", *TOPICS}
 FEW_READINGS = 20
 """Warn about points with fewer readings: the 95 % interval of their mean error is wider than half their spread."""
 
 
-@dataclass(frozen=True)
-class Changes:
-    """Changes of a sensor model by a characterisation; None: the data do not determine it."""
-
-    resolution_cm: float | None = None
-    calibration: tuple[CalibrationKnot, ...] | None = None
-    breakaway: tuple[BreakawayPoint, ...] | None = None
-    oblique_reading: str | None = None
-    heard_on_axis_cm: float | None = None
-    reading_model: MixtureParameters | None = None
-    effects: tuple[dict[str, Any], ...] | None = None
-
-
 class Characterised(NamedTuple):
-    """Findings, and the changes of the sensor model."""
+    """Findings, and the changes of the sensor model: new values of its fields; one that is not there is kept."""
 
     findings: Findings
-    changes: Changes
+    changes: dict[str, Any]
 
 
 def characterise(
@@ -95,60 +82,36 @@ def characterise(
     """
     started_cm = sensor.resolution_cm
     sensor, about_step = _with_step(sensor, loaded)
-    step_cm = sensor.resolution_cm
     progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
-    by = {name: [p for p in points if p.condition == name] for name in {p.condition for p in points}}
-    undisturbed = [p for name in UNDISTURBED for p in by.get(name, [])]
-
+    by = {name: [p for p in points if p.condition == name] for name in EXPERIMENTS}
+    undisturbed = [p for name in UNDISTURBED for p in by[name]]
     _check_one_kind(loaded, points)
     _check_together(loaded, undisturbed)
 
     progress("calibration")
-    found_base = baseline(by.get(BASELINE, []), reference_std_cm)
+    found_base = baseline(by[BASELINE], reference_std_cm)
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = curve_through(() if calibration is None else calibration.knots)
-
     progress("mixture")
     fitted = fit_mixture(undisturbed, curve, sensor, rng)
-    mixture = None
-    if isinstance(fitted, FittedMixture):
-        mixture = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
-
+    if not isinstance(fitted, str):
+        fitted = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
+    mixture, parameters = (None, None) if isinstance(fitted, str) else fitted
     progress("maximum range")
-    longest = maximum_range(by.get("maximum_range", []), sensor)
-
+    longest = maximum_range(by["maximum_range"], sensor)
     progress("field of view and sonar equation")
-    view = find_field_of_view(by.get("field_of_view", []), curve)
-    heard_cm = _heard_on_axis_cm(undisturbed, sensor)
+    view = find_field_of_view(by["field_of_view"], curve)
+    heard_cm = _heard_on_axis_cm(by["maximum_range"], sensor)
     rows = breakaway_rows(view.angles) if view is not None else []
     sonar = sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm)
-
     progress("questions")
     found_points = tuple(point.found for point in points)
     asked = answer_questions(found_points)
     calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
     boxes = () if calibration_c is None else hot_boxes(found_points, calibration_c)
-    table = () if calibration_c is None else compensation_table(by.get(COMPENSATION, []), curve)
+    table = () if calibration_c is None else compensation_table(by[COMPENSATION], curve)
 
-    nothing_undisturbed = "no readings of the surface with nothing varied"
-    no_sound = None if calibration_c is not None else f"about sound, and this sensor ranges with {sensor.medium}"
-    parts: list[tuple[str, object, str]] = [
-        ("baseline", found_base, nothing_undisturbed),
-        ("calibration", calibration, nothing_undisturbed),
-        ("mixture", mixture, str(fitted)),
-        ("maximum_range", longest, NOT_MEASURED),
-        ("field_of_view", view, "no range was tried at more than one angle (incidence_deg)"),
-        ("sonar", sonar, no_sound or "needs breakaway angles at three ranges at least"),
-        *((name, any(each.name == name for each in asked), NOT_MEASURED) for name in TOPICS),
-        (
-            "hot_boxes",
-            boxes,
-            no_sound or "no three ranges with hot or cold air at the sensor and the same ranges without",
-        ),
-        (COMPENSATION, table, no_sound or NOT_MEASURED),
-    ]
-    absent = {name: why for name, found, why in parts if not found}
     findings = Findings(
         sensor=sensor.name,
         date=date,
@@ -157,35 +120,50 @@ def characterise(
         points=found_points,
         baseline=found_base,
         calibration=calibration,
-        mixture=mixture and mixture.found,
+        mixture=mixture,
         maximum_range=longest,
         field_of_view=view,
         sonar=sonar,
         questions=asked,
         hot_boxes=boxes,
         temperature_compensation=table,
-        absent=absent,
         warnings=(
             *about_step,
-            *_warnings(loaded, points, undisturbed, calibration, view.angles if view else (), rows),
-            *_quieter(sensor, mixture and mixture.parameters),
+            *_warnings(loaded, points, undisturbed, calibration),
+            *(_angle_warnings(view.angles, rows) if view else ()),
+            *_quieter(sensor, parameters),
         ),
     )
-    changes = Changes(
-        calibration=_knots(calibration),
-        breakaway=tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None,
-        oblique_reading=None if view is None or view.oblique.verdict == "unknown" else view.oblique.verdict,
-        heard_on_axis_cm=heard_cm,
-        reading_model=mixture and mixture.parameters,
-        effects=_with_set_up_offset(sensor, calibration),
-    )
-    if not asked and not table and changes == Changes():
-        why = [*findings.warnings, absent.get("calibration", "no calibration")]
+    findings = replace(findings, absent=_absent(findings, sensor, str(fitted)))
+    changes = _changes(findings, sensor, heard_cm, parameters)
+    if not asked and not table and not changes:
+        why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
         raise RecordingError(
             f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
             "which varies everything at once, is for msp-lab gap"
         )
-    return Characterised(findings, replace(changes, resolution_cm=None if step_cm == started_cm else step_cm))
+    if sensor.resolution_cm != started_cm:
+        changes["resolution_cm"] = sensor.resolution_cm
+    return Characterised(findings, changes)
+
+
+def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[str, str]:
+    """Why each part that was not found is not there."""
+    no_sound = "" if sensor.medium == "sound" else f"about sound, and this sensor ranges with {sensor.medium}"
+    no_box = "no three ranges with hot or cold air at the sensor and the same ranges without"
+    reasons = {
+        "baseline": NOTHING_UNDISTURBED,
+        "calibration": NOTHING_UNDISTURBED,
+        "mixture": no_mixture,
+        "maximum_range": NOT_MEASURED,
+        "field_of_view": "no range was tried at more than one angle (incidence_deg)",
+        "sonar": no_sound or "needs breakaway angles at three ranges at least",
+        **dict.fromkeys(QUESTIONS, NOT_MEASURED),
+        "hot_boxes": no_sound or no_box,
+        COMPENSATION: no_sound or NOT_MEASURED,
+    }
+    found = {each.name for each in findings.questions}
+    return {name: why for name, why in reasons.items() if name not in found and not getattr(findings, name, None)}
 
 
 def _with_step(sensor: SensorModel, loaded: LoadedReadings) -> tuple[SensorModel, list[str]]:
@@ -241,31 +219,33 @@ def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
-def _knots(calibration: CalibrationFindings | None) -> tuple[CalibrationKnot, ...] | None:
+def _changes(
+    findings: Findings, sensor: SensorModel, heard_cm: float | None, parameters: MixtureParameters | None
+) -> dict[str, Any]:
+    """New values of the sensor model's fields, where the readings determine them."""
+    view, calibration = findings.field_of_view, findings.calibration
+    found: dict[str, Any] = {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
     # Without held-out ranges nothing was decided, and the starting model's stays.
-    if calibration is None or not calibration.held_out:
-        return None
-    return tuple(CalibrationKnot(true_cm=knot.true_cm, reading_cm=knot.reading_cm) for knot in calibration.knots)
-
-
-def _with_set_up_offset(
-    sensor: SensorModel, calibration: CalibrationFindings | None
-) -> tuple[dict[str, Any], ...] | None:
-    """Effects with the offset of sessions, if its interval excludes 0."""
-    found = None if calibration is None else calibration.set_up_offset
-    if found is None or not found.low:
-        return None
-    others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
-    own = {
-        key: round(value, 3) for key, value in (("value", found.value), ("low", found.low), ("high", found.high or 0))
-    }
-    return (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": {**own, "unit": "cm"}}})
+    if calibration is not None and calibration.held_out:
+        knots = [(each.true_cm, each.reading_cm) for each in calibration.knots]
+        found["calibration"] = tuple(CalibrationKnot(true_cm=x, reading_cm=y) for x, y in knots)
+    if view is not None:
+        rows = breakaway_rows(view.angles)
+        found["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None
+        found["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
+    # An offset between sessions enters if its interval excludes 0.
+    if calibration is not None and calibration.set_up_offset is not None and calibration.set_up_offset.low:
+        offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))
+        own = {"value": offset.value, "low": offset.low, "high": offset.high or 0, "unit": "cm"}
+        others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
+        found["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> float | None:
     """Longest range at which a large target is read reliably; None if that was not measured."""
-    echoes = longest_reliable_cm([p for p in points if p.condition == "maximum_range"], RELIABLE_SHARE)
-    return None if echoes is None else min(round(echoes, 1), float(sensor.maximum_cm))
+    longest_cm = longest_reliable_cm(points, RELIABLE_SHARE)
+    return None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
 
 
 def _warnings(
@@ -273,54 +253,50 @@ def _warnings(
     points: Sequence[PointReadings],
     undisturbed: Sequence[PointReadings],
     calibration: CalibrationFindings | None,
-    angles: Sequence[BreakawayAngle],
-    rows: Sequence[tuple[float, float]],
-) -> list[str]:
-    found = list(loaded.messages)
-    for word in sorted({p.condition for p in points} - KNOWN_CONDITIONS):
-        near = difflib.get_close_matches(word, KNOWN_CONDITIONS, n=1)
-        found.append(f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else ""))
+) -> Iterator[str]:
+    yield from loaded.messages
+    for word in sorted({p.condition for p in points} - EXPERIMENTS.keys()):
+        near = difflib.get_close_matches(word, EXPERIMENTS, n=1)
+        yield f"no analysis uses the condition {word!r}" + (f"; is it {near[0]!r}?" if near else "")
     unknown = len(loaded.data) - sum(p.reading_cm.size for p in points)
     if unknown:
-        found.append(f"{unknown} rows without a true range are left out")
+        yield f"{unknown} rows without a true range are left out"
     sensors = sorted({p.sensor for p in undisturbed})
     if len(sensors) > 1:
-        found.append(f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise")
+        yield f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise"
     ranges = {round(p.range_cm, 1) for p in undisturbed}
     if len(ranges) == 1:
-        found.append("one range only: no scale, no linearity, and nothing that depends on range can be found")
+        yield "one range only: no scale, no linearity, and nothing that depends on range can be found"
     by_sound = any(p.sensor_model.medium == "sound" for p in undisturbed)
     if calibration is not None and by_sound and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
-        found.append(
+        yield (
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"
         )
     few = [p for p in undisturbed if p.reading_cm.size < FEW_READINGS]
     if few:
-        found.append(f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings")
+        yield f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
     silent = [p for p in undisturbed if p.found.error is None]
     if silent:
         shown = ", ".join(f"{p.range_cm:g}" for p in silent[:5])
-        found.append(f"{len(silent)} points have almost no reading of the surface: at {shown} cm")
+        yield f"{len(silent)} points have almost no reading of the surface: at {shown} cm"
+
+
+def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float, float]]) -> Iterator[str]:
     for angle in angles:
         if angle.half_angle.value == 0.0:
-            found.append(f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table")
+            yield f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table"
         elif angle.half_angle.high is None:
-            found.append(f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider")
+            yield f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider"
         if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 3.6:
-            found.append(
+            yield (
                 f"at {angle.range_cm:g} cm the two sides differ ({angle.negative.value:g} and "
                 f"{angle.positive.value:g} deg): is the sensor's axis where 0 deg is?"
             )
     measured = {angle.range_cm: angle.half_angle.value for angle in angles}
-    wider = [r for r, half_deg in rows if half_deg < measured[r]]
+    wider = ", ".join(f"{r:g}" for r, half_deg in rows if half_deg < measured[r])
     if wider:
-        found.append(
-            "an angle larger than at a shorter range was limited to that one: at "
-            + ", ".join(f"{r:g}" for r in wider)
-            + " cm"
-        )
-    return found
+        yield f"an angle larger than at a shorter range was limited to that one: at {wider} cm"
 
 
 def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]:
@@ -335,12 +311,5 @@ def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]
 
 def provenance(findings: Findings) -> dict[str, object]:
     """Return the entry for the sensor model file's `evidence`."""
-    return {
-        "what": "characterisation",
-        "date": findings.date,
-        "data": [_source(each) for each in findings.sources],
-    }
-
-
-def _source(source: SourceFile) -> dict[str, object]:
-    return {"name": source.name, "sha256": source.sha256, "rows": source.rows}
+    data = [{"name": each.name, "sha256": each.sha256, "rows": each.rows} for each in findings.sources]
+    return {"what": "characterisation", "date": findings.date, "data": data}

@@ -21,6 +21,7 @@ from msp_lab.characterise.estimates import (
     dependence_factor,
     fit_points,
     mean_of_points,
+    root_without,
     standard_error,
 )
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
@@ -39,6 +40,11 @@ RANGES_PER_PIECE = 3
 """Ranges per segment of a piecewise linear calibration, so that each segment has a residual."""
 MAX_PIECES = 4
 """Segments of a calibration at most; more follow the placements and not the sensor."""
+NAMES: dict[Form, str] = {
+    "none": "no calibration",
+    "offset and scale": "a straight line",
+    "piecewise linear": "straight pieces",
+}
 
 
 class _Points(NamedTuple):
@@ -55,11 +61,9 @@ class _Points(NamedTuple):
 
 
 def calibrate(
-    points: Sequence[PointReadings],
-    reference_std_cm: float | None = None,
-    set_up_std_cm: float | None = None,
+    points: Sequence[PointReadings], reference_std_cm: float | None = None, set_up_std_cm: float | None = None
 ) -> CalibrationFindings | None:
-    """Calibration of a sensor.
+    """Calibration of a sensor; None where no point has readings of the surface.
 
     Parameters
     ----------
@@ -71,51 +75,44 @@ def calibrate(
     set_up_std_cm
         Standard deviation of the error of each placement's true range [cm]; None: not stated, and all differences
         between placements are attributed to it.
-
-    Returns
-    -------
-    CalibrationFindings or None
-        None where no point has readings of the surface.
     """
-    used = [point for point in points if point.found.error is not None]
+    used = [(point, point.found.error) for point in points if point.found.error is not None]
     if not used:
         return None
-    errors = [point.found.error for point in points if point.found.error is not None]
-    variance = np.array([standard_error(error) ** 2 for error in errors])
-    variance += [point.placement_cm2 for point in used]
-    true_cm = np.array([float(point.apparent_cm[point.is_hit].mean()) for point in used])
-    # An error is about the true range of the hits: where the range changes, missed echoes are at other ranges.
-    hits_cm = np.array([float(point.true_range_cm[point.is_hit].mean()) for point in used])
-    reading_cm = hits_cm + np.array([error.value for error in errors])
-    runs = np.unique([point.run for point in used], return_inverse=True)[1].ravel().astype(np.float64)
-    data = _Points(true_cm, reading_cm, variance, np.array([round(point.range_cm, 6) for point in used]), runs)
-    ranges = np.unique(data.range_cm)
+    data = _Points(
+        true_cm=np.array([float(point.apparent_cm[point.is_hit].mean()) for point, _ in used]),
+        # An error is about the true range of the hits: where the range changes, missed echoes are at other ranges.
+        reading_cm=np.array([float(point.true_range_cm[point.is_hit].mean()) + error.value for point, error in used]),
+        variance_cm2=np.array([standard_error(error) ** 2 + point.placement_cm2 for point, error in used]),
+        range_cm=np.array([round(point.range_cm, 6) for point, _ in used]),
+        run=np.unique([point.run for point, _ in used], return_inverse=True)[1].ravel().astype(np.float64),
+    )
+    with_echo, extra_cm = [point for point, _ in used], reference_std_cm or 0.0
     mean = fit_points(np.ones((len(used), 1)), data.reading_cm - data.true_cm, data.variance_cm2)
-    line = None
-    if ranges.size >= 3:
+    line, linearity, noise_floor = None, None, None
+    if np.unique(data.range_cm).size >= 3:
         line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
+        linearity, noise_floor = _linearity(data, line)
     # Set-ups differ by more than the scatter of readings explains; their residual variance is added to every point.
-    between_cm2 = 0.0 if line is None else line.between
-    form, knots, reason, held_out = _choose(data._replace(variance_cm2=variance + between_cm2))
-    linearity, noise_floor = (None, None) if line is None else _linearity(data, line)
-    step_cm = used[0].step_cm
+    chosen = _choose(data._replace(variance_cm2=data.variance_cm2 + (0.0 if line is None else line.between)))
+    step_cm = with_echo[0].step_cm
     return CalibrationFindings(
-        form=form,
-        knots=knots,
-        reason=reason,
-        bias=mean.estimate(0, "cm", reference_std_cm or 0.0),
-        offset=None if line is None else line.estimate(0, "cm", reference_std_cm or 0.0),
+        form=chosen.form,
+        knots=chosen.knots,
+        reason=chosen.reason,
+        bias=mean.estimate(0, "cm", extra_cm),
+        offset=None if line is None else line.estimate(0, "cm", extra_cm),
         scale=None if line is None else line.estimate(1, ""),
-        spread=pooled_spread(used),
-        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
+        spread=pooled_spread(with_echo),
+        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in with_echo)),
         resolution_note=(
             f"readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
         linearity=linearity,
         linearity_noise_floor_cm=noise_floor,
         reference_std_cm=reference_std_cm,
-        set_up_offset=_set_up_offset(used, data, knots, set_up_std_cm),
-        held_out=held_out,
+        set_up_offset=_set_up_offset(with_echo, data, chosen.knots, set_up_std_cm),
+        held_out=chosen.held_out,
         held_out_unit="range and run" if _has_runs(data) else "range",
         true_cm=tuple(data.true_cm.tolist()),
         reading_cm=tuple(data.reading_cm.tolist()),
@@ -138,7 +135,7 @@ def _set_up_offset(
 
 
 def line_design(x: Array) -> Array:
-    """Of a straight line: offset and scale."""
+    """Design matrix of a straight line: offset and scale."""
     return np.column_stack([np.ones_like(x), x])
 
 
@@ -152,7 +149,7 @@ def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
     # Each point's own interval of the variance; they are independent.
     errors = np.array([((each.high or 0.0) ** 2 - (each.low or 0.0) ** 2) / 3.92 for each in found])
     error = math.sqrt(float((weights**2) @ errors**2)) / float(weights.sum())
-    low, high = math.sqrt(max(value**2 - Z * error, 0.0)), math.sqrt(value**2 + Z * error)
+    low, high = (root_without(sign * Z * error, value**2) for sign in (1, -1))
     return IntervalEstimate(value, low, high, "cm", int(weights.sum()) + len(found))
 
 
@@ -168,38 +165,49 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]
     return IntervalEstimate.about(value, half, "cm", residual.size, "points"), noise_floor
 
 
-def _choose(data: _Points) -> tuple[Form, tuple[MeasuredKnot, ...], str, tuple[HeldOut, ...]]:
+class _Choice(NamedTuple):
+    """The calibration that is kept, why, and how each form did on ranges left out."""
+
+    form: Form
+    knots: tuple[MeasuredKnot, ...]
+    reason: str
+    held_out: tuple[HeldOut, ...] = ()
+
+
+def _choose(data: _Points) -> _Choice:
     """The form that predicts left-out ranges significantly better than the simpler ones."""
     ranges = np.unique(data.range_cm)
     if ranges.size < MIN_RANGES:
         reason = f"found {ranges.size} range{'s'[: ranges.size - 1]}, expected {MIN_RANGES} to check it on one left out"
-        return "none", (), reason, ()
-    pieces = [count for count in range(2, MAX_PIECES + 1) if ranges.size >= RANGES_PER_PIECE * count]
+        return _Choice("none", (), reason)
     by_run = _has_runs(data)
-    errors = {count: _left_out_errors(data, count, data.range_cm) for count in (0, 1, *pieces)}
-    # The best piecewise linear form represents its kind.
-    best = min(pieces, key=lambda count: _rms(errors[count]), default=None)
+    most = min(MAX_PIECES, ranges.size // RANGES_PER_PIECE)
+    errors = {count: _left_out_errors(data, count, data.range_cm) for count in range(max(most, 1) + 1)}
     tried: list[tuple[Form, int]] = [("offset and scale", 1)]
-    tried += [("piecewise linear", best)] if best is not None else []
+    if most >= 2:
+        # The best piecewise linear form represents its kind.
+        tried.append(("piecewise linear", min(range(2, most + 1), key=lambda count: _rms(errors[count]))))
     kept: tuple[Form, int] = ("none", 0)
     held_out = [HeldOut("none", _rms(errors[0]), None)]
-    refused: list[str] = []
+    refused = ""
     for form, count in tried:
         gain = _gain(errors[kept[1]], errors[count], data.range_cm)
         held_out.append(HeldOut(form, _rms(errors[count]), gain))
         is_better = gain.low is not None and gain.low > 0.0
         if is_better and by_run:
             is_better = _rms(_left_out_errors(data, count, data.run)) < _rms(_left_out_errors(data, kept[1], data.run))
-        if is_better and (why := _refused(_knots(data, count))):
-            refused.append(f"{_named(form)} would predict better and is no calibration: {why}")
-        elif is_better:
-            kept = form, count
-    reason = f"left-out ranges are predicted to {_rms(errors[kept[1]]):.2f} cm rms"
-    others = [f"{each.rms_cm:.2f} cm by {_named(each.form)}" for each in held_out if each.form != kept[0]]
-    reason += f", against {' and '.join(others)}; a more complex form is kept if its gain is significant"
-    reason += " and left-out runs agree" if by_run else ""
-    reason = "; ".join([reason, *refused])
-    return kept[0], _knots(data, kept[1]), reason, tuple(held_out)
+        if is_better:
+            try:
+                curve_through(_knots(data, count))
+                kept = form, count
+            except ValueError as error:
+                refused += f"; {NAMES[form]} would predict better and is no calibration: {error}"
+    others = [f"{each.rms_cm:.2f} cm by {NAMES[each.form]}" for each in held_out if each.form != kept[0]]
+    reason = (
+        f"left-out ranges are predicted to {_rms(errors[kept[1]]):.2f} cm rms, against {' and '.join(others)}; a more "
+        f"complex form is kept if its gain is significant{' and left-out runs agree' if by_run else ''}{refused}"
+    )
+    return _Choice(kept[0], _knots(data, kept[1]), reason, tuple(held_out))
 
 
 def _has_runs(data: _Points) -> bool:
@@ -208,20 +216,12 @@ def _has_runs(data: _Points) -> bool:
     return len(ranges) >= MIN_RUNS and min(ranges) >= 2
 
 
-def _named(form: Form) -> str:
-    return {"none": "no calibration", "offset and scale": "a straight line", "piecewise linear": "straight pieces"}[
-        form
-    ]
-
-
 def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
-    """Of each point, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
+    """Error of each reading, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
     errors = np.empty_like(data.true_cm)
     for each in np.unique(group):
         out = group == each
-        knots = _fit_knots(data.select(~out), pieces)
-        predicted = data.true_cm[out] if knots is None else _extended(data.true_cm[out], *knots)
-        errors[out] = data.reading_cm[out] - predicted
+        errors[out] = data.reading_cm[out] - _extended(data.true_cm[out], *_fitted(data.select(~out), pieces))
     return errors
 
 
@@ -231,14 +231,14 @@ def _gain(simpler: Array, complex_: Array, group: Array) -> IntervalEstimate:
     return mean_of_points([float(saved[group == each].mean()) for each in np.unique(group)], "cm^2")
 
 
-def _fit_knots(data: _Points, pieces: int) -> tuple[Array, Array] | None:
-    """Knots of a curve of straight pieces by least squares; None: no calibration."""
-    if pieces == 0:
-        return None
+def _fitted(data: _Points, pieces: int) -> tuple[Array, Array]:
+    """Knots of a curve of straight pieces by least squares, ranges and readings; without pieces they are equal."""
     x, y = data.true_cm, data.reading_cm
-    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, pieces + 1)).astype(np.float64)
+    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, max(pieces, 1) + 1))
+    if pieces == 0:
+        return places, places
     # Hat functions; the outer ones go on beyond the ends as straight lines.
-    design = np.column_stack([_extended(x, places, np.eye(places.size)[i]) for i in range(places.size)])
+    design = np.column_stack([_extended(x, places, hat) for hat in np.eye(places.size)])
     root_weight = 1.0 / np.sqrt(data.variance_cm2 + 1e-12)
     values, *_ = np.linalg.lstsq(design * root_weight[:, None], y * root_weight, rcond=None)
     return places, values.astype(np.float64)
@@ -249,20 +249,8 @@ def _extended(x: Array, places: Array, values: Array) -> Array:
 
 
 def _knots(data: _Points, pieces: int) -> tuple[MeasuredKnot, ...]:
-    found = _fit_knots(data, pieces)
-    if found is None:
-        return ()
-    pairs = zip(*(each.tolist() for each in found), strict=True)
+    pairs = np.column_stack(_fitted(data, pieces)).tolist() if pieces else []
     return tuple(MeasuredKnot(round(x, 2), round(y, 3)) for x, y in pairs)
-
-
-def _refused(knots: Sequence[MeasuredKnot]) -> str:
-    """Why a sensor model cannot have these knots; "" where it can."""
-    try:
-        curve_through(knots)
-    except ValueError as error:
-        return str(error)
-    return ""
 
 
 def _rms(errors: Array) -> float:

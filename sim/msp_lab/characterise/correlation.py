@@ -34,45 +34,33 @@ class HitCorrelation(NamedTuple):
 
 
 def hit_correlation(points: Sequence[PointReadings], data: MeasuredData) -> HitCorrelation | None:
-    """Correlation of neighbouring hits; None where there is none for sure, or times are not known.
+    """Correlation of neighbouring hits at undisturbed points; None where there is none for sure.
 
-    Parameters
-    ----------
-    points
-        Undisturbed, on the axis.
-    data
-        The readings from which the points were made, for their times.
+    `data` are the readings from which the points were made, for their times; without these nothing is known.
     """
     if "time_s" not in data:
         return None
     time_s = np.asarray(data["time_s"], dtype=np.float64)
-    steps = [each for point in points for each in _steps(point, time_s)]
-    if not steps:
+    step_s, one_cm, other_cm, hits = np.concatenate([np.empty((4, 0)), *(_steps(p, time_s) for p in points)], axis=1)
+    if not step_s.size or not np.median(step_s) > 0.0:
         return None
-    spacing_s = float(np.median([step for step, _, _, _ in steps]))
-    if not spacing_s > 0.0:
-        return None
-    near = [each for each in steps if each[0] <= NEIGHBOURS * spacing_s]
-    products = np.array([product for _, product, _, _ in near])
-    expected = np.array([lost for _, _, lost, _ in near])
-    variance = float(np.mean([square for _, _, _, square in near]))
+    spacing_s = float(np.median(step_s))
+    near = step_s <= NEIGHBOURS * spacing_s
+    variance = float(np.mean(one_cm[near] ** 2))
     if variance <= 0.0:
         return None
     # About its own mean a point of n independent hits has a correlation of -1 / n.
-    correlation = float(products.mean() / variance + expected.mean())
-    z = correlation * float(np.sqrt(len(near)))
+    correlation = float((one_cm * other_cm)[near].mean() / variance + (1.0 / hits[near]).mean())
+    z = correlation * float(np.sqrt(np.count_nonzero(near)))
     return HitCorrelation(min(correlation, MAX_CORRELATION), spacing_s, z) if z > SURE_Z else None
 
 
-def _steps(point: PointReadings, time_s: Array) -> list[tuple[float, float, float, float]]:
-    """From each hit to the next in time: seconds, product of both errors [cm^2], 1 / hits, square of the first."""
+def _steps(point: PointReadings, time_s: Array) -> Array:
+    """From each hit to the next in time, shape (4, steps): seconds, both errors [cm], and hits at this point."""
     hit = np.flatnonzero(point.is_hit & np.isfinite(time_s[point.rows]))
     if hit.size < MIN_HITS:
-        return []
+        return np.empty((4, 0))
     hit = hit[np.argsort(time_s[point.rows[hit]], kind="stable")]
     error_cm = point.error_cm[hit] - point.error_cm[hit].mean()
     step_s = np.diff(time_s[point.rows[hit]])
-    return [
-        (step, one * other, 1.0 / hit.size, one * one)
-        for step, one, other in zip(step_s.tolist(), error_cm[:-1].tolist(), error_cm[1:].tolist(), strict=True)
-    ]
+    return np.array([step_s, error_cm[:-1], error_cm[1:], np.full(step_s.size, hit.size)])

@@ -6,7 +6,8 @@ those of the likelihood of the rounded readings, and not of their average.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ BATCH = 15
 
 
 def student(standard_error: float, freedom: float) -> float:
-    """Half of Student's 95 % interval of an estimate with this standard error."""
+    """Half of Student's 95 % interval of an estimate with this standard error; of the normal one where it is known."""
     return float(stats.t.ppf(0.5 + CONFIDENCE / 2, freedom)) * standard_error
 
 
@@ -59,22 +60,12 @@ def share(count: int, of: int) -> IntervalEstimate:
 
 
 def mean_of_points(values: Sequence[float] | Array, unit: str) -> IntervalEstimate:
-    """Mean of values that are independent of each other, with Student's interval; no interval for one value alone.
-
-    Parameters
-    ----------
-    values
-        One a point.
-    unit
-        Theirs.
-    """
-    value = float(np.mean(values))
-    n = len(values)
+    """Mean of independent values, one a point, with Student's interval; no interval for one value alone."""
+    value, n = float(np.mean(values)), len(values)
     if n < 2:
         return IntervalEstimate(value, None, None, unit, n, "points")
-    return IntervalEstimate.about(
-        value, student(float(np.std(values, ddof=1)) / math.sqrt(n), n - 1), unit, n, "points"
-    )
+    half = student(float(np.std(values, ddof=1)) / math.sqrt(n), n - 1)
+    return IntervalEstimate.about(value, half, unit, n, "points")
 
 
 class PointsFit(NamedTuple):
@@ -112,21 +103,25 @@ def fit_points(design: Array, y: Array, variance: Array) -> PointsFit:
     freedom = y.size - design.shape[1]
 
     def fit(between: float) -> tuple[Array, Array, float]:
-        weight = 1.0 / (variance + between + 1e-12)
-        covariance = np.linalg.inv((design * weight[:, None]).T @ design).astype(np.float64)
-        coefficients: Array = covariance @ ((design * weight[:, None]).T @ y)
-        residual = y - design @ coefficients
-        return coefficients, covariance, float(weight @ residual**2)
+        weighted = design / (variance + between + 1e-12)[:, None]
+        covariance = np.linalg.inv(weighted.T @ design).astype(np.float64)
+        coefficients: Array = covariance @ (weighted.T @ y)
+        squares = (y - design @ coefficients) ** 2 / (variance + between + 1e-12)
+        return coefficients, covariance, float(squares.sum())
 
-    low, high = 0.0, 1.0
-    if freedom > 0 and fit(0.0)[2] > freedom:
-        while fit(high)[2] > freedom:
-            high *= 4.0
-        for _ in range(40):
-            middle = (low + high) / 2
-            low, high = (middle, high) if fit(middle)[2] > freedom else (low, middle)
-    coefficients, covariance, _ = fit(low)
-    return PointsFit(coefficients, covariance, low, freedom)
+    between = _variance_of(lambda between: fit(between)[2], freedom) if freedom > 0 else 0.0
+    coefficients, covariance, _ = fit(between)
+    return PointsFit(coefficients, covariance, between, freedom)
+
+
+def _variance_of(squares: Callable[[float], float], wanted: float) -> float:
+    """The variance at which a sum of squares, which falls with it, is as wanted; 0 where it is below already."""
+    if squares(0.0) <= wanted:
+        return 0.0
+    high = 1.0
+    while squares(high) > wanted:
+        high *= 4.0
+    return float(brentq(lambda between: squares(between) - wanted, 0.0, high))
 
 
 def between_points(residual: Array, variance: Array, known: float = 0.0, fitted: int = 1) -> IntervalEstimate:
@@ -153,20 +148,13 @@ def between_points(residual: Array, variance: Array, known: float = 0.0, fitted:
     """
     freedom = residual.size - fitted
 
-    def beyond(wanted: float) -> float:
-        def less(between: float) -> float:
-            weight = 1.0 / (variance + known + between + 1e-12)
-            return float(weight @ (residual - weight @ residual / weight.sum()) ** 2) - wanted
+    def squares(between: float) -> float:
+        weight = 1.0 / (variance + known + between + 1e-12)
+        return float(weight @ (residual - np.average(residual, weights=weight)) ** 2)
 
-        if less(0.0) <= 0.0:
-            return 0.0
-        high = 1.0
-        while less(high) > 0.0:
-            high *= 4.0
-        return math.sqrt(float(brentq(less, 0.0, high)))
-
-    least, most = (float(stats.chi2.isf(each, freedom)) for each in (0.025, 0.975))
-    return IntervalEstimate(beyond(float(freedom)), beyond(least), beyond(most), "cm", residual.size, "points")
+    wanted = (freedom, *stats.chi2.isf([0.025, 0.975], freedom).tolist())
+    value, low, high = (math.sqrt(_variance_of(squares, each)) for each in wanted)
+    return IntervalEstimate(value, low, high, "cm", residual.size, "points")
 
 
 def dependence_factor(series: Sequence[Array]) -> float:
@@ -234,15 +222,20 @@ def mean_and_spread(values: Array, step: float, usual_spread: float | None = Non
     """
     if _is_of_few_steps(values, step):
         return _of_rounded(values, step, None if usual_spread is None else usual_spread / step)
-    n = values.size
-    average, std = float(values.mean()), float(values.std(ddof=1)) if n > 1 else 0.0
+    n, average = values.size, float(values.mean())
     if n < 2:
         return MeanAndSpread(IntervalEstimate(average, None, None, "cm", n), IntervalEstimate(0.0, None, None, "cm", n))
-    half = student(std / math.sqrt(n), n - 1)
-    ends = (n - 1) * std**2 / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
-    low, value, high = (math.sqrt(max(each - step**2 / 12, 0.0)) for each in (ends[0], std**2, ends[1]))
-    mean = IntervalEstimate.about(average, half, "cm", n)
-    return MeanAndSpread(mean, IntervalEstimate(value, low, high, "cm", n))
+    variance = float(values.var(ddof=1))
+    mean = IntervalEstimate.about(average, student(math.sqrt(variance / n), n - 1), "cm", n)
+    low, high = (n - 1) * variance / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
+    return MeanAndSpread(
+        mean, IntervalEstimate(variance, low, high, "cm", n).mapped(partial(root_without, step**2 / 12))
+    )
+
+
+def root_without(known: float, variance: float) -> float:
+    """Square root of a variance without a part that is known."""
+    return math.sqrt(max(variance - known, 0.0))
 
 
 def half_of_mean(values: Array, step: float) -> float:
@@ -290,17 +283,14 @@ def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSprea
             log_likelihood -= 0.5 * (np.log(spreads / usual) / USUAL_WITHIN) ** 2
         by_mean, by_spread = log_likelihood.max(axis=1), log_likelihood.max(axis=0)
         top = float(log_likelihood.max())
-        mean_low, mean_high = _where_likely(means, by_mean, top)
-        spread_low, spread_high = _where_likely(spreads, by_spread, top)
-        mean_ends, spread_ends = (mean_low, mean_high), (spread_low, spread_high)
+        mean_ends = mean_low, mean_high = _where_likely(means, by_mean, top)
+        spread_ends = spread_low, spread_high = _where_likely(spreads, by_spread, top)
     # Where the likelihood is flat, its middle.
-    flat = means[by_mean > top - 1e-6]
-    mean = float(flat.mean())
-    spread = float(spreads[by_spread.argmax()])
-    # All in one step: any smaller spread is as likely.
-    only_one = steps.size == 1
-    spread, spread_low = (0.0, 0.0) if only_one else (spread, spread_low)
-    n = values.size
+    mean = float(means[by_mean > top - 1e-6].mean())
+    spread, n = float(spreads[by_spread.argmax()]), values.size
+    if steps.size == 1:
+        # All in one step: any smaller spread is as likely.
+        spread = spread_low = 0.0
     return MeanAndSpread(
         IntervalEstimate(step * mean, step * mean_low, step * mean_high, "cm", n),
         IntervalEstimate(step * spread, step * spread_low, step * spread_high, "cm", n),
@@ -308,7 +298,7 @@ def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSprea
 
 
 def _log_likelihood(steps: Array, counts: NDArray[np.int64], means: Array, spreads: Array) -> Array:
-    """Of rounded values, shape (means, spreads); each may be a stray."""
+    """Log likelihood of rounded values, shape (means, spreads); each may be a stray."""
     total = np.zeros((means.size, spreads.size))
     for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
         a = (step - 0.5 - means[:, None]) / spreads
@@ -326,7 +316,7 @@ def _where_likely(grid: Array, profile: Array, top: float) -> tuple[float, float
 
 
 def standard_error(estimate: IntervalEstimate) -> float:
-    """Of an estimate whose interval is roughly symmetric."""
+    """Standard error of an estimate whose interval is roughly symmetric."""
     if estimate.low is None or estimate.high is None:
         return math.inf
     return (estimate.high - estimate.low) / (2 * Z)
@@ -340,12 +330,10 @@ def holm(p_values: Sequence[float]) -> list[float]:
     >>> print([round(p, 3) for p in holm([0.01, 0.04, 0.03])])
     [0.03, 0.06, 0.06]
     """
-    order = sorted(range(len(p_values)), key=lambda i: p_values[i])
-    adjusted, so_far = [0.0] * len(p_values), 0.0
-    for rank, i in enumerate(order):
-        so_far = max(so_far, min((len(p_values) - rank) * p_values[i], 1.0))
-        adjusted[i] = so_far
-    return adjusted
+    p, order = np.array(p_values), np.argsort(p_values, kind="stable")
+    adjusted = np.empty(p.size)
+    adjusted[order] = np.maximum.accumulate(np.minimum(p[order] * np.arange(p.size, 0, -1), 1.0))
+    return adjusted.tolist()
 
 
 def detectable(standard_error: float, freedom: float, level: float) -> float:

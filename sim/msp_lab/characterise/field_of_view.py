@@ -6,14 +6,14 @@ readings that are of the wall; the breakaway lies between the last reliable angl
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import xlogy
 
-from msp_lab.characterise.beam_findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.estimates import half_of_mean, share, student
+from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
 from msp_range.acoustics.beam import BreakawayTable
@@ -37,35 +37,18 @@ MIN_DIFFERENCE_CM = 1.0
 
 
 def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration) -> FieldOfView | None:
-    """Breakaway angles of each range.
+    """Breakaway angles of each range; None where no range was tried at more than one angle.
 
-    Parameters
-    ----------
-    points
-        Of the field-of-view experiment; those at 90 deg, or of an unknown angle, are left out.
-    calibration
-        Of the sensor: what it reads at a range.
-
-    Returns
-    -------
-    FieldOfView or None
-        None where no range was tried at more than one angle.
+    Points at 90 deg, or of an unknown angle, are left out.
     """
     found = sorted(
         (_angle_point(point, calibration) for point in points if abs(point.incidence_deg) < 90.0),
         key=lambda each: (each.range_cm, each.incidence_deg),
     )
-    ranges = sorted({each.range_cm for each in found})
-    angles = []
-    for range_cm in ranges:
-        here = [each for each in found if each.range_cm == range_cm]
-        if len({abs(each.incidence_deg) for each in here}) > 1:
-            angle = _breakaway(range_cm, here)
-            if angle is not None:
-                angles.append(angle)
-    if not found or not angles:
-        return None
-    return FieldOfView(CRITERION, tuple(found), tuple(angles), _oblique(found))
+    by_range = {range_cm: list(here) for range_cm, here in groupby(found, key=lambda each: each.range_cm)}
+    tried = (_breakaway(range_cm, here) for range_cm, here in by_range.items())
+    angles = tuple(each for each in tried if each is not None)
+    return FieldOfView(CRITERION, tuple(found), angles, _oblique(found)) if angles else None
 
 
 def breakaway_rows(angles: Sequence[BreakawayAngle]) -> list[tuple[float, float]]:
@@ -105,26 +88,22 @@ def sonar_through(
     left_out: Sequence[float | None] = [None] * len(rows)
     if len(rows) > PARAMETERS:
         left_out = leave_one_out(table, sensor.frequency_hz, on_axis_m)
-    fitted = [_degrees(sonar.half_angle_rad(range_m)) for range_m in table.ranges_m]
+    radians = [sonar.half_angle_rad(range_m) for range_m in table.ranges_m]
+    fitted = [None if each is None else math.degrees(each) for each in radians]
     beam = extended_beam(table, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
-    within = all(
-        angle is not None and abs(angle - measured) <= STEP_DEG
-        for angle, (_, measured) in zip(fitted, rows, strict=True)
-    )
+    known_to_cm = min(sensor.maximum_cm, 100.0 * beam.known_to_m)
+    found = tuple(SonarRow(*row, *angles) for row, *angles in zip(rows, fitted, left_out, strict=True))
     return SonarFit(
         source_level_db=sonar.source_level_db,
         piston_diameter_m=sonar.piston_diameter_m,
         gain_db_per_m=sonar.gain_db_per_m,
-        rows=tuple(
-            SonarRow(r, measured, angle, other)
-            for (r, measured), angle, other in zip(rows, fitted, left_out, strict=True)
-        ),
+        rows=found,
         beyond=tuple(
-            (r, math.degrees(beam.half_angle_rad(r / 100.0)))
-            for r in BEYOND_CM
-            if rows[-1][0] < r <= min(sensor.maximum_cm, 100.0 * beam.known_to_m)
+            (r, math.degrees(beam.half_angle_rad(r / 100.0))) for r in BEYOND_CM if rows[-1][0] < r <= known_to_cm
         ),
-        within_a_step=within,
+        within_a_step=all(
+            each.fitted_deg is not None and abs(each.fitted_deg - each.measured_deg) <= STEP_DEG for each in found
+        ),
         note=(
             f"{PARAMETERS} parameters for {len(rows)} angles: that the equation passes near them is hardly evidence; "
             "what the other rows predict is, and beyond the table its shape is assumed"
@@ -159,6 +138,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
 
 
 def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle | None:
+    """Breakaway angle at a range; None where that was not tried at two angles."""
     negative = _side([each for each in points if each.incidence_deg <= 0.0])
     positive = _side([each for each in points if each.incidence_deg >= 0.0])
     sides = [each for each in (negative, positive) if each is not None]
@@ -169,28 +149,21 @@ def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle 
 
 def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
     """Last reliable angle of one side; between the ends of its interval echoes stop coming."""
-    by_angle: dict[float, list[AnglePoint]] = {}
-    for point in points:
-        by_angle.setdefault(abs(point.incidence_deg), []).append(point)
-    if len(by_angle) < 2:
+    angles, which = np.unique([abs(each.incidence_deg) for each in points], return_inverse=True)
+    if angles.size < 2:
         return None
-    angles = sorted(by_angle)
-    readings = np.array([sum(each.readings for each in by_angle[angle]) for angle in angles])
-    of_wall = np.array([sum(each.reliable.value * each.readings for each in by_angle[angle]) for angle in angles])
+    readings = np.bincount(which, [each.readings for each in points])
+    of_wall = np.bincount(which, [each.reliable.value * each.readings for each in points])
     is_reliable = of_wall / readings >= RELIABLE_SHARE
-    last = len(angles) if is_reliable.all() else int(is_reliable.argmin())
-    steps = _likely_steps(np.rint(of_wall), readings)
+    last = angles.size if is_reliable.all() else int(is_reliable.argmin())
+    steps = _likely_steps(np.rint(of_wall), readings.astype(np.float64))
     first, after = min(last, steps[0]), max(last, steps[-1])
-    return IntervalEstimate(
-        angles[last - 1] if last else 0.0,
-        angles[first - 1] if first else 0.0,
-        angles[after] if after < len(angles) else None,
-        "deg",
-        int(readings.sum()),
-    )
+    value, low = (float(angles[count - 1]) if count else 0.0 for count in (last, first))
+    high = float(angles[after]) if after < angles.size else None
+    return IntervalEstimate(value, low, high, "deg", int(readings.sum()))
 
 
-def _likely_steps(of_wall: Array, readings: NDArray[np.int64]) -> list[int]:
+def _likely_steps(of_wall: Array, readings: Array) -> list[int]:
     """Numbers of angles after which the share of readings of the wall may drop from reliable to not reliable.
 
     Those whose binomial likelihood, with one share before and one behind, is not significantly below the best: by 1.92
@@ -208,38 +181,24 @@ def _likely_steps(of_wall: Array, readings: NDArray[np.int64]) -> list[int]:
 
 def _oblique(points: Sequence[AnglePoint]) -> Oblique:
     """Slope of what the reading grows by over what the slant range does, each range with its own start."""
-    used = [each for each in points if each.is_reliable and each.reading is not None]
-    rows = [
-        (each.range_cm, each.slant_cm - each.nearest_cm, each.reading.value - each.nearest_cm)
-        for each in used
-        if each.reading is not None
-    ]
-    growth = np.array([row[1] for row in rows])
-    if len(rows) < 4 or growth.max() - growth.min() < MIN_DIFFERENCE_CM:
+    used = [(each, each.reading) for each in points if each.is_reliable and each.reading is not None]
+    growth = np.array([each.slant_cm - each.nearest_cm for each, _ in used])
+    if len(used) < 4 or np.ptp(growth) < MIN_DIFFERENCE_CM:
         reason = f"slant and perpendicular differ by less than {MIN_DIFFERENCE_CM:g} cm at the reliable angles"
         return Oblique("unknown", None, None, None, reason)
-    excess = np.array([row[2] for row in rows])
-    start = np.array([row[0] for row in rows])
+    excess = np.array([reading.value - each.nearest_cm for each, reading in used])
+    ranges, at = np.unique([each.range_cm for each, _ in used], return_inverse=True)
     # Within each range: how well its distance was set drops out.
-    x, y = growth.copy(), excess.copy()
-    for range_cm in np.unique(start):
-        here = start == range_cm
-        x[here] -= x[here].mean()
-        y[here] -= y[here].mean()
-    freedom = len(rows) - np.unique(start).size - 1
+    x, y = (column - (np.bincount(at, column) / np.bincount(at))[at] for column in (growth, excess))
+    freedom = len(used) - ranges.size - 1
     if freedom < 1 or not float(x @ x) > 0.0:
         return Oblique("unknown", None, None, None, "too few reliable angles")
     slope = float(x @ y / (x @ x))
     half = student(math.sqrt(float(((y - slope * x) ** 2).sum()) / freedom / float(x @ x)), freedom)
-    estimate = IntervalEstimate.about(slope, half, "", len(rows), "points")
+    estimate = IntervalEstimate.about(slope, half, "", len(used), "points")
     slant_rms, nearest_rms = (float(np.sqrt(((y - s * x) ** 2).mean())) for s in (1.0, 0.0))
     low, high = slope - half, slope + half
     reason = f"readings grow by {slope:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"
-    if low <= 0.5 <= high:
-        return Oblique("unknown", estimate, slant_rms, nearest_rms, reason + ", which may be nearer to either")
-    verdict: Literal["slant", "nearest"] = "slant" if low > 0.5 else "nearest"
+    verdict: Literal["slant", "nearest", "unknown"] = "slant" if low > 0.5 else "nearest" if high < 0.5 else "unknown"
+    reason += ", which may be nearer to either" if verdict == "unknown" else ""
     return Oblique(verdict, estimate, slant_rms, nearest_rms, reason)
-
-
-def _degrees(angle_rad: float | None) -> float | None:
-    return None if angle_rad is None else math.degrees(angle_rad)

@@ -7,7 +7,6 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from msp_lab.characterise.findings import as_json
-from msp_lab.characterise.model_file import write_model
 from msp_lab.characterise.sensors import Characterisation, characterised
 from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
 from msp_range.clock import SystemClock, date_of
@@ -64,16 +63,11 @@ def characterise(
     1
     >>> folder.cleanup()
     """
-    how = Characterisation(
-        tuple(paths_of(files)),
-        config_path(sensor, "sensors"),
-        () if columns is None else tuple(map_options(columns)),
-        "recorded",
-        date_of(SystemClock().utc()),
-        seed,
-    )
+    column_map = () if columns is None else tuple(map_options(columns))
+    today = date_of(SystemClock().utc())
+    how = Characterisation(tuple(paths_of(files)), config_path(sensor, "sensors"), column_map, "recorded", today, seed)
     with threadpool_limits(limits=1):
         made = characterised(how)
     if out is not None:
-        write_model(Path(out), made.model, made.findings, made.changes, how.start.name)
+        made.write(Path(out))
     return {"findings": json.loads(as_json(made.findings)), "model": made.model.model_dump(mode="json")}

@@ -39,6 +39,9 @@ UNIT = {
     "sigma_growth_cm_per_m": "cm/m",
     "missed_growth_per_m": "1/m",
 }
+KINDS = ("hit", "short", "missed", "random")
+GROWTH = {"sigma_growth_cm_per_m": "the spread", "missed_growth_per_m": "the odds of a missed echo"}
+"""Parameters that are 0 where nothing depends on range, and what they change."""
 
 
 class FittedMixture(NamedTuple):
@@ -51,47 +54,17 @@ class FittedMixture(NamedTuple):
 def fit_mixture(
     points: Sequence[PointReadings], calibration: Calibration, sensor: SensorModel, rng: np.random.Generator
 ) -> FittedMixture | str:
-    """Fit the mixture to readings at known ranges.
+    """Fit the mixture to undisturbed readings on the axis; the reason where it cannot be fitted.
 
-    Parameters
-    ----------
-    points
-        Undisturbed, on the axis.
-    calibration
-        Of the sensor.
-    sensor
-        Limits and codes, and the parameters to compare with.
-    rng
-        For the randomised goodness of fit.
-
-    Returns
-    -------
-    FittedMixture or str
-        The reason where it cannot be fitted.
+    `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit.
     """
-    set_ups = [_placement_error(point, calibration) for point in points]
-    reading_cm = np.concatenate([point.reading_cm for point in points] or [np.empty(0)])
-    expected_cm = np.concatenate(
-        [
-            calibration.forward(point.apparent_cm) + (0.0 if set_up is None else set_up.error_cm)
-            for point, set_up in zip(points, set_ups, strict=True)
-        ]
-        or [np.empty(0)]
-    )
-    # The mean of a placement's own hits has the error of its one reference in it.
-    reference_cm = [
-        point.reference_std_cm if set_up is None else np.zeros(point.reading_cm.size)
-        for point, set_up in zip(points, set_ups, strict=True)
-    ]
-    answered = ~np.isnan(reading_cm)
-    reading_cm, expected_cm = reading_cm[answered], expected_cm[answered]
-    reference_std_cm = np.concatenate(reference_cm or [np.empty(0)])[answered]
     try:
         grid = ReadingGrid.of(sensor)
     except ValueError as error:
         return str(error)
-    whole = grid.nearest(reading_cm)
-    notes = []
+    set_ups = [_placement_error(point, calibration) for point in points]
+    reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
+    whole, notes = grid.nearest(reading_cm), []
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
@@ -116,15 +89,13 @@ def fit_mixture(
     fitted, raised = with_floors(result.parameters, saturates=grid.second_no_echo_cm is not None)
     bound = {*result.at_bound, *raised}
     notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.estimates if name in bound]
-    notes += [
-        f"{name}: not identifiable from these readings; the starting model's value is kept"
-        for name in result.not_identified
-    ]
+    unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
+    notes += [f"{name}: not identifiable from these readings; the starting model's value is kept" for name in unknown]
     found = Mixture(
         parameters=tuple(
             _parameter(name, result, sensor.reading_model, name in bound)
             for name in result.estimates
-            if name not in result.not_identified
+            if name not in unknown
         ),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
@@ -134,8 +105,23 @@ def fit_mixture(
         notes=tuple(notes),
         set_ups=moved,
     )
-    unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
     return FittedMixture(found, fitted.model_copy(update=unknown))
+
+
+def _readings(
+    points: Sequence[PointReadings], set_ups: Sequence[PlacementError | None], calibration: Calibration
+) -> tuple[Array, Array, Array]:
+    """Answers [cm], the readings that are expected, and the standard deviation of the reference's own error."""
+    columns = [np.empty((3, 0))]
+    for point, set_up in zip(points, set_ups, strict=True):
+        expected_cm, std_cm = calibration.forward(point.apparent_cm), point.reference_std_cm
+        if set_up is not None:
+            # The mean of a placement's own hits has the error of its one reference in it.
+            expected_cm, std_cm = expected_cm + set_up.error_cm, np.zeros(std_cm.size)
+        columns.append(np.array([point.reading_cm, expected_cm, std_cm]))
+    joined = np.concatenate(columns, axis=1)
+    reading_cm, expected_cm, std_cm = joined[:, ~np.isnan(joined[0])]
+    return reading_cm, expected_cm, std_cm
 
 
 def with_correlation(fitted: FittedMixture, found: HitCorrelation | None) -> FittedMixture:
@@ -147,9 +133,8 @@ def with_correlation(fitted: FittedMixture, found: HitCorrelation | None) -> Fit
         f"errors of hits {found.spacing_s:.3g} s apart have a correlation of {found.correlation:.2f} ({found.z:.0f} "
         "standard errors): the simulator draws them so, and intervals that take readings as independent are too narrow"
     )
-    return FittedMixture(
-        replace(fitted.found, notes=(*fitted.found.notes, note)), fitted.parameters.model_copy(update=number)
-    )
+    mixture = replace(fitted.found, notes=(*fitted.found.notes, note))
+    return FittedMixture(mixture, fitted.parameters.model_copy(update=number))
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
@@ -168,28 +153,15 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound
     except ValueError:
         # The profile of the likelihood has no end here.
         low, high = -math.inf, math.inf
-    value = result.estimates[name]
-    estimate = IntervalEstimate(
-        value,
-        low if math.isfinite(low) else None,
-        high if math.isfinite(high) else None,
-        UNIT.get(name, ""),
-        result.readings,
-    )
-    is_weight = name in ("hit", "short", "missed", "random")
-    started = getattr(before.weights if is_weight else before, name, None)
-    return MixtureParameter(f"weights.{name}" if is_weight else name, estimate, started, at_bound)
+    known = [end if math.isfinite(end) else None for end in (low, high)]
+    estimate = IntervalEstimate(result.estimates[name], known[0], known[1], UNIT.get(name, ""), result.readings)
+    if name in KINDS:
+        return MixtureParameter(f"weights.{name}", estimate, getattr(before.weights, name), at_bound)
+    return MixtureParameter(name, estimate, getattr(before, name, None), at_bound)
 
 
 def _conditional(result: FitResult, expected_cm: Array) -> str:
-    grown = [
-        text
-        for name, text in (
-            ("sigma_growth_cm_per_m", "the spread"),
-            ("missed_growth_per_m", "the odds of a missed echo"),
-        )
-        if result.estimates.get(name, 0.0) != 0.0
-    ]
+    grown = [words for name, words in GROWTH.items() if result.estimates.get(name, 0.0) != 0.0]
     if not grown:
         return "nothing depends on range (by BIC)"
     growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"
@@ -197,7 +169,6 @@ def _conditional(result: FitResult, expected_cm: Array) -> str:
         return growing
     grid = result.grid
     model = ReadingModel(result.parameters, grid.minimum_cm, grid.maximum_cm, resolution_cm=grid.resolution_cm)
-    names = ("hit", "short", "missed", "random")
-    shares = zip(names, model.shares(expected_cm), strict=True)
+    shares = zip(KINDS, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
     return f"{growing}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"

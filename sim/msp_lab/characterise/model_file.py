@@ -5,7 +5,7 @@ before it is written, so what is on disk loads.
 """
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import to_jsonable_python
 
-from msp_lab.characterise.analysis import Changes, provenance
+from msp_lab.characterise.analysis import provenance
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.reading_model.fit_result import MIN_WEIGHT
@@ -22,10 +22,24 @@ from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 
 _DIGITS = 6
+_SECTIONS = (
+    ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
+    ("resolution_cm",),
+    ("calibration_temperature_c",),
+    ("oblique_reading",),
+    ("timing", "frequency_hz"),
+    ("breakaway",),
+    ("heard_on_axis_cm",),
+    ("calibration",),
+    ("reading_model",),
+    ("effects", "in_flight"),
+    ("evidence",),
+)
+"""Fields that stand below one comment, which is about the first of them."""
 _WRAPPER = textwrap.TextWrapper(width=118, break_long_words=False, break_on_hyphens=False)
 
 
-def changed(sensor: SensorModel, findings: Findings, changes: Changes) -> SensorModel:
+def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any]) -> SensorModel:
     """The starting model with what was found in it.
 
     Raises
@@ -33,13 +47,9 @@ def changed(sensor: SensorModel, findings: Findings, changes: Changes) -> Sensor
     ConfigError
         What was found cannot be a sensor model together with the rest of the starting one.
     """
-    fields = {name: value for name, value in vars(changes).items() if value is not None}
-    if "breakaway" in fields:
-        farthest_cm = fields["breakaway"][-1].range_cm
-        heard_cm = fields.get("heard_on_axis_cm", sensor.heard_on_axis_cm)
-        fields["heard_on_axis_cm"] = None if heard_cm is None else max(heard_cm, farthest_cm)
-    content = sensor.model_dump(mode="json")
-    content |= to_jsonable_python(fields)
+    content = sensor.model_dump(mode="json") | to_jsonable_python(changes)
+    if "breakaway" in changes and content["heard_on_axis_cm"] is not None:
+        content["heard_on_axis_cm"] = max(content["heard_on_axis_cm"], content["breakaway"][-1]["range_cm"])
     # The means over a flight were those of the starting model.
     content |= {"in_flight": None, "evidence": [*content["evidence"], provenance(findings)]}
     try:
@@ -49,7 +59,7 @@ def changed(sensor: SensorModel, findings: Findings, changes: Changes) -> Sensor
         raise ConfigError(f"what was found does not go with the rest of the sensor model: {problems}") from None
 
 
-def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Changes, started_from: str) -> None:
+def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> None:
     """Write the model file.
 
     Parameters
@@ -60,7 +70,7 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
         The new model, from `changed`.
     findings, changes
         For the comments: what was fitted and what was kept.
-    started_from
+    start
         Name of the starting model's file.
 
     Raises
@@ -68,7 +78,7 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
     ConfigError
         There is a file already, or it cannot be written.
     """
-    text = model_text(sensor, findings, changes, started_from)
+    text = _model_text(sensor, findings, changes, start)
     assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -80,86 +90,71 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ch
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def model_text(sensor: SensorModel, findings: Findings, changes: Changes, started_from: str) -> str:
-    """Return the model file's text, with a comment over each part on whether it was fitted."""
+def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
+    """The model file's text, with a comment over each part on whether it was fitted."""
     content = sensor.model_dump(mode="json")
-    kept = f"Kept from {started_from}"
-    sections: list[tuple[list[str], Sequence[str]]] = [
-        ([kept + "."], ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm")),
-        ([f"{kept}." if changes.resolution_cm is None else "Step of the readings."], ("resolution_cm",)),
-        ([kept + "."], ("calibration_temperature_c",)),
-        (_oblique_comment(findings, changes, kept), ("oblique_reading",)),
-        ([kept + "."], ("timing", "frequency_hz")),
-        (_breakaway_comment(findings, changes, kept), ("breakaway",)),
-        (_on_axis_comment(findings, changes, kept), ("heard_on_axis_cm",)),
-        (_calibration_comment(findings, changes, kept), ("calibration",)),
-        (_mixture_comment(findings, changes, kept), ("reading_model",)),
-        (_effects_comment(sensor, findings, changes, kept), ("effects", "in_flight")),
-        (["What this file was made from, the newest last."], ("evidence",)),
-    ]
-    named = {name for _, names in sections for name in names}
+    named = {name for names in _SECTIONS for name in names}
     assert named == set(content), f"no section for {set(content) ^ named}"
+    kept, fitted = _why_kept(sensor, findings), _how_fitted(findings)
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
-    for comments, names in sections:
-        lines += [f"# {line}" for comment in comments for line in _WRAPPER.wrap(comment)]
+    for names in _SECTIONS:
+        why = kept.get(names[0], "")
+        words = [f"Kept from {start}{f': {why}' if why else ''}."]
+        if names[0] in (*changes, "evidence"):
+            words = fitted[names[0]]
+        lines += [f"# {line}" for each in words for line in _WRAPPER.wrap(each)]
         lines += [_yaml(name, content[name]) for name in names]
         lines.append("")
     return "\n".join(lines)
 
 
-def _oblique_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
-    view = findings.field_of_view
-    if view is None:
-        return [f"{kept}: no angles were measured."]
-    if changes.oblique_reading is None:
-        return [f"{kept}: {view.oblique.reason}."]
-    return [f"Fitted: {view.oblique.reason}."]
+def _why_kept(sensor: SensorModel, findings: Findings) -> dict[str, str]:
+    """Why fields of the starting model are as they were; empty: nothing is to be said."""
+    view, calibration = findings.field_of_view, findings.calibration
+    return {
+        "oblique_reading": view.oblique.reason if view else "no angles were measured",
+        "breakaway": "no breakaway angle was measured",
+        "calibration": calibration.reason if calibration else "nothing was measured on the axis",
+        "reading_model": findings.absent.get("mixture", "nothing was fitted"),
+        "effects": "added to another base than this one" if sensor.effects else "",
+    }
 
 
-def _breakaway_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
-    view = findings.field_of_view
-    if changes.breakaway is None or view is None:
-        return [f"{kept}: no breakaway angle was measured."]
-    shown = ", ".join(f"{each.range_cm:g} cm {_interval(each.half_angle, 1)}" for each in view.angles)
-    return [f"Fitted: the smaller of both sides [deg]: {shown}.", f"Reliable: {view.criterion}."]
-
-
-def _on_axis_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
-    if changes.heard_on_axis_cm is None:
-        return [f"{kept}."]
-    return ["Fitted: longest range of the maximum range experiment that was read reliably."]
-
-
-def _calibration_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
-    found = findings.calibration
-    if changes.calibration is None or found is None:
-        return [f"{kept}: {found.reason if found else 'nothing was measured on the axis'}."]
-    stated = "is not stated" if found.reference_std_cm is None else f"of {found.reference_std_cm:g} cm is in it"
-    bias = f"Mean error {_interval(found.bias, 2)} cm over {found.bias.n} points; the reference's own {stated}."
-    return [f"Fitted: {found.form}. {found.reason[0].upper()}{found.reason[1:]}. {bias}"]
-
-
-def _effects_comment(sensor: SensorModel, findings: Findings, changes: Changes, kept: str) -> list[str]:
-    found = [f"{kept}: added to another base than this one." if sensor.effects else kept + "."]
-    if changes.effects is None or findings.calibration is None or findings.calibration.set_up_offset is None:
-        return found
-    between = _interval(findings.calibration.set_up_offset, 2)
-    return [f"Fitted: an offset that differs between placements, {between} cm, beyond the error of their true ranges."]
-
-
-def _mixture_comment(findings: Findings, changes: Changes, kept: str) -> list[str]:
-    found = findings.mixture
-    if changes.reading_model is None or found is None:
-        return [f"{kept}: {findings.absent.get('mixture', 'nothing was fitted')}."]
-    shown = "; ".join(
-        f"{each.name} {_interval(each.fitted, 4)}{', at its bound' if each.at_bound else ''}"
-        for each in found.parameters
-    )
-    return [
-        f"Fitted to {found.readings} undisturbed readings by maximum likelihood, 95 % intervals: {shown}.",
-        "These were measured on a bench. A vehicle shakes, and there are objects below it: kinds of reading that the "
-        f"bench did not show have a weight of {MIN_WEIGHT:g}, and a filter with this spread may be overconfident.",
-    ]
+def _how_fitted(findings: Findings) -> dict[str, list[str]]:
+    """How fields of the new model were found, where they can be."""
+    found = {
+        "evidence": ["What this file was made from, the newest last."],
+        "resolution_cm": ["Step of the readings."],
+        "heard_on_axis_cm": ["Fitted: longest range of the maximum range experiment that was read reliably."],
+    }
+    view, calibration, mixture = findings.field_of_view, findings.calibration, findings.mixture
+    if view is not None:
+        shown = ", ".join(f"{each.range_cm:g} cm {_interval(each.half_angle, 1)}" for each in view.angles)
+        found["oblique_reading"] = [f"Fitted: {view.oblique.reason}."]
+        smaller = f"Fitted: the smaller of both sides [deg]: {shown}."
+        found["breakaway"] = [smaller, f"Reliable: {view.criterion}."]
+    if calibration is not None:
+        std_cm, bias = calibration.reference_std_cm, calibration.bias
+        stated = "is not stated" if std_cm is None else f"of {std_cm:g} cm is in it"
+        reason = f"{calibration.reason[0].upper()}{calibration.reason[1:]}"
+        mean = f"Mean error {_interval(bias, 2)} cm over {bias.n} points; the reference's own {stated}."
+        found["calibration"] = [f"Fitted: {calibration.form}. {reason}. {mean}"]
+        if calibration.set_up_offset is not None:
+            between = _interval(calibration.set_up_offset, 2)
+            what = f"an offset that differs between placements, {between} cm, beyond the error of their true ranges"
+            found["effects"] = [f"Fitted: {what}."]
+    if mixture is not None:
+        shown = "; ".join(
+            f"{each.name} {_interval(each.fitted, 4)}{', at its bound' if each.at_bound else ''}"
+            for each in mixture.parameters
+        )
+        found["reading_model"] = [
+            f"Fitted to {mixture.readings} undisturbed readings by maximum likelihood, 95 % intervals: {shown}.",
+            "These were measured on a bench. A vehicle shakes, and there are objects below it: kinds of reading that "
+            f"the bench did not show have a weight of {MIN_WEIGHT:g}, and a filter with this spread may be "
+            "overconfident.",
+        ]
+    return found
 
 
 def _interval(estimate: IntervalEstimate, digits: int) -> str:

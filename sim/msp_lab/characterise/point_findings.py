@@ -1,93 +1,93 @@
 """What was found at one point of the bench, and a number with its interval: values only, as in `findings.py`."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """A number with its 95 % interval.
-
-    Attributes
-    ----------
-    value
-        The estimate.
-    low, high
-        Ends of the interval; None where the data give none on that side.
-    unit
-        Of all three; "" for a share or a ratio.
-    n
-        How many independent things it rests on, which `of` names.
-    of
-        What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target).
-    """
+    """A number with its 95 % interval."""
 
     value: float
+    """The estimate."""
     low: float | None
     high: float | None
+    """Ends of the interval; None where the data give none on that side."""
     unit: str
+    """Unit of all three; "" for a share or a ratio."""
     n: int
+    """Number of independent things it rests on, which `of` names."""
     of: str = "readings"
+    """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
+
+    @classmethod
+    def exact(cls, value: float) -> "IntervalEstimate":
+        """A number of which no interval is known."""
+        return cls(value, None, None, "", 0)
 
     @classmethod
     def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
         """A number with an interval that reaches as far to both sides."""
         return cls(value, value - half, value + half, unit, n, of)
 
+    def holds(self, value: float) -> bool:
+        """Whether a value is within the interval; an end that is not known is no limit."""
+        return (self.low is None or self.low <= value) and (self.high is None or value <= self.high)
+
+    def mapped(self, change: Callable[[float], float]) -> "IntervalEstimate":
+        """The estimate and both ends of its interval changed by a rising function."""
+        low, high = (None if end is None else change(end) for end in (self.low, self.high))
+        return replace(self, value=change(self.value), low=low, high=high)
+
 
 @dataclass(frozen=True)
 class PointResult:
-    """One set-up of the bench and its readings.
-
-    Attributes
-    ----------
-    condition
-        Experiment of the campaign, as the CSV form's column `condition` names it.
-    sensor, run
-        As in the data.
-    level
-        Of what the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied.
-    true_range_cm
-        Of the reference.
-    incidence_deg, air_temperature_c, target_temperature_c
-        Means over the point; None where unknown.
-    readings
-        All rows; the next six add up to it.
-    hits
-        Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`).
-    short, long
-        Readings before and after the gate: of something else.
-    no_echo, saturated, no_answer
-        Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading.
-    error, spread
-        Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
-        contain the scatter of readings, not the error of the placement. None without hits.
-    compensated_error
-        The mean error compensated for the air's temperature; None without one, and for light and radio.
-    worst_error_cm
-        Largest error of a reading that is no code, signed.
-    """
+    """One set-up of the bench and its readings."""
 
     condition: str
+    """Experiment of the campaign, as the CSV form's column `condition` names it."""
     sensor: str
     run: str
+    """Names of the sensor and the run in the data."""
     level: str
+    """What the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied."""
     true_range_cm: float
+    """True range by the reference."""
     incidence_deg: float | None
     air_temperature_c: float | None
     target_temperature_c: float | None
+    """Means over the point; None where unknown."""
     readings: int
+    """All rows; the next six add up to it."""
     hits: int
+    """Readings of the surface: within a gate about the middle of the point's fullest 16 cm (`points.GATE_CM`)."""
     short: int
     long: int
+    """Readings before and after the gate: of something else."""
     no_echo: int
     saturated: int
     no_answer: int
+    """Readings of the maximum (765), of 255 where that cannot be the range, and rows without a reading."""
     error: IntervalEstimate | None
     spread: IntervalEstimate | None
+    """Mean error of the hits [cm] and their standard deviation with the rounding taken out [cm]; their intervals
+    contain the scatter of readings, not the error of the placement. None without hits."""
     compensated_error: IntervalEstimate | None
+    """The mean error compensated for the air's temperature; None without one, and for light and radio."""
     worst_error_cm: float | None
+    """Largest error of a reading that is no code, signed."""
 
     @property
     def place_cm(self) -> float:
         """The true range to a millimetre: points of the same one are compared."""
         return round(self.true_range_cm, 1)
+
+    @property
+    def missed(self) -> int:
+        """Readings without an echo: codes, and rows without an answer."""
+        return self.no_echo + self.saturated + self.no_answer
+
+    @property
+    def outliers(self) -> int:
+        """Readings of something else than the surface."""
+        return self.short + self.long

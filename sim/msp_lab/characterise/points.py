@@ -8,12 +8,14 @@ the scatter of readings use points as their unit.
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread
-from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread, root_without
+from msp_lab.characterise.point_findings import PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.arrays import Array, Flags, Texts
@@ -68,42 +70,30 @@ NEAR_KHZ = 1.0
 
 @dataclass(frozen=True)
 class PointReadings:
-    """The readings of one point.
-
-    Parameters
-    ----------
-    condition, sensor, run, level
-        As in `findings.PointResult`.
-    reading_cm, true_range_cm, air_temperature_c
-        A row each; NaN where there was no answer, or where the temperature is unknown.
-    reference_std_cm
-        Standard deviation of the error of each row's true range [cm]; 0 where it is not stated.
-    incidence_deg, target_temperature_c
-        NaN where unknown.
-    sensor_model
-        Limits, codes and calibration temperature.
-    step_cm
-        Of the readings.
-    rows
-        Their row numbers in the data.
-    usual_spread_cm
-        Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any.
-    """
+    """The readings of one point."""
 
     condition: str
     sensor: str
     run: str
     level: str
+    """As in `findings.PointResult`."""
     reading_cm: Array
     true_range_cm: Array
     air_temperature_c: Array
+    """A row each; NaN where there was no answer, or where the temperature is unknown."""
     reference_std_cm: Array
+    """Standard deviation of the error of each row's true range [cm]; 0 where it is not stated."""
     incidence_deg: float
     target_temperature_c: float
+    """NaN where unknown."""
     sensor_model: SensorModel
+    """Limits, codes and calibration temperature."""
     step_cm: float
+    """Step of the readings [cm]; 0 where they have none."""
     rows: NDArray[np.int64]
+    """Their row numbers in the data."""
     usual_spread_cm: float | None = None
+    """Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any."""
 
     @cached_property
     def range_cm(self) -> float:
@@ -161,7 +151,7 @@ class PointReadings:
         middle = float(np.median(window))
         if abs(middle) > max(FARTHEST_CM, FARTHEST_SHARE * self.range_cm):
             return 0.0, 0.0
-        deviation = 1.4826 * float(np.median(np.abs(window - middle)))
+        deviation = float(stats.median_abs_deviation(window, scale="normal"))
         half = max(GATE_CM, min(GATE_DEVIATIONS * deviation, GATE_SHARE * self.range_cm))
         return middle - half, middle + half
 
@@ -190,15 +180,17 @@ class PointReadings:
 
     @cached_property
     def _statistics(self) -> MeanAndSpread | None:
+        """Mean error and spread of the hits."""
         if self.hits < MIN_HITS:
             return None
-        # Readings are whole steps, and errors too where the truth is one number.
-        truth, is_fixed = float(self.true_range_cm[0]), self.is_fixed
-        found = self.reading_cm[self.is_hit] - (0.0 if is_fixed else self.true_range_cm[self.is_hit])
-        mean, spread = mean_and_spread(found, self.step_cm if is_fixed else 0.0, usual_spread=self.usual_spread_cm)
+        if self.is_fixed:
+            # Readings are whole steps, and errors too where the truth is one number.
+            mean, spread = mean_and_spread(self.reading_cm[self.is_hit], self.step_cm, self.usual_spread_cm)
+            return MeanAndSpread(mean.mapped(lambda end: end - float(self.true_range_cm[0])), spread)
+        mean, spread = mean_and_spread(self.error_cm[self.is_hit], 0.0, self.usual_spread_cm)
         # Where the truth changes, its error and the rounding are part of the scatter.
-        other_cm2 = 0.0 if is_fixed else float(np.mean(self.reference_std_cm[self.is_hit] ** 2)) + self.step_cm**2 / 12
-        return MeanAndSpread(_shifted(mean, -truth if is_fixed else 0.0), _without(spread, other_cm2))
+        other_cm2 = float(np.mean(self.reference_std_cm[self.is_hit] ** 2)) + self.step_cm**2 / 12
+        return MeanAndSpread(mean, spread.mapped(lambda end: root_without(other_cm2, end**2)))
 
     @property
     def hits(self) -> int:
@@ -208,16 +200,17 @@ class PointReadings:
     @cached_property
     def found(self) -> PointResult:
         """What was found at this point."""
-        heard_error = self.error_cm[self.is_echo]
-        hit, middle = self.is_hit[self.is_echo], sum(self.gate_cm) / 2.0
-        statistics = self._statistics
+        echo_error = self.error_cm[self.is_echo]
+        other_error = self.error_cm[self.is_echo & ~self.is_hit]
+        short = int((other_error < sum(self.gate_cm) / 2.0).sum())
         codes = self.reading_cm[self.is_code]
         no_echo = int((codes == self.sensor_model.maximum_cm).sum())
+        error, spread = self._statistics or (None, None)
         compensated = None
-        if statistics is not None and not np.isnan(self.compensation[self.is_hit]).all():
+        if error is not None and not np.isnan(self.compensation[self.is_hit]).all():
             # Each row by its own air; the interval is that of the mean, moved.
-            change = np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit])
-            compensated = _shifted(statistics.mean, float(change))
+            change = float(np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit]))
+            compensated = error.mapped(lambda end: end + change)
         return PointResult(
             condition=self.condition,
             sensor=self.sensor,
@@ -229,15 +222,15 @@ class PointReadings:
             target_temperature_c=_known(self.target_temperature_c),
             readings=self.reading_cm.size,
             hits=self.hits,
-            short=int((~hit & (heard_error < middle)).sum()),
-            long=int((~hit & (heard_error >= middle)).sum()),
+            short=short,
+            long=other_error.size - short,
             no_echo=no_echo,
             saturated=int(codes.size) - no_echo,
             no_answer=int(np.isnan(self.reading_cm).sum()),
-            error=None if statistics is None else statistics.mean,
-            spread=None if statistics is None else statistics.spread,
+            error=error,
+            spread=spread,
             compensated_error=compensated,
-            worst_error_cm=float(heard_error[np.abs(heard_error).argmax()]) if heard_error.size else None,
+            worst_error_cm=float(max(echo_error, key=abs)) if echo_error.size else None,
         )
 
 
@@ -245,50 +238,33 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     """The points of measured data, in the order of their first readings.
 
     Rows without a true range are left out: their error is unknown.
-
-    Parameters
-    ----------
-    data
-        In the CSV form.
-    sensor_model
-        Limits, codes and calibration temperature of the sensor that read.
     """
     rows = np.flatnonzero(~np.isnan(data["true_range_cm"]))
     known = data.select(rows)
     if not len(known):
         return []
-    numbers = {name: known.column(name) for name in ("air_temperature_c", "target_temperature_c", "incidence_deg")}
-    reference_std_cm = np.nan_to_num(known.column("true_range_std_cm"))
-    condition = conditions(known)
-    words = {name: known.column(name) for name in ("sensor", "run", "target")}
-    level = _levels(known, condition, words["target"], numbers["air_temperature_c"], sensor_model.frequency_hz)
-    truth = known["true_range_cm"]
-    place = _places(truth)
-    incidence = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
+    condition, truth = conditions(known), known["true_range_cm"]
+    words = {name: known.column(name) for name in ("sensor", "run")}
+    words |= {"condition": condition, "level": _levels(known, condition, sensor_model.frequency_hz)}
+    numbers = {name: known.column(name) for name in ("incidence_deg", "target_temperature_c")}
+    columns = {name: known.column(name) for name in ("reading_cm", "true_range_cm", "air_temperature_c")}
+    columns |= {"reference_std_cm": np.nan_to_num(known.column("true_range_std_cm")), "rows": rows}
+    angle = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
     settings = [np.nan_to_num(known.column(name), nan=-1.0) for name in SETTINGS]
-    different = (condition, words["sensor"], words["run"], words["target"], level, place, incidence, *settings)
-    keys = np.column_stack([_codes(each) for each in different])
+    different = (*words.values(), known.column("target"), _places(truth), angle, *settings)
+    # A whole number for each different value.
+    keys = np.column_stack([np.unique(each, return_inverse=True)[1].ravel() for each in different])
     _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     step_cm = step_of(known["reading_cm"], ON_STEP_SHARE)
     members = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
-    points = [
-        PointReadings(
-            condition=str(condition[first[i]]),
-            sensor=str(words["sensor"][first[i]]),
-            run=str(words["run"][first[i]]),
-            level=str(level[first[i]]),
-            reading_cm=known["reading_cm"][member],
-            true_range_cm=truth[member],
-            air_temperature_c=numbers["air_temperature_c"][member],
-            reference_std_cm=reference_std_cm[member],
-            incidence_deg=_mean(numbers["incidence_deg"][member]),
-            target_temperature_c=_mean(numbers["target_temperature_c"][member]),
-            sensor_model=sensor_model,
-            step_cm=step_cm,
-            rows=rows[member],
-        )
-        for i, member in sorted(enumerate(members), key=lambda each: first[each[0]])
-    ]
+
+    def point(first: int, here: NDArray[np.int64]) -> PointReadings:
+        fields: dict[str, Any] = {name: str(column[first]) for name, column in words.items()}
+        fields |= {name: _mean(column[here]) for name, column in numbers.items()}
+        fields |= {name: column[here] for name, column in columns.items()}
+        return PointReadings(sensor_model=sensor_model, step_cm=step_cm, **fields)
+
+    points = [point(first[i], members[i]) for i in np.argsort(first)]
     alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
     usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
     return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
@@ -311,27 +287,26 @@ def conditions(data: MeasuredData) -> Texts:
     return np.where(named == "", found, named)
 
 
-def _levels(data: MeasuredData, condition: Texts, target: Texts, air_c: Array, frequency_hz: float) -> Texts:
+def _levels(data: MeasuredData, condition: Texts, frequency_hz: float) -> Texts:
     """What the experiment varies, as a word for each row."""
     level = np.full(len(data), "", dtype="U48")
-    rows = condition == "material"
-    level[rows] = target[rows]
-    rows = condition == "temperature"
-    level[rows] = _temperature_words(air_c[rows])
-    rows = condition == "vibration"
-    level[rows] = [_word(each, "Hz") for each in data.column("vibration_hz")[rows]]
-    rows = condition == "external_interference"
-    level[rows] = _external_words(data.select(rows), frequency_hz)
+    for name, words in (
+        ("material", lambda rows: rows.column("target")),
+        ("temperature", lambda rows: _temperature_words(rows.column("air_temperature_c"))),
+        ("vibration", lambda rows: [_word(each, "Hz") for each in rows.column("vibration_hz")]),
+        ("external_interference", lambda rows: _external_words(rows, frequency_hz)),
+    ):
+        level[condition == name] = words(data.select(condition == name))
     return level
 
 
-def _temperature_words(air_c: Array) -> list[str]:
+def _temperature_words(air_c: Array) -> Texts:
     """Clusters of temperatures, each by its mean; "" where the temperature is not known."""
     found, known = np.full(air_c.size, "", dtype="U48"), np.flatnonzero(~np.isnan(air_c))
     order = known[np.argsort(air_c[known])]
     for cluster in np.split(order, np.flatnonzero(np.diff(air_c[order]) > LEVEL_GAP_C) + 1):
         found[cluster] = _word(float(np.round(_mean(air_c[cluster]))), "C")
-    return found.tolist()
+    return found
 
 
 def _external_words(data: MeasuredData, frequency_hz: float) -> list[str]:
@@ -357,11 +332,6 @@ def _places(truth_cm: Array) -> Array:
     return (np.floor(truth_cm / BIN_CM) + 0.5) * BIN_CM
 
 
-def _codes(column: Texts | Array) -> NDArray[np.int64]:
-    """A whole number for each different value."""
-    return np.unique(column, return_inverse=True)[1].ravel().astype(np.int64)
-
-
 def _mean(values: Array) -> float:
     known = values[~np.isnan(values)]
     return float(known.mean()) if known.size else math.nan
@@ -373,20 +343,3 @@ def _known(value: float) -> float | None:
 
 def _word(value: float, unit: str) -> str:
     return "" if math.isnan(value) else f"{value:g} {unit}"
-
-
-def _without(spread: IntervalEstimate, variance: float) -> IntervalEstimate:
-    """A standard deviation and its interval without a variance that is known to be part of it."""
-    if variance == 0.0:
-        return spread
-    value, low, high = (
-        None if each is None else math.sqrt(max(each**2 - variance, 0.0))
-        for each in (spread.value, spread.low, spread.high)
-    )
-    return replace(spread, value=value or 0.0, low=low, high=high)
-
-
-def _shifted(estimate: IntervalEstimate, by: float) -> IntervalEstimate:
-    low = None if estimate.low is None else estimate.low + by
-    high = None if estimate.high is None else estimate.high + by
-    return replace(estimate, value=estimate.value + by, low=low, high=high)

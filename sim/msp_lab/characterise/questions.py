@@ -8,18 +8,21 @@ point at equal ranges; shares of readings get the variance between points where 
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
+from scipy.special import logit
 
-from msp_lab.characterise.estimates import Z, detectable, holm, student
+from msp_lab.characterise.estimates import detectable, holm, student
+from msp_lab.characterise.experiments import QUESTIONS
+from msp_lab.characterise.findings import NAMES, FactorEffect, Metric, Question, Verdict
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
-from msp_lab.characterise.question_findings import FactorEffect, Metric, Question, Verdict
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
+from msp_range.arrays import Array
 
 LEVEL = 0.05
 """Family-wise false-positive rate over all questions (Holm)."""
@@ -45,29 +48,17 @@ MIN_SCATTER_CM = 0.05
 """Smallest scatter between set-ups that is assumed [cm]: equal readings at two points do not prove 0."""
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
 """Experiments with two sensors, each with its own question -> name of their level."""
-METRICS: tuple[Metric, ...] = ("bias", "spread", "missed", "outliers")
 
 
-@dataclass(frozen=True)
-class _Topic:
-    question: str
-    matters: str
-
-
-TOPICS = {
-    "material": _Topic("Does the material of the target matter?", "the material"),
-    "temperature": _Topic("Does hot or cold air at the sensor matter?", "the air at the sensor"),
-    "vibration": _Topic("Does vibration of the housing matter?", "the vibration"),
-    "crosstalk_simultaneous": _Topic(
-        "Does a second sensor that pings at the same time matter?", "the other sensor's ping"
-    ),
-    "crosstalk_sequential": _Topic("Does a second sensor matter that waits for the first?", "the sensor that waits"),
-    "external_interference": _Topic("Does external ultrasound matter?", "the external source"),
+BOUNDS: dict[Metric, float] = {
+    "bias": BIAS_BOUND_CM,
+    "spread": SPREAD_BOUND,
+    "missed": ODDS_BOUND,
+    "outliers": ODDS_BOUND,
 }
-"""Condition -> what is asked."""
 
 
-class _Raw(NamedTuple):
+class _Test(NamedTuple):
     """An effect on the scale where it is roughly normal: centimetres, or the logarithm of a ratio."""
 
     value: float
@@ -76,42 +67,41 @@ class _Raw(NamedTuple):
     n: int
     of: str
     p_value: float
-    bound: float
-    small_share: bool
+    """p-value of no effect."""
+    small_share: bool = False
+    """A share that changes by less than `SHARE_BOUND`, by its 90 % interval: small by itself."""
     detectable: Callable[[float], float] | None = None
+    """Smallest effect that the data would have shown, by the level of the test; None: a t-test's."""
+
+    def p_alike(self, metric: Metric) -> float:
+        """p-value of an effect that is as large as the bound or larger: the greater of two one-sided tests."""
+        bound = BOUNDS[metric] if metric == "bias" else math.log(BOUNDS[metric])
+        by_value = float(stats.t.sf((bound - abs(self.value)) / self.error, self.freedom))
+        return min(by_value, LEVEL / 1e3) if self.small_share else by_value
 
 
 def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
-    """All questions that the points allow, with p-values corrected for all of them together.
-
-    Parameters
-    ----------
-    points
-        Every set-up of the data.
-    """
-    asked = [
-        each
-        for name, topic in TOPICS.items()
-        for each in _compared(name, topic, [p for p in points if p.condition == name], points)
-    ]
-    raw = {(i, metric): _effect(metric, each) for i, each in enumerate(asked) for metric in METRICS}
-    estimated = [key for key, each in raw.items() if each is not None]
-    tests = [raw[key] for key in estimated]
-    different = dict(zip(estimated, holm([each.p_value for each in tests if each]), strict=True))
-    alike = dict(zip(estimated, holm([_p_alike(each) for each in tests if each]), strict=True))
-    answered = []
-    for i, each in enumerate(asked):
-        effects = tuple(
-            _effect_found(metric, raw[i, metric], different.get((i, metric)), alike.get((i, metric)), len(estimated))
-            for metric in METRICS
+    """All questions that every set-up of the data allows, with p-values corrected for all of them together."""
+    asked = [each for name in QUESTIONS for each in _compared(name, [p for p in points if p.condition == name], points)]
+    tests = [{metric: _test(metric, each) for metric in NAMES} for each in asked]
+    done = [(metric, test) for row in tests for metric, test in row.items() if test is not None]
+    different = iter(holm([test.p_value for _, test in done]))
+    alike = iter(holm([test.p_alike(metric) for metric, test in done]))
+    return tuple(
+        _answered(
+            question,
+            tuple(
+                FactorEffect(metric, None, None, None, BOUNDS[metric], "cannot tell", None)
+                if test is None
+                else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
+                for metric, test in row.items()
+            ),
         )
-        answered.append(_answered(replace(each, effects=effects)))
-    return tuple(answered)
+        for question, row in zip(asked, tests, strict=True)
+    )
 
 
-def _compared(
-    name: str, topic: _Topic, points: Sequence[PointResult], everything: Sequence[PointResult]
-) -> Iterable[Question]:
+def _compared(name: str, points: Sequence[PointResult], everything: Sequence[PointResult]) -> Iterable[Question]:
     """One question for each level of an experiment, and for each sensor where two are at work."""
     by_sensor = name in CROSSTALK
     for sensor in sorted({p.sensor for p in points}) if by_sensor else [""]:
@@ -126,7 +116,7 @@ def _compared(
             ranges = {p.place_cm for p in varied} & {p.place_cm for p in reference}
             yield Question(
                 name=name,
-                question=topic.question,
+                question=QUESTIONS[name].question,
                 level=level or CROSSTALK.get(name, name),
                 reference=reference_name,
                 sensor=sensor,
@@ -145,10 +135,9 @@ def _baseline(name: str, sensor: str, everything: Sequence[PointResult]) -> tupl
     own = [p for p in baseline if p.sensor == sensor]
     if own or not sensor:
         return "baseline", own or baseline
-    if name == "crosstalk_simultaneous":
-        waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
-        if waiting:
-            return "sequential", waiting
+    waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
+    if name == "crosstalk_simultaneous" and waiting:
+        return "sequential", waiting
     return "the baseline of another sensor", baseline
 
 
@@ -158,9 +147,7 @@ def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
     if name == "material":
         return next((each for word in ("plywood", "wood") for each in levels if word in each.lower()), None)
     if name == "temperature":
-        known = [
-            (abs((p.air_temperature_c or 0.0) - ROOM_C), p.level) for p in points if p.air_temperature_c is not None
-        ]
+        known = [(abs(p.air_temperature_c - ROOM_C), p.level) for p in points if p.air_temperature_c is not None]
         return min(known)[1] if known and min(known)[0] < ROOM_WITHIN_C else None
     if name == "external_interference":
         return "quiet" if "quiet" in levels else None
@@ -169,21 +156,21 @@ def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
     return None
 
 
-def _effect(metric: Metric, question: Question) -> _Raw | None:
+def _test(metric: Metric, question: Question) -> _Test | None:
     if metric == "bias":
-        return _paired(question, lambda p: None if p.error is None else p.error.value, BIAS_BOUND_CM)
+        return _paired(question, lambda p: None if p.error is None else p.error.value)
     if metric == "spread":
-        return _paired(question, _log_spread, math.log(SPREAD_BOUND))
+        return _paired(question, _log_spread)
     if metric == "missed":
-        return _odds(question, lambda p: p.no_echo + p.saturated + p.no_answer, lambda p: p.readings)
-    return _odds(question, lambda p: p.short + p.long, lambda p: p.readings - p.no_echo - p.saturated - p.no_answer)
+        return _odds(question, lambda p: p.missed, lambda p: p.readings)
+    return _odds(question, lambda p: p.outliers, lambda p: p.readings - p.missed)
 
 
 def _log_spread(point: PointResult) -> float | None:
     return None if point.spread is None else math.log(math.hypot(point.spread.value, STEP_SPREAD_CM))
 
 
-def _paired(question: Question, value: Callable[[PointResult], float | None], bound: float) -> _Raw | None:
+def _paired(question: Question, value: Callable[[PointResult], float | None]) -> _Test | None:
     """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, that of
     set-ups at one range, of both sides alike: the set-ups of the reference have it too."""
     varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
@@ -201,8 +188,7 @@ def _paired(question: Question, value: Callable[[PointResult], float | None], bo
         return None
     error = math.sqrt(variance + MIN_SCATTER_CM**2 / count)
     mean = float(differences.mean())
-    p_value = 2.0 * float(stats.t.sf(abs(mean) / error, freedom))
-    return _Raw(mean, error, freedom, count, "points", p_value, bound, False)
+    return _Test(mean, error, freedom, count, "points", 2.0 * float(stats.t.sf(abs(mean) / error, freedom)))
 
 
 def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], float | None]) -> dict[float, list[float]]:
@@ -214,39 +200,69 @@ def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], floa
     return found
 
 
-def _odds(question: Question, count: Callable[[PointResult], int], of: Callable[[PointResult], int]) -> _Raw | None:
+class _Counts(NamedTuple):
+    """Readings at some points of which something is true, and all readings there."""
+
+    counts: Array
+    of: Array
+
+    @classmethod
+    def at(
+        cls, points: Iterable[PointResult], count: Callable[[PointResult], int], of: Callable[[PointResult], int]
+    ) -> "_Counts":
+        rows = np.array([(count(p), of(p)) for p in points if of(p)], dtype=float).reshape(-1, 2)
+        return cls(rows[:, 0], rows[:, 1])
+
+    @property
+    def table(self) -> tuple[int, int]:
+        """How many are, and how many are not."""
+        true = int(self.counts.sum())
+        return true, int(self.of.sum()) - true
+
+    @property
+    def share(self) -> float:
+        return float(self.counts.sum() / self.of.sum())
+
+    @property
+    def overdispersion(self) -> float:
+        """Variance of the points' counts over that of independent readings, at least 1."""
+        if self.of.size < 2 or not 0.0 < self.share < 1.0:
+            return 1.0
+        expected = self.share * self.of
+        squares = float(((self.counts - expected) ** 2 / (expected * (1.0 - self.share))).sum())
+        return max(squares / (self.of.size - 1), 1.0)
+
+
+def _odds(question: Question, count: Callable[[PointResult], int], of: Callable[[PointResult], int]) -> _Test | None:
     """Logarithm of the odds ratio over all readings at equal ranges, with the variance between points."""
     ranges = {p.place_cm for p in question.reference_points}
-    varied = [p for p in question.points if p.place_cm in ranges and of(p)]
-    reference = [p for p in question.reference_points if of(p)]
-    if not varied or not reference:
+    varied = _Counts.at((p for p in question.points if p.place_cm in ranges), count, of)
+    reference = _Counts.at(question.reference_points, count, of)
+    if not varied.of.size or not reference.of.size:
         return None
-    a, n = sum(map(count, varied)), sum(map(of, varied))
-    c, m = sum(map(count, reference)), sum(map(of, reference))
-    b, d = n - a, m - c
+    over_reference = reference.overdispersion
+    # The points of an external source differ by their dose, which is the effect itself and no reason to doubt it.
+    over = over_reference if question.name == "external_interference" else varied.overdispersion
+    (a, b), (c, d) = varied.table, reference.table
+    n, m = a + b, c + d
     value = math.log((a + 0.5) * (d + 0.5) / ((b + 0.5) * (c + 0.5)))
-    over, over_reference = _overdispersion(varied, count, of), _overdispersion(reference, count, of)
-    if question.name == "external_interference":
-        # Its points differ by their dose, which is the effect itself and no reason to doubt it.
-        over = over_reference
     error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
-    freedom = len(varied) + len(reference) - 2.0
+    freedom = varied.of.size + reference.of.size - 2.0
     if max(over, over_reference) > MAX_VARIANCE_RATIO and freedom >= 1.0:
         # By ranks: one point that is unlike all others is no evidence.
-        shares = [[count(p) / of(p) for p in each] for each in (varied, reference)]
+        shares = varied.counts / varied.of, reference.counts / reference.of
         p_value = float(stats.mannwhitneyu(*shares, method="asymptotic").pvalue)
     else:
         freedom, p_value = math.inf, float(stats.fisher_exact([[a, b], [c, d]])[1])
-    difference = a / n - c / m
     width = 1.645 * math.sqrt(over * (a + 0.5) * (b + 0.5) / n**3 + over_reference * (c + 0.5) * (d + 0.5) / m**3)
-    small = abs(difference) + width < SHARE_BOUND
+    small = abs(varied.share - reference.share) + width < SHARE_BOUND
     shown = partial(_detectable_odds, (c + 0.5) / (m + 1.0), n / over, m / over_reference)
-    return _Raw(value, error, freedom, n + m, "readings", p_value, math.log(ODDS_BOUND), small, shown)
+    return _Test(value, error, freedom, n + m, "readings", p_value, small, shown)
 
 
 def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
     """Logarithm of the smallest odds ratio above 1 that these many readings show with 80 % probability."""
-    z = float(stats.norm.ppf(1.0 - level / 2.0) + stats.norm.ppf(0.8))
+    z = detectable(1.0, math.inf, level)
 
     def excess(other: float) -> float:
         return other - share - z * math.sqrt(other * (1.0 - other) / n + share * (1.0 - share) / m)
@@ -254,86 +270,54 @@ def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
     if excess(1.0) <= 0.0:
         return math.inf
     other = min(float(brentq(excess, share, 1.0)), 1.0 - 1e-9)
-    return math.log(other / (1.0 - other)) - math.log(share / (1.0 - share))
+    return float(logit(other) - logit(share))
 
 
-def _overdispersion(
-    points: Sequence[PointResult], count: Callable[[PointResult], int], of: Callable[[PointResult], int]
-) -> float:
-    """Variance of the points' counts over that of independent readings, at least 1."""
-    share = sum(map(count, points)) / sum(map(of, points))
-    if len(points) < 2 or not 0.0 < share < 1.0:
-        return 1.0
-    squares = sum((count(p) - share * of(p)) ** 2 / (share * (1.0 - share) * of(p)) for p in points)
-    return max(squares / (len(points) - 1), 1.0)
-
-
-def _p_alike(raw: _Raw) -> float:
-    """Of an effect that is as large as the bound or larger: the greater of two one-sided tests."""
-    by_value = float(stats.t.sf((raw.bound - abs(raw.value)) / raw.error, raw.freedom))
-    # A share that may change by a hundredth at most is small by itself; its interval is a 90 % one as well.
-    return min(by_value, LEVEL / 1e3) if raw.small_share else by_value
-
-
-def _effect_found(
-    metric: Metric, raw: _Raw | None, different: float | None, alike: float | None, tests: int
-) -> FactorEffect:
-    is_ratio = metric != "bias"
-    bound = {"bias": BIAS_BOUND_CM, "spread": SPREAD_BOUND}.get(metric, ODDS_BOUND)
-    if raw is None or different is None or alike is None:
-        return FactorEffect(metric, None, None, None, bound, "cannot tell", None)
-    half = student(raw.error, raw.freedom) if math.isfinite(raw.freedom) else Z * raw.error
-    ends = (raw.value, raw.value - half, raw.value + half)
-    # e^500 is a number still, and 'anything' enough.
-    value, low, high = (math.exp(min(max(each, -500.0), 500.0)) for each in ends) if is_ratio else ends
-    verdict: Verdict = "does not matter" if alike < LEVEL else "matters" if different < LEVEL else "cannot tell"
-    level = LEVEL / tests
-    shown = detectable(raw.error, raw.freedom, level) if raw.detectable is None else raw.detectable(level)
+def _effect(metric: Metric, test: _Test, different: float, alike: float, level: float) -> FactorEffect:
+    """What was found of an effect, by the p-values after Holm."""
+    shown = detectable(test.error, test.freedom, level) if test.detectable is None else test.detectable(level)
+    estimate = IntervalEstimate.about(test.value, student(test.error, test.freedom), "cm", test.n, test.of)
+    largest = MAX_CM
+    if metric != "bias":
+        estimate, shown, largest = replace(estimate.mapped(_exp), unit=""), _exp(shown), MAX_RATIO
     return FactorEffect(
         metric=metric,
-        estimate=IntervalEstimate(value, low, high, "" if is_ratio else "cm", raw.n, raw.of),
-        p_value=raw.p_value,
+        estimate=estimate,
+        p_value=test.p_value,
         p_adjusted=different,
-        bound=bound,
-        verdict=verdict,
-        smallest_detectable=_known_size(shown, is_ratio),
+        bound=BOUNDS[metric],
+        verdict="does not matter" if alike < LEVEL else "matters" if different < LEVEL else "cannot tell",
+        # What is so large that the data show nothing is not known.
+        smallest_detectable=shown if shown < largest else None,
     )
 
 
-def _known_size(shown: float, is_ratio: bool) -> float | None:
-    """None where it is so large that the data show nothing."""
-    if is_ratio:
-        return math.exp(shown) if shown < math.log(MAX_RATIO) else None
-    return shown if shown < MAX_CM else None
+def _exp(value: float) -> float:
+    """A ratio from its logarithm; e^500 is a number still, and 'anything' enough."""
+    return math.exp(min(max(value, -500.0), 500.0))
 
 
-def _answered(question: Question) -> Question:
-    verdicts = [each.verdict for each in question.effects]
-    verdict: Verdict = (
-        "matters"
-        if "matters" in verdicts
-        else "does not matter"
-        if all(each == "does not matter" for each in verdicts)
-        else "cannot tell"
-    )
+def _answered(question: Question, effects: tuple[FactorEffect, ...]) -> Question:
+    by: dict[Verdict, list[FactorEffect]] = {"matters": [], "does not matter": [], "cannot tell": []}
+    for each in effects:
+        by[each.verdict].append(each)
+    verdict: Verdict = "matters" if by["matters"] else "cannot tell" if by["cannot tell"] else "does not matter"
     who = f" for {question.sensor}" if question.sensor else ""
-    subject = f"{question.level} against {question.reference}{who}"
+    answer = f"{question.level} against {question.reference}{who}: {verdict}"
     if verdict == "matters":
-        sizes = "; ".join(_size(each) for each in question.effects if each.verdict == "matters")
-        answer = f"{subject}: matters: {sizes}"
+        answer += f": {'; '.join(map(_size, by['matters']))}"
     elif verdict == "does not matter":
-        answer = (
-            f"{subject}: does not matter beyond {BIAS_BOUND_CM:g} cm of bias, a factor {SPREAD_BOUND:g} of spread and "
-            f"{ODDS_BOUND:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
+        answer += (
+            f" beyond {BIAS_BOUND_CM:g} cm of bias, a factor {SPREAD_BOUND:g} of spread and {ODDS_BOUND:g} of the odds "
+            f"(or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
         )
-        seen = [_size(each) for each in question.effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
+        seen = [_size(each) for each in effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
         answer += f"; within that there is {'; '.join(seen)}" if seen else ""
     else:
-        open_ = [each for each in question.effects if each.verdict == "cannot tell"]
-        answer = f"{subject}: cannot tell: " + "; ".join(_doubt(each) for each in open_)
-        settled = [each.metric for each in question.effects if each.verdict == "does not matter"]
-        answer += f"; {', '.join(settled)}: does not matter" if settled else ""
-    return replace(question, verdict=verdict, answer=answer)
+        answer += f": {'; '.join(map(_doubt, by['cannot tell']))}"
+        settled = ", ".join(each.metric for each in by["does not matter"])
+        answer += f"; {settled}: does not matter" if settled else ""
+    return replace(question, effects=effects, verdict=verdict, answer=answer)
 
 
 def _size(effect: FactorEffect) -> str:
@@ -342,8 +326,7 @@ def _size(effect: FactorEffect) -> str:
     low, high = estimate.low, estimate.high
     if effect.metric == "bias":
         return f"bias {estimate.value:+.2f} cm ({low:+.2f} to {high:+.2f})"
-    name = {"spread": "spread", "missed": "odds of a missed echo"}.get(effect.metric, "odds of an outlier")
-    return f"{name} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
+    return f"{NAMES[effect.metric]} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
 
 
 def _doubt(effect: FactorEffect) -> str:
@@ -351,11 +334,5 @@ def _doubt(effect: FactorEffect) -> str:
         return f"{effect.metric}: no two points to compare"
     if effect.smallest_detectable is None:
         return f"{_size(effect)}; these data could show nothing"
-    return f"{_size(effect)}; these data would have shown {_amount(effect)} or more"
-
-
-def _amount(effect: FactorEffect) -> str:
-    assert effect.smallest_detectable is not None
-    return (
-        f"{effect.smallest_detectable:.2g} cm" if effect.metric == "bias" else f"{effect.smallest_detectable:.2g} times"
-    )
+    unit = "times" if effect.is_ratio else "cm"
+    return f"{_size(effect)}; these data would have shown {effect.smallest_detectable:.2g} {unit} or more"

@@ -9,37 +9,25 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class ReferenceNumbers:
-    """An earlier characterisation.
-
-    Attributes
-    ----------
-    name
-        How sentences and legends call it: "the report".
-    sensor
-        Name of the sensor model that it is about.
-    largest_error_cm
-        Largest error on the axis with nothing varied [cm].
-    peak_range_cm, peak_cm
-        True range of the readings at the longest range, and where their histogram has its peak [cm].
-    half_angle_deg
-        Range [cm] -> largest angle with a reliable range [deg].
-    mean_error_cm
-        Range [cm] -> mean error without and with temperature compensation [cm].
-    calibration_temperature_c
-        Air temperature that its compensation takes the sensor to assume [deg C].
-    answers
-        Question (`findings.Question.name`) -> what it answers, in a sentence.
-    """
+    """An earlier characterisation."""
 
     name: str
+    """How sentences and legends call it: "the report"."""
     sensor: str
+    """Name of the sensor model that it is about."""
     largest_error_cm: float
+    """Largest error on the axis with nothing varied [cm]."""
     peak_range_cm: float
     peak_cm: float
+    """True range of the readings at the longest range, and where their histogram has its peak [cm]."""
     half_angle_deg: Mapping[float, float] = field(default_factory=dict)
+    """Range [cm] -> largest angle with a reliable range [deg]."""
     mean_error_cm: Mapping[float, tuple[float, float]] = field(default_factory=dict)
+    """Range [cm] -> mean error without and with temperature compensation [cm]."""
     calibration_temperature_c: float = 20.0
+    """Air temperature that its compensation takes the sensor to assume [deg C]."""
     answers: Mapping[str, str] = field(default_factory=dict)
+    """Question (`findings.Question.name`) -> what it answers, in a sentence."""
 
     def mean_errors_at(self, range_cm: float) -> tuple[float, float] | None:
         """Mean error without and with compensation within a centimetre of a range [cm]; None where it has none."""

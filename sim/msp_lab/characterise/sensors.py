@@ -1,70 +1,101 @@
-"""A model for each of several sensors, on one processor or several: `msp-lab characterise --each sensor`.
+"""A model from the readings of a sensor, or one for each of several, on one processor or several (`--each sensor`).
 
-Readings of many sensors enter; a model file for each leaves, with a page and its numbers if they are wanted, and a
-table. Each sensor's readings are read where its model is made: the workers of a cluster need the files, and the folders
-that they write to, under the same path.
+Each sensor's readings are read where its model is made: the workers of a cluster need the files, and the folders that
+they write to, under the same path.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import quote
 
 from numpy.random import default_rng
 
 from msp_lab.characterise.analysis import characterise
-from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.model_file import Changes, changed, write_model
-from msp_lab.characterise.publish import check_free, publish_findings
+from msp_lab.characterise.findings import Findings, as_json
+from msp_lab.characterise.model_file import changed, write_model
 from msp_lab.readings.column_map import load_map
 from msp_lab.readings.dataset import is_dataset, sensors_of
-from msp_lab.readings.intake import load_readings, without_impossible
+from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
+from msp_range.yaml_file import ConfigError
 from msp_sim.workers import Workers, write_rows
 
-TABLE = "sensors.csv"
+NUMBERS, PAGE, TABLE = "findings.json", "report.html", "sensors.csv"
 
 
 @dataclass(frozen=True)
 class Characterisation:
-    """What a model is made from, and how.
-
-    Attributes
-    ----------
-    data
-        Files of readings.
-    start
-        File of the starting model.
-    column_map
-        Options ``--map``.
-    truth
-        What the true range is.
-    date, seed
-        Date to record, and random seed of the goodness-of-fit test.
-    reference_std_cm, set_up_std_cm
-        As for `msp_lab.characterise.analysis.characterise`.
-    """
+    """What a model is made from, and how."""
 
     data: tuple[Path, ...]
+    """Files of readings."""
     start: Path
+    """File of the starting model."""
     column_map: tuple[str, ...]
+    """Options ``--map``."""
     truth: Literal["recorded", "others"]
+    """What the true range is."""
     date: str
     seed: int
+    """Date to record, and random seed of the goodness-of-fit test."""
     reference_std_cm: float | None = None
     set_up_std_cm: float | None = None
+    """As for `msp_lab.characterise.analysis.characterise`."""
+
+    def load(self, start: SensorModel, sensors: Sequence[str] = ()) -> LoadedReadings:
+        """The readings of these sensors (none: all)."""
+        column_map = load_map(self.column_map) if self.column_map else None
+        return load_readings(self.data, start, column_map, sensors=sensors, truth=self.truth)
 
 
 @dataclass(frozen=True)
 class SensorResult:
-    """A model, what it was made from, and what was found."""
+    """A model, what it was made from, what was found, and which fields of the starting model were changed."""
 
     model: SensorModel
     findings: Findings
-    changes: Changes
+    changes: Mapping[str, Any]
     data: MeasuredData
+    start: str
+    """Name of the starting model's file."""
+
+    def write(self, path: Path) -> None:
+        """Write the model file; ConfigError if there is a file already, or it cannot be written."""
+        write_model(path, self.model, self.findings, self.changes, self.start)
+
+    def publish(self, folder: Path) -> Path:
+        """Write all numbers and the page, and return the page; ConfigError if they cannot be written."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with (folder / NUMBERS).open("x", encoding="utf-8") as file:
+                file.write(as_json(self.findings))
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
+        from msp_lab.characterise.page.write import write_report
+
+        return write_report(self.findings, self.data, self.model, folder)
+
+
+def check_free(out: Path, folder: Path | None) -> None:
+    """Check before the analysis that its model file, and in the folder numbers and page, can be written.
+
+    Raises
+    ------
+    ConfigError
+        One of the files exists, its folder cannot be created, or is the model file.
+    """
+    if folder is not None and out in (folder, *folder.parents):
+        raise ConfigError(f"--report {folder}: {out} is to be the model file, expected another name for the folder")
+    for path in (out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])):
+        if path.exists():
+            there = "folder" if path.is_dir() else "file"
+            raise ConfigError(f"{path}: there is a {there} already, and none is overwritten")
+        for parent in path.parents:
+            if parent.exists() and not parent.is_dir():
+                raise ConfigError(f"{path}: {parent} is a file, expected a folder")
 
 
 def characterised(
@@ -78,8 +109,7 @@ def characterised(
         The readings cannot be used.
     """
     start = load_sensor_model(how.start)
-    column_map = load_map(how.column_map) if how.column_map else None
-    loaded = without_impossible(load_readings(how.data, start, column_map, sensors=sensors, truth=how.truth), start)
+    loaded = without_impossible(how.load(start, sensors), start)
     findings, changes = characterise(
         loaded,
         start,
@@ -89,7 +119,7 @@ def characterised(
         set_up_std_cm=how.set_up_std_cm,
         progress=progress,
     )
-    return SensorResult(changed(start, findings, changes), findings, changes, loaded.data)
+    return SensorResult(changed(start, findings, changes), findings, changes, loaded.data, how.start.name)
 
 
 @dataclass(frozen=True)
@@ -122,9 +152,7 @@ def sensors_in(how: Characterisation) -> list[str]:
     """Names of the sensors in the readings."""
     if all(map(is_dataset, how.data)):
         return sorted({name for path in how.data for name in sensors_of(path)})
-    column_map = load_map(how.column_map) if how.column_map else None
-    data = load_readings(how.data, load_sensor_model(how.start), column_map, truth=how.truth).data
-    return sorted(set(data["sensor"].tolist()))
+    return sorted(set(how.load(load_sensor_model(how.start)).data["sensor"].tolist()))
 
 
 def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
@@ -134,9 +162,9 @@ def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
     report = common.report / name if common.report is not None else None
     check_free(path, report)
     made = characterised(common.how, [sensor])
-    write_model(path, made.model, made.findings, made.changes, common.how.start.name)
+    made.write(path)
     if report is not None:
-        publish_findings(made.findings, made.data, made.model, report)
+        made.publish(report)
     mixture = made.model.reading_model
     shares = mixture.weights
     return OfSensor(sensor, len(made.data), mixture.sigma_cm, shares.short, shares.missed, shares.random, str(path))

@@ -6,7 +6,6 @@ Findings enter, the table of the page leaves as lines; the page has the rest.
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
@@ -15,7 +14,7 @@ from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import Kind, conclusions, summarise
 from msp_lab.characterise.page.text import interval
 from msp_lab.characterise.sensors import TABLE, OfSensor
-from msp_range.terminal import console, number_columns
+from msp_range.terminal import console, plain_table
 
 STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}
 
@@ -42,8 +41,7 @@ def show_findings(findings: Findings, console: Console) -> None:
 def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
     """Print the models of several sensors, and those that could not be made."""
     out = console()
-    headings = ("readings", "sigma [cm]", "short", "missed", "random")
-    table = Table(Column(""), *number_columns(*headings), box=box.SIMPLE_HEAD)
+    table = plain_table("", "readings", "sigma [cm]", "short", "missed", "random")
     for each in found:
         numbers = (each.sigma_cm, each.short, each.missed, each.random)
         shown = ("-" if number is None else f"{number:.3g}" for number in numbers)

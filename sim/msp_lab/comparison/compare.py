@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.text import half_interval, interval, plus, sentence
+from msp_lab.characterise.page.answers import peaks_found, with_subject
+from msp_lab.characterise.page.text import half_interval
 from msp_lab.comparison.report import REPORT
 from msp_range.acoustics.sonar import STEP_DEG
+from msp_sim.page.text import plus, sentence
 
 ROUNDING_CM = 0.5
 """A largest error agrees with the report's where it exceeds it by no more than this: both are whole centimetres."""
@@ -28,75 +30,37 @@ class ComparisonLine:
     subject: str
     found: str
     report: str
-    agreement: Agreement | None
+    agreement: Agreement | None = None
 
 
-def compare_with_report(findings: Findings) -> list[ComparisonLine]:
-    """Return all lines in the order of the report; what was not measured is left out."""
-    return [*_accuracy(findings), *_longest_range(findings), *_beam(findings), *_questions(findings), *_air(findings)]
-
-
-def _accuracy(findings: Findings) -> Iterator[ComparisonLine]:
-    base = findings.baseline
+def compare_with_report(findings: Findings) -> Iterator[ComparisonLine]:
+    """Yield all lines in the order of the report; what was not measured is left out."""
+    base, longest, view = findings.baseline, findings.maximum_range, findings.field_of_view
     if base is not None:
         agrees = abs(base.largest_hit_error_cm) <= REPORT.largest_error_cm + ROUNDING_CM
-        yield ComparisonLine(
-            "Largest error, nothing varied (4.3.1)",
-            f"{plus(base.largest_hit_error_cm)} cm",
-            f"{REPORT.largest_error_cm:g} cm",
-            _agreement(agrees),
-        )
-
-
-def _longest_range(findings: Findings) -> Iterator[ComparisonLine]:
-    longest = findings.maximum_range
-    if longest is None:
-        return
-    count = len(longest.peaks_after)
-    at_same_range = abs(longest.true_range_cm - REPORT.peak_range_cm) < 1.0
-    yield ComparisonLine(
-        f"Readings at {longest.true_range_cm:g} cm, codes masked (4.3.2)",
-        f"{'one peak' if count == 1 else f'{count} peaks'}, at {interval(longest.peak)}",
-        f"a single peak{f' near {REPORT.peak_cm:g} cm' if at_same_range else ''}",
-        _agreement(count == 1),
-    )
-
-
-def _beam(findings: Findings) -> Iterator[ComparisonLine]:
-    view = findings.field_of_view
-    for angle in view.angles if view is not None else ():
-        report_deg = REPORT.half_angle_deg.get(round(angle.range_cm, 1))
-        agreement: Agreement = "not in the report"
-        if report_deg is not None:
-            agreement = _agreement(abs(angle.half_angle.value - report_deg) <= STEP_DEG + ROUNDING_DEG)
-        yield ComparisonLine(
-            f"Breakaway angle at {angle.range_cm:g} cm (4.3.3)",
-            half_interval(angle.half_angle),
-            "–" if report_deg is None else f"{report_deg:g}°",
-            agreement,
-        )
+        found = f"{plus(base.largest_hit_error_cm)} cm"
+        yield _line("Largest error, nothing varied (4.3.1)", found, f"{REPORT.largest_error_cm:g} cm", agrees)
+    if longest is not None:
+        subject = f"Readings at {longest.true_range_cm:g} cm, codes masked (4.3.2)"
+        where = f" near {REPORT.peak_cm:g} cm" if abs(longest.true_range_cm - REPORT.peak_range_cm) < 1.0 else ""
+        yield _line(subject, peaks_found(longest), f"a single peak{where}", len(longest.peaks_after) == 1)
     if view is not None:
-        yield ComparisonLine("Reading of a tilted sensor", view.oblique.reason, "eq 8: along the axis", None)
-
-
-def _questions(findings: Findings) -> Iterator[ComparisonLine]:
-    before = ""
-    for question in findings.questions:
-        is_first = question.name != before
-        before = question.name
-        yield ComparisonLine(
-            question.question if is_first else "",
-            question.answer,
-            sentence(REPORT.answers.get(question.name, "")) if is_first else "",
-            None,
-        )
-
-
-def _air(findings: Findings) -> Iterator[ComparisonLine]:
+        for angle in view.angles:
+            subject, found = f"Breakaway angle at {angle.range_cm:g} cm (4.3.3)", half_interval(angle.half_angle)
+            report_deg = REPORT.half_angle_deg.get(round(angle.range_cm, 1))
+            if report_deg is None:
+                yield ComparisonLine(subject, found, "–", "not in the report")
+            else:
+                agrees = abs(angle.half_angle.value - report_deg) <= STEP_DEG + ROUNDING_DEG
+                yield _line(subject, found, f"{report_deg:g}°", agrees)
+        yield ComparisonLine("Reading of a tilted sensor", view.oblique.reason, "eq 8: along the axis")
+    for subject, question in with_subject(findings.questions):
+        report = sentence(REPORT.answers.get(question.name, "")) if subject else ""
+        yield ComparisonLine(subject, question.answer, report)
     for box in findings.hot_boxes:
         report = HOT_BOX if box.box_c > box.room_c else "readings somewhat too far"
-        yield ComparisonLine(f"Air of {box.box_c:.0f} °C at the sensor (4.3.5)", sentence(box.answer), report, None)
+        yield ComparisonLine(f"Air of {box.box_c:.0f} °C at the sensor (4.3.5)", sentence(box.answer), report)
 
 
-def _agreement(agrees: bool) -> Agreement:
-    return "agrees" if agrees else "differs"
+def _line(subject: str, found: str, report: str, agrees: bool) -> ComparisonLine:
+    return ComparisonLine(subject, found, report, "agrees" if agrees else "differs")

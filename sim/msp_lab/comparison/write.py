@@ -25,13 +25,13 @@ def write_comparison(findings: Findings, data: MeasuredData, model: SensorModel,
         The folder cannot be made or written to.
     """
     with style():
-        figures = drawn_or_omitted(entries(), findings, PictureData(data, model, REPORT))
+        figures = drawn_or_omitted(entries(), PictureData(findings, data, model, REPORT))
     table = table_5_1(findings)
     html = render(
         __package__ or "msp_lab.comparison",
         COMPARISON,
         findings=findings,
-        lines=compare_with_report(findings),
+        lines=list(compare_with_report(findings)),
         figures=figures,
         table_5_1=table,
     )

@@ -50,7 +50,7 @@ def write_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
         The folder cannot be written.
     """
     from msp_lab.design.picture import draw_session
-    from msp_sim.page.style import save, style
+    from msp_sim.page.style import save
 
     for number, plan in enumerate(plans, start=1):
         session = plan.design.session
@@ -63,8 +63,7 @@ def write_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
         for name, content in contents.items():
             text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
             (folder / name).write_text(heading + text, encoding="utf-8")
-        with style():
-            save(draw_session(plan.design), folder / PICTURE)
+        save(draw_session(plan.design), folder / PICTURE)
     content = {"questions": [_entry(plan, number, findings, out) for number, plan in enumerate(plans, start=1)]}
     (out / DESIGN).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from msp_lab.design.choose import Design
 from msp_lab.gap.labels import axis_label
-from msp_sim.page.style import BLUE, GREY, VERMILION, legend_below, new_figure
+from msp_sim.page.style import BLUE, GREY, VERMILION, legend_below, new_figure, style
 
 DOTS = 3_000
 """Readings that are drawn at most."""
@@ -13,6 +13,7 @@ SHARES = np.linspace(0.0, 2.0, 41)
 """Lengths of the session at which the nats are drawn, as shares of the planned one."""
 
 
+@style()
 def draw_session(design: Design) -> Figure:
     """Draw a design that has a session."""
     session = design.session
@@ -43,5 +44,4 @@ def draw_session(design: Design) -> Figure:
     own.set_ylim(0.0, max(3.0 * needed, 1.0))
     own.set_xlabel(f"readings in each of {session.runs} runs")
     own.set_ylabel("expected separation\n[nats]")
-    legend_below(figure, own.get_legend_handles_labels()[0])
-    return figure
+    return legend_below(figure, own.get_legend_handles_labels()[0])

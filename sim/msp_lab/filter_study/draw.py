@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from msp_lab.filter_study.candidates import changepoint
@@ -18,7 +17,7 @@ from msp_lab.filter_study.scenarios import (
     report_readings,
     truth,
 )
-from msp_sim.page.style import save
+from msp_sim.page.style import GREY, INK, SERIES, legend_below, new_figure, save, style
 
 FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
 FIRST_FIGURE = 7
@@ -27,6 +26,7 @@ CLOSE_S = 2.0
 """Length of the part that is shown enlarged [s]."""
 
 
+@style()
 def draw_figures(folder: Path, seed: int) -> list[Path]:
     """Draw the nine figures of one run each, and return their paths."""
     paths = []
@@ -36,11 +36,8 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
         newest_cm, _ = changepoint(runs.reading_cm, gaussian_parameters())
         for family_index, family in enumerate(FAMILIES):
             number = FIRST_FIGURE + len(FAMILIES) * scenario_index + family_index
-            estimates = {
-                each: apply(variant, runs.reading_cm)[0]
-                for each, variant in AS_REPORTED.items()
-                if variant.family == family
-            }
+            variants = {each: variant for each, variant in AS_REPORTED.items() if variant.family == family}
+            estimates = {each: apply(variant, runs.reading_cm)[0] for each, variant in variants.items()}
             path = folder / f"figure_5_{number}.png"
             save(_figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}"), path)
             paths.append(path)
@@ -48,25 +45,23 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
 
 
 def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array, title: str) -> Figure:
-    figure = Figure(figsize=(9.0, 7.0), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.0)
     time_s = np.arange(runs.true_cm.shape[1]) * INTERVAL_S
     whole, close = figure.subplots(2, 1)
     for axes in (whole, close):
-        axes.plot(time_s, runs.reading_cm[0], ".", color="0.6", markersize=4, label="readings")
-        axes.plot(time_s, runs.true_cm[0], color="0.2", linewidth=1.0, label="true range")
-        for name, cm in estimates.items():
-            axes.plot(time_s, cm, linewidth=1.2, label=name)
-        axes.plot(time_s, newest_cm, "--", color="black", linewidth=1.0, label="changepoint")
+        axes.plot(time_s, runs.reading_cm[0], ".", color=GREY, markersize=3, label="readings")
+        axes.plot(time_s, runs.true_cm[0], color=INK, label="true range")
+        for (name, cm), (colour, _) in zip(estimates.items(), SERIES, strict=False):
+            axes.plot(time_s, cm, color=colour, label=name)
+        axes.plot(time_s, newest_cm, "--", color=INK, label="changepoint")
         axes.set_ylabel("range [cm]")
     whole.set_title(title)
-    whole.legend(ncols=3, fontsize="small")
     begin_s = _interesting_s(runs)
     part = (time_s >= begin_s) & (time_s <= begin_s + CLOSE_S)
     close.set_xlim(begin_s, begin_s + CLOSE_S)
     close.set_ylim(runs.reading_cm[0][part].min() - 5.0, runs.reading_cm[0][part].max() + 5.0)
     close.set_xlabel("time [s]")
-    return figure
+    return legend_below(figure)
 
 
 def _interesting_s(runs: ScenarioRuns) -> float:

@@ -5,8 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from rich import box
 from rich.console import Console
-from rich.table import Column
-from rich.table import Table as Shown
+from rich.table import Table
 
 from msp_lab.filter_study.bands import WIDTH, Band
 from msp_lab.filter_study.changes import Changes
@@ -15,7 +14,7 @@ from msp_lab.filter_study.goals import Goal
 from msp_lab.filter_study.scenarios import NAMES
 from msp_lab.filter_study.statistics import STATISTICS
 from msp_lab.filter_study.table import Row
-from msp_range.terminal import number_columns
+from msp_range.terminal import number_columns, plain_table
 
 HEADINGS = ("RMS", "90th %", "median", "mean", "variance")
 TITLES = {"fixed": "fixed range", "steps": "set ranges", "random": "random ranges"}
@@ -37,9 +36,8 @@ def print_tables(console: Console, verdicts: Sequence[FilterResult], delays: Map
         rows = [verdict for verdict in verdicts if scenario in verdict.rows]
         if not rows:
             continue
-        columns = Column("filter", no_wrap=True), *number_columns(*HEADINGS, "delay", "gap", "after")
         title = f"{TITLES[scenario]}: value, and band as stated [cm]"
-        table = Shown(*columns, title=title, box=box.SIMPLE_HEAD, padding=(0, 1))
+        table = plain_table("filter", *HEADINGS, "delay", "gap", "after", title=title)
         for verdict in rows:
             row, before, after = verdict.rows[scenario], verdict.before[scenario], verdict.after[scenario]
             delay = delays[scenario].get(verdict.filter, float("nan"))
@@ -97,8 +95,9 @@ def _explanation(verdict: FilterResult) -> Iterable[str]:
 
 def print_goals(console: Console, goals: Iterable[Goal]) -> None:
     """Print the changepoint filter's figures with their goals."""
-    value = Column("value", justify="right")
-    table = Shown("figure", value, "goal", "met", title="the changepoint filter", box=box.SIMPLE_HEAD)
+    table = Table(
+        "figure", *number_columns("value"), "goal", "met", title="the changepoint filter", box=box.SIMPLE_HEAD
+    )
     for goal in goals:
         table.add_row(goal.name, goal.shown, goal.wanted, {True: "yes", False: "NO", None: ""}[goal.met])
     console.print(table)

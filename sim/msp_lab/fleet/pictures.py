@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from msp_lab.fleet.findings import FleetEffect, FleetFindings
 from msp_lab.gap.labels import name_of
-from msp_sim.page.style import BLUE, GREY, PALE, VERMILION, new_figure
+from msp_sim.page.style import BLUE, GREY, VERMILION, new_figure, shaded
 
 MAX_PANELS = 3
 """Numbers in the picture: more are too narrow to read. The table has all."""
@@ -38,8 +38,8 @@ def _draw_sensors(axes: Axes, effect: FleetEffect, several: bool) -> None:
     shown = sorted(effect.estimates, key=lambda each: not each.odd)[:MAX_ROWS]
     shown = [each for each in effect.estimates if each in shown]
     if effect.mean is not None:
-        axes.axvspan(effect.mean - 2.0 * effect.tau, effect.mean + 2.0 * effect.tau, color=PALE, linewidth=0.0)
-        axes.axvline(effect.mean, color=GREY, linewidth=1.0)
+        axes.axvspan(effect.mean - 2.0 * effect.tau, effect.mean + 2.0 * effect.tau, **shaded())
+        axes.axvline(effect.mean, color=GREY)
     for row, each in enumerate(shown):
         colour = VERMILION if each.odd else BLUE
         axes.errorbar(each.value, row, xerr=2.0 * each.error, fmt="none", ecolor=colour, elinewidth=0.8, alpha=0.5)
@@ -55,8 +55,8 @@ def _draw_sensors(axes: Axes, effect: FleetEffect, several: bool) -> None:
 def _draw_sessions(axes: Axes, effect: FleetEffect) -> None:
     one = effect.estimates[0]
     for k, each in enumerate(effect.sessions):
-        axes.errorbar(k + 1, each.value, yerr=2.0 * each.error, fmt="o", color=BLUE, markersize=4.0, elinewidth=1.0)
+        axes.errorbar(k + 1, each.value, yerr=2.0 * each.error, fmt="o", color=BLUE, markersize=4.0)
     if effect.since:
         first = [each.session for each in effect.sessions].index(effect.since)
-        axes.axvline(first + 0.5, color=VERMILION, linewidth=1.0)
+        axes.axvline(first + 0.5, color=VERMILION)
     axes.set_title(f"{one.vehicle}: {name_of(effect.name)}{effect.unit_label}")

@@ -8,7 +8,8 @@ from msp_lab.fleet.words import left_out_line, line_of
 from msp_range.input_file import making
 from msp_range.yaml_file import ConfigError
 from msp_sim.page.page import PageTable, Picture, render, write_page
-from msp_sim.page.style import files_of, p_text, style
+from msp_sim.page.style import files_of, style
+from msp_sim.page.text import p_text
 
 NUMBERS, TABLE = "fleet.json", "fleet.csv"
 CAPTION = (

@@ -4,7 +4,7 @@ is known."""
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from msp_range.arrays import Array
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
-from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, style
+from msp_sim.page.style import GREY, INK, PALE, SERIES, legend_below, new_figure, save, shaded, style
 
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
@@ -26,36 +26,41 @@ MARKERS = "x+1v*s^Dp"
 """Markers of the reasons, the most frequent first; with more reasons than these the last is used again."""
 
 
+@style()
 def draw(flight: FlightResult, path: Path, title: str) -> None:
     """Write the picture of a flight as PNG; an older file is replaced."""
-    with style():
-        is_truth_known = any(
-            truth is not None for track in (*flight.tracks.values(), flight.fused) for truth in track.truth_m
-        )
-        reasons = [reason for reason, _ in Counter(_reasons(flight)).most_common()]
-        ratios = [3.0, *([0.25 * len(flight.tracks) + 0.1] if reasons else []), *([2.0] if is_truth_known else [])]
-        figure = new_figure(1.5 + 1.25 * sum(ratios), 9.6)
-        top, *below = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
-        _draw_ranges(top, flight)
-        top.set_title(f"{title}: {_what_happened(flight)}")
-        if reasons:
-            _draw_rejected(below[0], flight, reasons)
-        if is_truth_known:
-            _draw_errors(below[-1], flight)
-        for first_s, last_s in _edges(flight.fused):
-            for axes in (top, *below):
-                axes.axvspan(first_s, last_s, color=PALE, alpha=0.4, linewidth=0, zorder=-1)
-        if any(_edges(flight.fused)):
-            top.fill_between([], [], [], color=PALE, alpha=0.4, label="sensors over different ground")
-        (below or [top])[-1].set_xlabel("time [s]")
-        legend_below(figure)
-        save(figure, path)
+    is_truth_known = any(
+        truth is not None for track in (*flight.tracks.values(), flight.fused) for truth in track.truth_m
+    )
+    reasons = [reason for reason, _ in Counter(_reasons(flight)).most_common()]
+    ratios = [3.0, *([0.25 * len(flight.tracks) + 0.1] if reasons else []), *([2.0] if is_truth_known else [])]
+    figure = new_figure(1.5 + 1.25 * sum(ratios), 9.6)
+    top, *below = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    _draw_ranges(top, flight)
+    top.set_title(f"{title}: {_what_happened(flight)}")
+    if reasons:
+        _draw_rejected(below[0], flight, reasons)
+    if is_truth_known:
+        _draw_errors(below[-1], flight)
+    edges = _edges(flight.fused)
+    for first_s, last_s in edges:
+        for axes in (top, *below):
+            axes.axvspan(first_s, last_s, **shaded())
+    if edges:
+        top.fill_between([], [], [], label="sensors over different ground", **shaded())
+    (below or [top])[-1].set_xlabel("time [s]")
+    save(legend_below(figure), path)
+
+
+def _coloured(flight: FlightResult) -> Iterator[tuple[str, SensorTrack, str]]:
+    """Name, track and colour of each sensor."""
+    for (name, track), (colour, _) in zip(flight.tracks.items(), cycle(SERIES), strict=False):
+        yield name, track, colour
 
 
 def _draw_ranges(top: Axes, flight: FlightResult) -> None:
     """Readings that were used, and the fused distance on the true one."""
-    for number, (name, track) in enumerate(flight.tracks.items()):
-        colour, _ = SERIES[number % len(SERIES)]
+    for name, track, colour in _coloured(flight):
         time_s, raw_m = _numbers(track.time_s), _numbers(track.raw_m)
         used = np.array([why in USED for why in track.why], dtype=bool)
         top.plot(time_s[used], raw_m[used], ".", color=colour, markersize=3, label=name)
@@ -83,14 +88,7 @@ def _draw_rejected(axes: Axes, flight: FlightResult, reasons: Sequence[str]) -> 
             if why == reason
         ]
         colour, _ = SERIES[place % len(SERIES)]
-        axes.plot(
-            *zip(*points, strict=True),
-            marker,
-            color=colour,
-            markersize=4.5,
-            markerfacecolor="none",
-            label=_words(reason),
-        )
+        axes.plot(*zip(*points, strict=True), marker, color=colour, markerfacecolor="none", label=_words(reason))
     axes.set_yticks(range(len(flight.tracks)), list(flight.tracks))
     axes.set_ylim(len(flight.tracks) - 0.5, -0.5)
     axes.set_title("readings that were not used")
@@ -100,8 +98,7 @@ def _draw_rejected(axes: Axes, flight: FlightResult, reasons: Sequence[str]) -> 
 
 def _draw_errors(axes: Axes, flight: FlightResult) -> None:
     """Errors of readings and of the fused distance."""
-    for number, track in enumerate(flight.tracks.values()):
-        colour, _ = SERIES[number % len(SERIES)]
+    for _, track, colour in _coloured(flight):
         errors_cm = 100 * (_numbers(track.raw_m) - _numbers(track.truth_m))
         errors_cm = _unless(track, "at_minimum", errors_cm)
         axes.plot(track.time_s, errors_cm, ".", color=colour, markersize=2, alpha=0.6)

@@ -9,24 +9,24 @@ from matplotlib.axes import Axes
 from msp_sim.intervals import quantile
 from msp_sim.monte_carlo.store import NUMBER, Row
 from msp_sim.monte_carlo.summary import Summary
-from msp_sim.page.style import DOTS, GREY, OURS, PALE, REFERENCE, new_figure, save, style
+from msp_sim.page.style import DOTS, GREY, OURS, REFERENCE, label, new_figure, save, shaded, style
 
 STEPS = 99
 """Shares for which the interval of the distribution is drawn; more are not seen."""
 
 
+@style()
 def draw(rows: Sequence[Row], summary: Summary, path: Path, title: str) -> None:
     """Write the picture as PNG; an older file is replaced."""
-    with style():
-        figure = new_figure(2.0 + 0.35 * len(summary.shares) + 4.4)
-        heights = [2.2, 0.35 * len(summary.shares) + 0.3, 2.2] if summary.shares else [2.2, 2.2]
-        axes = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
-        _draw_distribution(axes[0], [row["error_p95_cm"] for row in rows if row["error_p95_cm"] is not None])
-        if summary.shares:
-            _draw_shares(axes[1], summary)
-        _draw_flights(axes[-1], rows, summary)
-        save(figure, path)
+    figure = new_figure(2.0 + 0.35 * len(summary.shares) + 4.4)
+    heights = [2.2, 0.35 * len(summary.shares) + 0.3, 2.2] if summary.shares else [2.2, 2.2]
+    axes = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.0)
+    _draw_distribution(axes[0], [row["error_p95_cm"] for row in rows if row["error_p95_cm"] is not None])
+    if summary.shares:
+        _draw_shares(axes[1], summary)
+    _draw_flights(axes[-1], rows, summary)
+    save(figure, path)
 
 
 def _draw_distribution(axes: Axes, p95_cm: Sequence[float]) -> None:
@@ -42,7 +42,7 @@ def _draw_distribution(axes: Axes, p95_cm: Sequence[float]) -> None:
     least, most = min(p95_cm), max(p95_cm)
     low = [least if each[1] is None else each[1] for each in found]
     high = [most if each[2] is None else each[2] for each in found]
-    axes.fill_betweenx(shares, low, high, color=PALE, linewidth=0, label="95 % interval")
+    axes.fill_betweenx(shares, low, high, label="95 % interval", **shaded())
     ranked = np.sort(p95_cm)
     axes.step(ranked, np.arange(1, ranked.size + 1) / ranked.size, where="post", color=OURS, label="flights")
     axes.set_xlim(left=0.0)
@@ -56,7 +56,7 @@ def _draw_shares(axes: Axes, summary: Summary) -> None:
     for i, share in enumerate(summary.shares):
         value = share.flights / share.of if share.of else 0.0
         axes.errorbar(value, i, xerr=[[value - share.low], [share.high - value]], **DOTS)
-        axes.annotate(share.what, (0.0, i), textcoords="offset points", xytext=(6, 5), fontsize=8.0)
+        label(axes, share.what, (0.0, i), (6, 5))
     axes.set_yticks([])
     axes.set_ylim(len(summary.shares) - 0.5, -0.8)
     axes.set_xlim(left=0.0)
@@ -75,4 +75,4 @@ def _draw_flights(axes: Axes, rows: Sequence[Row], summary: Summary) -> None:
         place = row["error_p95_cm"], row["longest_silence_s"] or 0.0
         axes.plot(*place, ".", color=colour, markersize=5 if row[NUMBER] in worst else 3)
         if row[NUMBER] in worst:
-            axes.annotate(str(row[NUMBER]), place, textcoords="offset points", xytext=(4, 3), fontsize=8.0)
+            label(axes, str(row[NUMBER]), place, (4, 3))

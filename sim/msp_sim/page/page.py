@@ -21,27 +21,18 @@ PAGE = "report.html"
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with its title, caption and alternative text.
-
-    Parameters
-    ----------
-    name
-        Name of its file without the suffix; also its anchor in the page.
-    title
-        What it shows, a few words.
-    caption
-        How to read it, and the numbers that it shows.
-    alternative
-        What it shows, in a sentence, for readers who cannot see it.
-    files
-        The picture by format: ``png``, and others that were chosen.
-    """
+    """A picture with its title, caption and alternative text."""
 
     name: str
+    """Name of its file without the suffix; also its anchor in the page."""
     title: str
+    """What it shows, a few words."""
     caption: str
+    """How to read it, and the numbers that it shows."""
     alternative: str
+    """What it shows, in a sentence, for readers who cannot see it."""
     files: Mapping[str, bytes]
+    """The picture by format: ``png``, and others that were chosen."""
 
     @cached_property
     def source(self) -> str:
@@ -60,28 +51,19 @@ class Omitted:
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table of text cells under a header; columns of numbers are aligned to the right.
-
-    Parameters
-    ----------
-    name
-        Its anchor in the page.
-    title, caption
-        Title, and a remark below the table.
-    header
-        A word or two for each column, with units.
-    rows
-        Rows of cells, each as long as the header.
-    words
-        Number of columns from the left with words; the others have numbers.
-    """
+    """A table of text cells under a header; columns of numbers are aligned to the right."""
 
     name: str
+    """Its anchor in the page."""
     title: str
     header: tuple[str, ...]
+    """A word or two for each column, with units."""
     rows: tuple[tuple[str, ...], ...]
+    """Rows of cells, each as long as the header."""
     caption: str = ""
+    """Title, and a remark below the table."""
     words: int = 1
+    """Number of columns from the left with words; the others have numbers."""
 
 
 def render(package: str, template: str, **values: Any) -> str:

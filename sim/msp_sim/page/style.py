@@ -40,6 +40,19 @@ REFERENCE = VERMILION
 SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (VERMILION, "P"))
 """Colour and marker of the first, second ... of several series of equal importance."""
 
+BARS: dict[str, Any] = {"color": OURS, "alpha": 0.7}
+"""Look of counts and shares, for `Axes.bar`."""
+
+MARKED: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "X",
+    "markersize": 7,
+    "color": REFERENCE,
+    "markeredgecolor": "white",
+    "zorder": 6,
+}
+"""Look of a reference's values, for `Axes.plot`."""
+
 DOTS: dict[str, Any] = {
     "linestyle": "none",
     "marker": "o",
@@ -47,7 +60,6 @@ DOTS: dict[str, Any] = {
     "color": INK,
     "markerfacecolor": "white",
     "elinewidth": 1.0,
-    "capsize": 2.5,
     "zorder": 5,
 }
 """Look of measured values with their intervals, for `Axes.errorbar`."""
@@ -97,6 +109,7 @@ _STYLE: dict[Any, Any] = {
     "legend.borderpad": 0.3,
     "legend.handlelength": 1.8,
     "lines.linewidth": 1.5,
+    "errorbar.capsize": 2.5,
     "lines.markersize": 5.0,
     "path.simplify_threshold": 0.5,
     "agg.path.chunksize": 20_000,
@@ -111,16 +124,19 @@ def style() -> Iterator[None]:
 
 
 def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
-    """Make an empty figure on its own canvas.
-
-    Parameters
-    ----------
-    height_in, width_in
-        Size [in].
-    """
+    """Make an empty figure of this size [in] on its own canvas."""
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def new_axes(height_in: float, x: str = "", y: str = "") -> tuple[Figure, Axes]:
+    """Make a figure with one axes, and label what is over what."""
+    figure = new_figure(height_in)
+    axes = figure.subplots()
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    return figure, axes
 
 
 def choose_format(name: str) -> None:
@@ -171,7 +187,7 @@ def _file(figure: Figure, name: str) -> bytes:
     return file.getvalue()
 
 
-def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = INK) -> None:
+def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
     """Write a few words inside an axes, at a fraction of its width and height, on a white background."""
     axes.text(
         x,
@@ -181,14 +197,29 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97, colour: str = 
         ha="right" if x > 0.5 else "left",
         va="top" if y > 0.5 else "bottom",
         fontsize=8.0,
-        color=colour,
+        color=INK,
         bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0},
         zorder=10,
     )
 
 
-def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
-    """Add a legend below the axes, in as many columns as fit.
+def label(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any) -> None:
+    """Write a few words next to a place, so many points to the right of it and above."""
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.0} | look)
+
+
+def shaded(colour: str = PALE) -> dict[str, Any]:
+    """Look of a range of values, for `Axes.axhspan`, `Axes.axvspan` and `Axes.fill_between`."""
+    return {"color": colour, "alpha": 0.6 if colour == PALE else 0.2, "linewidth": 0}
+
+
+def line_at_zero(axes: Axes) -> None:
+    """Draw the line on which there is no difference."""
+    axes.axhline(0.0, color=GREY, linewidth=0.9)
+
+
+def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> Figure:
+    """Add a legend below the axes, in as many columns as fit, and return the figure.
 
     Parameters
     ----------
@@ -200,12 +231,12 @@ def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> None:
     if handles is None:
         handles = figure.axes[0].get_legend_handles_labels()[0]
     labels = [str(handle.get_label()) for handle in handles]
-    if not labels:
-        return
-    columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
-    # The smallest number of columns with the same number of lines.
-    columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
-    figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+    if labels:
+        columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
+        # The smallest number of columns with the same number of lines.
+        columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
+        figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
+    return figure
 
 
 def _fits(labels: Sequence[str], columns: int, figure: Figure) -> bool:
@@ -234,14 +265,3 @@ def edges_between(centres: list[float]) -> list[float]:
 def signed(tick: float, _: float) -> str:
     """Label of a tick of an axis of differences: with its sign, and 0 without one."""
     return f"{tick:+g}".replace("-", "−") if tick else "0"
-
-
-def p_text(p_value: float) -> str:
-    """A p-value as text with two digits, never zero.
-
-    Examples
-    --------
-    >>> p_text(0.4123), p_text(0.0), p_text(3.2e-5)
-    ('0.41', 'below 1e-12', '3.2e-05')
-    """
-    return "below 1e-12" if p_value < 1e-12 else f"{p_value:.2g}"

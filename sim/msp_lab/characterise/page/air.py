@@ -1,113 +1,127 @@
 """Pictures of the air's temperature: compensation by range, and hot or cold air at the sensor only."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.draw.accuracy import draw_boxes, draw_compensated
-from msp_lab.characterise.page.draw.errors import ErrorAxes, Line, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, summary
-from msp_lab.characterise.page.text import interval, number, sentence
-from msp_lab.characterise.question_findings import CompensationRow
+from msp_lab.characterise.findings import CompensationRow, HotBox
+from msp_lab.characterise.page.errors import Line, draw_errors, scale_of, with_reach
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.air import compensate_range
 from msp_range.arrays import Array
-from msp_sim.page.page import PageTable
+from msp_sim.page.style import DOTS, GREEN, PURPLE, REFERENCE, SERIES, legend_below, line_at_zero, new_axes, new_figure
+from msp_sim.page.text import sentence
 
 MAX_BOXES = 3
 """Panels that the picture of hot and cold air has room for."""
 
 
-def entries() -> Iterator[Entry]:
-    """Yield the pictures in the page's order."""
-    yield "uncompensated", "Range error without temperature compensation", partial(range_errors, after=False)
-    yield "compensated", "Range error with temperature compensation", partial(range_errors, after=True)
-    yield "compensation", "What temperature compensation takes away", compensation
-    yield "hot_boxes", "Where the hot and the cold air was", _boxes
+def entries(rows: PictureData) -> Iterator[Entry]:
+    """Yield the pictures in the page's order; none for light and radio, whose ranges are not the air's."""
+    if rows.findings.calibration_temperature_c is not None:
+        yield "uncompensated", "Range error without temperature compensation", partial(range_errors, after=False)
+        yield "compensated", "Range error with temperature compensation", partial(range_errors, after=True)
+        yield "compensation", "What temperature compensation takes away", compensation
+        yield "hot_boxes", "Where the hot and the cold air was", _boxes
 
 
-def range_errors(findings: Findings, rows: PictureData, after: bool) -> Drawn:
+def range_errors(rows: PictureData, after: bool) -> Drawn:
     """Draw range errors without or with (``after``) compensation."""
-    found = rows.of("temperature_compensation")
-    air_c = rows.data.column("air_temperature_c")
+    found, air_c = rows.of("temperature_compensation"), rows.data.column("air_temperature_c")
+    assumed_c = rows.model.calibration_temperature_c
     known = found & np.isfinite(air_c)
     if after and not np.any(known):
         raise Absent("The readings have no air temperature (column air_temperature_c), and nothing can be compensated.")
-    both = [rows.errors(found)]
+    both, air = [rows.errors(found)], ""
     if np.any(known):
-        compensated_cm = compensate_range(rows.reading_cm / 100.0, air_c, rows.model.calibration_temperature_c) * 100.0
+        compensated_cm = compensate_range(rows.reading_cm / 100.0, air_c, assumed_c) * 100.0
         both.append(rows.errors(known, reading_cm=compensated_cm))
+        air = f" Air {np.min(air_c[known]):.1f} to {np.max(air_c[known]):.1f} °C; the sensor assumes {assumed_c:g} °C."
     errors = both[int(after)]
     marked = _reference_errors(rows, np.unique(both[0].true_range_cm), after)
-    figure = draw_errors([errors], ErrorAxes(limits_cm=shared_limits_cm(both, marked), points=marked))
-    caption = summary(errors)
-    if np.any(known):
-        temperatures = air_c[known]
-        caption += (
-            f" Air {np.min(temperatures):.1f} to {np.max(temperatures):.1f} °C; the sensor assumes "
-            f"{rows.model.calibration_temperature_c:g} °C."
-        )
-    return Drawn(
-        figure, caption, f"Range error over true range {'with' if after else 'without'} temperature compensation."
-    )
+    alternative = f"Range error over true range {'with' if after else 'without'} temperature compensation."
+    return Drawn(draw_errors([errors], scale_of(both, marked), marked), summary(errors) + air, alternative)
 
 
-def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> list[Line]:
+def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> Line | None:
     """A reference's mean errors where they can be compared: next to a range that was measured."""
     earlier = rows.reference
-    if earlier is None:
-        return []
-    near = [each for each in sorted(earlier.mean_error_cm) if np.min(np.abs(tested_cm - each)) <= 2.0]
-    errors_cm = [earlier.mean_error_cm[each][int(after)] for each in near]
-    return [Line(f"{earlier.name}'s mean error", np.array(near), np.array(errors_cm))] if near else []
-
-
-def compensation(findings: Findings, rows: PictureData) -> Drawn:
-    """Draw the mean errors by range, without and with compensation."""
-    table = needed(findings.temperature_compensation, findings, "temperature_compensation")
-    before_cm = np.array([row.uncompensated.value for row in table])
-    after_cm = np.array([row.compensated.value for row in table if row.compensated is not None])
-    caption = f"Mean size of the error of the ranges: {np.mean(np.abs(before_cm)):.2f} cm without compensation"
-    caption += f", {np.mean(np.abs(after_cm)):.2f} cm with it." if after_cm.size else "."
-    return Drawn(
-        draw_compensated(table, rows.reference), caption, "Mean errors by range, without and with compensation."
-    )
-
-
-def compensation_table(findings: Findings) -> PageTable | None:
-    """Return the mean errors by range as a table; None without rows."""
-    rows = findings.temperature_compensation
-    if not rows:
+    near = sorted(each for each in earlier.mean_error_cm if np.min(np.abs(tested_cm - each)) <= 2.0) if earlier else []
+    if earlier is None or not near:
         return None
-
-    def cells(row: CompensationRow) -> tuple[str, ...]:
-        return (
-            f"{row.range_cm:g}",
-            interval(row.uncompensated),
-            "–" if row.compensated is None else interval(row.compensated),
-            number(row.thermometer_c, 1),
-            number(row.implied_c.value, 1),
-        )
-
-    notes = " ".join(f"{row.range_cm:g} cm: {row.note}." for row in rows if row.note)
-    return PageTable(
-        name="compensation_table",
-        title="Mean range error without and with temperature compensation",
-        header=("range [cm]", "uncompensated [cm]", "compensated [cm]", "thermometer [°C]", "implied air [°C]"),
-        rows=tuple(cells(row) for row in rows),
-        caption=(
-            "In brackets 95 % intervals. Implied air: the one air temperature that would bring the mean error to 0. "
-            f"{notes}"
-        ),
-        words=0,
-    )
+    errors_cm = [earlier.mean_error_cm[each][int(after)] for each in near]
+    return Line(f"{earlier.name}'s mean error", np.array(near), np.array(errors_cm))
 
 
-def _boxes(findings: Findings, rows: PictureData) -> Drawn:
-    boxes = needed(findings.hot_boxes, findings, "hot_boxes")
-    return Drawn(
-        draw_boxes(boxes[:MAX_BOXES]),
-        " ".join(sentence(box.answer) for box in boxes),
-        "Shift of the mean error with hot or cold air at the sensor, by range.",
-    )
+def compensation(rows: PictureData) -> Drawn:
+    """Draw the mean errors by range, without and with compensation."""
+    table = rows.needed(rows.findings.temperature_compensation, "temperature_compensation")
+    before_cm = [abs(row.uncompensated.value) for row in table]
+    after_cm = [abs(row.compensated.value) for row in table if row.compensated is not None]
+    caption = f"Mean size of the error of the ranges: {np.mean(before_cm):.2f} cm without compensation"
+    caption += f", {np.mean(after_cm):.2f} cm with it." if after_cm else "."
+    alternative = "Mean errors by range, without and with compensation."
+    return Drawn(_draw_compensated(table, rows.reference), caption, alternative)
+
+
+def _draw_compensated(rows: Sequence[CompensationRow], reference: ReferenceNumbers | None) -> Figure:
+    """An arrow a range, from the mean error without compensation to the one with it; a reference's next to it."""
+    figure, axes = new_axes(3.6, "true range [cm]", "mean error [cm]")
+    line_at_zero(axes)
+    range_cm = [row.range_cm for row in rows]
+    aside = 0.12 * (float(np.min(np.diff(range_cm))) if len(rows) > 1 else 20.0) if reference else 0.0
+    ours = [(row.range_cm - aside, row.uncompensated, row.compensated) for row in rows]
+    _arrows(axes, ours, SERIES[0], "ours, " if reference else "")
+    if reference is not None:
+        pairs = [(each, reference.mean_errors_at(each)) for each in range_cm]
+        theirs = [(each + aside, *map(IntervalEstimate.exact, pair)) for each, pair in pairs if pair]
+        _arrows(axes, theirs, SERIES[5], f"{reference.name}'s, ")
+    axes.set_xticks(range_cm, [f"{each:g}" for each in range_cm])
+    return legend_below(figure)
+
+
+def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str], who: str) -> None:
+    """Errors before (filled) and after (white; None: not known), at their places, with their intervals."""
+    colour, marker = series
+    after = [row for row in rows if row[2] is not None]
+    for x, one, other in after:
+        axes.vlines(x, one.value, other.value, color=colour, alpha=0.6)
+    white: dict[str, Any] = {"markerfacecolor": "white", "markeredgewidth": 1.4}
+    for points, end, words, look in ((rows, 1, "uncompensated", {}), (after, 2, "compensated", white)):
+        x, (y, reach) = [x for x, *_ in points], with_reach([row[end] for row in points])
+        axes.plot(x, y, marker, linestyle="none", color=colour, label=f"{who}{words}", **look)
+        if np.any(reach):
+            axes.errorbar(x, y, yerr=reach, linestyle="none", color=colour)
+
+
+def _boxes(rows: PictureData) -> Drawn:
+    boxes = rows.needed(rows.findings.hot_boxes, "hot_boxes")
+    caption = " ".join(sentence(box.answer) for box in boxes)
+    alternative = "Shift of the mean error with hot or cold air at the sensor, by range."
+    return Drawn(_draw_boxes(boxes[:MAX_BOXES]), caption, alternative)
+
+
+def _draw_boxes(boxes: Sequence[HotBox]) -> Figure:
+    """One panel a box: shift of the mean error over range, and three ideas of where the air is."""
+    figure = new_figure(3.6)
+    for axes, box in zip(figure.subplots(1, len(boxes), squeeze=False)[0], boxes, strict=True):
+        range_cm = [row.range_cm for row in box.rows]
+        uniform, gradient, confined = np.array([(r.uniform_cm, r.gradient_cm, r.confined_cm) for r in box.rows]).T
+        line_at_zero(axes)
+        axes.plot(range_cm, uniform, ":", color=REFERENCE, label="that air all the way")
+        axes.plot(range_cm, gradient, "-.", color=PURPLE, label="linear fall to the room's at the target")
+        axes.plot(range_cm, confined, "-", color=GREEN, label="that air in the box only")
+        shift_cm, reach_cm = with_reach([row.shift for row in box.rows])
+        axes.errorbar(range_cm, shift_cm, yerr=reach_cm, label="measured, minus room temperature", **DOTS)
+        assumed = " (assumed)" if box.room_is_assumed else ""
+        air = f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond"
+        axes.set_title(f"{air}\nair that explains it: {box.depth.value:.0f} cm", fontsize=8.5)
+        axes.set_xlabel("true range [cm]")
+    figure.axes[0].set_ylabel("shift of the mean error [cm]")
+    return legend_below(figure)

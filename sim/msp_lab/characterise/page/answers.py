@@ -3,32 +3,21 @@
 Findings enter, text leaves. The verdicts are those of the findings.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from msp_lab.characterise.findings import Findings, Form
-from msp_lab.characterise.page.text import half_interval, interval, minus, plus, sentence
+from msp_lab.characterise.experiments import EXPERIMENTS
+from msp_lab.characterise.findings import NAMES, Findings, Form, MaximumRange, Question, Verdict
+from msp_lab.characterise.page.text import counted, half_interval, interval
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.characterise.question_findings import Question, Verdict
-from msp_lab.characterise.questions import TOPICS
-from msp_sim.page.style import p_text
+from msp_sim.page.text import minus, p_text, plus, sentence
 
 Kind = Literal["yes", "no", "open"]
-"""Of a mark: something to look at, nothing to look at, not known."""
-
-_NAMES = {
-    "bias": "mean error",
-    "spread": "spread ×",
-    "missed": "odds of a missed echo ×",
-    "outliers": "odds of an outlier ×",
-}
+"""Kinds of marks: something to look at, nothing to look at, not known."""
 
 _AIR = {"none": "no shift seen", "uniform": "all the way", "gradient": "gradient", "confined": "in the box only"}
-
 _MARKS: dict[Verdict, Kind] = {"matters": "yes", "does not matter": "no", "cannot tell": "open"}
-
-
 _CALIBRATION: dict[Form, str] = {
     "none": "that a calibration improves them is not shown",
     "offset and scale": "a straight line corrects them",
@@ -42,8 +31,8 @@ class Conclusion:
 
     subject: str
     answer: str
-    kind: Kind
-    mark: str
+    kind: Kind = "open"
+    mark: str = "measured"
 
 
 def summarise(findings: Findings) -> str:
@@ -73,14 +62,13 @@ def summarise(findings: Findings) -> str:
             f"With nothing varied {100.0 * base.missed.value:.2g} % of the echoes are missed and "
             f"{100.0 * base.outliers.value:.2g} % of the readings are of something else."
         )
-    names = dict.fromkeys(each.name for each in findings.questions)
-    verdicts = {name: {each.verdict for each in findings.questions if each.name == name} for name in names}
-    matters = [TOPICS[name].matters for name in names if "matters" in verdicts[name]]
-    open_ = [
-        TOPICS[name].matters for name in names if "matters" not in verdicts[name] and "cannot tell" in verdicts[name]
-    ]
-    parts += [f"What changes the readings: {', '.join(matters)}."] if matters else []
-    parts += [f"What may, which these data cannot decide: {', '.join(open_)}."] if open_ else []
+    verdicts: dict[str, set[Verdict]] = {}
+    for each in findings.questions:
+        verdicts.setdefault(each.name, set()).add(each.verdict)
+    matters = [name for name, found in verdicts.items() if "matters" in found]
+    open_ = [name for name, found in verdicts.items() if "cannot tell" in found and name not in matters]
+    for words, names in (("What changes the readings", matters), ("What may, which these data cannot decide", open_)):
+        parts += [f"{words}: {', '.join(EXPERIMENTS[name].matters for name in names)}."] if names else []
     return minus(" ".join(parts))
 
 
@@ -91,91 +79,72 @@ def conclusions(findings: Findings) -> list[Conclusion]:
         *_maximum_range(findings),
         *_beam(findings),
         *_questions(findings),
-        *_boxes(findings),
-        *_compensation(findings),
+        *_air(findings),
         *_mixture(findings),
     ]
 
 
 def _accuracy(findings: Findings) -> Iterator[Conclusion]:
-    found = findings.baseline
-    if found is not None:
+    base, calibration = findings.baseline, findings.calibration
+    if base is not None:
         yield Conclusion(
             "Accuracy, nothing varied",
-            f"largest error of a hit {plus(found.largest_hit_error_cm)} cm; mean {interval(found.bias)}; standard "
-            f"deviation {interval(found.spread)}",
-            "open",
-            "measured",
+            f"largest error of a hit {plus(base.largest_hit_error_cm)} cm; mean {interval(base.bias)}; standard "
+            f"deviation {interval(base.spread)}",
         )
-    calibration = findings.calibration
     if calibration is not None:
-        kept = calibration.form != "none"
-        yield Conclusion(
-            "Calibration",
-            sentence(calibration.reason),
-            "yes" if kept else "no" if calibration.held_out else "open",
-            "kept" if kept else "none shown to help" if calibration.held_out else "cannot tell",
-        )
+        kind: Kind = "yes" if calibration.form != "none" else "no" if calibration.held_out else "open"
+        mark = {"yes": "kept", "no": "none shown to help", "open": "cannot tell"}[kind]
+        yield Conclusion("Calibration", sentence(calibration.reason), kind, mark)
         if calibration.set_up_offset is not None:
-            yield Conclusion("Between set-ups", interval(calibration.set_up_offset), "open", "measured")
+            yield Conclusion("Between set-ups", interval(calibration.set_up_offset))
+
+
+def peaks_found(found: MaximumRange) -> str:
+    """How many peaks there are without the codes, and where."""
+    return f"{counted(len(found.peaks_after), 'peak')}, at {interval(found.peak)}"
 
 
 def _maximum_range(findings: Findings) -> Iterator[Conclusion]:
     found = findings.maximum_range
-    if found is None:
-        return
-    single = len(found.peaks_after) == 1
-    codes = found.no_echo + found.saturated
-    yield Conclusion(
-        f"Maximum range, {found.true_range_cm:g} cm",
-        f"{codes:,} of {found.readings:,} readings are codes for no echo; without them "
-        f"{'one peak' if single else f'{len(found.peaks_after)} peaks'}, at {interval(found.peak)}",
-        "no" if single else "yes",
-        "one peak" if single else "several peaks",
-    )
+    if found is not None:
+        codes = found.no_echo + found.saturated
+        answer = f"{codes:,} of {found.readings:,} readings are codes for no echo; without them {peaks_found(found)}"
+        kind, mark = _mark(len(found.peaks_after) == 1, "one peak", "several peaks")
+        yield Conclusion(f"Maximum range, {found.true_range_cm:g} cm", answer, kind, mark)
+
+
+def _mark(is_good: bool, good: str, bad: str) -> tuple[Kind, str]:
+    return ("no", good) if is_good else ("yes", bad)
 
 
 def _beam(findings: Findings) -> Iterator[Conclusion]:
-    view = findings.field_of_view
+    view, sonar = findings.field_of_view, findings.sonar
     if view is None:
         return
     for angle in view.angles:
-        yield Conclusion(
-            f"Breakaway angle at {angle.range_cm:g} cm", half_interval(angle.half_angle), "open", "measured"
-        )
-    sonar = findings.sonar
+        yield Conclusion(f"Breakaway angle at {angle.range_cm:g} cm", half_interval(angle.half_angle))
     if sonar is not None:
-        misses = [
-            abs(row.fitted_deg - row.measured_deg) if row.fitted_deg is not None else row.measured_deg
-            for row in sonar.rows
-        ]
-        yield Conclusion(
-            "Sonar equation",
-            f"misses the measured angles by at most {max(misses):.1f}°; {minus(sonar.note)}",
-            "no" if sonar.within_a_step else "yes",
-            "within a step" if sonar.within_a_step else "does not fit",
-        )
+        worst_deg = max(abs((row.fitted_deg or 0.0) - row.measured_deg) for row in sonar.rows)
+        answer = f"misses the measured angles by at most {worst_deg:.1f}°; {minus(sonar.note)}"
+        yield Conclusion("Sonar equation", answer, *_mark(sonar.within_a_step, "within a step", "does not fit"))
     slant = view.oblique
     yield Conclusion(
-        "Reading of a tilted sensor",
-        slant.reason,
-        "open" if slant.verdict == "unknown" else "no",
-        slant.verdict,
+        "Reading of a tilted sensor", slant.reason, "open" if slant.verdict == "unknown" else "no", slant.verdict
     )
 
 
-def _questions(findings: Findings) -> Iterator[Conclusion]:
-    """One line per question; what several have in common is only in the first."""
+def with_subject(questions: Sequence[Question]) -> Iterator[tuple[str, Question]]:
+    """Each question with its words, which several about one thing have in common: only the first has them."""
     before = ""
-    for question in findings.questions:
-        is_first = question.name != before
+    for question in questions:
+        yield question.question if question.name != before else "", question
         before = question.name
-        yield Conclusion(
-            question.question if is_first else "",
-            _sizes(question),
-            _MARKS[question.verdict],
-            question.verdict,
-        )
+
+
+def _questions(findings: Findings) -> Iterator[Conclusion]:
+    for subject, question in with_subject(findings.questions):
+        yield Conclusion(subject, _sizes(question), _MARKS[question.verdict], question.verdict)
 
 
 def _sizes(question: Question) -> str:
@@ -183,18 +152,18 @@ def _sizes(question: Question) -> str:
     sensor = f", {question.sensor}" if question.sensor else ""
     parts = []
     for effect in question.effects:
-        if effect.estimate is None or (effect.metric != "bias" and effect.verdict == "does not matter"):
+        if effect.estimate is None or (effect.is_ratio and effect.verdict == "does not matter"):
             continue
-        part = f"{_NAMES[effect.metric]} {interval(effect.estimate)}"
+        name = f"{NAMES[effect.metric]} ×" if effect.is_ratio else "mean error"
+        part = f"{name} {interval(effect.estimate)}"
         if effect.verdict == "cannot tell" and effect.smallest_detectable is not None:
-            unit = " cm" if effect.metric == "bias" else ""
-            part += f", could have seen {effect.smallest_detectable:.2g}{unit}"
+            part += f", could have seen {effect.smallest_detectable:.2g}{'' if effect.is_ratio else ' cm'}"
         parts.append(part)
     compared = f"{question.level} against {question.reference}{sensor}"
     return f"{compared}: {'; '.join(parts)}" if parts else compared
 
 
-def _boxes(findings: Findings) -> Iterator[Conclusion]:
+def _air(findings: Findings) -> Iterator[Conclusion]:
     for box in findings.hot_boxes:
         shifts = [row.shift.value for row in box.rows]
         yield Conclusion(
@@ -205,40 +174,26 @@ def _boxes(findings: Findings) -> Iterator[Conclusion]:
             "open" if box.best == "none" else "yes",
             _AIR[box.best],
         )
-
-
-def _compensation(findings: Findings) -> Iterator[Conclusion]:
-    rows = [row for row in findings.temperature_compensation if row.compensated is not None]
-    if not rows:
-        return
-    before = _mean_size([row.uncompensated for row in rows])
-    after = _mean_size([row.compensated for row in rows if row.compensated is not None])
-    yield Conclusion(
-        "Temperature compensation",
-        f"mean error of the ranges {before:.2f} cm without, {after:.2f} cm with it",
-        "no" if after < before else "yes",
-        "helps" if after < before else "does not help",
-    )
-
-
-def _mean_size(estimates: list[IntervalEstimate]) -> float:
-    return sum(abs(each.value) for each in estimates) / len(estimates)
+    both = [(row.uncompensated, row.compensated) for row in findings.temperature_compensation if row.compensated]
+    if both:
+        before, after = (sum(abs(each.value) for each in column) / len(both) for column in zip(*both, strict=True))
+        answer = f"mean error of the ranges {before:.2f} cm without, {after:.2f} cm with it"
+        yield Conclusion("Temperature compensation", answer, *_mark(after < before, "helps", "does not help"))
 
 
 def _mixture(findings: Findings) -> Iterator[Conclusion]:
     found = findings.mixture
     if found is None:
         return
-    weights = [each for each in found.parameters if each.name.startswith("weights.")]
-    shown = ", ".join(f"{each.name.removeprefix('weights.')} {100.0 * each.fitted.value:.3g} %" for each in weights)
-    sigma = next((f"; σ {interval(each.fitted)}" for each in found.parameters if each.name == "sigma_cm"), "")
-    if found.pit_p_value is None:
-        yield Conclusion("Kinds of readings", f"{shown}{sigma}", "open", "too few to test")
-        return
-    fits = found.pit_p_value >= 0.05
-    yield Conclusion(
-        "Kinds of readings",
-        f"{shown}{sigma}; of the fit, p: {p_text(found.pit_p_value)}",
-        "no" if fits else "yes",
-        "fits" if fits else "does not fit",
+    fitted: dict[str, IntervalEstimate] = {each.name: each.fitted for each in found.parameters}
+    shown = ", ".join(
+        f"{name.removeprefix('weights.')} {100.0 * each.value:.3g} %"
+        for name, each in fitted.items()
+        if name.startswith("weights.")
     )
+    shown += f"; σ {interval(fitted['sigma_cm'])}" if "sigma_cm" in fitted else ""
+    if found.pit_p_value is None:
+        yield Conclusion("Kinds of readings", shown, "open", "too few to test")
+    else:
+        answer = f"{shown}; of the fit, p: {p_text(found.pit_p_value)}"
+        yield Conclusion("Kinds of readings", answer, *_mark(found.pit_p_value >= 0.05, "fits", "does not fit"))

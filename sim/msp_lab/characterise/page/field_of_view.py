@@ -1,76 +1,199 @@
 """Pictures of the field of view: readings over angle at each range, and the sonar equation through the angles."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.draw.beam import Sweep, draw_beam, draw_sweep
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed
-from msp_lab.characterise.page.text import half_interval, sentence
-from msp_range.arrays import Array
+from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, SonarFit
+from msp_lab.characterise.page.errors import share_bars, with_reach
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.text import half_interval
+from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_range.acoustics.sonar import STEP_DEG, Sonar
+from msp_range.arrays import Array, Flags
+from msp_sim.page.style import (
+    BARS,
+    GREEN,
+    GREY,
+    INK,
+    MARKED,
+    ORANGE,
+    OURS,
+    PALE,
+    REFERENCE,
+    edges_between,
+    label,
+    legend_below,
+    new_axes,
+    new_figure,
+    shaded,
+)
+from msp_sim.page.text import sentence
 
 MAX_SWEEPS = 8
 """Pictures of the field of view that the page has at most; a bench has four ranges, a flight may have hundreds."""
+STEP_OF_TICKS_DEG = 2.0 * STEP_DEG
+"""Ticks of many angles are this far apart, if these are steps of the motor."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield a picture for each range at which angles were tried, and the sonar equation."""
-    for range_cm in measured_ranges_cm(rows)[:MAX_SWEEPS]:
+    tried = rows.has("field_of_view") and np.any(np.isfinite(_incidence(rows)[rows.of("field_of_view")]))
+    for range_cm in _ranges(rows)[:MAX_SWEEPS].tolist() if tried else ():
         name = f"field_of_view_{range_cm:g}cm".replace(".", "_")
         yield name, f"Field of view at {range_cm:g} cm", partial(sweep, range_cm=range_cm)
     yield "sonar_equation", "Sonar equation through the breakaway angles", _sonar
 
 
-def measured_ranges_cm(rows: PictureData) -> list[float]:
-    """Return the ranges at which angles were tried [cm]; none where there are no such readings."""
-    try:
-        return [float(each) for each in _sweep_ranges(rows)]
-    except Absent:
-        return []
+def _incidence(rows: PictureData) -> Array:
+    return rows.data.column("incidence_deg")
 
 
-def _sweep_ranges(rows: PictureData) -> Array:
+def _ranges(rows: PictureData) -> Array:
     found = rows.of("field_of_view")
-    incidence = rows.data.column("incidence_deg")
-    if not np.any(np.isfinite(incidence[found])):
+    if not np.any(np.isfinite(_incidence(rows)[found])):
         raise Absent("The readings of the field of view have no angle (column incidence_deg).")
     return np.unique(rows.true_cm[found])
 
 
-def sweep(findings: Findings, rows: PictureData, range_cm: float) -> Drawn:
+def sweep(rows: PictureData, range_cm: float) -> Drawn:
     """Draw the readings over angle at a range [cm]."""
-    ranges = _sweep_ranges(rows)
+    ranges = _ranges(rows)
     if range_cm not in ranges:
         there = ", ".join(f"{each:g}" for each in ranges[:12])
         raise Absent(f"The field of view was not measured at {range_cm:g} cm, but at {there} cm.")
-    incidence, found = rows.data.column("incidence_deg"), rows.of("field_of_view")
-    chosen = found & (rows.true_cm == range_cm) & np.isfinite(incidence)
-    if np.unique(incidence[chosen]).size < 2:
+    chosen = rows.of("field_of_view") & (rows.true_cm == range_cm) & np.isfinite(_incidence(rows))
+    if np.unique(_incidence(rows)[chosen]).size < 2:
         raise Absent(f"At {range_cm:g} cm only one angle was measured.")
-    view = needed(findings.field_of_view, findings, "field_of_view")
-    points = [point for point in view.points if point.range_cm == range_cm]
+    view = rows.needed(rows.findings.field_of_view, "field_of_view")
+    points = sorted((each for each in view.points if each.range_cm == range_cm), key=lambda each: each.incidence_deg)
     angle = next((each for each in view.angles if each.range_cm == range_cm), None)
-    shown = Sweep(range_cm, incidence[chosen], rows.reading_cm[chosen], rows.missed[chosen])
-    caption = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. "
     if angle is None:
-        caption += "No breakaway angle could be found."
+        breakaway = "No breakaway angle could be found"
     elif angle.half_angle.value:
-        caption += f"Breakaway at {half_interval(angle.half_angle)}."
+        breakaway = f"Breakaway at {half_interval(angle.half_angle)}"
     else:
-        caption += "Breakaway not found: no angle is reliable to both sides."
-    caption += f" Reliable: {view.criterion}."
+        breakaway = "Breakaway not found: no angle is reliable to both sides"
     return Drawn(
-        draw_sweep(shown, points, angle, rows.reference),
-        caption,
+        _draw_sweep(rows, range_cm, chosen, points, angle),
+        f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. {breakaway}. Reliable: {view.criterion}.",
         f"Readings over the sensor's angle at {range_cm:g} cm, with the breakaway marked.",
     )
 
 
-def _sonar(findings: Findings, rows: PictureData) -> Drawn:
-    found = needed(findings.sonar, findings, "sonar")
-    angles = findings.field_of_view.angles if findings.field_of_view is not None else ()
+def _draw_sweep(
+    rows: PictureData, range_cm: float, chosen: Flags, points: Sequence[AnglePoint], breakaway: BreakawayAngle | None
+) -> Figure:
+    """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
+    figure = new_figure(4.5)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
+    angle_deg = np.array([point.incidence_deg for point in points])
+    edges = edges_between(angle_deg.tolist())
+    width = 0.86 * float(np.min(np.diff(edges)))
+
+    half_deg = 0.0 if breakaway is None else breakaway.half_angle.value
+    widest = float(np.max(np.abs(angle_deg)))
+    theta = np.radians(np.linspace(-widest, widest, 241))
+    # As calibration and air stretch what is read straight ahead.
+    base_cm = min(points, key=lambda point: abs(point.incidence_deg)).nearest_cm
+    slant_cm = base_cm / np.cos(theta)
+    low, high = min(base_cm, range_cm) - 4.0, max(float(np.max(slant_cm)), range_cm) + 5.0
+    _draw_shares(top, rows, chosen, angle_deg, width, (low, high))
+    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
+    if half_deg > 0.0:
+        nearest_cm = base_cm / np.cos(np.maximum(np.abs(theta) - np.radians(half_deg), 0.0))
+        words = f"nearest point in a beam of ±{half_deg:.1f}°"
+        top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, label=words)
+    top.set_ylim(low, high)
+    top.set_ylabel("reading [cm]")
+    top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+
+    reliable = 100.0 * np.array([point.reliable.value for point in points])
+    bottom.bar(angle_deg, reliable, width, **BARS)
+    bottom.bar(angle_deg, 100.0 - reliable, width, reliable, color=PALE)
+    bottom.set_ylim(0.0, 100.0)
+    bottom.set_yticks([0, 50, 100])
+    bottom.set_ylabel("reliable [%]")
+    bottom.set_xlabel("angle between the axis and the wall's normal [deg]")
+    _mark_breakaway(top, bottom, breakaway)
+    reference_deg = None if rows.reference is None else rows.reference.half_angle_deg.get(range_cm)
+    if rows.reference is not None and reference_deg is not None:
+        for axes in (top, bottom):
+            for sign in (-1, 1):
+                axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":")
+        top.plot([], [], ":", color=REFERENCE, label=f"{rows.reference.name}'s ±{reference_deg:g}°")
+    bottom.set_xticks(_ticks(angle_deg))
+    bottom.xaxis.set_major_formatter("{x:g}")
+    bottom.set_xlim(edges[0], edges[-1])
+    top.grid(axis="x", visible=False)
+    bottom.grid(axis="x", visible=False)
+    return legend_below(figure)
+
+
+def _ticks(angle_deg: Array) -> Array:
+    """The angles, or of many of them every other one."""
+    if angle_deg.size <= 15:
+        return angle_deg
+    off_deg = np.rint(angle_deg / STEP_OF_TICKS_DEG) * STEP_OF_TICKS_DEG - angle_deg
+    fewer = angle_deg[np.abs(off_deg) < 0.05] if np.any(angle_deg % 1.0) else angle_deg[::2]
+    return fewer if fewer.size else angle_deg
+
+
+def _draw_shares(
+    top: Axes, rows: PictureData, chosen: Flags, angle_deg: Array, room: float, limits_cm: tuple[float, float]
+) -> None:
+    """Each angle's readings as a histogram on its side, whole centimetres."""
+    low, high = limits_cm
+    incidence_deg, reading_cm = _incidence(rows)[chosen], rows.reading_cm[chosen]
+    shown = ~rows.missed[chosen] & (reading_cm > low) & (reading_cm < high)
+    bars = []
+    for angle in angle_deg.tolist():
+        here = np.isclose(incidence_deg, angle, atol=1e-6)
+        values, counts = np.unique(reading_cm[here & shown], return_counts=True)
+        shares = counts / max(int(np.count_nonzero(here)), 1)
+        bars.append(np.array([angle - shares * room / 2.0, values, shares * room]))
+    share_bars(top, *np.concatenate(bars, axis=1))
+
+
+def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -> None:
+    """Each side's last reliable angle, and the stretch up to the next one that was tried."""
+    sides = [] if breakaway is None else [(-1.0, breakaway.negative), (1.0, breakaway.positive)]
+    # 0 stands for a side on which no angle is reliable.
+    known = [(sign, side) for sign, side in sides if side is not None and side.value]
+    ended = False
+    for sign, side in known:
+        last = sign * side.value
+        has_end = side.high is not None and side.high > side.value
+        ended |= has_end
+        for axes in (top, bottom):
+            if has_end and side.high is not None:
+                axes.axvspan(*sorted((last, sign * side.high)), **shaded(ORANGE))
+            axes.axvline(last, color=INK)
+        top.text(
+            last,
+            0.985,
+            f" {abs(last):.1f}°",
+            transform=top.get_xaxis_transform(),
+            weight="bold",
+            ha="left" if last < 0 else "right",
+            va="top",
+            color=INK,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
+        )
+    if known:
+        top.plot([], [], "-", color=INK, label="breakaway: last reliable angle")
+    if ended:
+        top.fill_between([], [], [], label="up to the next angle tried", **shaded(ORANGE))
+
+
+def _sonar(rows: PictureData) -> Drawn:
+    found, view = rows.needed(rows.findings.sonar, "sonar"), rows.findings.field_of_view
     fitted = [abs(row.fitted_deg - row.measured_deg) for row in found.rows if row.fitted_deg is not None]
     left_out = [abs(row.left_out_deg - row.measured_deg) for row in found.rows if row.left_out_deg is not None]
     caption = (
@@ -81,8 +204,46 @@ def _sonar(findings: Findings, rows: PictureData) -> Drawn:
         f"Equivalent piston {1000.0 * found.piston_diameter_m:.1f} mm, gain {found.gain_db_per_m:.1f} dB/m. "
         f"{sentence(found.note)} Beyond the measured ranges the angle never grows."
     )
-    return Drawn(
-        draw_beam(found, angles, rows.model.frequency_hz, rows.reference),
-        caption,
-        "Half angle of the beam over range: measured and by the sonar equation.",
-    )
+    figure = _draw_beam(rows, found, view.angles if view is not None else ())
+    return Drawn(figure, caption, "Half angle of the beam over range: measured and by the sonar equation.")
+
+
+def _draw_beam(rows: PictureData, sonar: SonarFit, measured: Sequence[BreakawayAngle]) -> Figure:
+    """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
+    equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
+    x, measured_deg = [row.range_cm for row in sonar.rows], [row.measured_deg for row in sonar.rows]
+    used_cm = x + [range_cm for range_cm, _ in sonar.beyond]
+    span_cm = np.linspace(min(x) * 0.6, max(used_cm), 120)
+    # Where there is no echo, None becomes NaN.
+    radians = np.array([equation.half_angle_rad(range_cm / 100.0) for range_cm in span_cm.tolist()], dtype=float)
+    span_deg = np.degrees(radians)
+    figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
+    words = f"± one step of the motor, {STEP_DEG:g}°"
+    ends = span_deg - STEP_DEG, span_deg + STEP_DEG
+    axes.fill_between(span_cm, *ends, label=words, **shaded())
+    axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted")
+    used_deg = measured_deg + [angle for _, angle in sonar.beyond]
+    axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
+    intervals = {angle.range_cm: angle.half_angle for angle in measured}
+    known = [
+        replace(intervals.get(range_cm, IntervalEstimate.exact(angle)), value=angle)
+        for range_cm, angle in zip(x, measured_deg, strict=True)
+    ]
+    words = "measured, up to the next angle tried"
+    axes.errorbar(x, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
+    reference = rows.reference
+    earlier_deg = {} if reference is None else reference.half_angle_deg
+    pairs = [(each, earlier_deg[each]) for each in x if each in earlier_deg]
+    if pairs and reference is not None:
+        axes.plot(*zip(*pairs, strict=True), label=f"{reference.name}'s", **MARKED)
+    left_out = [(row.range_cm, row.left_out_deg) for row in sonar.rows if row.left_out_deg is not None]
+    if left_out:
+        look: dict[str, Any] = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE}
+        axes.plot(*zip(*left_out, strict=True), "D", label="predicted from the others", zorder=7, **look)
+        for row in sonar.rows:
+            if row.left_out_deg is None:
+                words = "the others predict\nno echo here"
+                label(axes, words, (row.range_cm, 0.0), (0, 6), ha="center", color=GREY)
+    axes.set_ylim(0.0, 1.2 * max([*measured_deg, *(angle for _, angle in (*pairs, *left_out))]))
+    axes.set_xlim(0.0, max(used_cm))
+    return legend_below(figure)

@@ -1,52 +1,59 @@
-"""Pictures of the fitted mixture: its four densities, all of them together, how well they fit; and its parameters."""
+"""Pictures of the fitted mixture: its four densities, all of them together, and how well they fit."""
 
 import math
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import binom
 
-from msp_lab.characterise.findings import Findings, Mixture
-from msp_lab.characterise.page.draw.mixture import (
-    KINDS,
-    Densities,
-    draw_hit,
-    draw_missed,
-    draw_mixture,
-    draw_pit,
-    draw_random,
-    draw_short,
-)
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, placement_error_cm
-from msp_lab.characterise.page.text import interval, sentence
+from msp_lab.characterise.estimates import wilson
+from msp_lab.characterise.findings import Mixture
+from msp_lab.characterise.mixture import KINDS
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.text import interval
 from msp_lab.readings.resolution import to_step
-from msp_range.arrays import Array
+from msp_range.arrays import Array, Flags
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
-from msp_sim.page.page import PageTable
-from msp_sim.page.style import p_text
+from msp_sim.page.style import (
+    BARS,
+    DOTS,
+    GREEN,
+    INK,
+    ORANGE,
+    OURS,
+    PURPLE,
+    REFERENCE,
+    label,
+    legend_below,
+    new_axes,
+    note,
+    shaded,
+    signed,
+)
+from msp_sim.page.text import p_text, sentence
 
-_MIXTURE_PARAMETERS = {
+_LOOKS = {"hit": (OURS, "-"), "short": (ORANGE, "--"), "missed": (PURPLE, "-"), "random": (GREEN, "-.")}
+_PARAMETERS = {
     "hit": ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
     "short": ("weights.short", "short_rate_per_m"),
     "missed": ("weights.missed", "saturated_fraction", "missed_growth_per_m"),
     "random": ("weights.random",),
 }
 """Kind of reading -> its parameters, by their names in the sensor model file."""
-
-_SYMBOLS = {
-    "weights.hit": "z_hit",
-    "weights.short": "z_short",
-    "weights.missed": "z_max",
-    "weights.random": "z_rand",
-    "sigma_cm": "σ_hit",
-    "short_rate_per_m": "λ_short",
-}
-"""Parameter -> its symbol in Probabilistic Robotics (Thrun, Burgard & Fox 2005, section 6.3)."""
+NO_WEIGHT = 1e-7
+"""A smaller weight is that of a kind that was not seen."""
+SINGLE_CM = 25.0
+"""This near to the expected reading each centimetre is shown by itself [cm]."""
 
 
-def entries() -> Iterator[Entry]:
+def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order."""
     for kind, title in (
         ("hit", "Hits: density of the measurement noise"),
@@ -59,8 +66,37 @@ def entries() -> Iterator[Entry]:
     yield "pit", "Goodness of fit: probability integral transform", _pit
 
 
-def densities(findings: Findings, rows: PictureData) -> tuple[Densities, Array]:
-    """The fitted mixture at one range, and the probability of each reading by all of it."""
+@dataclass(frozen=True)
+class Densities:
+    """Probabilities of each whole centimetre at one range by the fitted model, and what was read."""
+
+    true_range_cm: float
+    """The true range that they are for, in the centimetres that the sensor reads: after calibration and air [cm]."""
+    reading_cm: Array
+    """Readings that the sensor can report, shape (k,)."""
+    density: dict[str, Array]
+    """By kind: probability of each reading if the reading is of this kind, shape (k,); its sum is 1."""
+    weight: dict[str, float]
+    """By kind: share of the readings."""
+    total: Array
+    """Probability of each reading by the whole model, codes in it, shape (k,)."""
+    codes: list[float]
+    """Readings that are codes for no echo [cm]."""
+    counts: Array | None
+    """How often each was read, shape (k,); None: there are no readings."""
+
+    @property
+    def parts(self) -> dict[str, Array]:
+        """By kind: probability of each reading of this kind, of all readings."""
+        return {kind: self.weight[kind] * self.density[kind] for kind in KINDS}
+
+    def bulk(self, share_of_peak: float) -> Flags:
+        """Readings of which the probability by the hits is more than this share of the peak's."""
+        return np.asarray(self.density["hit"] > share_of_peak * np.max(self.density["hit"]))
+
+
+def densities(rows: PictureData) -> Densities:
+    """The fitted mixture at the range with most readings."""
     condition, true_cm = _one_range(rows)
     chosen = rows.of(condition) & (rows.true_cm == true_cm)
     minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
@@ -68,7 +104,7 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, Array]:
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
     mean_cm = float(np.mean(rows.apparent_cm[chosen]))
     steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
-    apparent_cm = mean_cm + placement_error_cm(findings, condition, true_cm)
+    apparent_cm = mean_cm + rows.placement_error_cm(condition, true_cm)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm.tolist()]
@@ -77,16 +113,24 @@ def densities(findings: Findings, rows: PictureData) -> tuple[Densities, Array]:
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
     readings = to_step(rows.reading_cm[chosen], 1.0)
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
-    counts = np.bincount(readings, minlength=k.size).astype(np.float64)
-    peak_cm = float(np.sum(k * by_kind["hit"]))
-    fitted = Densities(
-        true_range_cm=peak_cm,
+    garbled = rows.model.reading_model.saturated_fraction > 0.0
+    return Densities(
+        true_range_cm=float(np.sum(k * by_kind["hit"])),
         reading_cm=k,
         density=by_kind,
         weight={kind: float(share) for kind, share in zip(KINDS, whole.shares(apparent_cm), strict=True)},
-        counts=counts if readings.size else None,
+        total=total,
+        codes=[float(rows.model.maximum_cm), *([float(SATURATED_CM)] if garbled else [])],
+        counts=np.bincount(readings, minlength=k.size).astype(np.float64) if readings.size else None,
     )
-    return fitted, total
+
+
+def _one_range(rows: PictureData) -> tuple[str, float]:
+    """Condition and true range: most readings of the maximum range, else a middle one of the baseline."""
+    condition = "maximum_range" if rows.has("maximum_range") else "baseline"
+    ranges, counts = np.unique(rows.true_cm[rows.of(condition)], return_counts=True)
+    much = ranges[counts >= 0.5 * np.max(counts)]
+    return condition, float(much[much.size // 2])
 
 
 def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:
@@ -99,99 +143,213 @@ def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Ar
     return [hit.p, short.p, missed, random.p, np.exp(whole.log_prob(k, contexts))]
 
 
-def _one_range(rows: PictureData) -> tuple[str, float]:
-    """Condition and true range: most readings of the maximum range, else a middle one of the baseline."""
-    condition = "maximum_range"
-    try:
-        found = rows.of(condition)
-    except Absent:
-        condition = "baseline"
-        found = rows.of(condition)
-    ranges, counts = np.unique(rows.true_cm[found], return_counts=True)
-    much = ranges[counts >= 0.5 * np.max(counts)]
-    return condition, float(much[much.size // 2])
-
-
-def density(findings: Findings, rows: PictureData, kind: str) -> Drawn:
+def density(rows: PictureData, kind: str) -> Drawn:
     """Draw the density of a kind of reading."""
-    caption = _parameters(needed(findings.mixture, findings, "mixture"), kind)
-    fitted, total = densities(findings, rows)
+    caption = _fitted(rows.needed(rows.findings.mixture, "mixture"), kind)
+    fitted = densities(rows)
+    unit = "share of all readings [%]" if kind == "missed" else "probability of a centimetre"
+    figure, axes = new_axes(3.2, "reading [cm]", unit)
     if kind == "hit":
-        figure = draw_hit(fitted)
+        _draw_hit(axes, fitted)
         caption += " The probability of a reading is the integral over its centimetre."
     elif kind == "short":
-        figure = draw_short(fitted)
+        _draw_short(axes, fitted)
         caption += " It ends at the expected range and is normalised up to there."
     elif kind == "missed":
-        codes = _codes(rows)
-        figure = draw_missed(fitted, {code: float(total[fitted.reading_cm == code][0]) for code in codes})
+        _draw_missed(axes, fitted)
         caption += " A point mass, since a missed echo is a code."
     else:
-        figure = draw_random(fitted)
+        _draw_random(axes, fitted)
         caption += f" It begins at the {rows.model.minimum_cm} cm under which the sensor reports nothing."
-    return Drawn(figure, caption, f"The fitted density of {kind} readings, with what was read.")
+    axes.axvline(fitted.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    axes.set_ylim(bottom=0.0)
+    axes.yaxis.set_major_formatter("{x:.3g}")
+    axes.grid(axis="x", visible=False)
+    return Drawn(legend_below(figure), caption, f"The fitted density of {kind} readings, with what was read.")
 
 
-def _codes(rows: PictureData) -> list[float]:
-    """Readings that mean no echo [cm]."""
-    garbled = rows.model.reading_model.saturated_fraction > 0.0
-    return [float(rows.model.maximum_cm), *([float(SATURATED_CM)] if garbled else [])]
+def _fitted(mixture: Mixture, kind: str) -> str:
+    """The parameters of a kind, in a sentence."""
+    found = {each.name: each for each in mixture.parameters}
+    shown = [
+        f"{name} = {interval(found[name].fitted)}{' (at its bound)' if found[name].at_bound else ''}"
+        for name in _PARAMETERS[kind]
+        if name in found
+    ]
+    return f"Fitted: {'; '.join(shown)}." if shown else ""
 
 
-def _whole_mixture(findings: Findings, rows: PictureData) -> Drawn:
-    """All four densities together."""
-    found = needed(findings.mixture, findings, "mixture")
-    fitted, total = densities(findings, rows)
+def _draw_hit(axes: Axes, fitted: Densities) -> None:
+    """The Gaussian's probability of each centimetre, next to the share that was read."""
+    shown = np.flatnonzero(fitted.bulk(1e-5))
+    k, p = fitted.reading_cm[shown], fitted.density["hit"][shown]
+    axes.bar(k, p, width=0.9, label="fitted: integral over each centimetre", **BARS)
+    _dots(axes, fitted, shown[:, None], "share read, and its 95 % interval", of=shown)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _draw_short(axes: Axes, fitted: Densities) -> None:
+    """Unexpected obstacles (5.4): the exponential that ends at the expected range."""
+    k = fitted.reading_cm
+    _curve(axes, fitted, "short", k <= fitted.true_range_cm + 0.5)
+    # Nothing else can be distinguished from the hits where they begin.
+    _binned(axes, fitted, "short", (k < k[fitted.bulk(1e-7)][0]) & (k > k[0]))
+    if fitted.weight["short"] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind,\nand its rate is the starting model's")
+    axes.set_xlim(0.0, (0.5 + fitted.true_range_cm) * 1.06)
+
+
+def _draw_missed(axes: Axes, fitted: Densities) -> None:
+    """Maximum range (5.5): the mass at the code, which a sensor may garble into a second one."""
+    k, places = fitted.reading_cm, np.flatnonzero(np.isin(fitted.reading_cm, fitted.codes))
+    percent = 100.0 * fitted.total[places]
+    axes.bar(k[places], percent, width=14.0, color=PURPLE, alpha=0.5, label="fitted mass")
+    _dots(axes, fitted, places[:, None], "read, and its 95 % interval", 100.0, omits_none=False)
+    for place, height in zip(places.tolist(), percent.tolist(), strict=True):
+        words = f"{k[place]:g} cm\nfitted {height:.2f} %"
+        if fitted.counts is not None:
+            words += f"\nread {100.0 * fitted.counts[place] / np.sum(fitted.counts):.2f} %"
+        side, ha = (-1, "right") if k[place] > 0.85 * k[-1] else (1, "left")
+        label(axes, words, (k[place], height), (14 * side, 2), va="bottom", ha=ha)
+    axes.set_xlim(0.0, float(k[-1]) * 1.06)
+    axes.margins(y=0.3)
+
+
+def _draw_random(axes: Axes, fitted: Densities) -> None:
+    """Random readings: the same for each centimetre that the sensor can report, from its minimum and not 0."""
+    k = fitted.reading_cm
+    _curve(axes, fitted, "random", np.ones(k.size, dtype=bool))
+    # Beyond the hits only random readings and codes are left.
+    _binned(axes, fitted, "random", (k > k[fitted.bulk(1e-7)][-1]) & (k < k[-1]))
+    if fitted.weight["random"] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
+    for edge, side, x in ((k[0], "right", -4), (k[-1], "left", 4)):
+        label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side)
+    axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
+    axes.margins(y=0.25)
+
+
+def _curve(axes: Axes, fitted: Densities, kind: str, where: Flags) -> None:
+    """Probabilities of centimetres as a line with the ground below it."""
+    (colour, _), k, p = _LOOKS[kind], fitted.reading_cm[where], fitted.density[kind][where]
+    axes.fill_between(k, 0.0, p, step="mid", **shaded(colour))
+    axes.step(k, p, where="mid", color=colour, label="fitted, if a reading is of this kind")
+
+
+def _binned(axes: Axes, fitted: Densities, kind: str, where: Flags) -> None:
+    """What was read in a stretch, in broad bins, as the density of one kind.
+
+    The readings of a kind cannot be identified one by one: a bin's count is multiplied by the share of the kind in it,
+    by the fitted model, and the codes are left out.
+    """
+    parts, weight = fitted.parts, fitted.weight[kind]
+    places = np.flatnonzero(where & (parts["missed"] == 0.0))
+    if places.size < 2 or weight < NO_WEIGHT:
+        return
+    bins, scales = [], []
+    for cells in np.array_split(places, max(min(places.size // 20, 16), 1)):
+        of_all = sum(float(np.sum(part[cells])) for part in parts.values())
+        if of_all > 0.0:
+            bins.append(cells)
+            scales.append(float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size))
+    words = "read, in bins, times the model's share of this kind"
+    _dots(axes, fitted, bins, words, scales, omits_none=False)
+
+
+def _dots(
+    axes: Axes,
+    fitted: Densities,
+    bins: Iterable[NDArray[np.intp]],
+    words: str,
+    scale: ArrayLike = 1.0,
+    *,
+    of: NDArray[np.intp] | slice = slice(None),
+    omits_none: bool = True,
+) -> None:
+    """Shares of the readings in bins times a scale, each with its interval.
+
+    The readings are those ``of`` some centimetres; bins without any may be omitted.
+    """
+    if fitted.counts is None or not np.any(fitted.counts[of]):
+        return
+    total, pairs = float(np.sum(fitted.counts[of])), []
+    for cells in bins:
+        count = float(np.sum(fitted.counts[cells]))
+        pairs.append((np.mean(fitted.reading_cm[cells]), count / total, *wilson(count, total)))
+    k, *shares = np.array(pairs).reshape(-1, 4).T
+    share, low, high = np.array(shares) * np.asarray(scale)
+    shown = (share > 0.0) | (not omits_none)
+    reach = np.array([share - low, high - share])
+    axes.errorbar(k[shown], share[shown], reach[:, shown], label=words, **DOTS)
+
+
+def _whole_mixture(rows: PictureData) -> Drawn:
+    """All four densities together on a logarithmic scale, with what was read."""
+    found, fitted = rows.needed(rows.findings.mixture, "mixture"), densities(rows)
     caption = (
         f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
         f"{found.readings:,} readings. {sentence(found.conditional)}"
     )
-    return Drawn(
-        draw_mixture(fitted, total, _codes(rows)), caption, "Probability of each centimetre by the fitted mixture."
-    )
+    return Drawn(_draw_mixture(fitted), caption, "Probability of each centimetre by the fitted mixture.")
 
 
-def _pit(findings: Findings, rows: PictureData) -> Drawn:
-    found = needed(findings.mixture, findings, "mixture")
+def _draw_mixture(fitted: Densities) -> Figure:
+    figure, axes = new_axes(4.2, "reading [cm]", "probability of a centimetre")
+    k, parts = fitted.reading_cm, fitted.parts
+    is_code = np.isin(k, fitted.codes)
+    plain = np.concatenate([p[~is_code & (p > 0.0)] for p in (parts["short"], parts["random"])])
+    least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
+    if fitted.counts is not None:
+        bins = _fine_and_broad((np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
+        words = f"read ({np.sum(fitted.counts):,.0f} readings)"
+        _dots(axes, fitted, bins, words, [1.0 / cells.size for cells in bins])
+    for kind, p in parts.items():
+        colour, dashes = _LOOKS[kind]
+        words = f"{kind}, weight {fitted.weight[kind]:.3g}"
+        if kind == "missed":
+            axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=words)
+        else:
+            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=words)
+    axes.plot(k, np.where(is_code, np.nan, fitted.total), color=INK, linewidth=0.8, label="all together")
+    axes.set_yscale("log")
+    axes.set_ylim(least, 2.0)
+    axes.set_xlim(0.0, float(k[-1]) * 1.03)
+    return legend_below(figure)
+
+
+def _fine_and_broad(single: Flags) -> list[NDArray[np.intp]]:
+    """Bins of one centimetre where it is single, elsewhere of some 25, in which few readings look like few."""
+    stretches = np.split(np.arange(single.size), np.flatnonzero(np.diff(single.astype(int))) + 1)
+    parts = [stretch.size if single[stretch[0]] else max(stretch.size // 25, 1) for stretch in stretches]
+    return [cells for stretch, count in zip(stretches, parts, strict=True) for cells in np.array_split(stretch, count)]
+
+
+def _pit(rows: PictureData) -> Drawn:
+    found = rows.needed(rows.findings.mixture, "mixture")
     if found.pit_p_value is None:
         raise Absent("There are too few readings for a goodness of fit.")
     caption = (
         "Where the model is right the bars are level. A slope is a bias, a bowl too small a spread, a hump too large a "
         f"one. Of uniform, p: {p_text(found.pit_p_value)}, over {found.readings:,} readings."
     )
-    return Drawn(draw_pit(np.array(found.pit_counts, dtype=np.float64), found.pit_p_value), caption, "PIT histogram.")
+    return Drawn(_draw_pit(found.pit_counts, found.pit_p_value), caption, "PIT histogram.")
 
 
-def mixture_table(mixture: Mixture) -> PageTable:
-    """Return the fitted parameters with intervals, and the starting model's values, as a table."""
-    return PageTable(
-        name="mixture_parameters",
-        title="Parameters of the mixture",
-        header=("parameter", "Thrun", "fitted, 95 % interval", "before"),
-        rows=tuple(
-            (
-                each.name,
-                _SYMBOLS.get(each.name, "–"),
-                interval(each.fitted) + (" at its bound" if each.at_bound else ""),
-                "–" if each.before is None else f"{each.before:.4g}",
-            )
-            for each in mixture.parameters
-        ),
-        caption=" ".join(
-            [
-                f"Maximum likelihood from {mixture.readings:,} readings, names as in the sensor model file.",
-                *map(sentence, mixture.notes),
-            ]
-        ),
-    )
-
-
-def _parameters(mixture: Mixture, kind: str) -> str:
-    found = {each.name: each.fitted for each in mixture.parameters}
-    at_bound = {each.name for each in mixture.parameters if each.at_bound}
-    shown = [
-        f"{name} = {interval(found[name])}{' (at its bound)' if name in at_bound else ''}"
-        for name in _MIXTURE_PARAMETERS[kind]
-        if name in found
-    ]
-    return f"Fitted: {'; '.join(shown)}." if shown else ""
+def _draw_pit(counts: Sequence[int], p_value: float) -> Figure:
+    """Histogram of the randomised PIT over equal bins of [0, 1]: flat where the model fits."""
+    words = "probability that the fitted model gives to a smaller reading (randomised within a centimetre)"
+    figure, axes = new_axes(3.2, words, "readings more than expected [%]")
+    bins, n = len(counts), float(sum(counts))
+    low, high = 100.0 * (binom.ppf([0.025, 0.975], n, 1.0 / bins) / (n / bins) - 1.0)
+    axes.axhspan(low, high, label="95 % of each bar if the model is right", **shaded(REFERENCE))
+    axes.axhline(0.0, color=REFERENCE)
+    excess = 100.0 * (np.array(counts, dtype=float) / (n / bins) - 1.0)
+    left, words = np.arange(bins) / bins, f"{n:,.0f} readings"
+    axes.bar(left, excess, width=0.94 / bins, align="edge", label=words, **BARS)
+    reach = max(float(np.max(np.abs(excess))), high) * 1.3
+    axes.set_ylim(-reach, reach)
+    axes.yaxis.set_major_formatter(signed)
+    axes.set_xlim(0.0, 1.0)
+    axes.grid(axis="x", visible=False)
+    note(axes, f"p of uniform: {p_text(p_value)}")
+    return legend_below(figure)

@@ -1,98 +1,156 @@
-"""The questions (does it matter?) as one picture, and every effect as a table."""
+"""The questions (does it matter?) as a forest plot: size, interval, what would be small enough, what could be seen."""
 
-from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.draw.questions import draw_questions
-from msp_lab.characterise.page.picture_data import Absent, Drawn, PictureData
-from msp_lab.characterise.page.text import interval, sentence
-from msp_lab.characterise.question_findings import FactorEffect, Question
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
+
+from msp_lab.characterise.experiments import EXPERIMENTS
+from msp_lab.characterise.findings import FactorEffect, Question
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.tables import METRICS
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.questions import SHARE_BOUND
-from msp_sim.page.page import PageTable
-from msp_sim.page.style import p_text
+from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, legend_below, new_figure, shaded
+from msp_sim.page.text import sentence
 
-QUESTION_NAMES = {
-    "material": "material",
-    "temperature": "temperature",
-    "vibration": "vibration",
-    "crosstalk_simultaneous": "pings at once",
-    "crosstalk_sequential": "pings in turn",
-    "external_interference": "external ultrasound",
+LABEL_LETTERS = 30
+"""Letters in a line of a row's words: the panels need the rest of the width."""
+VERDICTS = {
+    "matters": (REFERENCE, "s", "full"),
+    "does not matter": (GREEN, "o", "full"),
+    "cannot tell": (GREY, "D", "none"),
 }
-"""Names of the questions as a picture has room for."""
+"""Verdict -> colour, marker, and how the marker is filled."""
 
-METRICS = {
-    "bias": "mean error, difference",
-    "spread": "spread, ratio",
-    "missed": "missed, odds ratio",
-    "outliers": "outliers, odds ratio",
-}
+Row = tuple[float, FactorEffect, IntervalEstimate]
+"""Height, and an effect with its estimate."""
 
 
-def forest(findings: Findings, rows: PictureData) -> Drawn:
-    """The questions as a forest plot."""
-    shown = [
-        (_label(each), [(effect, effect.estimate) for effect in each.effects if effect.estimate is not None])
-        for each in findings.questions
-    ]
-    if not any(effects for _, effects in shown):
-        raise Absent(sentence(findings.absent.get("questions", "the data compare no two settings of the bench")))
+def entries(rows: PictureData) -> list[Entry]:
+    """The only picture."""
+    return [("questions", "The questions in one picture", _forest)]
+
+
+def _forest(rows: PictureData) -> Drawn:
+    questions = rows.findings.questions
+    if not any(effect.estimate for each in questions for effect in each.effects):
+        raise Absent(sentence(rows.findings.absent.get("questions", "the data compare no two settings of the bench")))
     caption = (
         "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
         "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
         f"number of questions (Holm). Missed readings and outliers that change by less than {SHARE_BOUND:.0%} of all "
         "readings also count as too small, whatever their odds. No bars: unknown. An arrow: the interval is longer."
     )
-    return Drawn(draw_questions(shown), caption, "Effect sizes of every question with their intervals.")
+    return Drawn(_draw(questions), caption, "Effect sizes of every question with their intervals.")
 
 
 def _label(question: Question) -> str:
-    name = QUESTION_NAMES.get(question.name, question.name)
-    level = f"\n{question.level} against {question.reference}" if question.level else ""
     sensor = f", {question.sensor}" if question.sensor else ""
-    return f"{name}{sensor}{level}"
+    lines = [f"{EXPERIMENTS[question.name].short}{sensor}"]
+    lines += [f"{question.level} against {question.reference}"] if question.level else []
+    return "\n".join(textwrap.fill(line, LABEL_LETTERS) for line in lines)
 
 
-def effects_table(findings: Findings) -> PageTable | None:
-    """Every effect of every question; None where none was asked."""
-    rows = []
-    for question in findings.questions:
-        subject = f"{question.name.replace('_', ' ')}: {question.level} against {question.reference}"
-        if question.sensor:
-            subject += f" ({question.sensor})"
-        for effect in question.effects:
-            rows.append((subject, METRICS[effect.metric], effect.verdict, *_numbers(effect)))
-            subject = ""
-    if not rows:
-        return None
-    return PageTable(
-        name="effects",
-        title="Every effect",
-        header=(
-            "question",
-            "property",
-            "verdict",
-            "effect, 95 % interval",
-            "small enough",
-            "smallest detectable",
-            "p, adjusted",
-        ),
-        rows=tuple(rows),
-        caption=(
-            "No effect is a difference of 0 or a ratio of 1. p is adjusted by Holm over all effects. 'Matters': there "
-            "is an effect by it, and it may be larger than what is small enough. 'Does not matter': the 90 % interval "
-            "lies within that (two one-sided tests), or missed readings and outliers change by less than "
-            f"{SHARE_BOUND:.0%} of all readings. Smallest detectable: in 80 % of cases, at the adjusted level."
-        ),
-        words=3,
-    )
+def _draw(questions: Sequence[Question]) -> Figure:
+    """A row a question, from the top, a panel a metric."""
+    labels = [_label(each) for each in questions]
+    # Rows as high as their words; y counts lines from the bottom.
+    tops = np.cumsum([0, *(max(label.count("\n") + 1, 2) for label in labels)])
+    height = float(tops[-1])
+    middles = (height - (tops[:-1] + tops[1:]) / 2.0).tolist()
+    rows = [
+        (middle, effect, effect.estimate)
+        for middle, each in zip(middles, questions, strict=True)
+        for effect in each.effects
+        if effect.estimate is not None
+    ]
+    metrics = [metric for metric in METRICS if any(effect.metric == metric for _, effect, _ in rows)]
+    figure = new_figure(1.4 + 0.19 * height)
+    panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
+    for metric, axes in zip(metrics, panels, strict=True):
+        _panel(axes, [row for row in rows if row[1].metric == metric])
+        axes.set_ylim(0.0, height)
+        axes.set_title(METRICS[metric].replace(", ", ",\n") + (" [cm]" if metric == "bias" else ""))
+        axes.grid(axis="y", visible=False)
+        axes.spines["left"].set_visible(False)
+    panels[0].set_yticks(middles, labels, fontsize=7.5)
+    for axes in panels:
+        axes.tick_params(axis="y", length=0)
+    first, handles = panels[0], []
+    for verdict, (colour, marker, fill) in VERDICTS.items():
+        handles += first.plot([], [], marker, color=colour, fillstyle=fill, markersize=6, label=verdict)
+    handles += [first.fill_between([], [], [], label="too small to matter", **shaded())]
+    words = "smallest that these data show"
+    handles += first.plot([], [], "|", color=INK, markersize=9, label=words)
+    return legend_below(figure, handles)
 
 
-def _numbers(effect: FactorEffect) -> tuple[str, ...]:
-    is_ratio = effect.metric != "bias"
-    bound = f"{1.0 / effect.bound:.2g} to {effect.bound:.3g}" if is_ratio else f"±{effect.bound:.2g} cm"
-    smallest = effect.smallest_detectable
-    return (
-        "–" if effect.estimate is None else interval(effect.estimate),
-        bound,
-        "–" if smallest is None else f"{smallest:.2g}" if is_ratio else f"±{smallest:.2g} cm",
-        "–" if effect.p_adjusted is None else p_text(effect.p_adjusted),
-    )
+def _panel(axes: Axes, rows: Sequence[Row]) -> None:
+    """Every effect on one property of the readings."""
+    is_ratio = rows[0][1].is_ratio
+    _set_scale(axes, rows, is_ratio)
+    left, right = axes.get_xlim()
+    axes.axvline(1.0 if is_ratio else 0.0, color=GREY)
+    for y, effect, size in rows:
+        colour, marker, fill = VERDICTS[effect.verdict]
+        small = [effect.mirrored(effect.bound), effect.bound]
+        axes.fill_between(small, y - 0.8, y + 0.8, **shaded())
+        smallest = effect.smallest_detectable
+        for edge in () if smallest is None else (smallest, effect.mirrored(smallest)):
+            if left <= edge <= right:
+                axes.vlines(edge, y - 0.7, y + 0.7, color=INK)
+        low, high = size.low, size.high
+        ends = [left if low is None else max(low, left), right if high is None else min(high, right)]
+        axes.plot(ends, [y, y], color=colour)
+        for edge, arrow, points, is_beyond in (
+            (left, "<", 5, low is None or low < left),
+            (right, ">", 5, high is None or high > right),
+            (left, "<", 7, size.value < left),
+            (right, ">", 7, size.value > right),
+        ):
+            if is_beyond:
+                axes.plot([edge], [y], marker=arrow, markersize=points, color=colour, clip_on=False)
+        if left <= size.value <= right:
+            look: dict[str, Any] = {"fillstyle": fill, "markerfacecolor": "white" if fill == "none" else colour}
+            axes.plot([size.value], [y], marker=marker, color=colour, markersize=6, **look)
+
+
+def _set_scale(axes: Axes, rows: Sequence[Row], is_ratio: bool) -> None:
+    reach = _reach(rows, is_ratio)
+    if is_ratio:
+        axes.set_xscale("log")
+        axes.set_xlim(1.0 / reach, reach)
+        step = next((each for each in (100.0, 10.0, 2.0) if each <= reach), 1.2)
+        ticks = [1.0 / step, 1.0, step]
+    else:
+        far = 6.0 * max(effect.bound for _, effect, _ in rows)
+        ticks = []
+        if reach > 2.0 * far:
+            # One large effect would hide the small ones: to scale up to here, compressed beyond.
+            axes.set_xscale("symlog", linthresh=far / 3.0, linscale=0.9)
+            reach *= 1.3
+            step = next(each for each in (100, 10, 5, 1) if each <= reach)
+            ticks = [-step, *((-1, 0, 1) if step > 1 else (0,)), step]
+        axes.set_xlim(-reach, reach)
+    if ticks:
+        axes.xaxis.set_major_locator(FixedLocator(ticks))
+        axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter("{x:g}")
+
+
+def _reach(rows: Sequence[Row], is_ratio: bool) -> float:
+    """How far the axis goes to either side: past values and bounds and, within reason, past intervals."""
+    near = [each for _, effect, size in rows for each in (size.value, effect.bound)]
+    others = [each for _, effect, size in rows for each in (size.low, size.high, effect.smallest_detectable)]
+    ends = [each for each in others if each is not None]
+    if not is_ratio:
+        far = max(map(abs, near))
+        return 1.15 * float(min(max([far, *map(abs, ends)]), 3.0 * far))
+    limit = max([*(abs(np.log(each)) for each in near if each > 0.0), np.log(2.0)])
+    logs = [abs(np.log(each)) for each in ends if each > 0.0 and np.isfinite(each)]
+    return float(np.exp(1.15 * min(max([limit, *logs]), np.log(100.0))))

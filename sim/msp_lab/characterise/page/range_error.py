@@ -3,28 +3,37 @@
 import re
 from collections.abc import Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.draw.accuracy import draw_linearity
-from msp_lab.characterise.page.draw.errors import ErrorAxes, Errors, draw_errors, shared_limits_cm
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, needed, summary
-from msp_lab.characterise.page.text import file_word, interval, plus, sentence, span
+from msp_lab.characterise.estimates import Z
+from msp_lab.characterise.findings import CalibrationFindings
+from msp_lab.characterise.page.errors import draw_errors, scale_of
+from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.text import interval, span
 from msp_lab.characterise.temperature import ROOM_C
+from msp_range.correction.calibration import curve_through
+from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, legend_below, line_at_zero, new_figure, shaded
+from msp_sim.page.text import plus, sentence
 
 MAX_LEVELS = 5
 """Panels that a picture has room for."""
 NEAR_ROOM_C = 5.0
 """Air this near to `ROOM_C` counts as room temperature [deg C]; a box that is called cold or hot is farther from it."""
+CROWDED = 60
+"""With more points than this they are drawn smaller and paler than the lines."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order, a material each."""
     yield "calibration", "Calibration and linearity", calibration
     yield "range_error", "Range error, nothing varied", baseline
-    for name in materials(rows):
-        yield f"material_{file_word(name)}", f"Range error, target of {name}", partial(material, name=name)
+    for name in _materials(rows):
+        file_word = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name.lower())
+        yield f"material_{file_word}", f"Range error, target of {name}", partial(material, name=name)
     for kind in ("room", "hot", "cold"):
         yield f"temperature_{kind}", f"Range error, {kind} air at the sensor", partial(temperature, kind=kind)
     yield "vibration", "Range error while the housing vibrates", vibration
@@ -33,9 +42,9 @@ def entries(rows: PictureData) -> Iterator[Entry]:
     yield "external_interference", "Range error with external ultrasound", external
 
 
-def calibration(findings: Findings, rows: PictureData) -> Drawn:
+def calibration(rows: PictureData) -> Drawn:
     """Draw the calibration and its linearity."""
-    found = needed(findings.calibration, findings, "calibration")
+    found = rows.needed(rows.findings.calibration, "calibration")
     caption = f"Mean error {interval(found.bias)}"
     if found.offset is not None and found.scale is not None:
         caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"
@@ -44,54 +53,86 @@ def calibration(findings: Findings, rows: PictureData) -> Drawn:
         if found.linearity_noise_floor_cm is not None:
             caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
     caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
-    by_sound = findings.calibration_temperature_c is not None
-    return Drawn(draw_linearity(found, by_sound), caption, "Mean error over true range with the calibration.")
+    by_sound = rows.findings.calibration_temperature_c is not None
+    return Drawn(_draw_linearity(found, by_sound), caption, "Mean error over true range with the calibration.")
 
 
-def baseline(findings: Findings, rows: PictureData) -> Drawn:
+def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
+    """Mean error over range with the forms of calibration; next to it their errors on left-out points."""
+    figure = new_figure(3.7)
+    axes, *side = figure.subplots(1, 2, width_ratios=(3.4, 1.0)) if found.held_out else [figure.subplots()]
+    true_cm, reading_cm = np.array(found.true_cm), np.array(found.reading_cm)
+    span_cm = np.linspace(float(np.min(true_cm)), float(np.max(true_cm)), 200)
+    line_at_zero(axes)
+    if found.reference_std_cm:
+        half_cm, words = 2.0 * found.reference_std_cm, "± 2 standard deviations of the reference"
+        axes.axhspan(-half_cm, half_cm, label=words, **shaded())
+    size, alpha = (2.0, 0.4) if true_cm.size > CROWDED else (4.0, 1.0)
+    look: dict[str, Any] = {"color": OURS, "markersize": size, "alpha": alpha, "elinewidth": 0.8, "capsize": 0}
+    reach_cm, words = Z * np.array(found.reading_std_cm), "mean of a point, 95 % by its readings"
+    axes.errorbar(true_cm, reading_cm - true_cm, reach_cm, fmt="o", label=words, **look)
+    if found.offset is not None and found.scale is not None:
+        line_cm = found.offset.value + (found.scale.value - 1.0) * span_cm
+        axes.plot(span_cm, line_cm, "--", color=REFERENCE, label="straight line")
+    if found.knots:
+        kept_cm = curve_through(found.knots).forward(span_cm) - span_cm
+        axes.plot(span_cm, kept_cm, "-", color=GREEN, label="calibration that is kept")
+        inside = [each for each in found.knots if span_cm[0] <= each.true_cm <= span_cm[-1]]
+        x, y = [each.true_cm for each in inside], [each.reading_cm - each.true_cm for each in inside]
+        axes.plot(x, y, "s", markersize=5, color=GREEN, markeredgecolor="white")
+    axes.set_xlabel("true range [cm]" + (", in air of the calibration temperature" if by_sound else ""))
+    axes.set_ylabel("mean reading − true range [cm]")
+    for each in side:
+        _draw_left_out(each, found)
+    return legend_below(figure)
+
+
+def _draw_left_out(axes: Axes, found: CalibrationFindings) -> None:
+    places, rms_cm = range(len(found.held_out)), [each.rms_cm for each in found.held_out]
+    colours = [GREEN if each.form == found.form else PALE for each in found.held_out]
+    bars = axes.bar(places, rms_cm, width=0.7, color=colours)
+    axes.bar_label(bars, [f"{value:.2f}" for value in rms_cm], fontsize=8, padding=2)
+    axes.set_xticks(places, [each.form.replace(" ", "\n", 1) for each in found.held_out], fontsize=7)
+    axes.set_ylabel("rms on points left out [cm]")
+    axes.margins(y=0.15)
+    axes.grid(axis="x", visible=False)
+    axes.set_title("kept: " + found.form, fontsize=8)
+
+
+def baseline(rows: PictureData) -> Drawn:
     """Draw the range error with nothing varied."""
     errors = rows.errors(rows.of("baseline"))
-    axes = None
+    band = None
     if rows.reference is not None:
         largest_cm = rows.reference.largest_error_cm
-        axes = ErrorAxes(band_cm=largest_cm, band_label=f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm")
-    caption = summary(errors)
-    if findings.baseline is not None:
-        found = findings.baseline
+        band = largest_cm, f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
+    caption, found = summary(errors), rows.findings.baseline
+    if found is not None:
         caption += f" Mean error {interval(found.bias)}; largest error of a hit {plus(found.largest_hit_error_cm)} cm."
-    return Drawn(draw_errors([errors], axes), caption, "Range error over true range without anything varied.")
+    alternative = "Range error over true range without anything varied."
+    return Drawn(draw_errors([errors], band=band), caption, alternative)
 
 
-def materials(rows: PictureData) -> list[str]:
-    """Return the targets of the material experiment; none where it was not done."""
-    try:
-        found = rows.of("material")
-    except Absent:
-        return []
-    return [str(each) for each in np.unique(rows.data.column("target")[found]) if each]
+def _materials(rows: PictureData) -> list[str]:
+    """Targets of the material experiment; none where it was not done."""
+    target = rows.data.column("target")
+    return [str(each) for each in np.unique(target[rows.of("material")]) if each] if rows.has("material") else []
 
 
-def material(findings: Findings, rows: PictureData, name: str) -> Drawn:
+def material(rows: PictureData, name: str) -> Drawn:
     """Draw the range error on a material."""
-    found = rows.of("material")
-    there = materials(rows)
+    found, target, there = rows.of("material"), rows.data.column("target"), _materials(rows)
     if name not in there:
         raise Absent(f"No readings of {name}; the targets are {', '.join(there) or 'not named (column target)'}.")
-    target = rows.data.column("target")
     errors = rows.errors(found & (target == name))
-    limits = shared_limits_cm([rows.errors(found & (target == each)) for each in there])
-    caption = summary(errors) + _answers(findings, "material", name)
-    return Drawn(
-        draw_errors([errors], ErrorAxes(limits_cm=limits)),
-        caption,
-        f"Range error over true range, target of {name}.",
-    )
+    scale = scale_of([rows.errors(found & (target == each)) for each in there])
+    caption = summary(errors) + _answers(rows, "material", name)
+    return Drawn(draw_errors([errors], scale), caption, f"Range error over true range, target of {name}.")
 
 
-def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
+def temperature(rows: PictureData, kind: str) -> Drawn:
     """Draw the range error in room, hot or cold air."""
-    found = rows.of("temperature")
-    air_c = rows.data.column("air_temperature_c")
+    found, air_c = rows.of("temperature"), rows.data.column("air_temperature_c")
     if not np.any(np.isfinite(air_c[found])):
         raise Absent("The readings of the temperature have no air temperature (column air_temperature_c).")
     kinds = {
@@ -99,68 +140,58 @@ def temperature(findings: Findings, rows: PictureData, kind: str) -> Drawn:
         "room": found & (np.abs(air_c - ROOM_C) < NEAR_ROOM_C),
         "hot": found & (air_c >= ROOM_C + NEAR_ROOM_C),
     }
-    if not np.any(kinds[kind]):
+    here = kinds[kind]
+    if not np.any(here):
         there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint(air_c[found & np.isfinite(air_c)]))[:8])
         raise Absent(f"No readings at {kind} temperature; the air was at {there} °C.")
-    errors = rows.errors(kinds[kind])
-    limits = shared_limits_cm([rows.errors(each) for each in kinds.values() if np.any(each)])
-    caption = f"Air at the sensor {span(air_c[kinds[kind]])} °C"
-    far_c = rows.data.column("target_temperature_c")[kinds[kind]]
-    caption += f", at the target {span(far_c)} °C. " if np.any(np.isfinite(far_c)) else ". "
-    caption += summary(errors)
-    for box in findings.hot_boxes:
+    errors = rows.errors(here)
+    scale = scale_of([rows.errors(each) for each in kinds.values() if np.any(each)])
+    far_c = rows.data.column("target_temperature_c")[here]
+    at_target = f", at the target {span(far_c)} °C" if np.any(np.isfinite(far_c)) else ""
+    caption = f"Air at the sensor {span(air_c[here])} °C{at_target}. {summary(errors)}"
+    for box in rows.findings.hot_boxes:
         if kind != "room" and (box.box_c > ROOM_C) == (kind == "hot"):
             caption += f" {sentence(box.answer)}"
-    return Drawn(
-        draw_errors([errors], ErrorAxes(limits_cm=limits)),
-        caption,
-        f"Range error over true range, {kind} air at the sensor.",
-    )
+    return Drawn(draw_errors([errors], scale), caption, f"Range error over true range, {kind} air at the sensor.")
 
 
-def vibration(findings: Findings, rows: PictureData) -> Drawn:
+def vibration(rows: PictureData) -> Drawn:
     """Draw the range error at each frequency of vibration."""
-    found = rows.of("vibration")
-    vibration_hz = rows.data.column("vibration_hz")
+    found, vibration_hz = rows.of("vibration"), rows.data.column("vibration_hz")
     shaken = found & (vibration_hz > 0.0)
     if not np.any(shaken):
         raise Absent("No readings with vibration (column vibration_hz above 0).")
-    panels = [
-        rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in np.unique(vibration_hz[shaken]).tolist()
-    ]
+    frequencies_hz = np.unique(vibration_hz[shaken]).tolist()
+    panels = [rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in frequencies_hz]
     caption = f"Vibration of {span(vibration_hz[shaken])} Hz. {summary(rows.errors(shaken))}"
-    caption += _answers(findings, "vibration", None)
+    caption += _answers(rows, "vibration")
     return Drawn(draw_errors(panels), caption, "Range error over true range while the sensor's housing vibrates.")
 
 
-def crosstalk(findings: Findings, rows: PictureData, condition: str) -> Drawn:
+def crosstalk(rows: PictureData, condition: str) -> Drawn:
     """Draw the range error of two sensors that ping at once or in turn."""
-    found = rows.of(condition)
-    names = np.unique(rows.sensor[found]).tolist()
-    panels: list[Errors] = [
-        rows.errors(found & (rows.sensor == name), name if name.startswith("sensor") else f"sensor {number}, {name}")
-        for number, name in enumerate(names, start=1)
+    found, sensor = rows.of(condition), rows.data.column("sensor")
+    panels = [
+        rows.errors(found & (sensor == name), name if name.startswith("sensor") else f"sensor {place}, {name}")
+        for place, name in enumerate(np.unique(sensor[found]).tolist(), start=1)
     ]
-    caption = " ".join(sentence(f"{each.label}: {summary(each)}") for each in panels)
-    caption += _answers(findings, condition, None)
+    caption = " ".join(sentence(f"{each.label}: {summary(each)}") for each in panels) + _answers(rows, condition)
     return Drawn(draw_errors(panels), caption, "Range error over true range of two sensors next to each other.")
 
 
-def external(findings: Findings, rows: PictureData) -> Drawn:
+def external(rows: PictureData) -> Drawn:
     """Draw the range error at each level of external ultrasound."""
     found = rows.of("external_interference")
     levels = [str(each) for each in np.unique(rows.level[found])]
     levels.sort(key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0")))
     panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MAX_LEVELS]]
-    caption = f"{summary(rows.errors(found))} {_answers(findings, 'external_interference', None)}".strip()
+    caption = f"{summary(rows.errors(found))} {_answers(rows, 'external_interference')}".strip()
     left_out = len(levels) - len(panels)
     caption += f" Not drawn: {left_out} more level{'s'[: left_out - 1]}." if left_out else ""
     return Drawn(draw_errors(panels), caption, "Range error over true range next to an external ultrasonic source.")
 
 
-def _answers(findings: Findings, name: str, level: str | None) -> str:
-    """What the questions of an experiment were answered, one sentence each."""
-    answers = [
-        each.answer for each in findings.questions if each.name == name and (level is None or each.level == level)
-    ]
-    return "".join(f" {sentence(answer)}" for answer in answers)
+def _answers(rows: PictureData, name: str, level: str = "") -> str:
+    """Answers to the questions of an experiment, or of one of its levels, one sentence each."""
+    asked = [each for each in rows.findings.questions if each.name == name]
+    return "".join(f" {sentence(each.answer)}" for each in asked if level in ("", each.level))

@@ -1,11 +1,10 @@
-"""Numbers and sentences as the page writes them: intervals, signs, full stops."""
-
-import re
+"""Estimates and counts in words, as the page and the terminal write them."""
 
 import numpy as np
 
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.arrays import Array
+from msp_sim.page.text import minus
 
 
 def interval(estimate: IntervalEstimate) -> str:
@@ -23,13 +22,17 @@ def interval(estimate: IntervalEstimate) -> str:
     unit = f" {estimate.unit}" if estimate.unit else ""
     if reach == 0.0:
         return minus(f"{estimate.value:.6g}{unit}")
-    digits = int(min(max(1 - np.floor(np.log10(reach)), 0), 6))
+    digits = _digits(reach)
     if ends and 0.0 < abs(estimate.value) < 0.1 * reach:
         # With a wide interval the value itself needs more digits than the interval.
-        digits = int(min(max(digits, 1 - np.floor(np.log10(abs(estimate.value)))), 6))
-    low = "?" if estimate.low is None else f"{estimate.low:.{digits}f}"
-    high = "?" if estimate.high is None else f"{estimate.high:.{digits}f}"
+        digits = max(digits, _digits(abs(estimate.value)))
+    low, high = ("?" if end is None else f"{end:.{digits}f}" for end in (estimate.low, estimate.high))
     return minus(f"{estimate.value:.{digits}f} ({low} to {high}){unit}")
+
+
+def _digits(size: float) -> int:
+    """Decimals with which a number of this size has two digits."""
+    return int(min(max(1 - np.floor(np.log10(size)), 0), 6))
 
 
 def half_interval(estimate: IntervalEstimate) -> str:
@@ -48,53 +51,6 @@ def span(values: Array) -> str:
     return f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
 
 
-def are(count: int, noun: str) -> str:
-    """Return 'is one peak' or 'are 3 peaks'."""
-    return f"is one {noun}" if count == 1 else f"are {count} {noun}s"
-
-
-def number(value: float | None, digits: int) -> str:
-    """Return a number with so many digits, and a dash where there is none."""
-    return "–" if value is None else minus(f"{value:.{digits}f}")
-
-
-def sentence(text: str) -> str:
-    """Return a text that begins with a capital and ends with a full stop, its minus signs as long as its plus signs.
-
-    Examples
-    --------
-    >>> sentence("nothing grows with range"), sentence("Said."), sentence("")
-    ('Nothing grows with range.', 'Said.', '')
-    """
-    text = minus(text.strip())
-    return text[:1].upper() + text[1:] + ("" if not text or text[-1] in ".?!" else ".")
-
-
-def minus(text: str) -> str:
-    """Return a text whose hyphens before numbers are minus signs.
-
-    Examples
-    --------
-    >>> minus("-1.39 cm (-1.57 to -1.20), 40-60 cm")
-    '−1.39 cm (−1.57 to −1.20), 40-60 cm'
-    """
-    return re.sub(r"(?<![\w.])-(?=\d)", "−", text)
-
-
-def plus(number: float, digits: int = 1) -> str:
-    """Return a signed number with a true minus sign; no sign for what rounds to 0.
-
-    Examples
-    --------
-    >>> plus(-1.26), plus(0.04), plus(3.0)
-    ('−1.3', '0.0', '+3.0')
-    """
-    text = f"{number:+.{digits}f}"
-    if float(text) == 0.0:
-        return text[1:]
-    return text.replace("-", "−")
-
-
-def file_word(word: str) -> str:
-    """Return a word of the data as a part of a file's name."""
-    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in word.lower())
+def counted(count: int, noun: str) -> str:
+    """Return 'one peak' or '3 peaks'."""
+    return f"one {noun}" if count == 1 else f"{count} {noun}s"
