@@ -44,6 +44,8 @@ KEPT = 80
 """Hypotheses that go on after an answer; 40 give the same verdicts on the flights of seed 501."""
 MODES = ["ground", "fixed", "constant", "saturated", "late", "longer", "shorter", "offset", "dust", "garbled"]
 GROUND, FIXED, CONSTANT, SATURATED, LATE, LONGER, SHORTER, OFFSET, DUST, GARBLED = range(len(MODES))
+BLIND = (FIXED, CONSTANT, GARBLED)
+"""Modes whose answers say nothing about the ground: a distance that rests on them is right by coincidence only."""
 HIT, OUTLIER, STEP = range(3)
 """What an answer of the ground is; the columns of the options are these three and the faults."""
 A, W, B, G, U, D, E, C, LEVEL = range(9)
@@ -52,6 +54,8 @@ FAULTS_HZ, FAULTY_AT_START, ENDS_HZ, FOLLOWS = 1 / 60, 0.3, 1 / 30, 0.5
 """Faults of a vehicle in a second, and at the start; how soon one ends; probability that the next sensor follows."""
 STEPS_HZ, STEP_FOLLOWS, STEP_S = 1 / 20, 0.2, 5.0
 """New levels of the ground in a second; probability that the next sensor meets one within `STEP_S`, at each answer."""
+HIGHEST_EDGE_M, HIGHEST_BOX_M = 2.1, 1.2
+"""Edges keep the vehicle 1 m over them; over the lower boxes, of up to 1.1 m, it flies 0.6 m high."""
 NOISE_M, SHORTEST_CM, NO_ECHO_CM, SATURATED_CM = 0.0195, 20, 765, 255
 GRAVITY_M_S2, SCALE_HEIGHT_M, CALIBRATED_K = 9.80665, 8434.0, 295.65
 Array = NDArray[Any]
@@ -76,16 +80,20 @@ class Hypotheses:
 
     def __init__(self, sensors: int) -> None:
         size = LEVEL + sensors
-        self.x, self.p, self.log_w = np.zeros((1, size)), np.zeros((1, size, size)), np.zeros(1)
-        self.x[0, G] = -3.0
-        std = [0.0, 1.0, 0.1, 4.0, 0.1, 1.0, 0.3, 1.5, *[0.04] * sensors]
-        self.p[0] = np.diag(np.square(std))
+        # It stands on the ground, or in the air where the flight begins there (only the family 'follow' does).
+        self.log_w = np.log([0.9, 0.1])
+        self.x, self.p = np.zeros((2, size)), np.zeros((2, size, size))
+        self.x[:, G] = -0.18, -2.4
+        self.rise_m_s = np.array([0.03, 0.15])
+        for each, rate_m_s, ground_m, rise_m_s in zip(self.p, (0.02, 0.2), (0.04, 1.2), self.rise_m_s, strict=True):
+            std = [0.0, rate_m_s, 0.1, ground_m, rise_m_s, 1.0, 0.3, 1.5, *[0.04] * sensors]
+            np.fill_diagonal(each, np.square(std))
         # By sensor: mode, what the last answer was, reference and count of a fault's answers, when it began.
-        self.mode, self.last, self.count = (np.zeros((1, sensors), dtype=np.int64) for _ in range(3))
-        self.ref, self.since_s = np.zeros((1, sensors)), np.zeros((1, sensors))
+        self.mode, self.last, self.count = (np.zeros((2, sensors), dtype=np.int64) for _ in range(3))
+        self.ref, self.since_s = np.zeros((2, sensors)), np.zeros((2, sensors))
         # The last change of a mode and the last step of the ground: which, to what, when.
-        self.change, self.change_ref, self.change_s = np.zeros(1, dtype=np.int64), np.zeros(1), np.full(1, -99.0)
-        self.step_m, self.step_s = np.zeros(1), np.full(1, -99.0)
+        self.change, self.change_ref, self.change_s = np.zeros(2, dtype=np.int64), np.zeros(2), np.full(2, -99.0)
+        self.step_m, self.step_s = np.zeros(2), np.full(2, -99.0)
         self._answered: dict[int, tuple[float, int]] = {}
         self._time_s = self._up_m_s2 = self._speed_m_s = self._way_m = 0.0
         self._up_s = -99.0
@@ -102,14 +110,15 @@ class Hypotheses:
         f = np.eye(self.x.shape[1])
         f[A, W], f[A, B], f[W, B], f[G, U] = t, -t * t / 2, -t, t
         f[U, U], f[E, E] = math.exp(-t / 10.0), math.exp(-t / 2.5)
-        speed = (0.3 if known else 2.0) * math.sqrt(t * max(t, 0.04))
+        speed = (0.3 if known else 3.5) * math.sqrt(t * max(t, 0.04))
         q = np.zeros(len(f))
-        q[U], q[D], q[E] = 0.01 * (1 - f[U, U] ** 2), 0.05**2 * t, 0.09 * (1 - f[E, E] ** 2)
+        q[D], q[E] = 0.05**2 * t, 0.09 * (1 - f[E, E] ** 2)
         q[W], q[A], q[LEVEL:] = speed**2, (speed * t) ** 2 / 4, 1e-4 * t
         self.x = self.x @ f.T
         self.x[:, A] += up_m_s2 * t * t / 2
         self.x[:, W] += up_m_s2 * t
         self.p = f @ self.p @ f.T + np.diag(q)
+        self.p[:, U, U] += self.rise_m_s**2 * (1 - f[U, U] ** 2)
         self._way_m += self._speed_m_s * t + up_m_s2 * t * t / 2
         self._speed_m_s += up_m_s2 * t
         self._past.append((time_s, self._speed_m_s, self._way_m))
@@ -164,16 +173,17 @@ class Hypotheses:
             return 0.96 * _normal(r_m, at, spread) * (1 - beyond) * (raw < NO_ECHO_CM) / 100 + 1e-30
 
         rise_m, steps = mean - r_m, time_s - self.step_s < STEP_S
-        allowed = (np.abs(rise_m) < 2.0) & (r_m > 0.55) & (raw < NO_ECHO_CM)
+        allowed = (np.abs(rise_m) < (HIGHEST_EDGE_M if r_m > 0.95 else HIGHEST_BOX_M)) & (r_m > 0.55) & (raw < NO_ECHO_CM)
         like = np.empty((len(x), 2 + len(MODES)))
         like[:, HIT], like[:, OUTLIER] = hit(mean, seen), outlier
         level_m = x[:, LEVEL + s] + rise_m
         like[:, STEP] = np.where(allowed, 1 / 400, 1e-12)
         near_step = np.where(steps, STEP_FOLLOWS * _normal(level_m, self.step_m, 0.0025) / 100, 0.0)
         like[:, STEP] = near_step + min(STEPS_HZ * turn_s, 0.2) * like[:, STEP]
+        nearer = ndtr((mean + 0.02 - r_m) / np.sqrt(seen))
         away = [_normal(raw, ref, std**2 * (1 + 1 / np.maximum(count, 1))) for std in (0.4, 1.0, 3.0)]
         again = 0.3 * away[0] + 0.35 * away[1] + 0.35 * away[2] + 1e-4
-        like[:, 2 + FIXED] = np.where(mode != FIXED, (17 <= raw <= 63) * (r_m < mean + 0.1) / 46 + 1e-12, again)
+        like[:, 2 + FIXED] = np.where(mode != FIXED, (17 <= raw <= 63) * nearer / 46 + 1e-12, again)
         as_others = np.where((self.change == CONSTANT) & (self.change_ref == raw), 0.4, 0.0)
         first = as_others + 0.4 * (raw == last_raw) + 0.2 / 745
         like[:, 2 + CONSTANT] = np.where(mode != CONSTANT, first, np.where(ref == raw, 1.0, 1e-6))
@@ -185,7 +195,7 @@ class Hypotheses:
             like[:, 2 + drift] = hit(mean + sign * 0.0225 * faulty_s, seen + (0.0043 * faulty_s) ** 2) + outlier
         off = (np.abs(rise_m) > 0.28) & (np.abs(rise_m) < 3.02)
         like[:, 2 + OFFSET] = np.where(mode != OFFSET, off / 540 + 1e-9, hit(mean + ref, seen + NOISE_M**2) + outlier)
-        dust = (0.6 * (SHORTEST_CM <= raw <= 250) / 230 + 0.4 * (SHORTEST_CM <= raw <= 100) / 80) * (r_m < mean + 0.1)
+        dust = (0.6 * (SHORTEST_CM <= raw <= 250) / 230 + 0.4 * (SHORTEST_CM <= raw <= 100) / 80) * nearer
         like[:, 2 + DUST] = 0.55 * dust + 0.45 * (0.7 * hit(mean, seen) + 0.3 * hit(mean, seen + 0.06)) + outlier
         like[:, 2 + GARBLED] = 0.5 / 745 if raw <= NO_ECHO_CM else 0.5 / 65536
         score = self.log_w[:, None] + np.log(like) + np.log(self._transition(s, time_s, turn_s, math.isnan(last_s)))
@@ -222,7 +232,7 @@ class Hypotheses:
                 each = ndtr((mean - maximum_m + half_m) / std)
             else:
                 each = ndtr((distance_m + half_m - mean) / std) - ndtr((distance_m - half_m - mean) / std)
-            right = np.maximum(right, each)
+            right = np.where(np.isin(self.mode[:, s], BLIND), right, np.maximum(right, each))
         w = np.exp(self.log_w - self.log_w.max())
         return math.log(max(float(w @ (1 - right)), 1e-300) / max(float(w @ right), 1e-300))
 
@@ -273,7 +283,7 @@ class Hypotheses:
         return parent[chosen], option[chosen]
 
     def _take(self, parent: Array) -> None:
-        for name in ("x", "p", "mode", "last", "count", "ref", "since_s", "change", "change_ref", "change_s"):
+        for name in ("x", "p", "mode", "last", "count", "ref", "since_s", "change", "change_ref", "change_s", "rise_m_s"):
             setattr(self, name, getattr(self, name)[parent])
         self.step_m, self.step_s = self.step_m[parent], self.step_s[parent]
 
