@@ -30,6 +30,7 @@ merged keep the likeliest one's estimate, and those that are dropped could have 
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,7 +53,7 @@ A, W, B, G, U, D, E, C, LEVEL = range(9)
 """States; the levels below the sensors are the last ones."""
 FAULTS_HZ, FAULTY_AT_START, ENDS_HZ, FOLLOWS = 1 / 60, 0.3, 1 / 30, 0.5
 """Faults of a vehicle in a second, and at the start; how soon one ends; probability that the next sensor follows."""
-STEPS_HZ, STEP_FOLLOWS, STEP_S = 1 / 20, 0.2, 5.0
+STEPS_HZ, STEP_FOLLOWS, STEP_S = 1 / 60, 0.2, 5.0
 """New levels of the ground in a second; probability that the next sensor meets one within `STEP_S`, at each answer."""
 HIGHEST_EDGE_M, HIGHEST_BOX_M = 2.1, 1.2
 """Edges keep the vehicle 1 m over them; over the lower boxes, of up to 1.1 m, it flies 0.6 m high."""
@@ -372,23 +373,22 @@ def _thermometer_wrong(received: Sequence[tuple[float, float]], half_share: floa
     if len(received) < 3:
         return -math.inf
     times_s, values_c = np.array(received).T
-    one, noise = np.ones_like(times_s), 0.01 * np.eye(len(times_s))
-    constant = one[:, None] * one * 225.0 + noise
-    right = _log_normal(values_c - 15.0, constant)
-    total = wrong = -math.inf
-    taus_s = (60.0, 75.0, 90.0, 105.0, 120.0)
-    for tau_s in taus_s:
+    one, noise = np.ones_like(times_s), 0.1**2 * np.eye(len(times_s))
+    right = _log_normal(values_c - 15.0, 15.0**2 * np.outer(one, one) + noise)
+    wrong = -math.inf
+    limit_c = half_share * 2 * (273.15 + values_c[-1])
+    for tau_s, (air_c, by_c) in product((60.0, 75.0, 90.0, 105.0, 120.0), ((-15.0, 35.0), (20.0, -35.0))):
         decay = np.exp(-times_s / tau_s)
-        covariance = constant + decay[:, None] * decay * 34.0**2
-        weight = _log_normal(values_c - 15.0, covariance) - math.log(len(taus_s))
-        gain = 34.0**2 * np.linalg.solve(covariance, decay)
-        mean, std = float(gain @ (values_c - 15.0)), math.sqrt(max(34.0**2 * (1.0 - float(gain @ decay)), 1e-6))
-        limit_c = half_share * 2 * (273.15 + values_c[-1])
-        off = float(ndtr((abs(mean * decay[-1]) - limit_c) / (std * decay[-1])))
-        total, wrong = np.logaddexp(total, weight + math.log(max(1 - off, 1e-12))), np.logaddexp(
-            wrong, weight + math.log(max(off, 1e-12))
-        )
-    return float(wrong - np.logaddexp(total, right))
+        covariance = 3.0**2 * np.outer(one, one) + 4.0**2 * np.outer(decay, decay) + noise
+        off_c = values_c - air_c - by_c * decay
+        gain = 4.0**2 * np.linalg.solve(covariance, decay)
+        error_c = (by_c + float(gain @ off_c)) * decay[-1]
+        std_c = math.sqrt(max(4.0**2 * (1.0 - float(gain @ decay)), 1e-6)) * decay[-1]
+        is_off = float(ndtr((abs(error_c) - limit_c) / std_c))
+        weight = _log_normal(off_c, covariance) - math.log(10)
+        wrong = float(np.logaddexp(wrong, weight + math.log(max(is_off, 1e-12))))
+        right = float(np.logaddexp(right, weight + math.log(max(1.0 - is_off, 1e-12))))
+    return wrong - right
 
 
 def _log_normal(off: Array, covariance: Array) -> float:
