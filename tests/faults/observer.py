@@ -45,8 +45,8 @@ KEPT = 80
 """Hypotheses that go on after an answer; 40 give the same verdicts on the flights of seed 501."""
 MODES = ["ground", "fixed", "constant", "saturated", "late", "longer", "shorter", "offset", "dust", "garbled"]
 GROUND, FIXED, CONSTANT, SATURATED, LATE, LONGER, SHORTER, OFFSET, DUST, GARBLED = range(len(MODES))
-BLIND = (FIXED, CONSTANT, GARBLED)
-"""Modes whose answers say nothing about the ground: a distance that rests on them is right by coincidence only."""
+BLIND = (FIXED, CONSTANT, DUST, GARBLED)
+"""Modes whose answers say little or nothing about the ground: a distance is right by them only where it is known."""
 HIT, OUTLIER, STEP = range(3)
 """What an answer of the ground is; the columns of the options are these three and the faults."""
 A, W, B, G, U, D, E, C, LEVEL = range(9)
@@ -196,7 +196,7 @@ class Hypotheses:
             like[:, 2 + drift] = hit(mean + sign * 0.0225 * faulty_s, seen + (0.0043 * faulty_s) ** 2) + outlier
         off = (np.abs(rise_m) > 0.28) & (np.abs(rise_m) < 3.02)
         like[:, 2 + OFFSET] = np.where(mode != OFFSET, off / 540 + 1e-9, hit(mean + ref, seen + NOISE_M**2) + outlier)
-        dust = (0.6 * (SHORTEST_CM <= raw <= 250) / 230 + 0.4 * (SHORTEST_CM <= raw <= 100) / 80) * nearer
+        dust = max(math.log(230 / (max(raw, 50) - 20)), 0.0) / 200 * (raw >= SHORTEST_CM) * nearer
         like[:, 2 + DUST] = 0.55 * dust + 0.45 * (0.7 * hit(mean, seen) + 0.3 * hit(mean, seen + 0.06)) + outlier
         like[:, 2 + GARBLED] = 0.5 / 745 if raw <= NO_ECHO_CM else 0.5 / 65536
         score = self.log_w[:, None] + np.log(like) + np.log(self._transition(s, time_s, turn_s, math.isnan(last_s)))
@@ -225,15 +225,17 @@ class Hypotheses:
         """Log odds that a distance along the down axis is off by more than ``half_m``, or 'above the maximum' wrong."""
         right = np.full(len(self.x), 1e-12)
         for s in range(self.x.shape[1] - LEVEL):
+            blind = np.isin(self.mode[:, s], BLIND)
             h = np.zeros_like(self.x)
-            h[:, A], h[:, G], h[:, LEVEL + s] = 1.0, -1.0, -1.0
+            h[:, A], h[:, G], h[:, LEVEL + s] = 1.0, -1.0, np.where(blind, 0.0, -1.0)
             mean, variance = self._expected(h, 0.0)
             mean, std = mean / lean, np.sqrt(variance) / lean
             if distance_m > maximum_m:
                 each = ndtr((mean - maximum_m + half_m) / std)
             else:
                 each = ndtr((distance_m + half_m - mean) / std) - ndtr((distance_m - half_m - mean) / std)
-            right = np.where(np.isin(self.mode[:, s], BLIND), right, np.maximum(right, each))
+                each = np.where(blind & (std > 2.0 * half_m), 0.0, each)
+            right = np.maximum(right, each)
         w = np.exp(self.log_w - self.log_w.max())
         return math.log(max(float(w @ (1 - right)), 1e-300) / max(float(w @ right), 1e-300))
 
