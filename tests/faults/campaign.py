@@ -140,8 +140,12 @@ class _BridgeLog:
                     unit = GRAVITY_M_S2 / 1000 if kind == "RAW_IMU" else 1.0
                     forces.append((time_s, message.xacc * unit, message.yacc * unit, message.zacc * unit))
         temperatures = [
-            (time_s, self._scenario.thermometer.reading_c(time_s, lambda at_s: world.air_temperature_c(
-                -vehicle.pose(at_s).position_ned_m[2])))
+            (
+                time_s,
+                self._scenario.thermometer.reading_c(
+                    time_s, lambda at_s: world.air_temperature_c(-vehicle.pose(at_s).position_ned_m[2])
+                ),
+            )
             for time_s in map(float, range(math.ceil(self._scenario.duration_s) + 1))
         ]
         down_m = airframe.reference_down_m

@@ -1,30 +1,32 @@
 """An ideal observer: whether somebody who knows the fault families could have known that a distance is wrong.
 
-What the bridge received in a flight enters (answers of the sensors, attitudes, accelerations, pressures, temperatures),
-and the distances that it sent; for each of these the log odds leave that it is wrong. The observer knows the families:
-which faults exist, their ranges, what grounds and vehicles do, and the noise of each sensor. It does not know which
-flight has what. It shares no code with the bridge's fusion.
+What the bridge received in a flight enters (answers of the sensors, attitudes, accelerations, pressures, temperatures)
+with the distances that it sent; for each of these the log odds leave that it is wrong. The observer knows the families:
+which faults exist, in which ranges, how often, which grounds and flights there are, and the noise of each sensor. It
+does not know which flight has what. It shares no code with the bridge's fusion.
 
 Hypotheses
-    Each gives every sensor a mode (`MODES`) and has a Kalman filter of its own: height A, climb W, accelerometer bias
-    B, ground G below the vehicle and its rate of rise U, barometer drift D, gust E and ground effect C, and the level
-    of the ground below each sensor. At every answer each hypothesis branches: the answer is of the ground, an outlier,
-    or of another level (a step, a box), or the sensor's mode changes, each with its prior and likelihood. Hypotheses
-    with the same modes are merged, and the `KEPT` likeliest go on. Over a minute, 'some fault' has prior odds of about
-    one to one; the kinds share them equally, and a fault of one sensor is often a fault of the next one too.
+    Each gives every sensor a mode (ground, or one of nine faults) and has a Kalman filter of its own: height, climb and
+    accelerometer bias of the vehicle, height of the ground and its rise, the barometer's drift, gust and ground effect,
+    and the level of the ground below each sensor. At every answer each hypothesis branches: the answer is of the
+    ground, an outlier, or of another level (an edge, a box), or the sensor's mode changes, each with its prior and its
+    likelihood. Those with the same modes are merged, and the likeliest go on. In a flight of a minute a fault is about
+    as likely as none; all kinds of fault are equally likely, and one of a sensor is often one of the next sensor too.
 Gain
-    The log of the odds that the distance is off by more than half of the judge's tolerance, summed over all hypotheses,
-    each with its own mean and variance of the ground. A distance to the level below any sensor is right.
+    The log odds that a distance is off by more than half of the judge's tolerance: all hypotheses together, each with
+    its mean and variance of the ground. The distance to the level below any sensor is right. A distance that rests on
+    answers which do not follow the ground, while the height is not known otherwise, is not right: it would be a
+    coincidence. Only gains while the distance is wrong count.
 Thermometer
     One that settles is a hypothesis of its own: an exponential of 60 to 120 s against a constant, by the marginal
     likelihood of the temperatures received.
 
-Simplifications, all of which make it slower than the ideal: any acceleration of the vehicle is as likely as any other;
-its horizontal motion is not used, so that a box below some sensors cannot be told from an edge; the barometer counts
-little below 1.2 m; an object that swings is wide noise, a noisy sensor and damaged bytes are anything at all; a drift is
-a line of unknown rate; the ground's slope is a slow rise of the ground and a level below each sensor; a thermometer that
-jumps or flaps is not judged. A gain counts only while the distance is wrong. One makes it quicker: hypotheses that are
-merged keep the likeliest one's estimate, and those that are dropped could have become likely again.
+Simplifications that make it slower than the ideal: any acceleration of the vehicle is as likely as any other; its
+horizontal motion is not used, so that a box below some sensors is not distinguished from an edge; the barometer counts
+little below 1.2 m; an object that swings, a noisy sensor and damaged bytes are broad distributions; the ground's slope
+is a slow rise of the ground and a level below each sensor; thermometers that jump, freeze or flap are not considered.
+Simplifications that can make it quicker or slower: of merged hypotheses the likeliest one's estimate is kept, and
+dropped ones could have become likely again.
 """
 
 import math
@@ -34,32 +36,14 @@ from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from tests.faults.hypotheses import Array, Hypotheses
 from tests.faults.judge import Distance, Event
 
 DECIDED_NATS = 10.0
 """Gain from which on the observer would report a distance: it would be wrong once in 22,000 times."""
-KEPT = 80
-"""Hypotheses that go on after an answer; 40 give the same verdicts on the flights of seed 501."""
-MODES = ["ground", "fixed", "constant", "saturated", "late", "longer", "shorter", "offset", "dust", "garbled"]
-GROUND, FIXED, CONSTANT, SATURATED, LATE, LONGER, SHORTER, OFFSET, DUST, GARBLED = range(len(MODES))
-BLIND = (FIXED, CONSTANT, DUST, GARBLED)
-"""Modes whose answers say little or nothing about the ground: a distance is right by them only where it is known."""
-HIT, OUTLIER, STEP = range(3)
-"""What an answer of the ground is; the columns of the options are these three and the faults."""
-A, W, B, G, U, D, E, C, LEVEL = range(9)
-"""States; the levels below the sensors are the last ones."""
-FAULTS_HZ, FAULTY_AT_START, ENDS_HZ, FOLLOWS = 1 / 60, 0.3, 1 / 30, 0.5
-"""Faults of a vehicle in a second, and at the start; how soon one ends; probability that the next sensor follows."""
-STEPS_HZ, STEP_FOLLOWS, STEP_S = 1 / 60, 0.2, 5.0
-"""New levels of the ground in a second; probability that the next sensor meets one within `STEP_S`, at each answer."""
-HIGHEST_EDGE_M, HIGHEST_BOX_M = 2.1, 1.2
-"""Edges keep the vehicle 1 m over them; over the lower boxes, of up to 1.1 m, it flies 0.6 m high."""
-NOISE_M, SHORTEST_CM, NO_ECHO_CM, SATURATED_CM = 0.0195, 20, 765, 255
 GRAVITY_M_S2, SCALE_HEIGHT_M, CALIBRATED_K = 9.80665, 8434.0, 295.65
-Array = NDArray[Any]
 
 
 class Messages(NamedTuple):
@@ -74,235 +58,6 @@ class Messages(NamedTuple):
     temperatures: Sequence[tuple[float, float]]
     positions_m: Sequence[tuple[float, float, float]]
     breakaway_rad: Callable[[float], float]
-
-
-class Hypotheses:
-    """What the answers may be, each with its log weight; see above."""
-
-    def __init__(self, sensors: int) -> None:
-        size = LEVEL + sensors
-        # It stands on the ground, or in the air where the flight begins there (only the family 'follow' does).
-        self.log_w = np.log([0.9, 0.1])
-        self.x, self.p = np.zeros((2, size)), np.zeros((2, size, size))
-        self.x[:, G] = -0.18, -2.4
-        self.rise_m_s = np.array([0.03, 0.15])
-        for each, rate_m_s, ground_m, rise_m_s in zip(self.p, (0.02, 0.2), (0.04, 1.2), self.rise_m_s, strict=True):
-            std = [0.0, rate_m_s, 0.1, ground_m, rise_m_s, 1.0, 0.3, 1.5, *[0.04] * sensors]
-            np.fill_diagonal(each, np.square(std))
-        # By sensor: mode, what the last answer was, reference and count of a fault's answers, when it began.
-        self.mode, self.last, self.count = (np.zeros((2, sensors), dtype=np.int64) for _ in range(3))
-        self.ref, self.since_s = np.zeros((2, sensors)), np.zeros((2, sensors))
-        # The last change of a mode and the last step of the ground: which, to what, when.
-        self.change, self.change_ref, self.change_s = np.zeros(2, dtype=np.int64), np.zeros(2), np.full(2, -99.0)
-        self.step_m, self.step_s = np.zeros(2), np.full(2, -99.0)
-        self._answered: dict[int, tuple[float, int]] = {}
-        self._time_s = self._up_m_s2 = self._speed_m_s = self._way_m = 0.0
-        self._up_s = -99.0
-        self._past: list[tuple[float, float, float]] = [(-99.0, 0.0, 0.0)]
-
-    def predict(self, time_s: float) -> None:
-        """Move all to a time."""
-        t = time_s - self._time_s
-        if t <= 0.0:
-            return
-        self._time_s = time_s
-        known = time_s - self._up_s < 0.2
-        up_m_s2 = self._up_m_s2 if known else 0.0
-        f = np.eye(self.x.shape[1])
-        f[A, W], f[A, B], f[W, B], f[G, U] = t, -t * t / 2, -t, t
-        f[U, U], f[E, E] = math.exp(-t / 10.0), math.exp(-t / 2.5)
-        speed = (0.3 if known else 3.5) * math.sqrt(t * max(t, 0.04))
-        q = np.zeros(len(f))
-        q[D], q[E] = 0.05**2 * t, 0.09 * (1 - f[E, E] ** 2)
-        q[W], q[A], q[LEVEL:] = speed**2, (speed * t) ** 2 / 4, 1e-4 * t
-        self.x = self.x @ f.T
-        self.x[:, A] += up_m_s2 * t * t / 2
-        self.x[:, W] += up_m_s2 * t
-        self.p = f @ self.p @ f.T + np.diag(q)
-        self.p[:, U, U] += self.rise_m_s**2 * (1 - f[U, U] ** 2)
-        self._way_m += self._speed_m_s * t + up_m_s2 * t * t / 2
-        self._speed_m_s += up_m_s2 * t
-        self._past.append((time_s, self._speed_m_s, self._way_m))
-
-    def on_acceleration(self, time_s: float, up_m_s2: float) -> None:
-        """The mean acceleration upwards since the last one."""
-        self._up_m_s2, self._up_s = up_m_s2, time_s
-        self.predict(time_s)
-
-    def on_pressure(self, time_s: float, height_m: float, scale: float) -> None:
-        """A pressure as a height over the start; ``scale``: of the standard air to this air."""
-        self.predict(time_s)
-        feet_m = self.x[:, A] - self.x[:, G] - 0.2
-        h = np.zeros_like(self.x)
-        h[:, A], h[:, D], h[:, E] = scale, 1.0, 1.0
-        h[:, C] = np.clip(1.0 - feet_m / 0.8, 0.0, 1.0) * np.where(feet_m < 0.02, 0.2, 1.0)
-        noise = np.where(feet_m < 1.2, 1.0, 0.15) ** 2 + (0.02 * self.x[:, A]) ** 2
-        mean, variance = self._expected(h, 0.0)
-        self.log_w += np.log(_normal(height_m, mean, variance + noise))
-        self._correct(h, height_m - mean, noise, np.ones(len(h), dtype=bool))
-
-    def on_answer(self, time_s: float, sensor: int, raw: int, scale: float, below_m: float, lost: float) -> None:
-        """An answer, the scale of the air, how far the sensor is below the reference point, and how sure a level ground
-        gives no echo at this lean."""
-        self.predict(time_s)
-        x, s, r_m = self.x, sensor, raw / 100 * scale
-        last_s, last_raw = self._answered.get(s, (math.nan, -1))
-        turn_s = 1.0 if math.isnan(last_s) else max(time_s - last_s, 1e-3)
-        self._answered[s] = time_s, raw
-        mode, count, ref = self.mode[:, s], self.count[:, s], self.ref[:, s]
-        h = np.zeros_like(x)
-        h[:, A], h[:, G], h[:, LEVEL + s] = 1.0, -1.0, -1.0
-        mean, variance = self._expected(h, -below_m)
-        seen, late_h, late = variance + NOISE_M**2, h.copy(), mean
-        late_seen = seen
-        if last_raw >= 0:
-            _, speed_m_s, way_m = self._before(last_s)
-            back_m = (self._speed_m_s - speed_m_s) * turn_s - (self._way_m - way_m - speed_m_s * turn_s)
-            late_h[:, W], late_h[:, B] = -turn_s, -turn_s * turn_s / 2
-            late, late_variance = self._expected(late_h, back_m - below_m)
-            late_seen = late_variance + NOISE_M**2 + 0.0012 * turn_s**3
-        # Likelihoods [per cm]: column of the option -> of each hypothesis.
-        beyond = 1 - (1 - lost) * ndtr((7.62 * scale - mean) / np.sqrt(seen))
-        stray = 0.01 / 745 + (raw < 100 * mean) * 0.00005 * math.exp(-0.5 * r_m)
-        coded = {NO_ECHO_CM: 0.015, SATURATED_CM: 0.005}.get(raw, 0.0) + (raw == NO_ECHO_CM) * 0.97 * beyond
-        outlier = np.where(raw <= NO_ECHO_CM, stray + coded, 1e-9)
-        at_minimum = raw == SHORTEST_CM
-
-        def hit(at: Array, spread: Array) -> Array:
-            if at_minimum:
-                return 0.96 * ndtr((0.205 * scale - at) / np.sqrt(spread)) + 1e-30
-            return 0.96 * _normal(r_m, at, spread) * (1 - beyond) * (raw < NO_ECHO_CM) / 100 + 1e-30
-
-        rise_m, steps = mean - r_m, time_s - self.step_s < STEP_S
-        allowed = (np.abs(rise_m) < (HIGHEST_EDGE_M if r_m > 0.95 else HIGHEST_BOX_M)) & (r_m > 0.55) & (raw < NO_ECHO_CM)
-        like = np.empty((len(x), 2 + len(MODES)))
-        like[:, HIT], like[:, OUTLIER] = hit(mean, seen), outlier
-        level_m = x[:, LEVEL + s] + rise_m
-        like[:, STEP] = np.where(allowed, 1 / 400, 1e-12)
-        near_step = np.where(steps, STEP_FOLLOWS * _normal(level_m, self.step_m, 0.0025) / 100, 0.0)
-        like[:, STEP] = near_step + min(STEPS_HZ * turn_s, 0.2) * like[:, STEP]
-        nearer = ndtr((mean + 0.02 - r_m) / np.sqrt(seen))
-        away = [_normal(raw, ref, std**2 * (1 + 1 / np.maximum(count, 1))) for std in (0.4, 1.0, 3.0)]
-        again = 0.3 * away[0] + 0.35 * away[1] + 0.35 * away[2] + 1e-4
-        like[:, 2 + FIXED] = np.where(mode != FIXED, (17 <= raw <= 63) * nearer / 46 + 1e-12, again)
-        as_others = np.where((self.change == CONSTANT) & (self.change_ref == raw), 0.4, 0.0)
-        first = as_others + 0.4 * (raw == last_raw) + 0.2 / 745
-        like[:, 2 + CONSTANT] = np.where(mode != CONSTANT, first, np.where(ref == raw, 1.0, 1e-6))
-        far = ndtr((mean - 2.55 * scale) / np.sqrt(seen))
-        like[:, 2 + SATURATED] = far + 1e-9 if raw == SATURATED_CM else (raw < SATURATED_CM) * hit(mean, seen) + 1e-9
-        like[:, 2 + LATE] = hit(late, late_seen) + outlier
-        for drift, sign in ((LONGER, 1), (SHORTER, -1)):
-            faulty_s = np.where(mode == drift, time_s - self.since_s[:, s], 0.0)
-            like[:, 2 + drift] = hit(mean + sign * 0.0225 * faulty_s, seen + (0.0043 * faulty_s) ** 2) + outlier
-        off = (np.abs(rise_m) > 0.28) & (np.abs(rise_m) < 3.02)
-        like[:, 2 + OFFSET] = np.where(mode != OFFSET, off / 540 + 1e-9, hit(mean + ref, seen + NOISE_M**2) + outlier)
-        dust = max(math.log(230 / (max(raw, 50) - 20)), 0.0) / 200 * (raw >= SHORTEST_CM) * nearer
-        like[:, 2 + DUST] = 0.55 * dust + 0.45 * (0.7 * hit(mean, seen) + 0.3 * hit(mean, seen + 0.06)) + outlier
-        like[:, 2 + GARBLED] = 0.5 / 745 if raw <= NO_ECHO_CM else 0.5 / 65536
-        score = self.log_w[:, None] + np.log(like) + np.log(self._transition(s, time_s, turn_s, math.isnan(last_s)))
-        parent, option = self._best(score, s)
-        self.log_w = score[parent, option]
-        chosen = np.maximum(option - 2, GROUND)
-        is_new = chosen != self.mode[parent, s]
-        self._take(parent)
-        self.last[:, s], self.mode[:, s] = np.where(option > STEP, 0, option), chosen
-        self._note_changes(s, raw, time_s, is_new, option, mean[parent] - r_m)
-        # Each updates with the answers that are of the ground, as it takes them.
-        mean, late = mean[parent], late[parent]
-        stepped = option == STEP
-        self.p[stepped, LEVEL + s, :] = self.p[stepped, :, LEVEL + s] = 0.0
-        self.p[stepped, LEVEL + s, LEVEL + s] = 4.0
-        is_late, lasted_s = chosen == LATE, time_s - self.since_s[:, s]
-        drift = np.where(chosen == LONGER, 0.0225, np.where(chosen == SHORTER, -0.0225, 0.0))
-        expected = np.where(is_late, late, mean + drift * lasted_s)
-        noise = NOISE_M**2 + np.where(drift != 0.0, (0.0043 * lasted_s) ** 2, 0.0) + (0.0025 if at_minimum else 0.0)
-        used = (option == HIT) | stepped | ((chosen == SATURATED) & (raw < SATURATED_CM))
-        used |= np.isin(chosen, (LATE, LONGER, SHORTER, DUST)) & (np.abs(r_m - expected) < 0.1)
-        value = np.minimum(expected, 0.19 * scale) if at_minimum else r_m
-        self._correct(np.where(is_late[:, None], late_h[parent], h[parent]), value - expected, noise, used)
-
-    def log_odds_wrong(self, distance_m: float, maximum_m: float, half_m: float, lean: float) -> float:
-        """Log odds that a distance along the down axis is off by more than ``half_m``, or 'above the maximum' wrong."""
-        right = np.full(len(self.x), 1e-12)
-        for s in range(self.x.shape[1] - LEVEL):
-            blind = np.isin(self.mode[:, s], BLIND)
-            h = np.zeros_like(self.x)
-            h[:, A], h[:, G], h[:, LEVEL + s] = 1.0, -1.0, np.where(blind, 0.0, -1.0)
-            mean, variance = self._expected(h, 0.0)
-            mean, std = mean / lean, np.sqrt(variance) / lean
-            if distance_m > maximum_m:
-                each = ndtr((mean - maximum_m + half_m) / std)
-            else:
-                each = ndtr((distance_m + half_m - mean) / std) - ndtr((distance_m - half_m - mean) / std)
-                each = np.where(blind & (std > 2.0 * half_m), 0.0, each)
-            right = np.maximum(right, each)
-        w = np.exp(self.log_w - self.log_w.max())
-        return math.log(max(float(w @ (1 - right)), 1e-300) / max(float(w @ right), 1e-300))
-
-    def _expected(self, h: Array, offset_m: float) -> tuple[Array, Array]:
-        return np.einsum("ki,ki->k", h, self.x) + offset_m, np.einsum("ki,kij,kj->k", h, self.p, h)
-
-    def _correct(self, h: Array, off: Array, noise: Array, used: Array) -> None:
-        ph = np.einsum("kij,kj->ki", self.p, h)
-        gain = ph / (np.einsum("ki,ki->k", h, ph) + noise)[:, None] * used[:, None]
-        self.x = self.x + gain * off[:, None]
-        self.p = self.p - gain[:, :, None] * ph[:, None, :]
-
-    def _before(self, time_s: float) -> tuple[float, float, float]:
-        """Time, speed and way by the accelerations alone at an earlier time."""
-        then_s, speed_m_s, way_m = self._past[bisect_right(self._past, (time_s, math.inf, math.inf)) - 1]
-        return time_s, speed_m_s, way_m + speed_m_s * (time_s - then_s)
-
-    def _transition(self, s: int, time_s: float, turn_s: float, at_start: bool) -> Array:
-        """Probability of each option by the mode that a sensor has."""
-        sensors, faults = self.mode.shape[1], len(MODES) - 1
-        begins = (FAULTY_AT_START if at_start else min(FAULTS_HZ * turn_s, 0.3)) / sensors
-        ends = min(ENDS_HZ * turn_s, 0.3)
-        table = np.full((len(MODES), len(MODES)), 1e-6)
-        table[GROUND, GROUND], table[GROUND, 1:] = 1 - begins, begins / faults
-        table[1:, GROUND] = ends
-        np.fill_diagonal(table[1:, 1:], 1 - ends)
-        chance = table[self.mode[:, s]]
-        follows = (time_s - self.change_s < 1.6 * turn_s) & (self.change != self.mode[:, s])
-        follows &= (self.change == GROUND) | (self.mode[:, s] == GROUND)
-        chance[follows] *= 1 - FOLLOWS
-        chance[follows, self.change[follows]] += FOLLOWS
-        # The priors of the ground's options are in their likelihoods.
-        return np.concatenate([np.repeat(chance[:, :1], 3, axis=1), chance[:, 1:]], axis=1)
-
-    def _best(self, score: Array, s: int) -> tuple[Array, Array]:
-        """Parents and options of the likeliest, one for each set of modes; their weights are added up in ``score``."""
-        order = np.argsort(score, axis=None)[::-1][: 6 * KEPT]
-        parent, option = np.unravel_index(order, score.shape)
-        modes, last = self.mode[parent], self.last[parent]
-        modes[:, s], last[:, s] = np.maximum(option - 2, GROUND), np.where(option > STEP, 0, option)
-        code = (modes * 3 + last) @ (30 ** np.arange(modes.shape[1], dtype=np.int64))
-        _, first, group = np.unique(code, return_index=True, return_inverse=True)
-        top = score[parent[0], option[0]]
-        total = np.bincount(group.ravel(), np.exp(score[parent, option] - top))
-        likeliest = np.argsort(total)[::-1][:KEPT]
-        chosen = first[likeliest]
-        score[parent[chosen], option[chosen]] = np.log(total[likeliest] + 1e-300)
-        return parent[chosen], option[chosen]
-
-    def _take(self, parent: Array) -> None:
-        for name in ("x", "p", "mode", "last", "count", "ref", "since_s", "change", "change_ref", "change_s", "rise_m_s"):
-            setattr(self, name, getattr(self, name)[parent])
-        self.step_m, self.step_s = self.step_m[parent], self.step_s[parent]
-
-    def _note_changes(self, s: int, raw: int, time_s: float, is_new: Array, option: Array, rise_m: Array) -> None:
-        """Keep what began with an answer, and a fault's mean reading, constant or offset."""
-        mode = self.mode[:, s]
-        self.count[is_new, s], self.since_s[is_new, s] = 0, time_s
-        self.change = np.where(is_new, mode, self.change)
-        self.change_ref, self.change_s = np.where(is_new, raw, self.change_ref), np.where(is_new, time_s, self.change_s)
-        count, ref = self.count[:, s], self.ref[:, s]
-        begins = np.where(mode == OFFSET, -rise_m, raw)
-        follows = np.where(mode == FIXED, ref + (raw - ref) / np.minimum(count + 1, 20), ref)
-        self.ref[:, s], self.count[:, s] = np.where(count == 0, begins, follows), count + 1
-        stepped = option == STEP
-        self.step_m = np.where(stepped, self.x[:, LEVEL + s] + rise_m, self.step_m)
-        self.step_s = np.where(stepped, time_s, self.step_s)
 
 
 def gains(
@@ -396,7 +151,3 @@ def _thermometer_wrong(received: Sequence[tuple[float, float]], half_share: floa
 def _log_normal(off: Array, covariance: Array) -> float:
     _, log_determinant = np.linalg.slogdet(2 * math.pi * covariance)
     return float(-0.5 * (log_determinant + off @ np.linalg.solve(covariance, off)))
-
-
-def _normal(value: Any, mean: Any, variance: Any) -> Any:
-    return np.exp(-0.5 * (value - mean) ** 2 / variance) / np.sqrt(2 * math.pi * variance) + 1e-300
