@@ -24,7 +24,8 @@ Thermometer
 Simplifications that make it slower than the ideal: any acceleration of the vehicle is as likely as any other; its
 horizontal motion is not used, so that a box below some sensors is not distinguished from an edge; the barometer counts
 little below 1.2 m; an object that swings, a noisy sensor and damaged bytes are broad distributions; the ground's slope
-is a slow rise of the ground and a level below each sensor; thermometers that jump, freeze or flap are not considered.
+is a slow rise of the ground and a level below each sensor; with a thermometer that jumps or flaps nothing is decided,
+since either value may be the right one.
 Simplifications that can make it quicker or slower: of merged hypotheses the likeliest one's estimate is kept, and
 dropped ones could have become likely again.
 """
@@ -32,7 +33,7 @@ dropped ones could have become likely again.
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,8 @@ from tests.faults.judge import Distance, Event
 
 DECIDED_NATS = 10.0
 """Gain from which on the observer would report a distance: it would be wrong once in 22,000 times."""
+FLAPS_C = 2.0
+"""A thermometer that changes faster than this in a second jumps or flaps [K]; one that settles, by up to 0.7 K."""
 GRAVITY_M_S2, SCALE_HEIGHT_M, CALIBRATED_K = 9.80665, 8434.0, 295.65
 
 
@@ -110,6 +113,8 @@ def decide(
     messages: Messages, distances: Sequence[Distance], events: Sequence[Event], tolerance_m: Callable[[float], float]
 ) -> list[float | None]:
     """By event, how long after its beginning the gain reaches `DECIDED_NATS` while it lasts [s]; None: never."""
+    if any(abs(b - a) > FLAPS_C for (_, a), (_, b) in pairwise(messages.temperatures)):
+        return [None] * len(events)
     by_stamp = sorted(distances, key=lambda each: each.stamp_s)
     last_s = max((event.from_s + event.for_s for event in events), default=-1.0)
     gained = gains(messages, by_stamp, lambda distance_m: 0.5 * tolerance_m(distance_m), last_s)
