@@ -215,7 +215,10 @@ def coverage_table(lines: Sequence[Line]) -> Cells:
     table = [["valid distances", "flights", "s", "95 % interval holds, %", "95 % limits, %"]]
     healthy = [line for line in lines if line["group"] in FAULTLESS and not line["faults"]]
     parts = [
-        (f"{count} sensors", [(line, "") for line in healthy if line["facts"]["sensors"] == count])
+        (
+            "1 sensor" if count == 1 else f"{count} sensors",
+            [(line, "") for line in healthy if line["facts"]["sensors"] == count],
+        )
         for count in sorted({line["facts"]["sensors"] for line in healthy})
     ]
     words = sorted({word for line in healthy for key in line["verdict"]["covered_by"] for word in key.split(", ")})

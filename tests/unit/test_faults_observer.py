@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from tests.faults.families import FAMILIES
 from tests.faults.judge import Distance, Event
 from tests.faults.observer import DECIDED_NATS, GRAVITY_M_S2, SCALE_HEIGHT_M, Messages, decide, gains
+from tests.faults.report import Sum, worst_table
 
 pytestmark = pytest.mark.slow
 
@@ -100,3 +102,32 @@ def test_a_thermometer_that_settles_is_decided() -> None:
         height=lambda time_s: height_m(time_s, 5.0),
     )
     assert decided(messages, distances, from_s=9.0) == 0.0
+
+
+def test_a_flapping_thermometer_decides_nothing() -> None:
+    messages, distances = flight(
+        lambda time_s, sensor: min(height_m(time_s), 0.4), air_c=lambda time_s: 20.0 + 40.0 * (time_s % 2.0 >= 1.0)
+    )
+    assert decided(messages, distances, from_s=5.4) is None
+
+
+@pytest.mark.parametrize(
+    ("decidable_s", "counted"),
+    [([None, 0.4, 0.1], "1 of 2"), ([None, 2.5, 0.1], "0 of 2"), ([2.0, 2.0, None], "2 of 2"), ([], "0 of 2")],
+)
+def test_the_tables_count_and_mark_what_is_decidable(decidable_s: list[float | None], counted: str) -> None:
+    """Two wrong distances without a report, of 9 and of 3 s, and one with a report."""
+    wrong = [[1.0, 9.0, -1.0, None], [20.0, 3.0, 1.0, None], [30.0, 2.0, 1.0, "text"]]
+    zero = dict.fromkeys(["above_wrong", "above_wrong_s", "in_range_s", "honest_in_range_s"], 0.0)
+    line = {
+        "again": "1:1",
+        "group": next(iter(FAMILIES)),
+        "row": "fixed: 1 sensor",
+        "faults": [],
+        "crashed": None,
+        "verdict": {"wrong": wrong, "silences": [], "false_objects": [], **zero},
+        "decidable_s": decidable_s,
+    }
+    assert Sum([line]).decidable == counted
+    (row,) = worst_table([line])[1:]
+    assert row[3].endswith("undecidable") == (counted != "2 of 2")
