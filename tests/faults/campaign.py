@@ -106,7 +106,7 @@ class _Listening(Wrapped):
 
 
 class _BridgeLog:
-    """What the bridge receives in a flight: for the observer, and parsed only when he is asked."""
+    """What the bridge receives in a flight: for the observer, and parsed only when it asks."""
 
     def __init__(self, scenario: Scenario, clock: Clock) -> None:
         self._scenario, self._clock, self._start_s = scenario, clock, clock.now()

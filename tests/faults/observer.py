@@ -19,13 +19,12 @@ Gain
     coincidence. Only gains while the distance is wrong count.
 Thermometer
     One that settles is a hypothesis of its own: an exponential of 60 to 120 s against a constant, by the marginal
-    likelihood of the temperatures received.
+    likelihood of the temperatures received. Of one that jumps or flaps the value before that is right.
 
 Simplifications that make it slower than the ideal: any acceleration of the vehicle is as likely as any other; its
 horizontal motion is not used, so that a box below some sensors is not distinguished from an edge; the barometer counts
 little below 1.2 m; an object that swings, a noisy sensor and damaged bytes are broad distributions; the ground's slope
-is a slow rise of the ground and a level below each sensor; with a thermometer that jumps or flaps nothing is decided,
-since either value may be the right one.
+is a slow rise of the ground and a level below each sensor; the thermometer is read once a second.
 Simplifications that can make it quicker or slower: of merged hypotheses the likeliest one's estimate is kept, and
 dropped ones could have become likely again.
 """
@@ -33,7 +32,7 @@ dropped ones could have become likely again.
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from itertools import pairwise, product
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,8 +43,8 @@ from tests.faults.judge import Distance, Event
 
 DECIDED_NATS = 10.0
 """Gain from which on the observer would report a distance: it would be wrong once in 22,000 times."""
-FLAPS_C = 2.0
-"""A thermometer that changes faster than this in a second jumps or flaps [K]; one that settles, by up to 0.7 K."""
+JUMPS_C = 2.0
+"""A thermometer that changes by more than this in a second jumps or flaps [K]; one that settles, by up to 0.7 K."""
 GRAVITY_M_S2, SCALE_HEIGHT_M, CALIBRATED_K = 9.80665, 8434.0, 295.65
 
 
@@ -69,7 +68,8 @@ def gains(
     """Log odds that each distance is wrong [nats], of those whose time stamp is before ``until_s``."""
     hypotheses = Hypotheses(len(messages.positions_m))
     attitude_s = [time_s for time_s, roll, pitch in messages.attitudes]
-    temperature_s = [time_s for time_s, _ in messages.temperatures]
+    temperatures = _without_jumps(messages.temperatures)
+    temperature_s = [time_s for time_s, _ in temperatures]
 
     def down(time_s: float) -> tuple[float, float, float]:
         """The vertical in the body frame by the last attitude."""
@@ -78,7 +78,7 @@ def gains(
         return -math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)
 
     def temperature_c(time_s: float) -> float:
-        return messages.temperatures[max(bisect_right(temperature_s, time_s) - 1, 0)][1]
+        return temperatures[max(bisect_right(temperature_s, time_s) - 1, 0)][1]
 
     events: list[tuple[float, int, Any]] = [(each[0], 0, each[1:]) for each in messages.forces]
     events += [(each[0], 1, each[1]) for each in messages.pressures]
@@ -104,7 +104,7 @@ def gains(
             distance_m = min(content.current_m, content.maximum_m + 0.01)
             half = half_m(distance_m)
             wrong = hypotheses.log_odds_wrong(distance_m, content.maximum_m, half, axis[2])
-            received = messages.temperatures[: bisect_right(temperature_s, time_s)]
+            received = temperatures[: bisect_right(temperature_s, time_s)]
             found.append(max(wrong, _thermometer_wrong(received, half / max(distance_m, 0.2))))
     return found
 
@@ -113,8 +113,6 @@ def decide(
     messages: Messages, distances: Sequence[Distance], events: Sequence[Event], tolerance_m: Callable[[float], float]
 ) -> list[float | None]:
     """By event, how long after its beginning the gain reaches `DECIDED_NATS` while it lasts [s]; None: never."""
-    if any(abs(b - a) > FLAPS_C for (_, a), (_, b) in pairwise(messages.temperatures)):
-        return [None] * len(events)
     by_stamp = sorted(distances, key=lambda each: each.stamp_s)
     last_s = max((event.from_s + event.for_s for event in events), default=-1.0)
     gained = gains(messages, by_stamp, lambda distance_m: 0.5 * tolerance_m(distance_m), last_s)
@@ -128,6 +126,15 @@ def decide(
         ]
         decided.append(round(min(during), 3) if during else None)
     return decided
+
+
+def _without_jumps(temperatures: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Temperatures, with the value before it while one has jumped away: in the families that one is right."""
+    steady = list(temperatures[:1])
+    for time_s, value_c in temperatures[1:]:
+        before_c = steady[-1][1]
+        steady.append((time_s, value_c if abs(value_c - before_c) <= JUMPS_C else before_c))
+    return steady
 
 
 def _thermometer_wrong(received: Sequence[tuple[float, float]], half_share: float) -> float:
