@@ -22,6 +22,7 @@ from tests.faults.families import FAMILIES, FIRST
 from tests.faults.plans import SHARES, draw_plan, group_of, row_of
 from tests.faults.report import (
     Line,
+    coverage_table,
     edges_table,
     families_table,
     goals_table,
@@ -78,7 +79,7 @@ def main() -> None:
     console = Console()
     console = console if console.is_terminal else Console(width=WIDTH)
     tables = [families_table(lines), edges_table(lines)] if first else [groups_table(lines), goals_table(lines)]
-    tables.append(worst_table(lines))
+    tables += [coverage_table(lines), worst_table(lines)]
     for table in tables:
         console.print(shown(table))
     (given.out / "tables.md").write_text("\n".join(map(markdown, tables)), encoding="utf-8")

@@ -13,8 +13,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from msp_range.clock import VirtualClock
+from pymavlink.dialects.v20 import common as mavlink
+
+from msp_range.bridge import Step
+from msp_range.clock import Clock, VirtualClock
 from msp_range.config import Airframe
+from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.recording.writer import Recorder
 from msp_sim.flight.autopilot import BOOTED_BEFORE_S, REBOOT_S
 from msp_sim.flight.flight import Simulation
@@ -22,6 +26,7 @@ from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 from tests.faults.families import FAMILIES, Family
 from tests.faults.judge import Conditions, Received, judge
+from tests.faults.observer import GRAVITY_M_S2, Messages, decide
 from tests.faults.plans import Plan, draw_plan, group_of, row_of, turn_of
 from tests.faults.truth import Truth
 
@@ -32,6 +37,9 @@ HOSTILE_WRONG_M, HOSTILE_WRONG_SHARE = 0.2, 0.05
 groups keep 50 cm, so that their figures stay comparable with earlier ones."""
 ON_THE_GROUND_M = 0.195
 """The vehicle stands with 20 cm below the reference point, the sensors' minimum [m]."""
+
+MOST_LEAN_RAD = math.radians(75.0)
+"""Attitudes beyond this are faults of the message."""
 
 
 def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
@@ -46,11 +54,12 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
             recording = out / "flight.mcap"
             recording.unlink(missing_ok=True)
             recorder, tlog = Recorder(recording, clock, files=scenario.airframe.files, waits=True), out / "link.tlog"
-        simulation = Simulation(scenario, clock, plan.flight_seed, recorder=recorder, tlog=tlog)
+        log = _BridgeLog(scenario, clock)
+        simulation = Simulation(scenario, clock, plan.flight_seed, recorder=recorder, link=log.on_link, tlog=tlog)
         crashed = None
         try:
-            for _ in simulation.fly():
-                pass
+            for steps in simulation.fly():
+                log.steps += steps
         except Exception as error:
             crashed = f"{type(error).__name__}: {error}"
         if recorder is not None:
@@ -60,7 +69,11 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
     family, turn = FAMILIES.get(group_of(plan.index)), turn_of(plan.index)
     only_below = family is not None and family.objects_are_objects
     truth = Truth(scenario, simulation.world, simulation.vehicle, only_below=only_below)
-    verdict = judge(received, truth, conditions_of(scenario, family))
+    conditions = conditions_of(scenario, family)
+    verdict = judge(received, truth, conditions)
+    decided: list[float | None] = []
+    if family is not None and any(event.reported is None for event in verdict.wrong):
+        decided = decide(log.messages(simulation), received.distances, verdict.wrong, conditions.tolerance_m)
     line = {
         "again": f"{plan.seed}:{plan.index}",
         "group": group_of(plan.index),
@@ -70,10 +83,75 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         "faults": plan.scenario["faults"],
         "crashed": crashed,
         "verdict": asdict(verdict) | {"wrong": verdict.wrong, "silences": verdict.silences},
+        "decidable_s": decided,
     }
     if out is not None:
         _write(out, plan, line, received, truth, simulation)
     return line
+
+
+class _Listening(Wrapped):
+    """A transport that keeps what the bridge receives, with the times at which it does."""
+
+    def __init__(self, transport: Transport, clock: Clock) -> None:
+        super().__init__(transport)
+        self._clock = clock
+        self.received: list[tuple[float, bytes]] = []
+
+    def receive(self) -> bytes:
+        data = super().receive()
+        if data:
+            self.received.append((self._clock.now(), data))
+        return data
+
+
+class _BridgeLog:
+    """What the bridge receives in a flight: for the observer, and parsed only when it asks."""
+
+    def __init__(self, scenario: Scenario, clock: Clock) -> None:
+        self._scenario, self._clock, self._start_s = scenario, clock, clock.now()
+        self.steps: list[Step] = []
+
+    def on_link(self, transport: Transport) -> Transport:
+        """The link with a listener."""
+        self._link = _Listening(transport, self._clock)
+        return self._link
+
+    def messages(self, simulation: Simulation) -> Messages:
+        """All that came from sensors, autopilot and thermometer, by the time of the flight."""
+        airframe, vehicle, world = self._scenario.airframe, simulation.vehicle, simulation.world
+        names = [sensor.name for sensor in airframe.downward]
+        answers = [
+            (reading.time_s - self._start_s, names.index(reading.sensor), reading.raw)
+            for reading in (step.ranging.reading for step in self.steps)
+            if reading.raw is not None and reading.sensor in names
+        ]
+        attitudes, forces, pressures = [], [], []
+        parser = mavlink.MAVLink(None)
+        for now_s, data in self._link.received:
+            time_s = now_s - self._start_s
+            for message in parser.parse_buffer(bytearray(data)) or ():
+                kind = message.get_type()
+                if kind == "ATTITUDE" and max(abs(message.roll), abs(message.pitch)) < MOST_LEAN_RAD:
+                    attitudes.append((time_s, message.roll, message.pitch))
+                elif kind == "SCALED_PRESSURE":
+                    pressures.append((time_s, message.press_abs))
+                elif kind in ("RAW_IMU", "HIGHRES_IMU"):
+                    unit = GRAVITY_M_S2 / 1000 if kind == "RAW_IMU" else 1.0
+                    forces.append((time_s, message.xacc * unit, message.yacc * unit, message.zacc * unit))
+        temperatures = [
+            (
+                time_s,
+                self._scenario.thermometer.reading_c(
+                    time_s, lambda at_s: world.air_temperature_c(-vehicle.pose(at_s).position_ned_m[2])
+                ),
+            )
+            for time_s in map(float, range(math.ceil(self._scenario.duration_s) + 1))
+        ]
+        down_m = airframe.reference_down_m
+        positions_m = [(x, y, z - down_m) for x, y, z in (each.position_m for each in airframe.downward)]
+        breakaway_rad = airframe.downward[0].sensor_model.beam.half_angle_rad
+        return Messages(answers, attitudes, forces, pressures, temperatures, positions_m, breakaway_rad)
 
 
 def conditions_of(scenario: Scenario, family: Family | None = None) -> Conditions:

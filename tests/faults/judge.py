@@ -62,6 +62,8 @@ GRID_S = 0.025
 EDGE_GRID_S = 0.1
 """Time between two looks for an edge below [s]: an edge lasts 2 s at least."""
 COVARIANCE_UNKNOWN, QUALITY_INVALID = 255, 1
+LEANS_RAD, LEANS = math.radians(5.0), ("below 5 deg", "above 5 deg")
+"""From this lean on the coverage has a row of its own."""
 QUALITY_SURE = 90
 """ArduSub's RNGFND_SQ_MIN: it drops a distance of less."""
 
@@ -128,6 +130,8 @@ class Verdict:
         Within 3 stated deviations while the truth is within the sensors' range.
     faulty_s, faulty_in_range_s, faulty_honest_s
         Of judged_s, in_range_s and honest_in_range_s the part in which a sensor's fault lasts.
+    covered_by
+        Of covered_s and valid_s the parts by lean and motion, such as 'below 5 deg, hover'.
     wrong, silences
         Events.
     longest_gap_s
@@ -154,6 +158,7 @@ class Verdict:
     faulty_s: float = 0.0
     faulty_in_range_s: float = 0.0
     faulty_honest_s: float = 0.0
+    covered_by: dict[str, tuple[float, float]] = field(default_factory=dict)
     wrong: list[Event] = field(default_factory=list)
     silences: list[Event] = field(default_factory=list)
     longest_gap_s: float = 0.0
@@ -296,6 +301,12 @@ def judge(received: Received, truth: Truth, conditions: Conditions) -> Verdict:
         in_range = conditions.nearest_m <= trues_m[0] <= conditions.farthest_m
         faulty = any(start_s <= time_s < end_s for start_s, end_s in conditions.faulty_s)
         _count(verdict, held, error_m, in_range, faulty)
+        if held is not None and _counts(held, error_m):
+            lean_rad, motion = truth.motion(time_s)
+            key = f"{LEANS[lean_rad >= LEANS_RAD]}, {motion}"
+            covered_s, valid_s = verdict.covered_by.get(key, (0.0, 0.0))
+            covered_s += GRID_S * (held.std_m is not None and abs(error_m or 0.0) <= 1.96 * held.std_m)
+            verdict.covered_by[key] = (covered_s, valid_s + GRID_S)
     verdict.wrong = _wrong(off, received, conditions)
     usable_s = [each.time_s for each in distances if each.is_usable]
     for start_s, end_s in conditions.listens_s:
@@ -338,13 +349,18 @@ def _edges(usable_s: Sequence[float], truth: Truth, conditions: Conditions) -> l
     return edges
 
 
+def _counts(held: Distance, error_m: float | None) -> bool:
+    """Whether a held message states a distance and how sure it is."""
+    return error_m is not None and not (held.std_m is None and held.quality == 0)
+
+
 def _count(verdict: Verdict, held: Distance | None, error_m: float | None, in_range: bool, faulty: bool) -> None:
     """Add one moment of the judged time; ``error_m`` is that of the held distance at its own time."""
     verdict.judged_s += GRID_S
     verdict.in_range_s += GRID_S * in_range
     verdict.faulty_s += GRID_S * faulty
     verdict.faulty_in_range_s += GRID_S * (faulty and in_range)
-    if held is None or error_m is None or (held.std_m is None and held.quality == 0):
+    if held is None or error_m is None or not _counts(held, error_m):
         return
     sure_s = GRID_S * (held.quality >= QUALITY_SURE)
     verdict.valid_s += GRID_S

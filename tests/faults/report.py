@@ -14,13 +14,19 @@ from rich import box
 from rich.table import Table
 
 from tests.faults.families import FAMILIES
+from tests.faults.judge import LEANS, REPORT_WRONG_S
 from tests.faults.plans import ROWS_BY_TURN, SHARES, SOURCES, TURNS
+from tests.faults.truth import MOTIONS
 
 Line = dict[str, Any]
 Cells = list[list[str]]
 
 WORST = 4
 """Flights listed for each kind of error; more only lengthen the table."""
+FAULTLESS = ("no fault", "hover", "airframe", "follow", "minimum", "banked", "edge", "boxes")
+"""Groups and families of which flights without a fault of a sensor have no other fault either."""
+BOOTSTRAP = 2000
+"""Draws of flights for the limits of a share; ten times as many change them by less than a tenth of their width."""
 FROM_S, FOR_S, WORST_M, REPORTED = range(4)
 """Fields of an event; see `tests.faults.judge.Event`."""
 
@@ -54,6 +60,12 @@ class Sum:
         """Flights with a wrong distance that was not reported."""
         wrong = [line["verdict"]["wrong"] for line in self.lines]
         return sum(any(event[REPORTED] is None for event in events) for events in wrong)
+
+    @property
+    def decidable(self) -> str:
+        """Wrong distances without a report that the observer could have reported in time, of all of them."""
+        decided = [is_decidable(line, i) for line in self.lines for i in _unreported(line)]
+        return f"{sum(decided)} of {len(decided)}" if decided else ""
 
     @property
     def silent_s(self) -> float:
@@ -117,6 +129,7 @@ _HOSTILE_COLUMNS: dict[str, Callable[[Sum], str]] = {
     "reported": lambda some: f"{some.reported} of {len(some.events('wrong'))}" if some.events("wrong") else "",
     "wrong, s": lambda some: f"{some.wrong_s:.1f}",
     "unreported, s": lambda some: f"{some.unreported_wrong_s:.1f}",
+    "decidable": lambda some: some.decidable,
     "longest, s": lambda some: f"{max((event[FOR_S] for event in some.events('wrong')), default=0.0):.1f}",
     "silent, s": lambda some: f"{some.silent_s:.1f}",
     "longest silence, s": lambda some: f"{max(line['verdict']['longest_gap_s'] for line in some.lines):.1f}",
@@ -125,6 +138,17 @@ _HOSTILE_COLUMNS: dict[str, Callable[[Sum], str]] = {
     "false objects": lambda some: str(some.false_objects),
     "false warnings": lambda some: "" if some.false_warnings is None else str(some.false_warnings),
 }
+
+
+def _unreported(line: Line) -> list[int]:
+    """Which wrong distances of a flight were not reported."""
+    return [i for i, event in enumerate(line["verdict"]["wrong"]) if event[REPORTED] is None]
+
+
+def is_decidable(line: Line, i: int) -> bool:
+    """Whether the observer knew in time that a distance was wrong; see `tests.faults.observer`."""
+    decided_s = line.get("decidable_s") or []
+    return i < len(decided_s) and decided_s[i] is not None and decided_s[i] <= REPORT_WRONG_S
 
 
 def _percent(share: float | None) -> str:
@@ -182,6 +206,43 @@ def _table(heading: str, columns: dict[str, Callable[[Sum], str]], parts: Sequen
         [heading, *columns],
         *([name, *(cell(Sum(some)) for cell in columns.values())] for name, some in parts if some),
     ]
+
+
+def coverage_table(lines: Sequence[Line]) -> Cells:
+    """How often the stated 95 % interval holds the truth in flights in which nothing is wrong.
+
+    By number of sensors, lean and motion; standing on the ground, at or below the sensors' minimum, has a row of its
+    own and counts in no other. The limits are those of a bootstrap over flights, 95 %.
+    """
+    table = [["valid distances", "flights", "s", "95 % interval holds, %", "95 % limits, %"]]
+    healthy = [line for line in lines if line["group"] in FAULTLESS and not line["faults"]]
+    parts = [("in the air", healthy, "")]
+    for count in sorted({line["facts"]["sensors"] for line in healthy}):
+        some = [line for line in healthy if line["facts"]["sensors"] == count]
+        parts.append(("1 sensor" if count == 1 else f"{count} sensors", some, ""))
+    parts += [(word, healthy, word) for word in (*LEANS, *MOTIONS)]
+    draws = np.random.default_rng(1)
+    for name, some, word in parts:
+        each = np.array([_covered_s(line, word) for line in some]).reshape(-1, 2)
+        each = each[each[:, 1] > 0.0]
+        if len(each):
+            drawn = each[draws.integers(len(each), size=(BOOTSTRAP, len(each)))].sum(axis=1)
+            low, high = np.quantile(100.0 * drawn[:, 0] / drawn[:, 1], [0.025, 0.975])
+            covered_s, valid_s = each.sum(axis=0)
+            share = f"{100.0 * covered_s / valid_s:.1f}"
+            table.append([name, str(len(each)), f"{valid_s:.0f}", share, f"{low:.1f} to {high:.1f}"])
+    return table
+
+
+def _covered_s(line: Line, word: str) -> tuple[float, float]:
+    """Time in which the interval holds, and with a valid distance, of a lean or a motion; '': of all in the air."""
+    some = [
+        seconds
+        for key, seconds in line["verdict"]["covered_by"].items()
+        if word == "standing" or not key.endswith("standing")
+        if not word or word in key.split(", ")
+    ]
+    return sum(covered_s for covered_s, _ in some), sum(valid_s for _, valid_s in some)
 
 
 def goals_table(lines: Sequence[Line]) -> Cells:
@@ -242,7 +303,7 @@ def _of(lines: Iterable[Line], *groups: str) -> Sum:
 
 
 _ERRORS: dict[str, Callable[[Line], tuple[float, str]]] = {
-    "wrong distance": lambda line: _worst_event(line["verdict"]["wrong"]),
+    "wrong distance": lambda line: _worst_wrong(line),
     "wrong 'above the maximum'": lambda line: (
         line["verdict"]["above_wrong_s"],
         f"{line['verdict']['above_wrong']} messages, {line['verdict']['above_wrong_s']:.1f} s",
@@ -269,6 +330,15 @@ def _worst_event(events: Sequence[Sequence[Any]]) -> tuple[float, str]:
     worst = max(events, key=lambda event: event[FOR_S])
     off = f", {worst[WORST_M]:+.1f} m" if worst[WORST_M] else ""
     return worst[FOR_S], f"{worst[FOR_S]:.1f} s{off} from {worst[FROM_S]:.1f} s"
+
+
+def _worst_wrong(line: Line) -> tuple[float, str]:
+    """As `_worst_event`; one without a report that the observer could not have reported either is marked."""
+    size, words = _worst_event(line["verdict"]["wrong"])
+    unknowable = [i for i in _unreported(line) if line["verdict"]["wrong"][i][FOR_S] == size]
+    if any(not is_decidable(line, i) for i in unknowable) and line["group"] in FAMILIES:
+        words += ", undecidable"
+    return size, words
 
 
 def worst_table(lines: Sequence[Line]) -> Cells:

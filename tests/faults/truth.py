@@ -20,6 +20,12 @@ MEMORY_S = 1.0
 """A ground that was met this long ago still counts [s]."""
 UNEVEN_M = 0.08
 """Grounds this far apart are an object, a hole or a step [m]; the bridge reports none below 12 cm."""
+MOVES_M_S = 0.2
+"""A vehicle that climbs, sinks or travels faster than this does not hover [m/s]; a hover drifts by less."""
+MOTIONS = ("hover", "climb", "cruise", "standing")
+"""What a vehicle does; a descent is a climb."""
+STANDS_M = 0.01
+"""Feet this close to the ground stand on it [m]."""
 UNEVEN_MEMORY_S = 2.0
 """How long after such a place an object or hole may still be reported [s]."""
 
@@ -64,6 +70,17 @@ class Truth:
             return [own_m]
         height_m, rate, _ = self._reference(time_s)
         return [own_m, *((height_m - relief_m) / rate for relief_m in self._recent(time_s, MEMORY_S))]
+
+    def motion(self, time_s: float) -> tuple[float, str]:
+        """Lean of the vehicle [rad], and which of `MOTIONS` it does."""
+        pose = self._vehicle.pose(time_s)
+        north_m_s, east_m_s, down_m_s = pose.velocity_ned_m_s
+        lean_rad = math.acos(min(math.cos(pose.roll_rad) * math.cos(pose.pitch_rad), 1.0))
+        if self._vehicle.clearance_m(time_s) < STANDS_M:
+            return lean_rad, "standing"
+        if abs(down_m_s) > MOVES_M_S:
+            return lean_rad, "climb"
+        return lean_rad, "cruise" if math.hypot(north_m_s, east_m_s) > MOVES_M_S else "hover"
 
     def is_uneven(self, time_s: float) -> bool:
         """Whether an object, a hole or a step is below the vehicle, or was a moment ago."""

@@ -25,6 +25,7 @@ from tests.faults.plans import draw_plan, row_of
 from tests.faults.report import (
     REPORTED,
     Sum,
+    coverage_table,
     edges_table,
     families_table,
     goals_table,
@@ -132,6 +133,22 @@ def test_the_tables_of_the_families_can_be_made(hostile: list[dict[str, Any]]) -
     assert {row.split(" | ")[0].removeprefix("| ") for row in families[2:]} >= {*FAMILIES, "fixed: all four", "all"}
     assert len({row.count("|") for row in families}) == 1
     assert [row[0] for row in edges_table(hostile)[1:]] == ["edge: healthy", "boxes"]
+
+
+def test_coverage_is_counted_where_nothing_is_wrong(hostile: list[dict[str, Any]]) -> None:
+    table = coverage_table(hostile)
+    rows = {row[0]: row for row in table[1:]}
+    assert {"in the air", "4 sensors", "below 5 deg", "above 5 deg", "standing", "climb", "cruise", "hover"} <= set(
+        rows
+    )
+    assert (
+        int(rows["in the air"][1]) == len([line for line in hostile if not line["faults"]]) - 1
+    )  # All but 'outside air'.
+    for _, flights, seconds, share, limits in table[1:]:
+        low, high = map(float, limits.split(" to "))
+        assert int(flights) > 0
+        assert float(seconds) >= 0.0
+        assert low <= float(share) <= high
 
 
 def test_a_flight_of_a_campaign_is_flown_again_with_all_its_files(lines: list[dict[str, Any]], tmp_path: Path) -> None:

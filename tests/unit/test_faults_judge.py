@@ -31,6 +31,9 @@ class StatedTruth:
     def distances_m(self, time_s: float) -> list[float]:
         return [each(time_s) for each in self._below_m]
 
+    def motion(self, time_s: float) -> tuple[float, str]:
+        return (0.0, "hover") if time_s < 5.0 else (0.1, "climb")
+
 
 def distance(time_s: float, current_cm: int, std_cm: float = 2, quality: int = 90, orientation: int = DOWN) -> Any:
     """A DISTANCE_SENSOR whose echo came 40 ms before; a deviation of 0 is 'unknown'."""
@@ -70,6 +73,9 @@ def test_a_right_stream_is_right() -> None:
     assert verdict.judged_s == pytest.approx(9.0)
     assert verdict.honest_in_range_s == pytest.approx(verdict.in_range_s) == pytest.approx(9.0)
     assert verdict.covered_s == pytest.approx(9.0)
+    assert {key: covered_s for key, (covered_s, valid_s) in verdict.covered_by.items()} == pytest.approx(
+        {"below 5 deg, hover": 4.0, "above 5 deg, climb": 5.0}
+    )
 
 
 @pytest.mark.parametrize(("error_cm", "wrong"), [(49, False), (51, True), (-51, True)])
