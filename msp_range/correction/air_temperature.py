@@ -108,7 +108,7 @@ class AirTemperature:
         new = [(track, good) for track, good in known if good.source != HELD]
         old = [(track, good) for track, good in known if good.std_c < self._fixed.std_c]
         if new:
-            track, good = min(new, key=lambda each: each[0].lag_c != 0.0)
+            track, good = min(new, key=lambda each: each[0].settles)
         elif old:
             track, good = min(old, key=lambda each: each[1].std_c)
         else:
@@ -117,9 +117,10 @@ class AirTemperature:
 
     def _lag_text(self, used: TemperatureTrack | None, temperature_c: float) -> str | None:
         """What is reported of a source that settles: from a large error on, until it has settled."""
-        if used is None or used.jump is not None:
+        if used is None or used.jump is not None or used.settling is None:
             return None
-        error_m = abs(compensate_range(self._maximum_m, temperature_c, temperature_c + used.lag_c) - self._maximum_m)
+        left_c = used.settling.lag_c - used.settling.ahead_c
+        error_m = abs(compensate_range(self._maximum_m, temperature_c, temperature_c + left_c) - self._maximum_m)
         if error_m <= (WORTH_REPORTING_M if self._lags is None else 0.0):
             return None
         return f"Range: air temp lags, up to {100 * error_m:.0f} cm off at {self._maximum_m:.3g} m"

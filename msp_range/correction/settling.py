@@ -1,11 +1,16 @@
 """How far the air is ahead of a thermometer that settles, as in a housing that has come from a hall into the cold.
 
-Values of one source enter in order of time, `Settling.lag_c` leaves. A thermometer with the time constant tau follows
-its air by dx/dt = (air - x) / tau, so the air is ahead of a reading x by tau dx/dt. Tau is not known: the largest
-counts once the reading has moved by more than it does in sun and shade, until it hardly moves any more.
+Values of one source enter in order of time, the lag leaves. A thermometer with the time constant tau follows
+its air by dx/dt = (air - x) / tau, so the air is ahead of a reading x by tau dx/dt. Tau is not known. Once the reading
+has moved by more than it does in sun and shade, and until it hardly moves any more, the largest tau says how far the
+air may be ahead, and how the reading bends says how far it probably is: x = air - lag e^(-t / tau), with t = 0 now, is
+fitted for several tau, which count by how well they fit.
 """
 
+import math
+import operator
 from collections import deque
+from statistics import median
 
 SLOWEST_S = 120.0
 """Time constant of the slowest thermometer [s], one in a closed housing; in moving air it is 5 s (an SHT4x on a board)
@@ -31,6 +36,26 @@ a quick thermometer has settled."""
 SETTLED_C = 2.0
 """A thermometer has settled when the lag is below this [deg C], about one standard deviation of a good thermometer.
 With less, noise prolongs settling."""
+TAUS_S = (5.0, 10.0, 20.0, 40.0, 60.0, 90.0, SLOWEST_S)
+"""Time constants that are tried [s]: each as likely as the next before the fit. Fewer make the correction jump from one
+to the next, more cost processor time once a second."""
+FITTED_VALUES = 4
+"""With fewer values nothing is corrected: two show a rate, and no more. More correct later."""
+LAG_STD_C = 15.0
+"""Standard deviation of a lag before the fit [deg C]: 40 is the largest. Larger follows the fit of a few values."""
+LEVEL_VALUES, LEVEL_NOISES = 9, 2.5
+"""What a thermometer read before it began to settle is the median of so many values, and it has begun where a value is
+farther from it than so many standard deviations of the noise. With an earlier beginning a quick thermometer looks
+slow."""
+LEAST_NOISE_C = 0.1
+"""Scatter about the fitted curve at least [deg C]: steps of a thermometer, and air that is not the same everywhere.
+Smaller decides for one time constant after fewer values."""
+LAG_SHARE = 1 / math.sqrt(12)
+"""Standard deviation of the lag at least, as a share of its largest value: that of one that is evenly distributed from
+none on. A housing has more than one time constant; smaller trusts the fitted form."""
+FASTEST_C_PER_S = 2.0
+"""The lag is corrected for no faster than this [deg C/s]: 2 cm/s at 6 m, slower than a vehicle that lands. Faster moves
+the distance like a climb, slower leaves it wrong for longer."""
 SPACING_S = 0.9
 """Shortest time between two values that are kept [s]: an autopilot may send 50 per second, and one per second is
 enough. Longer recognises settling later."""
@@ -48,18 +73,22 @@ class Settling:
     ----------
     lag_c
         How much warmer the air is at most than the newest value, negative if colder [deg C]; 0: it does not settle.
+    ahead_c, std_c
+        How much warmer it probably is, at no more than `FASTEST_C_PER_S`, and the standard deviation of that [deg C].
     """
 
     def __init__(self, time_s: float, value_c: float) -> None:
-        self.lag_c = 0.0
+        self.lag_c = self.ahead_c = self.std_c = 0.0
         self._values = deque([(time_s, value_c)])
         self._start: tuple[float, float] | None = None  # Time [s] and value [deg C] before it began to settle.
+        self._begun_s = time_s
         self._noise_c, self._noises = FIRST_NOISE_C, 1
 
     def update(self, time_s: float, value_c: float) -> None:
         """Update with the next value."""
         values = self._values
-        if time_s - values[-1][0] < SPACING_S:
+        elapsed_s = time_s - values[-1][0]
+        if elapsed_s < SPACING_S:
             return
         if len(values) > 1:
             self._noises = min(self._noises + 1, NOISE_VALUES)
@@ -70,6 +99,8 @@ class Settling:
         ordinary_c = ORDINARY_C + ORDINARY_NOISES * self._noise_c
         if self._start is None:
             self._start = next((past for past in reversed(values) if abs(value_c - past[1]) > ordinary_c), None)
+            if self._start is not None:
+                self._begun_s = self._begin_s(self._start[0])
         if self._start is not None:
             # Of the last seconds only: the change may be over by now.
             since_s = max(self._start[0], time_s - RATE_S)
@@ -81,3 +112,41 @@ class Settling:
             self._start, self.lag_c = None, 0.0
             values.clear()
         values.append((time_s, value_c))
+        probable_c, self.std_c = (0.0, 0.0) if self._start is None else self._fitted(self._begun_s, time_s)
+        most_c = FASTEST_C_PER_S * elapsed_s
+        self.ahead_c += min(max(probable_c - self.ahead_c, -most_c), most_c)
+        self.std_c = math.hypot(max(self.std_c, LAG_SHARE * abs(self.lag_c)), probable_c - self.ahead_c)
+
+    def _begin_s(self, before_s: float) -> float:
+        """When it began to settle: the last value that is that of before [s]."""
+        level_c = median([past_c for past_s, past_c in self._values if past_s <= before_s][-LEVEL_VALUES:])
+        near_c = LEVEL_NOISES * max(self._noise_c, LEAST_NOISE_C)
+        return max((past_s for past_s, past_c in self._values if abs(past_c - level_c) <= near_c), default=before_s)
+
+    def _fitted(self, since_s: float, now_s: float) -> tuple[float, float]:
+        """Mean and standard deviation of the lag by the values since a time [deg C].
+
+        For each tau, with e = e^((now - t) / tau) and the prior of the lag L ~ N(0, LAG_STD_C^2):
+        L = -S_xe / (S_ee + s^2 / LAG_STD_C^2), S sums of squares about the means and s the noise.
+        """
+        values = [(now_s - past_s, past_c) for past_s, past_c in self._values if past_s >= since_s]
+        if len(values) < FITTED_VALUES:
+            return 0.0, abs(self.lag_c) / math.sqrt(3)
+        noise_c2 = max(self._noise_c, LEAST_NOISE_C) ** 2
+        lags_c, variances, logs = [], [], []
+        mean_c = sum(past_c for _, past_c in values) / len(values)
+        for tau_s in TAUS_S:
+            grown = [math.exp(age_s / tau_s) for age_s, _ in values]
+            mean = sum(grown) / len(grown)
+            square = sum((each - mean) ** 2 for each in grown) + noise_c2 / LAG_STD_C**2
+            product = sum((each - mean) * (past_c - mean_c) for each, (_, past_c) in zip(grown, values, strict=True))
+            lags_c.append(-product / square)
+            variances.append(noise_c2 / square)
+            logs.append(0.5 * product * product / square / noise_c2 - 0.5 * math.log(square))
+        weights = [math.exp(each - max(logs)) for each in logs]
+        total = sum(weights)
+        lag_c = sum(map(operator.mul, weights, lags_c)) / total
+        squares = [own + (each - lag_c) ** 2 for own, each in zip(variances, lags_c, strict=True)]
+        spread = sum(map(operator.mul, weights, squares)) / total
+        low_c, high_c = sorted((0.0, self.lag_c))
+        return min(max(lag_c, low_c), high_c), min(math.sqrt(spread), abs(self.lag_c))

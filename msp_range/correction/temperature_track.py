@@ -33,9 +33,6 @@ STEADY_C = 2.0
 COVERS = 0.55
 """Standard deviation that covers two levels, as a share of their difference: each is within the other's 95 %
 interval."""
-LAG_SHARE = 1 / math.sqrt(3)
-"""Standard deviation of a lag as a share of its largest value: the root mean square of one that is evenly distributed
-from none on. 1.96 of it contain the largest, too."""
 BELIEVED_AFTER_S = 300.0
 """Time after which the new level of a jump is used if it was steady and nothing contradicts it [s]: five time constants
 of a slow thermometer in still air (60 s), so a vehicle carried into cold air is right after that at the latest. Longer
@@ -192,10 +189,15 @@ class TemperatureTrack:
         return min(*left_c, self._good.value_c), max(*left_c, self._good.value_c)
 
     @property
-    def lag_c(self) -> float:
-        """How much warmer the air is at most than the newest level because of settling; negative: colder [deg C]."""
+    def settling(self) -> Settling | None:
+        """How far the air may be ahead of the newest level; None before the first."""
         level = self._good if self.jump is None or self.jump.refused else self.jump.level
-        return 0.0 if level is None else level.settling.lag_c
+        return None if level is None else level.settling
+
+    @property
+    def settles(self) -> bool:
+        """Whether the source settles."""
+        return self.settling is not None and self.settling.lag_c != 0.0
 
     def good(self, now_s: float) -> Air | None:
         """The last good value, with a standard deviation for its age only; None before the first.
@@ -210,7 +212,7 @@ class TemperatureTrack:
         return Air(good.value_c, std_c, self.source.name if is_new else HELD)
 
     def air(self, now_s: float, good: Air) -> Air:
-        """The result of `good` with its full uncertainty, including its lag, an undecided jump and flapping.
+        """The result of `good` with its lag corrected, and its full uncertainty: of the lag, a jump and flapping.
 
         Of a source that has flapped from its start, neither level is better than the other: the middle is used.
         """
@@ -220,7 +222,11 @@ class TemperatureTrack:
             doubt_c = COVERS * (highest_c - lowest_c)
             if self._values < FIRST_VALUES:
                 good = good._replace(temperature_c=(lowest_c + highest_c) / 2)
-        return good._replace(std_c=math.hypot(good.std_c, doubt_c, LAG_SHARE * self.lag_c))
+        settling = self.settling
+        if settling is None:
+            return good
+        std_c = math.hypot(good.std_c, doubt_c, settling.std_c)
+        return good._replace(temperature_c=good.temperature_c + settling.ahead_c, std_c=std_c)
 
     def reported(self, now_s: float) -> Air | None:
         """The present value, confirmed or not; None if the source is silent or flaps."""
