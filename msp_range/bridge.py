@@ -417,7 +417,7 @@ class Bridge:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
         is_in_doubt = fusion.is_ground_in_doubt(reading.sensor)
         self._below.update(reading.sensor, fusion.object_m(reading.sensor), is_in_doubt, rejected is None)
-        if rejected == OUTLIER and outcome.fused is not None:
+        if rejected == OUTLIER and outcome.fused is not None and not fusion.is_disputed:
             self._schedule.again(reading.sensor)
         if rejected == OBJECT and self._below.is_object(reading.sensor):
             self._streams.send_object(now_s, boot_ms, reading, air)
@@ -490,7 +490,7 @@ class Bridge:
         if self._airframe.send.nothing:
             conditions.append(NOT_SENT)
         if self._fusion is not None:
-            conditions.append(self._fusion.condition())
+            conditions += self._fusion.conditions()
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault

@@ -1,38 +1,35 @@
 """Several downward sensors -> the ground below the vehicle, and the one distance that an autopilot expects.
 
 Corrected readings enter, in the order of their times; with each leaves what the stream says now (`Outcome`): the
-distance along the vehicle's down axis, 'above the maximum', or nothing. A reading that fits the ground's filter updates
-it. Those that do not are votes for another ground, objects below one sensor, or outliers. Whether the ground may be
-sent is decided in `msp_range.fusion.support`.
+distance along the vehicle's down axis, 'above the maximum', or nothing. What each reading is of, and which surface is
+the ground, is decided in `msp_range.fusion.belief`.
 """
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from msp_range.filters.chain import UNCONFIRMED
-from msp_range.fusion import garbled
 from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import Attitude
-from msp_range.fusion.garbled import GarbledAnswers
+from msp_range.fusion.belief import SURE, Belief, Surface
 from msp_range.fusion.ground_filter import Ground, GroundFilter
+from msp_range.fusion.modes import GARBLED as P_GARBLED
+from msp_range.fusion.modes import OUTLIER as P_OUTLIER
+from msp_range.fusion.modes import P_AGAIN, PER_M, SensorMode, normal_per_m
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, View, spans_plane
-from msp_range.fusion.objects import Below
 from msp_range.fusion.odd import LONGEST_GAP_S, LevelHeight, odd_one
 from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
-from msp_range.fusion.response import LEVEL_RISE, MotionResponse
-from msp_range.fusion.start import Candidate, Found, Start
-from msp_range.fusion.stuck import StuckWatch
-from msp_range.fusion.support import GroundSupport
+from msp_range.fusion.response import LEVEL_RISE
 from msp_range.fusion.vertical import Known, VerticalMotion
-from msp_range.fusion.votes import Sight, step_m, working
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
 from msp_range.health import Condition
 from msp_range.reading import Reading, Status
 
-OTHER_PER_M = 0.002
-"""Probability density of readings that are not of the ground: some percent, spread over some metres [1/m]. A reading
-that the ground explains less well than this is not taken for the ground."""
+GATE_SIGMAS = 3.0
+"""So many standard deviations of a reading are not outside of the gate: a lidar's at 30 m is off by a decimetre. Fewer
+split the ground of such a sensor into several surfaces."""
 GATE_M, GATE_M_S2, GATE_WIDEST_M = 0.25, 1.0, 1.0
 """A reading farther off than this is not of the ground, however little is known of the vehicle's motion: with readings
 0.1 s apart [m], for an acceleration of twice the second where they are farther apart [m/s^2], and at most [m]. Wider
@@ -43,10 +40,6 @@ ground that is merely near it."""
 STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 """A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
-STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
-"""What a step of the ground leaves uncertain of the height [m] and of its rate [m/s]: the first readings beyond an edge
-may be of its flank, and the vehicle's motion goes on. A smaller height or a larger rate takes the next reading's
-difference for a climb of 2 m/s, and loses the ground."""
 LEVEL_SHARE = 0.3
 """Share of a reading in what its sensor sees lately: the last second of four."""
 ROUGH_READINGS = 30.0
@@ -65,19 +58,57 @@ sensors say, what is used was chosen from it. Larger doubts the ground for longe
 FIT_TOLERATED = 1.5
 """Up to this mean square the stated variance stands, beyond it the variance grows with it. Ten readings of a filter
 that is right exceed it in one of ten turns; larger believes a noisy sensor's small variance for longer."""
+OTHERS_IN_A_ROW = 2
+"""After so many ranges in a row that are not of the ground nothing is sent until one is: the ground may have a step, or
+the vehicle a motion that the filter has not seen."""
+STALE_S = 0.25
+"""A ranging that is over this long after its time says nothing of now [s]: the program or the bus stood still."""
+GARBLED_STD_M = 0.05
+"""How far a garbled answer is trusted to be that of the ground, standard deviation [m]: it may be a code by itself."""
+AGAIN_S, AGAIN_M = 10.0, 0.25
+"""On a bus that has garbled an answer within this time [s] others are likely garbled; and no answer that is farther
+from the ground than this is [m]."""
 
 
-class _Sensor:
-    """One downward sensor: where it sits, and what is known of its last readings."""
+class _Seen(NamedTuple):
+    """A reading over some ground: what was expected, how much longer it was, and the height by it [m]."""
 
-    def __init__(self, mounted: DownwardSensor) -> None:
-        self.mounted = mounted
-        self.sight = Sight()
-        self.below = Below()
-        self.stuck = StuckWatch()
-        self.is_ground_in_doubt = False
-        self.foot_m = mounted.foot_m(0.0)
-        self.level: tuple[float, LevelHeight] | None = None
+    view: View
+    innovation_m: float
+    height_m: float
+
+
+class _Look(NamedTuple):
+    """A reading with a range: whose, with what variance of its error [m^2], and how the vehicle was turned."""
+
+    mode: SensorMode
+    reading: Reading
+    range_m: float
+    variance_m2: float
+    rotation: Matrix
+
+    def over(self, known: GroundFilter | None) -> _Seen | None:
+        """The reading over a known ground, or over any level; None where the sensor looks past it."""
+        plane = (0.0, 0.0, 0.0) if known is None else (known.height_m, known.rise_north, known.rise_east)
+        view = self.mode.mounted.view(self.rotation, *plane)
+        if view is None:
+            return None
+        innovation_m = self.range_m - view.expected_m
+        return _Seen(view, innovation_m, plane[0] + innovation_m / view.by_height)
+
+    @property
+    def by_raw_m(self) -> float:
+        """What one step of the raw answer is [m]."""
+        return self.range_m / self.reading.raw if self.reading.raw else 1.0
+
+    def garbled_words(self, raw: int) -> tuple[int, ...]:
+        """Answers that bytes lost on the bus would make this one of."""
+        return self.mode.mounted.garbled_from(raw)
+
+    def garbled_m(self, seen: _Seen) -> list[float]:
+        """How much higher the vehicle would be, were the answer garbled on the bus [m]."""
+        words = self.garbled_words(self.reading.raw) if self.reading.raw else ()
+        return [(word * self.by_raw_m - self.range_m) / seen.view.by_height for word in words]
 
 
 class Fusion:
@@ -112,28 +143,28 @@ class Fusion:
         motion: VerticalMotion | None = None,
         maximum_m: float = 7.65,
     ) -> None:
-        self._sensors = {name: _Sensor(mounted) for name, mounted in sensors.items()}
-        self._sights = [sensor.sight for sensor in self._sensors.values()]
+        self._modes = {name: SensorMode(mounted) for name, mounted in sensors.items()}
         self._attitude = attitude
         self._windows = windows
         self._motion = motion or VerticalMotion()
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
-        self._support = GroundSupport(self._sights, windows, GATE_WIDEST_M)
-        self._start = Start(windows, self._motion)
-        self._response = MotionResponse(self._motion, windows.turn_s)
+        self._belief = Belief(list(self._modes.values()), self._motion, windows)
         self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
-        self._odd: _Sensor | None = None
-        self._filter: GroundFilter | None = None
-        self._time_s = self._known_s = float("-inf")
-        self._garbled = GarbledAnswers()
-        self._steps_m = 0.0
+        self._odd: SensorMode | None = None
+        self._odd_of: Surface | None = None
+        self._time_s = self._garbled_s = float("-inf")
         self._rough_m2 = 0.0
+        self._others = 0
         self._shared_m2 = self._nearest = 0.0
         self._fit = 1.0
         self._tilted = False
         self.level_height_m: float | None = None
         self.down: Vector | None = None
+
+    @property
+    def _filter(self) -> GroundFilter | None:
+        return None if self._belief.ground is None else self._belief.ground.filter
 
     @property
     def ground(self) -> Ground | None:
@@ -158,22 +189,36 @@ class Fusion:
     def is_tied(self) -> bool:
         """Whether the newest readings of as many sensors are off the ground as on it, or of more."""
         since_s = self._time_s - self._windows.fresh_s
-        newest = [seen.is_ground for sight in self._sights if (seen := sight.newest(since_s)) is not None]
+        newest = [mode.sees is self._belief.ground for mode in self._modes.values() if mode.seen_s >= since_s]
         return 2 * sum(newest) <= len(newest)
 
-    def condition(self) -> Condition:
-        """Answers that come a ping late, for `msp_range.health.Health.set`."""
-        text = "Range: answers are those of the ping before" if self._response.is_late else None
-        remedy = "switch the sensors' power off and on; check that pings are acknowledged"
-        return Condition("late answers", text, "Range: answers are in time again", remedy=remedy)
+    @property
+    def is_disputed(self) -> bool:
+        """Whether two sensors see the same other ground or object."""
+        return self._belief.is_disputed
+
+    def conditions(self) -> list[Condition]:
+        """Answers that come a ping late, and a change that is no likely ground, for `msp_range.health.Health.set`."""
+        late = "Range: answers are those of the ping before" if self._is_late else None
+        power = "switch the sensors' power off and on; check that pings are acknowledged"
+        doubted = "Range: sudden change, maybe an object or fault" if self._belief.is_doubted else None
+        look = "look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground"
+        return [
+            Condition("late answers", late, "Range: answers are in time again", remedy=power),
+            Condition("sudden change", doubted, "Range: ground is certain again", remedy=look),
+        ]
+
+    @property
+    def _is_late(self) -> bool:
+        return self._belief.ground is not None and self._belief.ground.response.is_late
 
     def object_m(self, sensor: str) -> float | None:
         """Height over the ground of what is below a sensor and is not ground, negative for a hole [m]; or None."""
-        return self._sensors[sensor].below.object_m
+        return self._modes[sensor].object_m
 
     def is_ground_in_doubt(self, sensor: str) -> bool:
         """Whether the ground that the others see may be what this sensor sees, with a byte lost on the bus."""
-        return self._sensors[sensor].is_ground_in_doubt
+        return self._modes[sensor].is_ground_in_doubt
 
     def update(self, reading: Reading, now_s: float) -> Outcome:
         """Update with one reading.
@@ -190,317 +235,248 @@ class Fusion:
         KeyError
             Not one of the downward sensors.
         """
-        sensor = self._sensors[reading.sensor]
+        mode, belief = self._modes[reading.sensor], self._belief
         self.level_height_m = None
-        time_s = max(reading.time_s, self._time_s)
-        self._predict(time_s)
+        time_s = self._time_s = max(reading.time_s, self._time_s)
+        belief.predict(time_s)
         rotation = self._rotation(time_s)
-        reading = self._unless_stuck(sensor, reading)
-        sensor.sight.read_s, sensor.sight.works = time_s, not reading.status.is_fault
+        reading = self._unless_stuck(mode, reading)
+        mode.read_s, mode.works = time_s, not reading.status.is_fault
         if reading.range_m is None:
-            self._on_nothing(sensor, reading)
             rejected: str | None = reading.status.value
-        elif self._filter is None:
-            rejected = self._on_first(sensor, reading, reading.range_m, rotation)
+            if time_s - mode.seen_s > self._windows.memory_s:
+                mode.object_m = None
         else:
-            rejected = self._on_range(self._filter, sensor, reading, reading.range_m, rotation)
+            std_m = 0.01 if reading.std_m is None else reading.std_m
+            look = _Look(mode, reading, reading.range_m, std_m * std_m if math.isfinite(std_m) else 1.0, rotation)
+            rejected = self._on_range(look)
             if rejected == GARBLED:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
-                sensor.sight.works = False
+                mode.works = False
+        belief.weigh()
+        ground = belief.ground
+        if reading.range_m is not None:
+            rejected = self._against(ground, look, rejected)
+            self._others = 0 if rejected is None else self._others + (rejected != OBJECT)
         if reading.suspect:
             self._above.update_with_code()
         else:
-            faces = sensor.mounted.faces_ground(rotation[2])
-            self._above.update(reading.sensor, reading.status is Status.NO_ECHO, sensor.sight.works, faces)
-        is_enough = self._support.is_enough(time_s, now_s, rejected is None) and not self._response.is_late
-        if self._filter is not None and is_enough:
-            fused = self._down_axis(self._filter, rotation)
+            faces = mode.mounted.faces_ground(rotation[2])
+            self._above.update(reading.sensor, reading.status is Status.NO_ECHO, mode.works, faces)
+        if ground is not None and self._may_be_sent(ground, now_s, rejected is None):
+            fused = self._down_axis(ground.filter, rotation)
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
             self._above.on_ground_seen(known)
-            self._start.on_ground_seen(known)
+            belief.on_sent(known)
             is_above = fused.range_m > self._maximum_m
             return Outcome(reading, None if is_above else fused, is_above, rejected)
-        return Outcome(reading, None, not self._support.is_seen(time_s) and self._above.decide(time_s), rejected)
+        is_seen = ground is not None and self._is_seen(ground)
+        return Outcome(reading, None, not is_seen and self._above.decide(time_s), rejected)
 
-    def _predict(self, time_s: float) -> None:
-        if self._filter is not None:
-            if time_s - self._known_s > self._windows.memory_s:
-                self._filter = None
-                self._start.clear()
-            else:
-                self._filter.predict(time_s - self._time_s, self._motion.acceleration(self._time_s, time_s))
-        self._time_s = time_s
+    def _may_be_sent(self, ground: Surface, now_s: float, was_ground: bool) -> bool:
+        """Whether the ground is sure, and a sensor has seen it just now."""
+        if self._belief.sure < SURE or self._is_late or now_s - self._time_s > STALE_S:
+            return False
+        if not self._is_seen(ground) or self._others >= OTHERS_IN_A_ROW:
+            return False
+        sees = len(self._belief.sees(ground, self._time_s - self._windows.held_s))
+        return was_ground or sees >= (1 if ground is self._belief.proven else 2)
 
     def _rotation(self, time_s: float) -> Matrix:
         rotation = self._attitude.rotation_at(time_s)
         self.down = None if rotation is None else rotation[2]
         if (rotation is not None) != self._tilted:
             self._tilted = rotation is not None
-            if self._filter is not None:
-                self._filter.level()  # Slopes were of the other frame.
+            self._belief.level()
         return rotation or LEVEL
 
-    def _unless_stuck(self, sensor: _Sensor, reading: Reading) -> Reading:
+    def _unless_stuck(self, mode: SensorMode, reading: Reading) -> Reading:
         """The reading; without its range where the sensor is stuck."""
         if reading.raw is None:
             return reading
-        height_m = None if self._filter is None else self._filter.height_m - self._steps_m
-        stuck = sensor.stuck.update(
-            reading.raw, reading.range_m, height_m, self._motion, self._time_s, reading.status is Status.AT_MINIMUM
-        )
+        travel_m = self._belief.travel_m(mode)
+        least = reading.status is Status.AT_MINIMUM
+        stuck = mode.is_stuck(reading.raw, reading.range_m, travel_m, self._motion, self._time_s, least)
         if not stuck or reading.range_m is None:
             return reading
-        status = Status.FIXED if sensor.stuck.is_fixed else Status.STUCK
+        mode.sees, mode.seen_s = None, float("-inf")
+        status = Status.FIXED if mode.is_fixed else Status.STUCK
         return Reading(reading.time_s, reading.sensor, status, raw=reading.raw)
 
-    def _was_garbled(self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, view: View) -> bool:
+    def _on_range(self, look: _Look) -> str | None:
+        """Give a reading to the surface that it is of; None, or why it is of none."""
+        belief, mode, reading = self._belief, look.mode, look.reading
+        ground, parent, suspect = belief.ground, belief.proven, reading.suspect
+        if ground is not None and self.down is not None and self._windows.gap_s < LONGEST_GAP_S and not suspect:
+            self._look_for_odd(ground, look)
+        seen = look.over(None if parent is None else parent.filter)
+        if seen is None:
+            return PAST
+        variance_m2 = look.variance_m2 + self._rough_m2
+        densities = {}
+        for surface in belief.surfaces:
+            at = None if mode is self._odd and surface is ground else look.over(surface.filter)
+            if at is None or (suspect and surface is not belief.proven):
+                continue
+            gate_m = GATE_WIDEST_M
+            if belief.proven is not None or surface.evidence > 0.0:
+                gate_m = min(max(self._gate_m, GATE_SIGMAS * math.sqrt(variance_m2)), GATE_WIDEST_M)
+            if abs(at.innovation_m) <= (DOUBTFUL_M if suspect else gate_m):
+                density = surface.filter.density(at.view, at.innovation_m, variance_m2)
+                if density < 0.5 / gate_m and surface.filter.variance(1.0, 0.0, 0.0) > gate_m * gate_m:
+                    density = 0.5 / gate_m  # Of so slow a polling any reading within the gate is as likely.
+                if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
+                    densities[surface] = density
+        found, share = belief.best_of(mode, densities)
+        answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
+        if parent is not None and not answers and self._is_fixed(parent, look, seen):
+            return FIXED
+        if found is not None:
+            mode.see(found, self._time_s, share)
+            return self._on_surface(found, look, densities[found])
+        if suspect or self._was_garbled(look):
+            mode.see(None, float("-inf"))
+            return SUSPECT if suspect else GARBLED
+        if mode.repeated and ground is not None and self._others_see(ground):
+            mode.see(None, self._time_s)
+            return REPEATED
+        raw = None if mode.repeated else reading.raw
+        new = belief.start(mode, seen.height_m, look.variance_m2, seen.view, raw, look.garbled_m(seen))
+        mode.see(new, self._time_s)
+        return UNCONFIRMED
+
+    def _on_surface(self, surface: Surface, look: _Look, density: float) -> str | None:
+        seen = look.over(surface.filter)
+        assert seen is not None
+        look.mode.foot_m = look.mode.mounted.foot_m(look.range_m)
+        others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
+        if look.mode.repeated and self._others_see(surface):
+            # What a sensor repeats is nothing new: it would hold the ground when the vehicle moves.
+            self._belief.seen(surface)
+            return None
+        variance_m2 = look.variance_m2 + self._rough_m2
+        shows_slope = spans_plane([each.foot_m for each in others])
+        square = surface.filter.update(seen.view, seen.innovation_m, variance_m2, 0.0, shows_slope)
+        if self._is_fixed(surface, look, seen):
+            return FIXED
+        if surface is self._belief.ground and square is not None:
+            self._scatter(square, variance_m2)
+            self._shared_m2, self._nearest = seen.view.shared_variance_m2, seen.view.nearest
+        self._belief.hit(look.mode, surface, density, look.reading.raw)
+        return None
+
+    def _others_see(self, surface: Surface) -> bool:
+        """Whether two sensors see a surface that do not repeat themselves."""
+        others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
+        return sum([not each.repeated for each in others]) >= 2
+
+    def _is_fixed(self, surface: Surface, look: _Look, seen: _Seen) -> bool:
+        """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
+        known, since_s = surface.filter, self._time_s - self._windows.fresh_s
+        may_slope = not spans_plane([each.foot_m for each in self._belief.sees(surface, since_s)])
+        may_slope |= math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE
+        noise_m2 = look.variance_m2 / seen.view.by_height**2
+        if look.reading.status is Status.AT_MINIMUM:
+            noise_m2 += NEARER_M * NEARER_M
+        surface.response.update(look.reading.sensor, self._time_s, seen.height_m, known.climb_m_s, noise_m2, may_slope)
+        if not surface.response.is_fixed:
+            return False
+        answered = [self._modes[name] for name in surface.response.sees(since_s)]
+        for mode in [*self._belief.sees(surface, since_s), *answered]:
+            mode.hold()
+        self._belief.forget(surface)
+        return True
+
+    def _was_garbled(self, look: _Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
 
         It is no reason to send a distance, but without it the garbled answers of all sensors would soon be the only
         ground that is known.
         """
-        raw = reading.raw
-        if not raw or reading.suspect:
+        expected, parent = self._belief.expected(), self._belief.proven
+        seen = look.over(None if parent is None else parent.filter)
+        if expected is None or seen is None:
             return False
-        answers_m = [word * range_m / raw for word in sensor.mounted.garbled_from(raw)]
-        variance_m2 = _variance_m2(reading)
-        known_m2 = known.variance(1.0, 0.0, 0.0)
-        off_m = self._garbled.innovation_m(self._time_s, answers_m, view.expected_m, known_m2 + variance_m2)
-        if off_m is None:
+        height_m, std_m = expected
+        offs_m = [seen.height_m + higher_m - height_m for higher_m in look.garbled_m(seen)]
+        off_m = min(offs_m, key=abs, default=math.inf)
+        chance = P_AGAIN if self._time_s - self._garbled_s < AGAIN_S else P_GARBLED
+        is_garbled = chance * normal_per_m(off_m, math.hypot(std_m, GARBLED_STD_M)) > P_OUTLIER * PER_M
+        if not is_garbled or abs(off_m) > AGAIN_M:
             return False
-        known.update(view, off_m, variance_m2 + garbled.STD_M**2, OTHER_PER_M, False)
-        self._known_s = self._time_s
+        self._garbled_s = self._time_s
+        if parent is not None:
+            innovation_m = off_m * seen.view.by_height
+            parent.filter.update(seen.view, innovation_m, look.variance_m2 + GARBLED_STD_M**2, 0.0, False)
+            parent.kept_s = self._time_s
         return True
 
-    def _on_nothing(self, sensor: _Sensor, reading: Reading) -> None:
-        sensor.sight.nothing(self._time_s)
-        sensor.below.nothing(self._time_s, self._windows.memory_s)
-        self._start.without(reading.sensor)
-
-    def _on_first(self, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix) -> str | None:
-        """A reading where no ground is known, or the known one is lost; None where it made one, else why not."""
-        view = sensor.mounted.view(rotation, 0.0, 0.0, 0.0)
-        if view is None or reading.suspect:
-            self._on_nothing(sensor, reading)
-            return SUSPECT if reading.suspect else PAST
-
-        def height_m(of_range_m: float) -> float:
-            return (of_range_m - view.expected_m) / view.by_height
-
-        scale = range_m / reading.raw if reading.raw else 1.0
-        found = self._start.add(
-            Candidate(
-                self._time_s,
-                reading.sensor,
-                height_m(range_m),
-                _variance_m2(reading) / view.by_height**2,
-                tuple([height_m(word * scale) for word in sensor.mounted.garbled_from(reading.raw or 0)]),
-                self._motion.mark(self._time_s),
-            ),
-            working(self._sights, self._time_s, self._windows),
-        )
-        if found is None:
-            if self._filter is None:
-                sensor.sight.nothing(self._time_s)
-            return UNCONFIRMED
-        self._begin(found, view)
-        return None
-
-    def _begin(self, found: Found, view: View) -> None:
-        newest, earlier = found.newest, found.earlier
-        climbed_m = 0.0 if self._filter is None else self._filter.height_m - self._steps_m
-        self._filter = GroundFilter(
-            newest.height_m,
-            newest.variance_m2,
-            newest.height_m - earlier.height_m,
-            newest.time_s - earlier.time_s,
-            (-view.by_north / view.by_height, -view.by_east / view.by_height),
-            self._motion.rate(self._time_s),
-        )
-        self._steps_m = newest.height_m - climbed_m
-        self._support.on_new_ground(found.in_doubt)
-        self._start.clear()
-        self._response.clear()
-        self._odd = None
-        for name, sensor in self._sensors.items():
-            sensor.sight.clear()
-            sensor.below.clear()
-            sensor.level = None
-            if name in found.sensors:
-                sensor.sight.ground(earlier.time_s if name == earlier.sensor else self._time_s)
-        self._on_ground(self._sensors[newest.sensor], view)
-
-    def _on_range(
-        self, known: GroundFilter, sensor: _Sensor, reading: Reading, range_m: float, rotation: Matrix
-    ) -> str | None:
-        """A reading against the known ground: None where it updated it, else why not."""
-        if self.down is not None and self._windows.gap_s < LONGEST_GAP_S and not reading.suspect:
-            self._look_for_odd(known, sensor, range_m, rotation)
-        view = sensor.mounted.view(rotation, known.height_m, known.rise_north, known.rise_east)
-        if view is None:
-            self._on_nothing(sensor, reading)
-            return PAST
-        innovation_m = range_m - view.expected_m
-        off_m = innovation_m / view.by_height
+    def _against(self, ground: Surface | None, look: _Look, rejected: str | None) -> str | None:
+        """A reading against the ground: None where it is of it, else why not."""
+        mode = look.mode
+        seen = None if ground is None else look.over(ground.filter)
+        if ground is None or seen is None:
+            return rejected or UNCONFIRMED
+        known, view = ground.filter, seen.view
         sloping_m = (view.by_north * known.rise_north + view.by_east * known.rise_east) / view.by_height
-        self.level_height_m = known.height_m + off_m + sloping_m
-        sight, below = sensor.sight, sensor.below
-        far = abs(innovation_m) >= self._gate_m and not below.is_object(off_m)
-        if far and self._was_garbled(known, sensor, reading, range_m, view):
-            self._on_nothing(sensor, reading)
-            return GARBLED
-        sight.repeated = sensor.stuck.repeated
-        doubtful = reading.suspect or sight.repeated
-        other_per_m, most_m = (DOUBTFUL_PER_M, DOUBTFUL_M) if doubtful else (OTHER_PER_M, self._gate_m)
-        fits = abs(innovation_m) <= most_m and sensor is not self._odd and not (reading.suspect and self._climbs())
-        # What a sensor repeats is nothing new; where it is stuck, it would hold the ground when the vehicle moves.
-        is_new = not (sight.repeated and self._others_see_more())
-        if fits and not is_new:
-            self._on_ground(sensor, view)
-            return None
-        variance_m2 = _variance_m2(reading) + self._rough_m2
-        sensor.foot_m = sensor.mounted.foot_m(range_m)
-        shows_slope = self._shows_slope(sensor)
-        height_m = known.height_m + off_m
-        square = known.update(view, innovation_m, variance_m2, other_per_m, shows_slope) if fits else None
-        if square is not None or self._response.expects(height_m):
-            may_slope = not shows_slope or math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE
-            noise_m2 = _variance_m2(reading) / view.by_height**2
-            if reading.status is Status.AT_MINIMUM:
-                noise_m2 += NEARER_M * NEARER_M
-            self._response.update(reading.sensor, self._time_s, height_m, noise_m2, may_slope)
-            if self._response.is_fixed:
-                self._on_fixed()
-                return FIXED
-        if square is not None:
-            self._scatter(square, variance_m2)
-            self._on_ground(sensor, view)
-            return None
-        is_object = below.is_object(off_m)
-        if not is_new or (doubtful and not is_object):
-            return self._set_aside(sensor, reading, off_m, is_object)
-        return self._on_off(known, sensor, reading, off_m, view, rotation)
+        self.level_height_m = seen.height_m + sloping_m
+        if rejected in (SUSPECT, REPEATED, FIXED):
+            return rejected
+        if mode.sees is ground:
+            mode.below(None, True)
+            return None if self._belief.sure >= SURE or ground is self._belief.proven else UNCONFIRMED
+        lower_m = seen.height_m if mode.sees is None else mode.sees.filter.height_m
+        mode.below(lower_m - known.height_m, self._belief.sure >= SURE and self._is_seen(ground))
+        words = look.garbled_words(round(view.expected_m / look.by_raw_m))
+        longer_m = [abs(word * look.by_raw_m - look.range_m) for word in words]
+        mode.is_ground_in_doubt = min(longer_m, default=math.inf) < AGAIN_M
+        if mode.readings < 2:
+            self._fit += (FIT_OUTLIER - self._fit) / FIT_READINGS
+        return OUTLIER if mode.object_m is None else OBJECT
 
-    def _on_fixed(self) -> None:
-        """What the sensors see as ground is fixed to the vehicle: no ground is known."""
-        since_s = self._time_s - self._windows.fresh_s
-        for name in self._response.sees(since_s):
-            self._sensors[name].stuck.hold()
-        for sensor in self._sensors.values():
-            sensor.sight.clear()
-            sensor.below.clear()
-        self._filter = None
-        self._start.clear()
-        self._response.clear()
-
-    def _set_aside(self, sensor: _Sensor, reading: Reading, off_m: float, is_object: bool) -> str:
-        """A reading that has no vote for another ground."""
-        if is_object:
-            sensor.sight.off(self._time_s, off_m)
-            sensor.below.off(self._time_s, off_m, True)
-            return OBJECT
-        sensor.sight.nothing(self._time_s)
-        sensor.below.nothing(self._time_s, self._windows.memory_s)
-        return SUSPECT if reading.suspect else REPEATED
-
-    def _is_due(self) -> bool:
-        """Whether a sensor that saw the ground last has not been read since: it may see it in its next turn."""
-        seen_s = self._support.seen_s
-        return any(sight.read_s <= seen_s and sight.votes_ground(seen_s) for sight in self._sights)
+    def _is_seen(self, ground: Surface) -> bool:
+        return self._time_s - ground.seen_s <= self._windows.newest_s
 
     def _climbs(self) -> bool:
         """Whether the vehicle climbs or sinks for sure, by its barometer."""
         rate = self._motion.rate(self._time_s)
         return rate is not None and abs(rate.m_s) > STILL_M_S + STILL_SIGMAS * math.sqrt(rate.variance)
 
-    def _others_see_more(self) -> bool:
-        """Whether two sensors see the ground that do not repeat themselves."""
-        since_s = self._time_s - self._windows.fresh_s
-        newest = [sight.newest(since_s) for sight in self._sights if not sight.repeated]
-        return sum([seen is not None and seen.is_ground for seen in newest]) >= 2
-
-    def _look_for_odd(self, known: GroundFilter, sensor: _Sensor, range_m: float, rotation: Matrix) -> None:
+    def _look_for_odd(self, ground: Surface, look: _Look) -> None:
         """Find the sensor that does not fit into the plane of the others; the ground is then that of the others."""
-        flat = sensor.mounted.view(rotation, known.height_m, 0.0, 0.0)
+        known, mode, modes = ground.filter, look.mode, self._modes.values()
+        flat = mode.mounted.view(look.rotation, known.height_m, 0.0, 0.0)
         if flat is None:
             return
-        higher_m = (range_m - flat.expected_m) / flat.by_height
+        if ground is not self._odd_of:
+            self._odd, self._odd_of = None, ground
+            for each in modes:
+                each.level = None
+        higher_m = (look.range_m - flat.expected_m) / flat.by_height
         by_north, by_east = flat.by_north / flat.by_height, flat.by_east / flat.by_height
         since_s = self._time_s - self._windows.fresh_s
         off_m = math.inf
-        if sensor.level is not None and sensor.level[0] >= since_s:
-            off_m = higher_m - sensor.level[1].higher_m
+        if mode.level is not None and mode.level[0] >= since_s:
+            off_m = higher_m - mode.level[1].higher_m
         if abs(off_m) < GATE_M:
             higher_m -= (1.0 - LEVEL_SHARE) * off_m
         elif abs(higher_m - by_north * known.rise_north - by_east * known.rise_east) > self._gate_m:
             return
-        sensor.level = self._time_s, LevelHeight(higher_m, by_north, by_east)
-        seen = [each for each in self._sensors.values() if each.level is not None and each.level[0] >= since_s]
-        found = odd_one([each.level[1] for each in seen if each.level is not None])
-        before, self._odd = self._odd, None if found is None else seen[found[0]]
+        mode.level = self._time_s, LevelHeight(higher_m, by_north, by_east)
+        levels = [(each, each.level[1]) for each in modes if each.level is not None and each.level[0] >= since_s]
+        found = odd_one([level for _, level in levels])
+        before, self._odd = self._odd, None if found is None else levels[found[0]][0]
         if found is not None and self._odd is not before:
-            known.tilt(found[1].lower_m, found[1].rise_north, found[1].rise_east)
-            self._move_levels(found[1].lower_m)
-
-    def _move_levels(self, by_m: float) -> None:
-        """The ground is now taken to be ``by_m`` lower than before."""
-        for each in self._sensors.values():
-            if each.level is not None:
-                time_s, level = each.level
-                each.level = time_s, level._replace(higher_m=level.higher_m - by_m)
-
-    def _shows_slope(self, newest: _Sensor) -> bool:
-        """Whether this sensor and the others that see the ground now span a plane."""
-        since_s = self._time_s - self._windows.fresh_s
-        sees = [(sensor, sensor.sight.newest(since_s)) for sensor in self._sensors.values()]
-        return spans_plane(
-            [each.foot_m for each, seen in sees if each is newest or (seen is not None and seen.is_ground)]
-        )
+            lower_m = found[1].lower_m
+            known.tilt(lower_m, found[1].rise_north, found[1].rise_east)
+            for each, level in levels:
+                each.level = self._time_s, level._replace(higher_m=level.higher_m - lower_m)
 
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""
         change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
         self._rough_m2 = min(max(self._rough_m2 + change_m2, 0.0), ROUGHEST_M**2)
         self._fit += (min(square, FIT_CAP) - self._fit) / FIT_READINGS
-
-    def _on_ground(self, sensor: _Sensor, view: View) -> None:
-        sensor.sight.ground(self._time_s)
-        sensor.below.ground(self._time_s)
-        self._support.on_ground(self._time_s)
-        self._known_s = self._time_s
-        self._shared_m2 = view.shared_variance_m2
-        self._nearest = view.nearest
-
-    def _on_off(
-        self, known: GroundFilter, sensor: _Sensor, reading: Reading, off_m: float, view: View, rotation: Matrix
-    ) -> str | None:
-        """A reading that is not of the ground: of a step, of an object, or of nothing."""
-        time_s, windows = self._time_s, self._windows
-        sensor.sight.off(time_s, off_m)
-        sensor.below.off(time_s, off_m, self._support.is_seen(time_s))
-        if reading.raw and reading.range_m:
-            by_raw_m = reading.range_m / reading.raw
-            ground = round(view.expected_m / by_raw_m)
-            longer_m = [abs(word - reading.raw) * by_raw_m for word in sensor.mounted.garbled_from(ground)]
-            sensor.is_ground_in_doubt = min(longer_m, default=math.inf) < garbled.AGAIN_M
-        known_object = sensor.below.is_object(off_m)
-        self._support.on_other(reading.sensor, off_m, known_object)
-        if sensor.sight.votes_ground(time_s - windows.held_s):
-            self._fit += (FIT_OUTLIER - self._fit) / FIT_READINGS
-        lower_m = step_m(sensor.sight, self._sights, time_s, windows)
-        if lower_m is not None:
-            known.shift(lower_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
-            self._response.shift(lower_m)
-            self._steps_m += lower_m
-            for each in self._sensors.values():
-                each.sight.move(lower_m)
-                each.below.move(lower_m)
-                each.level = None
-            self._on_ground(sensor, view)
-            return None
-        if time_s - self._support.seen_s > windows.lost_s and not self._is_due() and reading.range_m is not None:
-            return self._on_first(sensor, reading, reading.range_m, rotation)
-        return OBJECT if known_object else OUTLIER
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""
@@ -522,10 +498,5 @@ class Fusion:
             known.climb_m_s,
             known.rise_north,
             known.rise_east,
+            self._belief.sure,
         )
-
-
-def _variance_m2(reading: Reading) -> float:
-    """Of a reading's error [m^2]; a centimetre's where nothing is known of it."""
-    std_m = 0.01 if reading.std_m is None else reading.std_m
-    return std_m * std_m if math.isfinite(std_m) else 1.0

@@ -228,6 +228,18 @@ class GroundFilter:
         self._combine()
         return normalised
 
+    def density(self, view: View, innovation_m: float, variance_m2: float) -> float:
+        """Probability density of a reading that is ``innovation_m`` longer than expected [1/m]; see `update`."""
+        a, b, c = view[1:4]
+        nn, ne, ee = self._slope
+        slope_m2 = b * b * nn + 2 * b * c * ne + c * c * ee + variance_m2
+        expected_m = innovation_m + a * self.height_m
+        total = 0.0
+        for weight, (h, _, hh, _, _, hn, he, _, _) in zip(self._weights, self._filters, strict=True):
+            own_m, own_m2 = expected_m - a * h, a * (a * hh + 2 * (b * hn + c * he)) + slope_m2
+            total += weight * math.exp(-0.5 * own_m * own_m / own_m2) / math.sqrt(own_m2)
+        return total / SQRT_TWO_PI
+
     def shift(self, by_m: float, variance_m2: float, climb_variance: float) -> None:
         """The ground is ``by_m`` lower than thought, as beyond a step; the vehicle's motion stays."""
         self._filters = tuple(

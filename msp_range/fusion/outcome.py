@@ -21,6 +21,8 @@ class Fused(NamedTuple):
         error [m^2].
     height_m, climb_m_s, rise_north, rise_east
         As in `msp_range.fusion.ground_filter.Ground`.
+    probability
+        That this surface is the ground.
     """
 
     range_m: float
@@ -29,6 +31,7 @@ class Fused(NamedTuple):
     climb_m_s: float
     rise_north: float
     rise_east: float
+    probability: float
 
     def record(self, time_s: float) -> dict[str, float]:
         """The message of a recording's ``/fused``."""

@@ -52,9 +52,9 @@ rate are added up [s]. A larger speed finds what is fixed later in flight, a sma
 LEVEL_RISE = 0.03
 """Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
 vehicle follows."""
-LASTS_S = 6.0
+LASTS_S, DOUBT_LASTS_S = 6.0, 60.0
 """Time constant with which the odds fall back to even [s]: shorter forgets before slow movements have decided, longer
-adds up noise."""
+adds up noise. The second where the surface is in doubt and has never answered to a movement."""
 FOLLOWS, DECIDED = 4.0, -12.0
 """Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
 sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
@@ -75,11 +75,17 @@ class MotionResponse:
         How the vehicle moves by its accelerometer and barometer.
     turn_s
         From a sensor's reading to its next one [s].
+
+    Attributes
+    ----------
+    is_in_doubt
+        Whether what is seen is more often part of the vehicle than ground: then its odds last longer.
     """
 
     def __init__(self, motion: VerticalMotion, turn_s: float) -> None:
         self._motion = motion
         self._turn_s = turn_s
+        self.is_in_doubt = False
         self.clear()
 
     def clear(self) -> None:
@@ -100,6 +106,11 @@ class MotionResponse:
         self._states = follows, fixed, late
 
     @property
+    def log_odds(self) -> float:
+        """Log odds of ground over something fixed to the vehicle, or over answers of the ping before."""
+        return min(self._fixed, self._late)
+
+    @property
     def is_fixed(self) -> bool:
         """Whether the ground is fixed to the vehicle."""
         return self._fixed <= DECIDED and self._fixed - self._late <= APART
@@ -117,21 +128,23 @@ class MotionResponse:
         """Whether a reading of this height is near what one of the three predicted last, though of no ground [m]."""
         return self._time_s is not None and min(abs(height_m - h) for h, _, _ in self._states) < NEAR_M
 
-    def update(self, sensor: str, time_s: float, height_m: float, variance_m2: float, may_slope: bool) -> None:
+    def update(
+        self, sensor: str, time_s: float, height_m: float, climb_m_s: float, variance_m2: float, may_slope: bool
+    ) -> None:
         """Update with a reading that was of the ground, or is expected.
 
         Parameters
         ----------
         sensor, time_s
             Whose, and when [s].
-        height_m, variance_m2
-            Height of the reference point by this reading, with the slope and attitude that are known [m], and the
-            variance of its error [m^2].
+        height_m, climb_m_s, variance_m2
+            Height of the reference point by this reading, with the slope and attitude that are known [m], how fast it
+            grows by all readings before [m/s], and the variance of the height's error [m^2].
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
         """
         if self._time_s is None:
-            self._states = ((height_m, 0.0, 0.0),) * 3
+            self._states = ((height_m, climb_m_s, 0.0),) * 3
             self._time_s = time_s
         before_s, t, self._time_s = self._time_s, time_s - self._time_s, time_s
         self._taken_s[sensor] = time_s
@@ -182,7 +195,7 @@ class MotionResponse:
         least = -STRONGEST
         if may_slope:
             least = max(least, -SLOPING_PER_S * t * (1 + (self._change_m_s / SLOPE_M_S) ** 2))
-        fades = math.exp(-t / LASTS_S)
+        fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else LASTS_S))
 
         def updated(log_odds: float, evidence: float) -> float:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)

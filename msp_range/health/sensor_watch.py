@@ -46,7 +46,7 @@ ODDS, REPEAT_ODDS = 6.0, 12.0
 OFF = 4.0
 """A reading this many deviations nearer than the others is short."""
 AGREE_M = 0.12
-"""Two successive readings of a sensor this close see the same thing, which is an object [m]: `fusion.votes.AGREE_M`."""
+"""Two successive readings of a sensor this close see the same thing, which is an object [m]."""
 WIDER, TOLERATED = 3.0, 1.2
 """Variance over the model's: of the alternative, and what counts as in order. Doubled deviation gives 3.4 with the
 error of the reference. More tolerance is later: at 1.3 a doubled deviation is found after 30 s."""

@@ -70,6 +70,7 @@ TOPICS: dict[str, tuple[str, _PropertyTable]] = {
             "climb_m_s": ("number", "how fast that grows [m/s]"),
             "rise_north": ("number", "rise of the ground per metre north; forward where the attitude is not known"),
             "rise_east": ("number", "rise of the ground per metre east; right where the attitude is not known"),
+            "probability": ("number", "that this is the ground, and no object or fault"),
         },
     ),
     ATTITUDE_TOPIC: (

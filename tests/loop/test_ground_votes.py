@@ -249,16 +249,16 @@ def test_a_pair_that_jumps_does_not_take_the_ground_from_a_pair_that_repeats_its
     assert all(abs(distance_cm - 300) < 10 for distance_cm in bench.distances_cm(from_s=5.0))
 
 
-def test_a_pair_that_repeats_itself_is_not_sent_while_another_pair_sees_a_step() -> None:
-    """The two may be stuck: a vehicle in level flight came to a step of the ground."""
+def test_a_pair_that_repeats_itself_is_the_ground_while_another_pair_sees_a_step() -> None:
+    """Over calm ground at an edge good sensors repeat themselves; that they are stuck shows when the vehicle moves."""
     draw = random.Random(4)
 
     def world(name: str, time_s: float) -> int:
         return 300 if name in "ab" or time_s < 5.0 else round(370 + draw.gauss(0.0, 2.0))
 
     bench = Bench(airframe(), world).fly(20.0)
-    assert len(bench.distances_cm(from_s=6.0)) < 15
-    assert SILENCE in bench.texts()
+    assert len(bench.distances_cm(from_s=6.0)) > 130
+    assert all(abs(distance_cm - 300) < 5 for distance_cm in bench.distances_cm(from_s=6.0))
 
 
 def test_one_outlier_that_hits_the_other_pairs_height_moves_nothing() -> None:

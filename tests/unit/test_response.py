@@ -39,7 +39,7 @@ def fly(
             motion.on_acceleration(time_s, up_m_s2 + 0.1 + draw.gauss(0.0, 0.3))
             motion.on_pressure_height(time_s, (pressure_m or height_m)(time_s) + draw.gauss(0.0, 0.15))
             time_s += 0.04
-        response.update(NAMES[i % 4], read_s, range_m(read_s) + draw.gauss(0.0, 0.01), 0.01**2, may_slope)
+        response.update(NAMES[i % 4], read_s, range_m(read_s) + draw.gauss(0.0, 0.01), 0.0, 0.01**2, may_slope)
         fixed_s = read_s if fixed_s is None and response.is_fixed else fixed_s
         late_s = read_s if late_s is None and response.is_late else late_s
         read_s, i = read_s + GAP_S, i + 1
@@ -119,6 +119,6 @@ def test_answers_that_follow_a_turn_late_are_late(seed: int) -> None:
 def test_without_an_accelerometer_nothing_is_decided() -> None:
     response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
-        response.update("a", 0.1 * i, 0.4, 1e-4, False)
+        response.update("a", 0.1 * i, 0.4, 0.0, 1e-4, False)
     assert not response.is_fixed
     assert not response.is_late

@@ -1,0 +1,389 @@
+"""One belief about which of the surfaces that the downward sensors see is the ground.
+
+Each surface has a filter of its height. A reading belongs to the surface that explains it best, or begins a new one.
+How probable each surface is as the ground follows from the evidence that it is there, from its prior where it was first
+seen, from how the other sensors would have to be explained, and from how it responds to the vehicle's motion. All
+priors are in `msp_range.fusion.modes`.
+"""
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+
+from msp_range.fusion.ground_filter import GroundFilter
+from msp_range.fusion.modes import (
+    APART_M,
+    APART_MOST,
+    COMMON,
+    COMMON_LOW,
+    GARBLED,
+    LOW_M,
+    MOST,
+    MOVES,
+    OUTLIER,
+    PER_M,
+    RETURNS_M,
+    SAME_RAW,
+    SAME_RAW_MOST,
+    SHARED,
+    START,
+    STAYS,
+    UNSEEN,
+    SensorMode,
+    ground_prior,
+    object_prior,
+)
+from msp_range.fusion.mounting import View
+from msp_range.fusion.response import MotionResponse
+from msp_range.fusion.vertical import Known, VerticalMotion
+from msp_range.fusion.windows import Windows
+
+SURFACES = 4
+"""So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
+EVIDENCE_MOST, EVIDENCE_LEAST, HIT, HIT_MOST, MISS = 15.0, -6.0, 3.5, 7.5, 3.0
+"""Log likelihood that a surface is there, over readings of nothing: at most, so that some outliers in a row begin to
+count; at least; by one reading that is of it at most; and less by each that is of nothing known [nats]."""
+SURE = 0.8
+"""A distance goes out where its surface is the ground with this probability."""
+SAME_M = 0.10
+"""Surfaces as near as this are one [m]: an autopilot does the same with either."""
+STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
+"""What a new surface leaves uncertain of the height [m] and of its rate [m/s]: the first reading may be of a flank."""
+SURE_STD_M_S, START_CLIMB_STD_M_S = 0.3, 3.0
+"""The barometer's rate is used at the start below this deviation [m/s]; else a vehicle may climb by the second."""
+UNANSWERED, ANSWERED = -3.0, 2.0
+"""Below the first log odds a surface is not thought to move with the measured acceleration any more; above the second
+one that was low when it was first seen, as before a take-off, is no payload."""
+BLIND_M_S, NEAR_M = 2.0, 0.5
+"""How fast the ground's height is lost where no barometer says how the vehicle climbs [m/s]; and where no accelerometer
+does, a surface that begins as near to the ground as the second may be the ground of a vehicle that climbs so [m]."""
+
+
+class Surface:
+    """Something that sensors see, perhaps the ground.
+
+    Attributes
+    ----------
+    filter
+        Its height below the reference point.
+    prior, common
+        Log prior that it is the ground, and that it is a fault of several sensors, relative to a reading of nothing.
+    evidence
+        Log likelihood ratio of its readings over readings of nothing.
+    response
+        Whether it answers to the vehicle's motion.
+    garbled_m
+        How much higher the vehicle would be if the answers had been garbled on the bus [m].
+    """
+
+    def __init__(self, ground: GroundFilter, prior: float, common: float, response: MotionResponse) -> None:
+        self.filter = ground
+        self.prior, self.common = prior, common
+        self.response = response
+        self.evidence = 0.0
+        self.steps_m = 0.0
+        self.seen_s = self.kept_s = float("-inf")
+        self.raw: int | None = None
+        self.same = 0.0
+        self.garbled_m: Sequence[float] = ()
+
+    @property
+    def travel_m(self) -> float:
+        """How far the vehicle has climbed, from any level [m]."""
+        return self.filter.height_m - self.steps_m
+
+    def is_garbled(self, other: "Surface") -> bool:
+        """Whether this may be another surface by answers that are garbled on the bus."""
+        higher_m = other.filter.height_m - self.filter.height_m
+        return any(abs(each - higher_m) < RETURNS_M for each in self.garbled_m)
+
+
+class Belief:
+    """The surfaces, and which of them is the ground.
+
+    Parameters
+    ----------
+    modes
+        Of all sensors.
+    motion, windows
+        How the vehicle moves; for how long readings count.
+
+    Attributes
+    ----------
+    surfaces
+        All.
+    ground
+        The surface that is most probably the ground; None: none is known.
+    sure
+        The probability of that.
+    is_doubted
+        Whether a ground was known, and what most sensors see now is more probably a fault.
+    proven
+        The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
+    """
+
+    def __init__(self, modes: Sequence[SensorMode], motion: VerticalMotion, windows: Windows) -> None:
+        self._modes = modes
+        self._motion = motion
+        self._windows = windows
+        self.surfaces: list[Surface] = []
+        self.proven: Surface | None = None
+        self._known: Known | None = None
+        self._time_s = float("-inf")
+        self._is_measured = False
+        self.ground: Surface | None = None
+        self.sure = 0.0
+        self.is_doubted = False
+
+    def predict(self, time_s: float) -> None:
+        """Move all surfaces on, and forget those that nobody has seen for long."""
+        if self.surfaces:
+            up_m_s2 = self._motion.acceleration(self._time_s, time_s)
+            self._is_measured = up_m_s2 is not None
+            for surface in list(self.surfaces):
+                if time_s - max(surface.seen_s, surface.kept_s) > self._windows.memory_s:
+                    self._drop(surface)
+                else:
+                    answers = surface.response.log_odds > UNANSWERED
+                    surface.filter.predict(time_s - self._time_s, up_m_s2 if answers else None)
+        self._time_s = time_s
+
+    def level(self) -> None:
+        """Slopes were of another frame."""
+        for surface in self.surfaces:
+            surface.filter.level()
+
+    def on_sent(self, known: Known) -> None:
+        """The ground has been sent: remember where it was."""
+        if self.proven is self.ground:
+            self._known = known
+
+    def sees(self, surface: Surface, since_s: float) -> list[SensorMode]:
+        """The sensors whose newest range is of a surface, and not older."""
+        return [mode for mode in self._modes if mode.sees is surface and mode.seen_s >= since_s]
+
+    def best_of(self, mode: SensorMode, densities: Mapping[Surface, float]) -> tuple[Surface | None, float]:
+        """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known."""
+        best, most = None, mode.outlier * PER_M
+        total = most
+        for surface, density in densities.items():
+            likely = density * (STAYS if surface is mode.sees else MOVES)
+            total += likely
+            if likely > most:
+                best, most = surface, likely
+        return best, most / total
+
+    @property
+    def is_disputed(self) -> bool:
+        """Whether two sensors see the same surface that is not the ground: the others decide, and no second look."""
+        since_s = self._time_s - self._windows.fresh_s
+        return any(each is not self.ground and len(self.sees(each, since_s)) > 1 for each in self.surfaces)
+
+    def travel_m(self, mode: SensorMode) -> float | None:
+        """How far the vehicle has climbed by the surface that most others see which do not repeat themselves [m].
+
+        One sensor that sees something else may be the one that is wrong, unless there are only two.
+        """
+        since_s = self._time_s - self._windows.fresh_s
+        best, most = None, 0
+        for surface in self.surfaces:
+            sees = sum([not each.repeated for each in self.sees(surface, since_s) if each is not mode])
+            enough = sees > 1 or (sees == 1 and (surface is self.ground or len(self._modes) == 2))
+            if enough and (sees > most or (sees == most and surface is self.ground)):
+                best, most = surface, sees
+        return None if best is None else best.travel_m
+
+    def hit(self, mode: SensorMode, surface: Surface, density: float, raw: int | None) -> None:
+        """A reading is of a surface."""
+        mode.count_outlier(False)
+        if surface.evidence <= 0.0 and surface is not self.proven:
+            self._appraise(surface)  # Its first reading may have been of something else.
+        gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(OUTLIER / mode.outlier), HIT_MOST)
+        surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
+        self._update_same(surface, raw)
+        if surface is self.proven and surface.response.log_odds > ANSWERED:
+            surface.common, surface.response.is_in_doubt = math.log(COMMON), False
+        self.seen(surface)
+
+    def seen(self, surface: Surface) -> None:
+        """A reading has been of a surface, as new as it was."""
+        surface.seen_s = self._time_s
+        for other in list(self.surfaces):
+            if other is not surface and abs(other.filter.height_m - surface.filter.height_m) < SAME_M:
+                self._merge(surface, other)
+
+    def start(
+        self,
+        mode: SensorMode,
+        height_m: float,
+        variance_m2: float,
+        view: View,
+        raw: int | None,
+        garbled_m: Sequence[float],
+    ) -> Surface:
+        """A reading is of nothing known: perhaps of a new surface."""
+        if self.surfaces:
+            mode.count_outlier(True)
+        for surface in self.surfaces:
+            surface.evidence = max(surface.evidence - MISS, EVIDENCE_LEAST)
+        parent = self.proven
+        if parent is None:
+            lever_m = (-view.by_north / view.by_height, -view.by_east / view.by_height)
+            rate = self._motion.rate(self._time_s)
+            ground = GroundFilter(height_m, variance_m2, 0.0, 0.0, lever_m, rate)
+            if rate is None or rate.variance > SURE_STD_M_S**2:
+                ground.shift(0.0, 0.0, START_CLIMB_STD_M_S**2)
+        else:
+            ground = copy.copy(parent.filter)
+            off_m = height_m - ground.height_m
+            may_climb = not self._is_measured and abs(off_m) < NEAR_M
+            ground.shift(off_m, STEP_STD_M**2, (BLIND_M_S if may_climb else STEP_CLIMB_STD_M_S) ** 2)
+        new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
+        self._appraise(new)
+        new.raw = None if self.expected() is None else raw
+        new.seen_s, new.garbled_m = self._time_s, garbled_m
+        new.steps_m = height_m - (parent.travel_m if parent is not None else 0.0)
+        if len(self.surfaces) >= SURFACES:
+            self._drop(min([each for each in self.surfaces if each is not self.proven], key=lambda each: each.evidence))
+        self.surfaces.append(new)
+        return new
+
+    def expected(self) -> tuple[float, float] | None:
+        """Where the ground should be by now, and the standard deviation of that [m]; None: it was never known."""
+        if self.proven is not None:
+            known, is_seen = self.proven.filter, self.sees(self.proven, self._time_s - self._windows.held_s)
+            std_m = math.sqrt(known.variance(1.0, 0.0, 0.0))
+            return known.height_m, std_m if is_seen else math.hypot(RETURNS_M, std_m)
+        if self._known is None:
+            return None
+        climb = self._motion.climbed(self._known.mark, self._time_s)
+        if climb is None:
+            return self._known.height_m, RETURNS_M + BLIND_M_S * (self._time_s - self._known.time_s)
+        return self._known.height_m + climb.height_m, math.hypot(RETURNS_M, climb.std_m)
+
+    def weigh(self) -> None:
+        """Find which surface is the ground, and how probable that is."""
+        since_s = self._time_s - self._windows.held_s
+        voters = [mode for mode in self._modes if mode.seen_s >= since_s]
+        counts = {surface: sum([mode.share for mode in voters if mode.sees is surface]) for surface in self.surfaces}
+        otherwise = {}
+        for surface, count in counts.items():
+            shared = max(count - 1, 0.0) * math.log(SHARED)
+            shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
+            if surface is not self.proven:
+                shared += object_prior(surface.filter.height_m - self.proven.filter.height_m if self.proven else 9.0)
+            fault = surface.common + surface.same - surface.response.log_odds
+            otherwise[surface] = shared, fault
+        fixed = {each: _log_sum(0.0, each.evidence + fault) for each, (_, fault) in otherwise.items()}
+        other = {
+            each: _log_sum(0.0, each.evidence + _log_sum(shared, fault)) for each, (shared, fault) in otherwise.items()
+        }
+        total = sum(other.values())
+        scores = {each: total - other[each] + each.prior + each.evidence for each in self.surfaces}
+        for each, count in counts.items():
+            if not count and each is not self.proven:
+                scores[each] += UNSEEN
+            for of in self.surfaces:
+                if of.is_garbled(each):
+                    scores[each] += max(_log_sum(0.0, of.evidence + math.log(GARBLED)) - other[of], 0.0)
+        nothing = total
+        if self.proven is not None:
+            nothing += fixed[self.proven] - other[self.proven]
+            scores[self.proven] -= self._stuck(self.proven, voters)
+        best = max(scores, key=lambda each: scores[each], default=None)
+        if best is None:
+            self.ground, self.sure, self.is_doubted = None, 0.0, False
+            return
+        most = scores[best]
+        weights = {each: math.exp(score - most) for each, score in scores.items()}
+        total = sum(weights.values()) + math.exp(min(nothing - most, 50.0))
+        self.ground, self.sure = best, weights[best] / total
+        most_seen = max(counts, key=lambda each: counts[each])
+        self.is_doubted = (
+            self._known is not None
+            and 2 * counts[most_seen] > len(voters)
+            and most_seen.evidence >= EVIDENCE_MOST
+            and 2 * weights[most_seen] < total
+        )
+        if self.sure < SURE and self.proven is not None and counts[self.proven]:
+            # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
+            self.ground = self.proven
+            self.sure = sum([weight for each, weight in weights.items() if counts[each]]) / total
+            return
+        in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
+        if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
+            self._prove(best)
+
+    def _stuck(self, surface: Surface, voters: Sequence[SensorMode]) -> float:
+        """How much less likely a surface is the ground, since others move away from its sensors, which only repeat."""
+        if any(mode.sees is surface and not mode.repeated for mode in voters):
+            return 0.0
+        moved_m = [
+            mode.sees.travel_m - surface.travel_m
+            for mode in voters
+            if mode.sees is not None and mode.sees is not surface and not mode.repeated
+        ]
+        return min(max([(each / APART_M) ** 2 / 2 for each in moved_m], default=0.0), APART_MOST)
+
+    def _prove(self, ground: Surface) -> None:
+        self.proven = ground
+        for each in self.surfaces:
+            off_m = each.filter.height_m - ground.filter.height_m
+            each.prior = 0.0 if each is ground else ground_prior(off_m, RETURNS_M, each.filter.height_m)
+        ground.same, ground.raw = 0.0, None
+        ground.common = _common(ground)
+        ground.response.is_in_doubt = ground.common > math.log(COMMON)
+
+    def forget(self, surface: Surface) -> None:
+        """A surface is fixed to the vehicle: where the ground is was not known since it appeared."""
+        self._drop(surface)
+        self._known = None
+
+    def _appraise(self, surface: Surface) -> None:
+        """How probable a new surface is as the ground and as a fault, by where the ground should be."""
+        expected = self.expected()
+        if expected is not None:
+            height_m = surface.filter.height_m
+            surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
+            surface.common = _common(surface)
+        if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
+            # What did not answer to the motion may be here now.
+            surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)
+
+    def _update_same(self, surface: Surface, raw: int | None) -> None:
+        if surface.raw is None or raw is None or not self._is_measured:
+            return  # On a bench sensors do repeat themselves.
+        if raw == surface.raw:
+            surface.same = min(surface.same + SAME_RAW, SAME_RAW_MOST)
+        else:
+            surface.same, surface.raw = 0.0, None
+
+    def _merge(self, surface: Surface, other: Surface) -> None:
+        """Two surfaces are one by now: the one that is known for longer stays."""
+        gone, stays = (surface, other) if other is self.proven else (other, surface)
+        for mode in self._modes:
+            if mode.sees is gone:
+                mode.sees = stays if gone.evidence > 0.0 else None
+        stays.seen_s = max(stays.seen_s, gone.seen_s)
+        self._drop(gone)
+
+    def _drop(self, surface: Surface) -> None:
+        self.surfaces.remove(surface)
+        for mode in self._modes:
+            if mode.sees is surface:
+                mode.sees = None
+        if surface is self.proven:
+            self.proven = None
+        if surface is self.ground:
+            self.ground = None
+
+
+def _common(surface: Surface) -> float:
+    """Log prior that a surface is a fault of several sensors, by its height; see `COMMON`."""
+    return math.log(COMMON * (COMMON_LOW if surface.filter.height_m < LOW_M else 1.0))
+
+
+def _log_sum(a: float, b: float) -> float:
+    """log(exp(a) + exp(b))."""
+    most = max(a, b)
+    return most + math.log1p(math.exp(-abs(a - b)))

@@ -1,0 +1,223 @@
+"""What a downward sensor can be looking at, and how probable that is before it is read: all priors are here.
+
+A sensor sees one of a few surfaces, or nothing that is known. A surface is the ground, an object or a hole below some
+sensors, or a fault with a common cause: something fixed to the vehicle, one constant, answers of the ping before. The
+modes of one sensor are a chain: it stays with what it has seen before unless a reading is far likelier otherwise.
+"""
+
+import math
+from collections import deque
+from typing import TYPE_CHECKING
+
+from msp_range.fusion.ground_filter import SQRT_TWO_PI
+from msp_range.fusion.mounting import DownwardSensor
+from msp_range.fusion.odd import LevelHeight
+from msp_range.fusion.vertical import Mark, VerticalMotion
+
+if TYPE_CHECKING:
+    from msp_range.fusion.belief import Surface
+
+PER_M = 0.13
+"""Density of a range that nothing is known of: even over the range of the sensors [1/m]. All priors and likelihoods
+are relative to it."""
+STAYS, MOVES = 0.9, 0.05
+"""Of a sensor that is read: it sees what it saw before, or a certain other surface that is known; what is left are
+missed echoes and outliers. Not varied: they count by their logarithm, against densities of 0.1 to 20 per metre."""
+OUTLIER = 0.015
+"""Of a reading that it is of nothing known: the share of the MB1242's model (short and random). Twice as many lost the
+ground in a climb at 4.5 m/s^2 without an accelerometer."""
+OUTLIERS, OUTLIER_READINGS = 0.5, 6.0
+"""A sensor that gives outliers goes on with that, as in dust: the probability is this share of theirs, over so many
+readings."""
+GARBLED, P_AGAIN = 0.02, 0.5
+"""That the bus garbles an answer, once it is one that garbling would explain; and that it does so again."""
+STEP = 0.002
+"""That the ground has a step between two readings: one in 50 s of flight over uneven ground. More believe faults of all
+sensors, fewer are silent after steps of more than 2 m. Not varied."""
+STEP_M, CLIFFS = 0.6, 0.1
+"""Mean size of a step [m]: kerbs, walls and roofs of 0.3 to 2 m; and the share of those that may have any size, such as
+the edge of a tall building. With a smaller share nothing is sent beyond that until the vehicle climbs or sinks."""
+LOW_M, LOW = 0.65, 0.05
+"""A vehicle is seldom nearer to the ground than the first after a step [m], a twentieth as often as elsewhere: it is
+where payload, straps and gear are. With a fifth three sensors that saw a strap were believed."""
+OBJECT, BESIDE = 0.03, 0.1
+"""That an object or a hole comes below a sensor, relative to a reading of nothing known; and that the ground has a step
+there: every step of the ground begins as one below a sensor or two."""
+SHARED, MOST = 0.5, 0.003
+"""That another sensor sees the same object; and that it does where more than half of all do. With 0.01 for the second a
+step is followed a reading later."""
+COMMON, COMMON_LOW = 1e-5, 160.0
+"""That all sensors, or some, have one fault between two readings: one in 10,000 s, which is more than a vehicle has,
+but silence costs less than a wrong distance; nearer than `LOW_M` so many times more, as payload and gear. The same
+decides how long what does not answer to the motion is sent: with the first it takes 10 nats."""
+SAME_RAW, SAME_RAW_MOST = 3.0, 6.0
+"""What each answer that is the same as all before on a new surface adds to its prior as a fault, and at most [nats]:
+sensors with a centimetre's noise answer the same in one of four readings, and one constant is the commonest fault of
+all. Another answer takes it back, and without an accelerometer it does not count: on a bench sensors repeat themselves.
+A larger limit keeps good sensors over calm ground silent after a step."""
+UNSEEN = -4.0
+"""Log prior that a surface which no sensor sees any more is the ground. Not varied."""
+RETURNS_M = 0.15
+"""How far from where it should be the ground is found again [m]: by a slope between two places. Not varied."""
+START = -3.0
+"""Log prior of the first surface that is seen: a second reading that agrees makes it sure, three if others do not."""
+
+APART_M, APART_MOST = 0.12, 8.0
+"""Objects keep their height over the ground to within the first [m]; how much surfaces that move apart say at most
+against the one of sensors that only repeat themselves [nats]."""
+STUCK_READINGS, REPEATED_READINGS = 3, 5
+"""The same answer so many times in a row may be stuck while the others move; so many are evidence for nothing new."""
+STUCK_M = 0.15
+"""While the height over the ground has changed by this much by all others [m]: three times what noise hides."""
+STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 3.0
+"""Or while the vehicle has climbed by this much by its barometer [m], and so many standard deviations."""
+ANEW_READINGS, ANEW_M, FIXED_M = 3, 0.05, 0.08
+"""A stuck sensor answers anew after so many other answers, or one as near as the second [m]; what is fixed to the
+vehicle moves by less than the third [m]."""
+OBJECT_M = 0.12
+"""Less than this above or below the ground is not reported as an object [m]."""
+NEAR_M = 0.08
+"""Readings of one object lie within this of each other [m]: four times a reading's noise."""
+OBJECT_READINGS, OF_THE_LAST, GROUND_READINGS = 3, 4, 2
+"""So many of a sensor's last readings of one object begin the report of it, and so many of the ground in a row end it.
+Two of three would find it a reading sooner, and ten times a day where there is none."""
+
+
+def normal_per_m(off_m: float, std_m: float) -> float:
+    """Density of a normal distribution [1/m]."""
+    return math.exp(-0.5 * (off_m / std_m) ** 2) / std_m / SQRT_TWO_PI
+
+
+def ground_prior(off_m: float, std_m: float, height_m: float) -> float:
+    """Log prior density, over `PER_M`, that the ground is ``off_m`` from where it should be, to ``std_m`` [m]."""
+    returns = normal_per_m(off_m, std_m)
+    steps = STEP * (math.exp(-abs(off_m) / STEP_M) / (2 * STEP_M) + CLIFFS * PER_M)
+    if height_m < LOW_M:
+        steps *= LOW
+    return math.log(max((returns + steps) / PER_M, 1e-9))
+
+
+def object_prior(off_m: float) -> float:
+    """Log prior density, over `PER_M`, of an object, a hole or an edge, ``off_m`` from the ground [m]."""
+    return math.log(OBJECT + BESIDE * math.exp(-abs(off_m) / STEP_M) / (2 * STEP_M) / PER_M)
+
+
+class SensorMode:
+    """One downward sensor: where it sits, and what it sees.
+
+    Attributes
+    ----------
+    sees, readings
+        The surface that its last reading was of, and how many in a row; None: of nothing known.
+    share
+        How probable that is.
+    seen_s, read_s
+        When it had a range, and when it was read [s].
+    works
+        Whether its last reading was none of a fault.
+    object_m
+        Height over the ground of what is below it [m]; None: the ground, or nothing.
+    """
+
+    def __init__(self, mounted: DownwardSensor) -> None:
+        self.mounted = mounted
+        self.sees: Surface | None = None
+        self.readings = 0
+        self.share = 1.0
+        self._outliers = 0.0
+        self.seen_s = self.read_s = float("-inf")
+        self.works = False
+        self.foot_m = mounted.foot_m(0.0)
+        self.level: tuple[float, LevelHeight] | None = None
+        self.object_m: float | None = None
+        self._offs_m: deque[float | None] = deque(maxlen=OF_THE_LAST)
+        self.is_ground_in_doubt = False
+        self._on_ground = 0
+        self._raw: int | None = None
+        self._range_m: float | None = None
+        self._times = self._others = 0
+        self._since_m: float | None = None
+        self._mark: Mark | None = None
+        self._stuck = False
+        self._fixed_m: float | None = None
+
+    @property
+    def outlier(self) -> float:
+        """How probable it is that a reading is of nothing known."""
+        return max(OUTLIER, OUTLIERS * self._outliers)
+
+    def count_outlier(self, is_outlier: bool) -> None:
+        """A reading was of something known, or not."""
+        self._outliers += (is_outlier - self._outliers) / OUTLIER_READINGS
+
+    @property
+    def repeated(self) -> bool:
+        """Whether the newest answer is one of many alike."""
+        return self._times >= REPEATED_READINGS and not self._others
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it sees something that is fixed to the vehicle."""
+        return self._fixed_m is not None
+
+    def hold(self) -> None:
+        """What the sensor sees now is fixed to the vehicle."""
+        self._fixed_m, self._others = self._range_m, 0
+
+    def see(self, surface: "Surface | None", time_s: float, share: float = 1.0) -> None:
+        """Its newest range is of a surface, with a probability, or of nothing known."""
+        self.readings = self.readings + 1 if surface is self.sees else 1
+        self.share = share
+        self.sees, self.seen_s = surface, time_s
+
+    def below(self, off_m: float | None, ground_is_seen: bool) -> None:
+        """Update the object below with how much farther than the ground the newest reading is; None: it is ground."""
+        self._offs_m.append(off_m)
+        if off_m is None:
+            self._on_ground += 1
+            if self._on_ground >= GROUND_READINGS:
+                self.object_m = None
+            return
+        near = [each for each in self._offs_m if each is not None and abs(each - off_m) < NEAR_M]
+        is_object = self.object_m is not None or len(near) >= OBJECT_READINGS
+        if ground_is_seen and abs(off_m) >= OBJECT_M and is_object:
+            self._on_ground = 0
+            before_m = -off_m if self.object_m is None else self.object_m
+            self.object_m = before_m + (-off_m - before_m) / 2
+
+    def is_stuck(
+        self,
+        raw: int,
+        range_m: float | None,
+        travel_m: float | None,
+        motion: VerticalMotion,
+        time_s: float,
+        least: bool,
+    ) -> bool:
+        """Whether its answers do not follow the vehicle, by the newest one.
+
+        ``travel_m`` is how far the vehicle has climbed by the others, from any level [m]; ``least``: the answer stands
+        for this range or less.
+        """
+        if self._fixed_m is not None and range_m is not None:
+            self._others = 0 if abs(range_m - self._fixed_m) < FIXED_M else self._others + 1
+            if self._others < ANEW_READINGS:
+                return True
+            self._fixed_m = None
+        if raw != self._raw:
+            self._others += 1
+            near = range_m is not None and self._range_m is not None and abs(range_m - self._range_m) < ANEW_M
+            if self._stuck and self._others < ANEW_READINGS and not near:
+                return False
+            self._raw, self._times, self._stuck, self._since_m = raw, 0, False, None
+            self._mark = motion.mark(time_s)
+        self._range_m, self._others = range_m, 0
+        self._times += 1
+        if self._since_m is None:
+            self._since_m = travel_m
+        if travel_m is not None and self._since_m is not None and self._times >= STUCK_READINGS:
+            self._stuck |= abs(travel_m - self._since_m) >= STUCK_M
+        if self.repeated and not self._stuck and not least:
+            climb = motion.climbed(self._mark, time_s)
+            self._stuck = climb is not None and abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m)
+        return self._stuck

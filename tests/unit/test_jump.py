@@ -1,0 +1,108 @@
+"""What all sensors see changes at once: over an edge it is the ground, and in its beams it is not sent."""
+
+import random
+from collections.abc import Callable, Sequence
+
+import pytest
+
+from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
+from msp_range.fusion.vertical import VerticalMotion
+from msp_range.geometry import Vector
+from msp_range.reading import Reading, Status
+
+CORNERS = {"a": (0.25, -0.2), "b": (0.25, 0.2), "c": (-0.25, -0.2), "d": (-0.25, 0.2)}
+DOWN: Vector = (0.0, 0.0, 1.0)
+SLOT_S = 0.1
+JUMP_S, END_S = 8.0, 16.0
+DOUBTED = "Range: sudden change, maybe an object or fault"
+OfTime = Callable[[str, float], float]
+
+
+class Hover:
+    """A vehicle at rest whose sensors read whole centimetres, with an accelerometer and a barometer.
+
+    Parameters
+    ----------
+    range_m
+        What a sensor would read at a time [m].
+    names
+        The sensors that it has.
+    noise_m
+        Of a reading [m].
+    """
+
+    def __init__(self, range_m: OfTime, names: Sequence[str] = "abcd", noise_m: float = 0.02, seed: int = 1) -> None:
+        motion = VerticalMotion()
+        sensors = {name: DownwardSensor((*CORNERS[name], 0.0), DOWN, "slant") for name in names}
+        self.fusion = Fusion(sensors, AttitudeTrack(), Windows(SLOT_S * len(names), SLOT_S), motion)
+        self.sent: list[tuple[float, float]] = []
+        self.doubted_s: list[float] = []
+        draw = random.Random(seed)
+        for i in range(round(END_S / SLOT_S)):
+            time_s, name = i * SLOT_S, names[i % len(names)]
+            for k in range(4):
+                motion.on_acceleration(time_s - 0.075 + 0.025 * k, draw.gauss(0.0, 0.3))
+            motion.on_pressure_height(time_s, draw.gauss(100.0, 0.2))
+            seen_m = range_m(name, time_s)
+            noisy_m = seen_m if seen_m == CONSTANT_M else seen_m + draw.gauss(0.0, noise_m)
+            raw = round(100 * noisy_m)
+            out = self.fusion.update(Reading(time_s, name, Status.OK, raw / 100, noise_m, raw), time_s + 0.03)
+            if out.fused is not None:
+                self.sent.append((time_s, out.fused.range_m))
+            if DOUBTED in [each.text for each in self.fusion.conditions()]:
+                self.doubted_s.append(time_s)
+
+    def sent_m(self, from_s: float, to_s: float = END_S) -> list[float]:
+        """Distances that are sent in a time [m]."""
+        return [distance_m for time_s, distance_m in self.sent if from_s <= time_s < to_s]
+
+
+CONSTANT_M = 3.33
+"""A range without noise."""
+
+
+@pytest.mark.parametrize("names", ["abcd", "abc", "ab", "a"])
+@pytest.mark.parametrize(("from_m", "to_m"), [(5.0, 0.4), (3.0, 0.6), (2.5, 0.3)])
+def test_what_gets_into_all_beams_is_not_sent_and_reported(names: str, from_m: float, to_m: float) -> None:
+    flight = Hover(lambda name, time_s: from_m if time_s < JUMP_S else to_m, names)
+    assert len(flight.sent_m(1.0, JUMP_S)) > 60
+    assert all(abs(distance_m - from_m) < 0.1 for distance_m in flight.sent_m(1.0))
+    assert not flight.sent_m(JUMP_S + 0.5)
+    assert JUMP_S < flight.doubted_s[0] < JUMP_S + 1.0
+    assert END_S - flight.doubted_s[-1] < 2 * SLOT_S
+
+
+def test_when_it_is_gone_the_ground_is_sent_again_at_once() -> None:
+    flight = Hover(lambda name, time_s: 0.4 if JUMP_S <= time_s < JUMP_S + 4.0 else 5.0)
+    assert not flight.sent_m(JUMP_S + 0.5, JUMP_S + 4.0)
+    assert len(flight.sent_m(JUMP_S + 4.5)) > 30
+    assert flight.doubted_s[-1] < JUMP_S + 4.5
+
+
+@pytest.mark.parametrize("from_m", [6.0, 5.0, 2.0])
+@pytest.mark.parametrize("names", ["abcd", "ab"])
+def test_one_constant_of_all_sensors_is_not_sent_for_long_and_reported(from_m: float, names: str) -> None:
+    flight = Hover(lambda name, time_s: from_m if time_s < JUMP_S else CONSTANT_M, names)
+    assert not flight.sent_m(JUMP_S + 1.5)
+    assert JUMP_S < flight.doubted_s[0] < JUMP_S + 1.5
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("from_m", "to_m"), [(3.0, 1.0), (4.0, 2.0), (2.0, 4.0), (6.0, 3.0), (1.0, 6.0), (3.0, 2.7)])
+@pytest.mark.parametrize("names", ["abcd", "a"])
+def test_edges_are_sent_without_a_text(names: str, from_m: float, to_m: float, seed: int) -> None:
+    """The front pair is over the edge half a second before the rear pair."""
+
+    def range_m(name: str, time_s: float) -> float:
+        return from_m if time_s < JUMP_S + (0.5 if name in "cd" else 0.0) else to_m
+
+    flight = Hover(range_m, names, seed=seed)
+    assert flight.doubted_s == []
+    assert len(flight.sent_m(JUMP_S + 1.0)) > 60
+    assert all(abs(distance_m - to_m) < 0.1 for distance_m in flight.sent_m(JUMP_S + 1.5))
+
+
+def test_a_step_in_the_way_of_a_doubted_one_is_compared_with_the_ground_before_both() -> None:
+    """From 5 m to 0.6 and 0.4 m: the second step is small, and no ground either."""
+    flight = Hover(lambda name, time_s: 5.0 if time_s < JUMP_S else 0.6 if time_s < JUMP_S + 3.0 else 0.3)
+    assert not flight.sent_m(JUMP_S + 0.5)
