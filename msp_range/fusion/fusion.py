@@ -362,6 +362,8 @@ class Fusion:
         if surface is self._belief.ground and square is not None:
             self._scatter(square, variance_m2)
             self._shared_m2, self._nearest = seen.view.shared_variance_m2, seen.view.nearest
+            if look.reading.status is Status.AT_MINIMUM:
+                self._shared_m2 += NEARER_M * NEARER_M / 3  # Evenly distributed from there on.
         self._belief.hit(look.mode, surface, density, look.reading.raw)
         return None
 
