@@ -59,7 +59,7 @@ UNSEEN = -4.0
 """Log prior that a surface which no sensor sees any more is the ground. Not varied."""
 RETURNS_M = 0.15
 """How far from where it should be the ground is found again [m]: by a slope between two places. Not varied."""
-START = -3.0
+START = -3.4
 """Log prior of the first surface that is seen: a second reading that agrees makes it sure, three if others do not."""
 
 APART_M, APART_MOST = 0.12, 8.0
