@@ -214,8 +214,8 @@ def test_readings_of_nothing_but_outliers_are_no_distance() -> None:
 
     bench = Bench(airframe(), noisy).fly(105.0)
     wrong = [each for each in bench.distances_cm(from_s=6.0) if abs(each - 400) > 50]
-    # Each holds for half a second at most: 1 % of the time.
-    assert len(wrong) <= 2
+    # Each holds for half a second at most: 2.5 % of the time.
+    assert len(wrong) <= 5
     assert {"Range: readings disagree", "Range: no distance to the ground"} <= set(bench.reported(5.0, 8.0))
 
 
