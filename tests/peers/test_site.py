@@ -29,8 +29,8 @@ def test_the_site_is_whole_and_its_search_needs_no_network(tmp_path: Path) -> No
         shown.context.set_offline(True)
         hit = shown.locator("#search-results li a", has_text="Sensor model file").first
         hit.click()
-        assert "reference/file-sensor.html" in shown.url
-        assert "half_angle_deg" in shown.inner_text("body")
+        shown.wait_for_url("**/reference/file-sensor.html*")
+        shown.get_by_text("half_angle_deg").first.wait_for()
         assert errors == []
     for each in html.rglob("*.html"):
         text = each.read_text(encoding="utf-8")
