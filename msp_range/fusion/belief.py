@@ -35,7 +35,7 @@ from msp_range.fusion.modes import (
 )
 from msp_range.fusion.mounting import View
 from msp_range.fusion.response import MotionResponse
-from msp_range.fusion.vertical import Known, VerticalMotion
+from msp_range.fusion.vertical import Known, Rate, VerticalMotion
 from msp_range.fusion.windows import Windows
 
 SURFACES = 4
@@ -229,10 +229,10 @@ class Belief:
         parent = self.proven
         if parent is None:
             lever_m = (-view.by_north / view.by_height, -view.by_east / view.by_height)
-            rate = self._motion.rate(self._time_s)
-            ground = GroundFilter(height_m, variance_m2, 0.0, 0.0, lever_m, rate)
-            if rate is None or rate.variance > SURE_STD_M_S**2:
-                ground.shift(0.0, 0.0, START_CLIMB_STD_M_S**2)
+            climb = self._motion.rate(self._time_s)
+            if climb is None or climb.variance > SURE_STD_M_S**2:
+                climb = Rate(0.0, START_CLIMB_STD_M_S**2)
+            ground = GroundFilter(height_m, variance_m2, climb, lever_m)
         else:
             ground = copy.copy(parent.filter)
             off_m = height_m - ground.height_m

@@ -7,18 +7,18 @@ the ground, is decided in `msp_range.fusion.belief`.
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from msp_range.filters.chain import UNCONFIRMED
 from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import Attitude
 from msp_range.fusion.belief import SURE, Belief, Surface
 from msp_range.fusion.ground_filter import Ground, GroundFilter
+from msp_range.fusion.look import Look, Seen
 from msp_range.fusion.modes import GARBLED as P_GARBLED
 from msp_range.fusion.modes import OUTLIER as P_OUTLIER
 from msp_range.fusion.modes import P_AGAIN, PER_M, SensorMode, normal_per_m
-from msp_range.fusion.mounting import LEVEL, DownwardSensor, View, spans_plane
-from msp_range.fusion.odd import LONGEST_GAP_S, LevelHeight, odd_one
+from msp_range.fusion.mounting import LEVEL, DownwardSensor, spans_plane
+from msp_range.fusion.odd import LONGEST_GAP_S, OddSensor
 from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.response import LEVEL_RISE
 from msp_range.fusion.vertical import Known, VerticalMotion
@@ -40,8 +40,6 @@ ground that is merely near it."""
 STILL_M_S, STILL_SIGMAS = 0.2, 2.0
 """A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
 many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
-LEVEL_SHARE = 0.3
-"""Share of a reading in what its sensor sees lately: the last second of four."""
 ROUGH_READINGS = 30.0
 """The roughness of the ground is a mean over so many readings."""
 ROUGHEST_M = 0.08
@@ -68,47 +66,6 @@ GARBLED_STD_M = 0.05
 AGAIN_S, AGAIN_M = 10.0, 0.25
 """On a bus that has garbled an answer within this time [s] others are likely garbled; and no answer that is farther
 from the ground than this is [m]."""
-
-
-class _Seen(NamedTuple):
-    """A reading over some ground: what was expected, how much longer it was, and the height by it [m]."""
-
-    view: View
-    innovation_m: float
-    height_m: float
-
-
-class _Look(NamedTuple):
-    """A reading with a range: whose, with what variance of its error [m^2], and how the vehicle was turned."""
-
-    mode: SensorMode
-    reading: Reading
-    range_m: float
-    variance_m2: float
-    rotation: Matrix
-
-    def over(self, known: GroundFilter | None) -> _Seen | None:
-        """The reading over a known ground, or over any level; None where the sensor looks past it."""
-        plane = (0.0, 0.0, 0.0) if known is None else (known.height_m, known.rise_north, known.rise_east)
-        view = self.mode.mounted.view(self.rotation, *plane)
-        if view is None:
-            return None
-        innovation_m = self.range_m - view.expected_m
-        return _Seen(view, innovation_m, plane[0] + innovation_m / view.by_height)
-
-    @property
-    def by_raw_m(self) -> float:
-        """What one step of the raw answer is [m]."""
-        return self.range_m / self.reading.raw if self.reading.raw else 1.0
-
-    def garbled_words(self, raw: int) -> tuple[int, ...]:
-        """Answers that bytes lost on the bus would make this one of."""
-        return self.mode.mounted.garbled_from(raw)
-
-    def garbled_m(self, seen: _Seen) -> list[float]:
-        """How much higher the vehicle would be, were the answer garbled on the bus [m]."""
-        words = self.garbled_words(self.reading.raw) if self.reading.raw else ()
-        return [(word * self.by_raw_m - self.range_m) / seen.view.by_height for word in words]
 
 
 class Fusion:
@@ -151,8 +108,7 @@ class Fusion:
         self._belief = Belief(list(self._modes.values()), self._motion, windows)
         self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
-        self._odd: SensorMode | None = None
-        self._odd_of: Surface | None = None
+        self._odd = OddSensor(self._gate_m, windows.fresh_s)
         self._time_s = self._garbled_s = float("-inf")
         self._rough_m2 = 0.0
         self._others = 0
@@ -248,7 +204,7 @@ class Fusion:
                 mode.object_m = None
         else:
             std_m = 0.01 if reading.std_m is None else reading.std_m
-            look = _Look(mode, reading, reading.range_m, std_m * std_m if math.isfinite(std_m) else 1.0, rotation)
+            look = Look(mode, reading, reading.range_m, std_m * std_m if math.isfinite(std_m) else 1.0, rotation)
             rejected = self._on_range(look)
             if rejected == GARBLED:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
@@ -303,37 +259,38 @@ class Fusion:
         status = Status.FIXED if mode.is_fixed else Status.STUCK
         return Reading(reading.time_s, reading.sensor, status, raw=reading.raw)
 
-    def _on_range(self, look: _Look) -> str | None:
+    def _on_range(self, look: Look) -> str | None:
         """Give a reading to the surface that it is of; None, or why it is of none."""
         belief, mode, reading = self._belief, look.mode, look.reading
         ground, parent, suspect = belief.ground, belief.proven, reading.suspect
         if ground is not None and self.down is not None and self._windows.gap_s < LONGEST_GAP_S and not suspect:
-            self._look_for_odd(ground, look)
+            self._odd.update(ground.filter, look, self._time_s)
         seen = look.over(None if parent is None else parent.filter)
         if seen is None:
             return PAST
         variance_m2 = look.variance_m2 + self._rough_m2
-        densities = {}
+        seen_over: dict[Surface, Seen] = {}
+        densities: dict[Surface, float] = {}
         for surface in belief.surfaces:
-            at = None if mode is self._odd and surface is ground else look.over(surface.filter)
-            if at is None or (suspect and surface is not belief.proven):
+            at = None if mode is self._odd.mode and surface is ground else look.over(surface.filter)
+            if at is None or (suspect and surface is not parent):
                 continue
             gate_m = GATE_WIDEST_M
-            if belief.proven is not None or surface.evidence > 0.0:
+            if parent is not None or surface.evidence > 0.0:
                 gate_m = min(max(self._gate_m, GATE_SIGMAS * math.sqrt(variance_m2)), GATE_WIDEST_M)
             if abs(at.innovation_m) <= (DOUBTFUL_M if suspect else gate_m):
                 density = surface.filter.density(at.view, at.innovation_m, variance_m2)
                 if density < 0.5 / gate_m and surface.filter.variance(1.0, 0.0, 0.0) > gate_m * gate_m:
                     density = 0.5 / gate_m  # Of so slow a polling any reading within the gate is as likely.
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
-                    densities[surface] = density
+                    seen_over[surface], densities[surface] = at, density
         found, share = belief.best_of(mode, densities)
         answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
         if parent is not None and not answers and self._is_fixed(parent, look, seen):
             return FIXED
         if found is not None:
             mode.see(found, self._time_s, share)
-            return self._on_surface(found, look, densities[found])
+            return self._on_surface(found, look, seen_over[found], densities[found])
         if suspect or self._was_garbled(look):
             mode.see(None, float("-inf"))
             return SUSPECT if suspect else GARBLED
@@ -345,21 +302,18 @@ class Fusion:
         mode.see(new, self._time_s)
         return UNCONFIRMED
 
-    def _on_surface(self, surface: Surface, look: _Look, density: float) -> str | None:
-        seen = look.over(surface.filter)
-        assert seen is not None
+    def _on_surface(self, surface: Surface, look: Look, seen: Seen, density: float) -> str | None:
+        """Update a surface with a reading of it; why it is no ground after all, else None."""
         look.mode.foot_m = look.mode.mounted.foot_m(look.range_m)
-        others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
         if look.mode.repeated and self._others_see(surface):
             # What a sensor repeats is nothing new: it would hold the ground when the vehicle moves.
             self._belief.seen(surface)
             return None
         variance_m2 = look.variance_m2 + self._rough_m2
-        shows_slope = spans_plane([each.foot_m for each in others])
-        square = surface.filter.update(seen.view, seen.innovation_m, variance_m2, 0.0, shows_slope)
+        square = surface.filter.update(seen.view, seen.innovation_m, variance_m2, self._spans_plane(surface))
         if self._is_fixed(surface, look, seen):
             return FIXED
-        if surface is self._belief.ground and square is not None:
+        if surface is self._belief.ground:
             self._scatter(square, variance_m2)
             self._shared_m2, self._nearest = seen.view.shared_variance_m2, seen.view.nearest
             if look.reading.status is Status.AT_MINIMUM:
@@ -367,16 +321,19 @@ class Fusion:
         self._belief.hit(look.mode, surface, density, look.reading.raw)
         return None
 
+    def _spans_plane(self, surface: Surface) -> bool:
+        """Whether the sensors that see a surface now show its slope."""
+        return spans_plane([each.foot_m for each in self._belief.sees(surface, self._time_s - self._windows.fresh_s)])
+
     def _others_see(self, surface: Surface) -> bool:
         """Whether two sensors see a surface that do not repeat themselves."""
         others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
         return sum([not each.repeated for each in others]) >= 2
 
-    def _is_fixed(self, surface: Surface, look: _Look, seen: _Seen) -> bool:
+    def _is_fixed(self, surface: Surface, look: Look, seen: Seen) -> bool:
         """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
         known, since_s = surface.filter, self._time_s - self._windows.fresh_s
-        may_slope = not spans_plane([each.foot_m for each in self._belief.sees(surface, since_s)])
-        may_slope |= math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE
+        may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not self._spans_plane(surface)
         noise_m2 = look.variance_m2 / seen.view.by_height**2
         if look.reading.status is Status.AT_MINIMUM:
             noise_m2 += NEARER_M * NEARER_M
@@ -389,7 +346,7 @@ class Fusion:
         self._belief.forget(surface)
         return True
 
-    def _was_garbled(self, look: _Look) -> bool:
+    def _was_garbled(self, look: Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
 
         It is no reason to send a distance, but without it the garbled answers of all sensors would soon be the only
@@ -409,11 +366,11 @@ class Fusion:
         self._garbled_s = self._time_s
         if parent is not None:
             innovation_m = off_m * seen.view.by_height
-            parent.filter.update(seen.view, innovation_m, look.variance_m2 + GARBLED_STD_M**2, 0.0, False)
+            parent.filter.update(seen.view, innovation_m, look.variance_m2 + GARBLED_STD_M**2, False)
             parent.kept_s = self._time_s
         return True
 
-    def _against(self, ground: Surface | None, look: _Look, rejected: str | None) -> str | None:
+    def _against(self, ground: Surface | None, look: Look, rejected: str | None) -> str | None:
         """A reading against the ground: None where it is of it, else why not."""
         mode = look.mode
         seen = None if ground is None else look.over(ground.filter)
@@ -443,36 +400,6 @@ class Fusion:
         """Whether the vehicle climbs or sinks for sure, by its barometer."""
         rate = self._motion.rate(self._time_s)
         return rate is not None and abs(rate.m_s) > STILL_M_S + STILL_SIGMAS * math.sqrt(rate.variance)
-
-    def _look_for_odd(self, ground: Surface, look: _Look) -> None:
-        """Find the sensor that does not fit into the plane of the others; the ground is then that of the others."""
-        known, mode, modes = ground.filter, look.mode, self._modes.values()
-        flat = mode.mounted.view(look.rotation, known.height_m, 0.0, 0.0)
-        if flat is None:
-            return
-        if ground is not self._odd_of:
-            self._odd, self._odd_of = None, ground
-            for each in modes:
-                each.level = None
-        higher_m = (look.range_m - flat.expected_m) / flat.by_height
-        by_north, by_east = flat.by_north / flat.by_height, flat.by_east / flat.by_height
-        since_s = self._time_s - self._windows.fresh_s
-        off_m = math.inf
-        if mode.level is not None and mode.level[0] >= since_s:
-            off_m = higher_m - mode.level[1].higher_m
-        if abs(off_m) < GATE_M:
-            higher_m -= (1.0 - LEVEL_SHARE) * off_m
-        elif abs(higher_m - by_north * known.rise_north - by_east * known.rise_east) > self._gate_m:
-            return
-        mode.level = self._time_s, LevelHeight(higher_m, by_north, by_east)
-        levels = [(each, each.level[1]) for each in modes if each.level is not None and each.level[0] >= since_s]
-        found = odd_one([level for _, level in levels])
-        before, self._odd = self._odd, None if found is None else levels[found[0]][0]
-        if found is not None and self._odd is not before:
-            lower_m = found[1].lower_m
-            known.tilt(lower_m, found[1].rise_north, found[1].rise_east)
-            for each, level in levels:
-                each.level = self._time_s, level._replace(higher_m=level.higher_m - lower_m)
 
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""

@@ -30,8 +30,6 @@ LONGEST_S = 1.0
 """Longer than this without a reading changes no more of how the vehicle moves [s]."""
 START_WEIGHTS = (0.2, 0.4, 0.4)
 """Of the three ways at the beginning."""
-SHORTEST_BASE_S, START_SLOPE_M = 0.08, 0.05
-"""Two readings show a rate where they are this far apart [s]; a slope puts them apart by this [m]."""
 SLOPE_STD = 0.10
 """Standard deviation of the ground's rise a metre: 6 deg."""
 SLOPE_LASTS_S = 30.0
@@ -77,12 +75,10 @@ class GroundFilter:
     ----------
     height_m, variance_m2
         Height by the first reading, over level ground [m], and the variance of its error [m^2].
-    higher_m, elapsed_s
-        How much higher that is than another reading [m], how long ago [s].
+    climb
+        How fast the vehicle climbs.
     lever_m
         How far north and east of the reference point that reading is of the ground [m].
-    climb
-        How fast the vehicle climbs, where that is known better than from two readings.
 
     Attributes
     ----------
@@ -91,26 +87,14 @@ class GroundFilter:
     """
 
     def __init__(
-        self,
-        height_m: float,
-        variance_m2: float,
-        higher_m: float,
-        elapsed_s: float,
-        lever_m: tuple[float, float] = (0.0, 0.0),
-        climb: Rate | None = None,
+        self, height_m: float, variance_m2: float, climb: Rate, lever_m: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        apart_s = max(elapsed_s, SHORTEST_BASE_S)
-        # Of two places on a slope, perhaps, and each with its noise.
-        climb_variance = (2 * variance_m2 + START_SLOPE_M * START_SLOPE_M) / (apart_s * apart_s)
-        climb_m_s, covariance = higher_m / apart_s, variance_m2 / apart_s
-        if climb is not None and climb.variance < climb_variance:
-            climb_m_s, climb_variance, covariance = climb.m_s, climb.variance, 0.0
         # h = H + lever . g, H what was read.
         slope_m2 = SLOPE_STD * SLOPE_STD
         north, east = lever_m
         hh = variance_m2 + (north * north + east * east) * slope_m2
         start: _Motion = (
-            height_m, climb_m_s, hh, covariance, climb_variance, north * slope_m2, east * slope_m2, 0.0, 0.0
+            height_m, climb.m_s, hh, 0.0, climb.variance, north * slope_m2, east * slope_m2, 0.0, 0.0
         )  # fmt: skip
         self._filters: tuple[_Motion, ...] = (start, start, start)
         self._weights: tuple[float, ...] = START_WEIGHTS
@@ -170,10 +154,8 @@ class GroundFilter:
         self.rise_north *= stays
         self.rise_east *= stays
 
-    def update(
-        self, view: View, innovation_m: float, variance_m2: float, other_per_m: float, learns_slope: bool = True
-    ) -> float | None:
-        """Take a reading that is ``innovation_m`` longer than expected, where it is of the ground.
+    def update(self, view: View, innovation_m: float, variance_m2: float, learns_slope: bool = True) -> float:
+        """Update with a reading that is ``innovation_m`` longer than expected.
 
         With H = (a, 0, b, c) the derivatives of the reading and x = (h, w, g), each filter's gain of h and w is
         K = P H^T / S, S = H P H^T + R. That of g is the same, of the mixture's means, or 0 where g is only considered;
@@ -183,16 +165,13 @@ class GroundFilter:
         ----------
         view, innovation_m, variance_m2
             What is expected, how much longer the reading is [m], and the variance of its error [m^2].
-        other_per_m
-            Probability density of readings that are not of the ground [1/m].
         learns_slope
             Whether the sensors that see the ground span a plane.
 
         Returns
         -------
-        float or None
-            The innovation squared over its variance; None where the reading is more likely of something else, and
-            nothing has changed.
+        float
+            The innovation squared over its variance.
         """
         a, b, c = view[1:4]
         nn, ne, ee = self._slope
@@ -215,8 +194,6 @@ class GroundFilter:
             slope_n += weight * pn
             slope_e += weight * pe
         total = sum(likelihoods)
-        if total < other_per_m * SQRT_TWO_PI:
-            return None
         least = LEAST_WEIGHT * total
         self._weights = tuple([each / total if each > least else LEAST_WEIGHT for each in likelihoods])
         self._filters = tuple(updated)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from msp_range.fusion.ground_filter import SQRT_TWO_PI
 from msp_range.fusion.mounting import DownwardSensor
-from msp_range.fusion.odd import LevelHeight
 from msp_range.fusion.vertical import Mark, VerticalMotion
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ the edge of a tall building. With a smaller share nothing is sent beyond that un
 LOW_M, LOW = 0.65, 0.05
 """A vehicle is seldom nearer to the ground than the first after a step [m], a twentieth as often as elsewhere: it is
 where payload, straps and gear are. With a fifth three sensors that saw a strap were believed."""
-OBJECT, BESIDE = 0.03, 0.1
+OBJECT, EDGE = 0.03, 0.1
 """That an object or a hole comes below a sensor, relative to a reading of nothing known; and that the ground has a step
 there: every step of the ground begins as one below a sensor or two."""
 SHARED, MOST = 0.5, 0.003
@@ -99,7 +98,7 @@ def ground_prior(off_m: float, std_m: float, height_m: float) -> float:
 
 def object_prior(off_m: float) -> float:
     """Log prior density, over `PER_M`, of an object, a hole or an edge, ``off_m`` from the ground [m]."""
-    return math.log(OBJECT + BESIDE * math.exp(-abs(off_m) / STEP_M) / (2 * STEP_M) / PER_M)
+    return math.log(OBJECT + EDGE * math.exp(-abs(off_m) / STEP_M) / (2 * STEP_M) / PER_M)
 
 
 class SensorMode:
@@ -128,7 +127,6 @@ class SensorMode:
         self.seen_s = self.read_s = float("-inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
-        self.level: tuple[float, LevelHeight] | None = None
         self.object_m: float | None = None
         self._offs_m: deque[float | None] = deque(maxlen=OF_THE_LAST)
         self.is_ground_in_doubt = False

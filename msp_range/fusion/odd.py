@@ -6,10 +6,13 @@ another one drifted, the ground would be steep. What each sensor sees higher tha
 level; the sensor that is odd leaves, with the plane of the others.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from msp_range.fusion.ground_filter import SLOPE_STD
+from msp_range.fusion.ground_filter import SLOPE_STD, GroundFilter
+from msp_range.fusion.look import Look
+from msp_range.fusion.modes import SensorMode
 
 FEWEST = 4
 """With fewer sensors any slope explains each of them."""
@@ -21,6 +24,9 @@ LONGEST_GAP_S = 0.3
 ODD, APART = 9.0, 5.0
 """How much likelier the plane without one sensor must be than that of all, and than without any other one [nats]: a
 sensor of four on a rectangle of half a metre is then odd at some 22 cm. Less isolates one over a kerb."""
+LEVEL_SHARE, JUMP_M = 0.3, 0.25
+"""Share of a reading in what its sensor sees lately, the last second of four; but one that is farther off than the
+second is something else [m]."""
 FITS = 4.5
 """The plane of the others must cost no more [nats]: three standard deviations of the slope. More takes a box below two
 sensors for one that is odd on a steep slope."""
@@ -72,3 +78,53 @@ def odd_one(seen: Sequence[LevelHeight]) -> tuple[int, GroundPlane] | None:
         return None
     odd = next(i for i, plane in enumerate(without) if plane.cost == costs[0])
     return odd, without[odd]
+
+
+class OddSensor:
+    """What each sensor sees lately of the ground, and which one is odd.
+
+    Parameters
+    ----------
+    gate_m
+        What is farther from the ground than this is not of it [m].
+    fresh_s
+        How long what a sensor saw counts [s].
+
+    Attributes
+    ----------
+    mode
+        The odd sensor; None: each fits.
+    """
+
+    def __init__(self, gate_m: float, fresh_s: float) -> None:
+        self._gate_m, self._fresh_s = gate_m, fresh_s
+        self._of: GroundFilter | None = None
+        self._levels: dict[SensorMode, tuple[float, LevelHeight]] = {}
+        self.mode: SensorMode | None = None
+
+    def update(self, known: GroundFilter, look: Look, time_s: float) -> None:
+        """Update with a reading; where another sensor is odd from now on, the ground is that of the others."""
+        flat = look.mode.mounted.view(look.rotation, known.height_m, 0.0, 0.0)
+        if flat is None:
+            return
+        if known is not self._of:
+            self.mode, self._of = None, known
+            self._levels.clear()
+        higher_m = (look.range_m - flat.expected_m) / flat.by_height
+        by_north, by_east = flat.by_north / flat.by_height, flat.by_east / flat.by_height
+        since_s = time_s - self._fresh_s
+        before_s, before = self._levels.get(look.mode, (-math.inf, None))
+        off_m = math.inf if before is None or before_s < since_s else higher_m - before.higher_m
+        if abs(off_m) < JUMP_M:
+            higher_m -= (1.0 - LEVEL_SHARE) * off_m
+        elif abs(higher_m - by_north * known.rise_north - by_east * known.rise_east) > self._gate_m:
+            return
+        self._levels[look.mode] = time_s, LevelHeight(higher_m, by_north, by_east)
+        levels = [(mode, level) for mode, (seen_s, level) in self._levels.items() if seen_s >= since_s]
+        found = odd_one([level for _, level in levels])
+        odd, self.mode = self.mode, None if found is None else levels[found[0]][0]
+        if found is not None and self.mode is not odd:
+            _, plane = found
+            known.tilt(plane.lower_m, plane.rise_north, plane.rise_east)
+            for mode, level in levels:
+                self._levels[mode] = time_s, level._replace(higher_m=level.higher_m - plane.lower_m)

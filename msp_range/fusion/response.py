@@ -89,7 +89,7 @@ class MotionResponse:
         self.clear()
 
     def clear(self) -> None:
-        """Another ground is known from now on."""
+        """Begin anew."""
         self._time_s: float | None = None
         self._change_m_s = self._noise_m2 = 0.0
         self._covariance = _START
@@ -99,11 +99,6 @@ class MotionResponse:
         self._states = ((0.0, 0.0, 0.0),) * 3
         # Log odds of the first over each of the other two.
         self._fixed = self._late = 0.0
-
-    def shift(self, by_m: float) -> None:
-        """The ground is ``by_m`` lower than thought."""
-        follows, fixed, late = [(h + by_m, w, b) for h, w, b in self._states]
-        self._states = follows, fixed, late
 
     @property
     def log_odds(self) -> float:

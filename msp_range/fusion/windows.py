@@ -28,13 +28,11 @@ class Windows:
     fresh_s
         A sensor's newest reading is current for this long: a turn, and half of one for a reading that is late.
     held_s
-        A sensor that saw the ground keeps its vote for it this long, over one missed reading and one outlier.
+        A sensor that saw the ground counts for it this long, over one missed reading and one outlier.
     memory_s
         Ground, objects and filter states that no reading has confirmed for this long are forgotten.
     newest_s
         A distance goes out only while the ground has been seen within this time: two gaps, and half of one.
-    lost_s
-        Where no reading was of the ground for this long, readings that agree may make a new one: three gaps.
     silence_s
         Nothing usable sent for so long is reported: two turns, never less than a second, and a little sooner.
     """
@@ -46,5 +44,4 @@ class Windows:
         self.held_s = 3.1 * turn_s
         self.memory_s = 3.75 * turn_s
         self.newest_s = 2.5 * gap_s
-        self.lost_s = 3.5 * gap_s
         self.silence_s = 0.95 * max(1.0, 2.0 * self.turn_s)
