@@ -30,6 +30,9 @@ NOISE_SHARE = 0.25
 """Share of a predicted height's variance by which the accelerometer's noise moves the two predictions apart: with it
 the odds of a vehicle at rest stay the same, or rise a little (by simulated rest: 0.08 to 0.15). Larger finds what is
 fixed later, smaller finds it where it is not."""
+REST_SHARE = 0.08
+"""The same for what a movement has shown: so little that a vehicle at rest gathers nothing. Larger believes after a
+minute of hovering what is near."""
 STRONGEST, SLOPING_PER_S = 4.0, 5.0
 """A reading speaks for one of the two by at most the first [nats]: more lets one outlier decide. Where the ground may
 begin to slope, a vehicle that follows it accelerates and its range stays: then readings speak against a response by no
@@ -99,11 +102,15 @@ class MotionResponse:
         self._states = ((0.0, 0.0, 0.0),) * 3
         # Log odds of the first over each of the other two.
         self._fixed = self._late = 0.0
+        self._answered = 0.0
 
     @property
     def log_odds(self) -> float:
-        """Log odds of ground over something fixed to the vehicle, or over answers of the ping before."""
-        return min(self._fixed, self._late)
+        """Log odds of ground over something fixed to the vehicle, or over answers of the ping before.
+
+        After a movement they are more than `FOLLOWS`, as much as it has shown: a near ground needs that to be believed.
+        """
+        return min(self._fixed, self._late) + max(self._answered - FOLLOWS, 0.0)
 
     @property
     def is_fixed(self) -> bool:
@@ -196,6 +203,8 @@ class MotionResponse:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
 
         self._fixed = updated(self._fixed, 0.5 * (fixed - follows + NOISE_SHARE * share))
+        answers = min(max(0.5 * (fixed - follows + REST_SHARE * share), least), STRONGEST)
+        self._answered = max(self._answered * fades + answers, 0.0)
         self._late = updated(self._late, 0.5 * (late - follows))
         climb = self._motion.rate(self._time_s or 0.0)
         if climb is not None and abs(climb.m_s - self._states[1][1]) > HILL_M_S:
