@@ -53,13 +53,12 @@ class SigningAutopilot(StreamingAutopilot):
 @contextmanager
 def on_cable(make: MakeAutopilot) -> Iterator[str]:
     """An autopilot at the other end of a serial cable."""
-    port = free_port(socket.SOCK_DGRAM)
     with (
-        make(f"udpin:127.0.0.1:{port}"),
+        make("udpin:127.0.0.1:0") as autopilot,
         _serial_port() as (path, master),
         socket.socket(type=socket.SOCK_DGRAM) as far,
     ):
-        far.connect(("127.0.0.1", port))
+        far.connect(("127.0.0.1", autopilot.port))
         with _carrying(master, far):
             yield f"serial:{path}:921600"
 
@@ -67,9 +66,8 @@ def on_cable(make: MakeAutopilot) -> Iterator[str]:
 @contextmanager
 def by_udp(make: MakeAutopilot) -> Iterator[str]:
     """An autopilot that listens on a UDP port of this computer."""
-    port = free_port(socket.SOCK_DGRAM)
-    with make(f"udpin:127.0.0.1:{port}"):
-        yield f"udpout:127.0.0.1:{port}"
+    with make("udpin:127.0.0.1:0") as autopilot:
+        yield f"udpout:127.0.0.1:{autopilot.port}"
 
 
 @contextmanager
@@ -83,9 +81,8 @@ def by_udp_towards_here(make: MakeAutopilot) -> Iterator[str]:
 @contextmanager
 def by_tcp(make: MakeAutopilot) -> Iterator[str]:
     """An autopilot that listens on a TCP port of this computer."""
-    port = free_port(socket.SOCK_STREAM)
-    with make(f"tcpin:127.0.0.1:{port}"):
-        yield f"tcp:127.0.0.1:{port}"
+    with make("tcpin:127.0.0.1:0") as autopilot:
+        yield f"tcp:127.0.0.1:{autopilot.port}"
 
 
 @contextmanager

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Mapping
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 os.environ.setdefault("MAVLINK20", "1")
 from pymavlink import mavutil
@@ -83,7 +83,13 @@ class ParameterAutopilot:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
-    def __enter__(self) -> "ParameterAutopilot":
+    @property
+    def port(self) -> int:
+        """Where it listens: what the kernel gave where the URL's port is 0."""
+        of = self._connection
+        return int((of.listen if hasattr(of, "listen") else of.port).getsockname()[1])
+
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 

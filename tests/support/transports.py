@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+import random
 import resource
 import socket
 import struct
@@ -93,7 +94,8 @@ _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _PORTS = 1_000
 """Of each process of the tests, from 10,000 on: below those that the kernel gives to whoever asks for any, which may
 give the same one to another process before a test has bound it."""
-_next_ports = itertools.count(os.getpid())
+_next_ports = itertools.count(random.Random().randrange(_PORTS))
+"""From any on: a child of such a process, which has its environment and often the next number, asks for others."""
 
 
 def free_port(kind: socket.SocketKind) -> int:
