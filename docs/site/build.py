@@ -14,7 +14,7 @@ from reference import pages
 from sphinx.cmd.build import build_main
 
 ROOT = Path(__file__).parents[2]
-LINKED = ("configs", "msp_range", "sim", "tests", "benchmarks", "systemd")
+LINKED = ("configs", "msp_range", "sim", "tests", "evaluation", "systemd")
 """What documents link to outside docs/."""
 
 

@@ -15,7 +15,7 @@ from tests.docs import how
 from tests.docs.shown import ROOT, blocks, commands
 
 LINKED = ("msp_range", "sim", "tests", "bin", "systemd")
-COPIED = ("configs", "docs", "benchmarks", "Makefile", "pyproject.toml", "README.md", "install.sh")
+COPIED = ("configs", "docs", "evaluation", "Makefile", "pyproject.toml", "README.md", "install.sh")
 BEFORE = Path(__file__).parent / "before"
 ENDED = "trap 'echo \"--- ended at: $BASH_COMMAND\"' ERR"
 NEXT_BLOCK = "--- next block"

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from evaluation.fleet.generator import fleet
+from evaluation.fleet.score import run
 from msp_lab.cli import app
 from msp_lab.readings.dataset import record_runs, write_tables
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import load_model
-from tests.fleet.generator import fleet
-from tests.fleet.score import run
 from tests.support.waiting import LIMIT_S, until
 
 MODEL = "configs/sensors/mb1242.yaml"

@@ -6,8 +6,8 @@ from random import Random
 
 import pytest
 
-from tests.fuzz import base
-from tests.fuzz.__main__ import AREAS
+from evaluation.fuzz import base
+from evaluation.fuzz.__main__ import AREAS
 from tests.support import crashing
 
 

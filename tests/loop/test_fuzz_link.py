@@ -5,8 +5,8 @@ from random import Random
 
 import pytest
 
+from evaluation.fuzz import link
 from msp_range.mavlink.frames import Frame, FrameReader
-from tests.fuzz import link
 
 pytestmark = pytest.mark.slow
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from evaluation.soak.__main__ import growth_percent, simulated
+from evaluation.soak.vehicle import Judge, Vehicle
 from msp_range.clock import VirtualClock
-from tests.soak.__main__ import growth_percent, simulated
-from tests.soak.vehicle import Judge, Vehicle
 
 
 def test_a_bridge_that_follows_another_height_is_judged_wrong(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Peers of the gap workflow (`benchmarks.blind_peers`) do what their names say; some skip without the extra `bench`."""
+"""Peers of the gap workflow (`evaluation.blind_peers`) do what their names say; some skip without the extra `bench`."""
 
 import json
 from dataclasses import replace
@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.blind_peers import power
-from benchmarks.blind_peers.__main__ import score, show
-from benchmarks.blind_peers.detectors import classifier, compare, ks_by_slice, pted_as_it_comes
-from benchmarks.blind_peers.detectors import with_pairs_swapped as swapped
-from benchmarks.blind_peers.library import LEAST, Library, fitted, library, previous
-from benchmarks.blind_peers.namers import (
+from evaluation.blind_peers import power
+from evaluation.blind_peers.__main__ import score, show
+from evaluation.blind_peers.detectors import classifier, compare, ks_by_slice, pted_as_it_comes
+from evaluation.blind_peers.detectors import with_pairs_swapped as swapped
+from evaluation.blind_peers.library import LEAST, Library, fitted, library, previous
+from evaluation.blind_peers.namers import (
     aic_stepwise,
     bic_stepwise,
     every_two_sigma,

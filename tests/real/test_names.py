@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from tests.real.commands import run_command
-from tests.real.names import expected_names, markdown_table
-from tests.real.sets import ROOT, SETS
+from evaluation.real.commands import run_command
+from evaluation.real.names import expected_names, markdown_table
+from evaluation.real.sets import ROOT, SETS
 
 
 def test_document_has_the_table() -> None:

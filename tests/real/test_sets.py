@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.real.columns import read_table
-from tests.real.names import Line
-from tests.real.run import Outcome, compare_names, found_in, run_set
-from tests.real.sets import SETS, MeasuredSet
+from evaluation.real.columns import read_table
+from evaluation.real.names import Line
+from evaluation.real.run import Outcome, compare_names, found_in, run_set
+from evaluation.real.sets import SETS, MeasuredSet
 from tests.support.data import measured_data
 
 KNOWN = Path(__file__).parent / "known.csv"

@@ -15,16 +15,16 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
+from evaluation.blind.flight import Columns, Regime, contexts, habits
+from evaluation.blind.mechanisms import MECHANISMS
+from evaluation.blind.run import SENSOR, write
+from evaluation.blind.score import Outcome, accepted_names, judge
+from evaluation.blind.size import Hidden, stage
+from evaluation.blind.tables import CONFOUNDED, ROWS, RUNS, fly_base
 from msp_lab.cli import app
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.findings_file import read_findings
 from msp_sim.model.model import load_model
-from tests.blind.flight import Columns, Regime, contexts, habits
-from tests.blind.mechanisms import MECHANISMS
-from tests.blind.run import SENSOR, write
-from tests.blind.score import Outcome, accepted_names, judge
-from tests.blind.size import Hidden, stage
-from tests.blind.tables import CONFOUNDED, ROWS, RUNS, fly_base
 from tests.support.known import known
 from tests.support.slow import slow
 
@@ -113,7 +113,7 @@ def look(base: Callable[[Regime], Path], tmp_path_factory: pytest.TempPathFactor
 
 
 LATE = [("read_late", 6.6)]
-"""About 15 standard errors of the rows that effects are chosen and fitted on, by tests.blind.size; so are all sizes."""
+"""About 15 standard errors of the rows effects are chosen and fitted on (`evaluation.blind.size`). So are all sizes."""
 
 
 @pytest.fixture(scope="session")

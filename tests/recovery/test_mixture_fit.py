@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from benchmarks.bench_fit_coverage import coverage
+from evaluation.benchmarks.bench_fit_coverage import coverage
 from msp_range.reading_model.densities import NAMES, L, M, R, S, T, U, probabilities
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import FitError, FitResult
@@ -42,7 +42,7 @@ def recovered(result: FitResult, sensor: PlainSensor, errors: float = 4.0) -> No
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
-    """The whole figure is `python -m benchmarks.bench_fit_coverage`; one in twenty may miss."""
+    """The whole figure is `python -m evaluation.benchmarks.bench_fit_coverage`; one in twenty may miss."""
     shares = coverage(range(400, 416))
     assert 0.88 <= sum(shares.values()) / len(shares) <= 0.995
     assert min(shares.values()) >= 0.75

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from evaluation.blind.campaign import over_ranges
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import FitResult
 from msp_range.reading_model.grid import ReadingGrid
-from tests.blind.campaign import over_ranges
 
 pytestmark = pytest.mark.slow
 GRID = ReadingGrid(minimum_cm=20, maximum_cm=765, resolution_cm=1, second_no_echo_cm=255)

@@ -7,12 +7,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from evaluation.blind.campaign import campaign
 from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import FactorEffect, Findings, Question
 from msp_lab.readings.intake import load_readings
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
-from tests.blind.campaign import campaign
 from tests.support.known import known
 from tests.support.slow import slow
 

@@ -8,6 +8,7 @@ from statistics import median
 import numpy as np
 import pytest
 
+from evaluation.sensor_watch.drawn import MODEL, NAMES, SLOT_S, STD_M, TURN_S, Fault, Ground, draw, feed, watch_of
 from msp_range.assembly import expected_of, sensor_watch_of
 from msp_range.config import load_airframe
 from msp_range.health import Expected, GroundUse, SensorWatch
@@ -19,7 +20,6 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import Model
-from tests.sensor_watch.drawn import MODEL, NAMES, SLOT_S, STD_M, TURN_S, Fault, Ground, draw, feed, watch_of
 from tests.support.bench import CONFIGS, FOUR_DOWN, airframe
 
 DOWN, LEANS = (0.0, 0.0, 1.0), (math.sin(0.1), 0.0, math.cos(0.1))

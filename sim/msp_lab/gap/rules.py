@@ -1,7 +1,7 @@
 """Every threshold by which the gap workflow decides something, in the order of its steps.
 
 Each has three sentences: the decision it makes, where its value comes from, and what changes when it is moved. 'The
-blind tables' are those of `tests/blind`, in which a generator that shares no code with the product hides effects.
+blind tables' are those of `evaluation/blind`, in which a generator that shares no code with the product hides effects.
 """
 
 import numpy as np
@@ -473,9 +473,9 @@ CALIBRATION_Z = 4.0
 the training runs alone. Eight numbers are asked. Lower: calibration of nothing."""
 BENCH_ERROR = {"reading_model.sigma_growth_cm_per_m": 0.03, "reading_model.missed_growth_per_m": 0.1}
 """Standard errors of what a bench says of growth with range: of the spread in shares of sigma per metre, of missed
-echoes in log odds per metre. On 18 benches of 48 ranges and 2,400 readings (`tests/second_hand`) the first scattered by
-0.02 about a straight line through the true growths, which have another form; 50 missed readings say the second to 0.1.
-Higher: growth is calibration; lower: growth that the bench had, too, is named."""
+echoes in log odds per metre. On 18 benches of 48 ranges and 2,400 readings (`evaluation/second_hand`) the first
+scattered by 0.02 about a straight line through the true growths, which have another form; 50 missed readings say the
+second to 0.1. Higher: growth is calibration; lower: growth that the bench had, too, is named."""
 BEYOND_BENCH_Z = 3.0
 """Growth with range is named, and no calibration, where it is larger by so many standard errors, those of the bench
 included. Of 100 tables without an effect two had grown by two of these. As `BENCH_ERROR`."""

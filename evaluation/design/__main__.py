@@ -1,0 +1,62 @@
+"""``python -m evaluation.design OUT --pairs N --seed S``: blind pairs, and the table of promises and how they were
+kept.
+
+Cases that are in OUT are kept, so that an interrupted run is resumed, and a larger N adds cases.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from evaluation.design.campaign import Outcome, run_case
+from evaluation.design.oracle import ENOUGH_NATS
+from evaluation.second_hand.score import wilson
+
+OUTCOMES = ("right", "wrong", "not promised", "same", "no question", "not asked", "crash")
+
+
+def table(found: Sequence[Outcome]) -> str:
+    """Outcomes by pair, and how often a promise was kept."""
+    lines = [f"| pair | {' | '.join(OUTCOMES)} |", "|---" * (len(OUTCOMES) + 1) + "|"]
+    for title in dict.fromkeys(each.pair for each in found):
+        counts = [sum(each.pair == title and each.outcome == what for each in found) for what in OUTCOMES]
+        lines.append(f"| {title} | {' | '.join(map(str, counts))} |")
+    lines.append(f"| all | {' | '.join(str(sum(each.outcome == what for each in found)) for what in OUTCOMES)} |")
+    for about, of in ((True, "about the pair"), (False, "about what was not recorded")):
+        own = [each for each in found if each.about_pair == about]
+        kept, broken = (sum(each.outcome == what for each in own) for what in ("right", "wrong"))
+        lines.append(f"\nPromises kept, questions {of}: {_share(kept, kept + broken)}")
+    same = [each for each in found if each.about_pair and each.outcome == "same"]
+    wrongly = sum(each.decidable_nats >= ENOUGH_NATS for each in same)
+    lines.append(f"\nCalled the same although an experiment would decide: {_share(wrongly, len(same))}")
+    return "\n".join(lines)
+
+
+def _share(count: int, of: int) -> str:
+    """Counts with Wilson's 95 % interval."""
+    low, high = wilson(count, of)
+    return f"{count} of {of} (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
+
+
+def main() -> None:
+    """Run what is not there yet, and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m evaluation.design", description=__doc__)
+    parser.add_argument("out", type=Path, nargs="?", default=Path("build/design"), help="folder for the cases")
+    parser.add_argument("--pairs", type=int, default=21)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--power", type=float, default=0.95)
+    parser.add_argument("--sessions", type=int, default=0, help="sessions that the command simulates; 0: none")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    found: list[Outcome] = []
+    for number in range(given.pairs):
+        own = run_case(given.out, given.seed, number, given.power, given.sessions)
+        found += own
+        for each in own:
+            detail = each.detail + (f"; {each.decidable_nats:.0f} nats by an oracle" if each.outcome == "same" else "")
+            print(f"{number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({detail})", flush=True)
+    print(table(found))
+
+
+if __name__ == "__main__":
+    main()

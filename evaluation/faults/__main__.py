@@ -1,0 +1,114 @@
+"""Fly a fault campaign: ``make faults``, or ``python -m evaluation.faults``.
+
+Prints a table of all groups, the goals, and the worst flights, which OUT/tables.md holds too; OUT/flights.jsonl has a
+line for each flight. A flight that is named there, such as 1:42, is flown again with everything about it written by
+``--again 1:42 --out FOLDER``.
+"""
+
+import argparse
+import json
+import re
+import sys
+from itertools import count, islice
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+
+from evaluation.faults.campaign import fly_all, fly_plan
+from evaluation.faults.families import FAMILIES, FIRST
+from evaluation.faults.plans import SHARES, draw_plan, group_of, row_of
+from evaluation.faults.report import (
+    Line,
+    coverage_table,
+    edges_table,
+    families_table,
+    goals_table,
+    groups_table,
+    markdown,
+    shown,
+    worst_table,
+)
+from msp_range.clock import SystemClock
+from msp_range.terminal import Bar
+
+WIDTH = 260
+"""Of the tables where there is no terminal [characters]: no heading is wrapped."""
+LINE_EACH_S = 30.0
+"""Between two lines on the progress where there is no terminal [s]."""
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m evaluation.faults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--flights", type=int, default=700, help="how many (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of the campaign (default: %(default)s)")
+    parser.add_argument("--hostile", action="store_true", help="fly the hostile families instead of the groups")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="GROUP",
+        help=f"groups or rows: {', '.join(SHARES)}, 'one: stuck'; or hostile families: {', '.join(FAMILIES)}",
+    )
+    parser.add_argument("--out", type=Path, default=Path("build/faults"), help="folder (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument(
+        "--without-motion", action="store_true", help="the autopilot sends neither accelerations nor pressures"
+    )
+    parser.add_argument("--again", metavar="SEED:INDEX", help="fly one flight again and write all of it to OUT")
+    given = parser.parse_args()
+    if given.again is not None:
+        if not re.fullmatch(r"\d+:\d+", given.again):
+            parser.error(f"--again: found {given.again!r}; expected SEED:INDEX, such as 1:42")
+        seed, index = map(int, given.again.split(":"))
+        print(json.dumps(fly_plan(draw_plan(seed, index, not given.without_motion), given.out), indent=2))
+        return
+    only = given.only or []
+    first = FIRST if given.hostile or set(only) & _names_from(FIRST) else 0
+    for name in only:
+        if name not in _names_from(first):
+            parser.error(f"--only: found {name!r}; expected some of: {'; '.join(sorted(_names_from(first)))}")
+    wanted = (index for index in count(first) if not only or {group_of(index), row_of(index)} & set(only))
+    try:
+        indices = list(islice(wanted, given.flights))
+        lines = _fly(given.seed, indices, given.jobs, given.out, not given.without_motion)
+    except KeyboardInterrupt:
+        sys.exit(130)
+    console = Console()
+    console = console if console.is_terminal else Console(width=WIDTH)
+    tables = [families_table(lines), edges_table(lines)] if first else [groups_table(lines), goals_table(lines)]
+    tables += [coverage_table(lines), worst_table(lines)]
+    for table in tables:
+        console.print(shown(table))
+    (given.out / "tables.md").write_text("\n".join(map(markdown, tables)), encoding="utf-8")
+    print(f"tables: {given.out / 'tables.md'}\nevery flight: {given.out / 'flights.jsonl'}")
+
+
+def _names_from(first: int) -> set[str]:
+    """Groups, or families, and rows of a campaign that begins with an index."""
+    return {name for index in range(first, first + 2000) for name in (group_of(index), row_of(index))}
+
+
+def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool) -> list[Line]:
+    out.mkdir(parents=True, exist_ok=True)
+    clock = SystemClock()
+    started_s = next_line_s = clock.now()
+    lines: list[Line] = []
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with (out / "flights.jsonl").open("w", encoding="utf-8") as file, Bar(*columns, total=len(indices)) as bar:
+        for line in fly_all(seed, indices, jobs, sends_motion):
+            lines.append(line)
+            file.write(json.dumps(line) + "\n")
+            bar.show(line["row"], len(lines))
+            if not bar.is_shown and clock.now() >= next_line_s:
+                next_line_s = clock.now() + LINE_EACH_S
+                print(f"{len(lines)} of {len(indices)} flights, {clock.now() - started_s:.0f} s", file=sys.stderr)
+    flown_s = sum(line["verdict"]["flown_s"] for line in lines)
+    print(f"{len(lines)} flights, {flown_s:,.0f} s flown in {clock.now() - started_s:.0f} s\n")
+    return lines
+
+
+if __name__ == "__main__":
+    main()

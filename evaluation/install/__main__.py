@@ -1,0 +1,421 @@
+"""Install msp-range on a fresh Debian with a real systemd, break it, upgrade it and remove it: `make test-install`.
+
+Prints what was seen at each step, and ends with exit code 1 at the first thing that is not as it should be. Takes some
+minutes, most of them for pip; needs root, mmdebstrap and systemd-nspawn.
+"""
+
+import argparse
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+from tempfile import mkdtemp
+
+from pymavlink.dialects.v20 import common
+
+from evaluation.install.machine import ROOT, Machine, make_debian, missing
+
+READINGS_CM = (40, 40, 40, 40)
+MAX_INSTALLED_MB = 300
+"""The bridge's environment may be this large, as docs/developing.md says."""
+MAX_EXPOSURE = 2.0
+"""What `systemd-analyze security` may find at most: 0 is a service that can do nothing, 10 one that can do all."""
+RESTARTED_S = 10.0
+"""A killed service sends distances again within this; docs/flying.md has what it takes on an idle computer."""
+INSTALL = "sudo ./install.sh"
+"""As docs/installing.md shows it."""
+EMPTY_DISK_MB = 24
+MAX_BRIDGE_MB, MAX_PAGE_MB = 170, 60
+"""What bridge and page may hold in memory."""
+OPT_PYTHON = "/opt/msp-range/venv/bin/python"
+PAGE = "http://127.0.0.1:8642/"
+PYTHONS = ("3.11", "3.12", "3.13")
+"""Those of Debian 12, Ubuntu 24.04 and Debian 13."""
+
+
+def say(text: str) -> None:
+    """Print a line at once."""
+    print(text, flush=True)
+
+
+def expect(condition: bool, text: str) -> None:
+    """Print what was seen; raises RuntimeError where it is not so."""
+    if not condition:
+        raise RuntimeError(f"not so: {text}")
+    say(f"    ok: {text}")
+
+
+class Receiver:
+    """The far end of the bridge's UDP link."""
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setblocking(False)
+        self.port = self.socket.getsockname()[1]
+        self._parser = common.MAVLink(None)
+        self._parser.robust_parsing = True
+        self.texts: list[str] = []
+
+    def distances(self) -> list[int]:
+        """Distances [cm] that have come since the last call."""
+        found: list[int] = []
+        while True:
+            try:
+                datagram = self.socket.recv(2000)
+            except BlockingIOError:
+                return found
+            for message in self._parser.parse_buffer(datagram) or []:
+                if message.get_type() == "DISTANCE_SENSOR":
+                    found.append(message.current_distance)
+                elif message.get_type() == "STATUSTEXT":
+                    self.texts.append(message.text)
+
+    def await_distance(self) -> float:
+        """Wait for a new distance; returns how long it took [s]."""
+        self.distances()
+        return Machine.until("distance", lambda: bool(self.distances()))
+
+    def await_text(self, pattern: str) -> None:
+        """Wait for a text to the pilot, and forget those up to it."""
+
+        def is_there() -> bool:
+            self.distances()
+            return any(re.search(pattern, text) for text in self.texts)
+
+        Machine.until(f"text {pattern!r}", is_there)
+        say(f"    ok: the pilot reads {next(text for text in self.texts if re.search(pattern, text))!r}")
+        self.texts.clear()
+
+
+def snapshot(machine: Machine) -> str:
+    """All files of the container with their sizes and times, but for what systemd itself writes."""
+    return machine.run(
+        "find /etc /opt /usr/local /var/lib /root -printf '%p %s %T@\\n' | sort | grep -v /var/lib/systemd"
+    ).stdout
+
+
+def install(machine: Machine, receiver: Receiver) -> None:
+    """A fresh clone, one command."""
+    (machine.root / "root/airframe.yaml").write_text(
+        (ROOT / "configs/loopback.yaml").read_text().replace(":14550", f":{receiver.port}")
+        + "recording:\n  folder: /var/lib/msp-range/flights\n"
+    )
+    subprocess.run(["git", "clone", "-q", "--bare", ROOT, machine.root / "srv/msp-range.git"], check=True)
+    machine.run("git config --global safe.directory '*' && git clone -q /srv/msp-range.git")
+    # What is not committed yet is tested too.
+    changed = subprocess.run(
+        ["git", "ls-files", "-mo", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout.split()
+    for name in changed:
+        to = machine.root / "root/msp-range" / name
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, to)
+    before = snapshot(machine)
+    machine.run("cd msp-range && ./install.sh --dry-run --airframe quad_pallet")
+    expect(snapshot(machine) == before, "--dry-run changes nothing")
+    for options, code in (("--what", 2), ("--purge", 2), ("", 2), ("--airframe nowhere", 2), ("--upgrade", 3)):
+        done = machine.run(f"cd msp-range && ./install.sh {options}", check=False)
+        expect(done.returncode == code, f"install.sh {options}: exit code {code}, {done.stderr.splitlines()[-1]!r}")
+    expect(snapshot(machine) == before, "and a wrong command line changes nothing")
+
+    start_s = time.monotonic()
+    done = machine.run("cd msp-range && ./install.sh --airframe /root/airframe.yaml")
+    say(done.stdout)
+    expect("airframe.yaml: loopback" in done.stdout, "doctor reported before the start")
+    say(f"    installed in {time.monotonic() - start_s:.0f} s")
+    expect(receiver.await_distance() < RESTARTED_S, "distances arrive")
+    megabytes = int(machine.run("du -sm /opt/msp-range").stdout.split()[0])
+    expect(megabytes <= MAX_INSTALLED_MB, f"{megabytes} MB in /opt/msp-range")
+    pid = machine.show("MainPID")
+    user = machine.run(f"stat -c %U /proc/{pid}").stdout.strip()
+    expect(user == "msp-range", f"it runs as {user}")
+    expect(machine.run("systemctl is-enabled msp-range").stdout.strip() == "enabled", "enabled at boot")
+    exposure = machine.run("systemd-analyze security --no-pager msp-range").stdout.splitlines()[-1]
+    found = float(re.findall(r": ([0-9.]+)", exposure)[0])
+    expect(found <= MAX_EXPOSURE, exposure.strip())
+    nice = machine.run(f"ps -o ni= -p {pid}").stdout.strip()
+    expect(nice == "-10", f"nice {nice}")
+    expect(bool(recordings(machine)), "it records")
+    expect("msp-range " in machine.run("msp-range --version").stdout, "the command msp-range is there")
+    shown = machine.run("runuser -u nobody -- msp-range status || test $? = 4").stdout
+    expect("distance down" in shown, "msp-range status shows it to any user")
+    page = machine.run(
+        f"{OPT_PYTHON} -c 'import urllib.request as u; print(u.urlopen(\"{PAGE}\").read().decode())'"
+    ).stdout
+    expect("<!doctype html>" in page, "the page is served")
+    pages = machine.run("pgrep -f msp_range.web").stdout.split()
+    resident_mb = [resident(machine, each) for each in (pid, pages[0])]
+    expect(
+        resident_mb[0] <= MAX_BRIDGE_MB and resident_mb[1] <= MAX_PAGE_MB, f"resident: bridge, page: {resident_mb} MB"
+    )
+    sudo = 'sudo() { "$@"; }'
+    done = machine.run(f"cd msp-range && {sudo}; {INSTALL}", check=False)
+    expect(done.returncode == 0, "installing once more does no harm")
+    receiver.await_distance()
+
+
+DEVICES = {
+    "i2c-7": ("i2c", 89, 7),
+    "ttyAMA0": ("ttyAMA", 204, 64),
+    "ttyUSB0": ("ttyUSB", 188, 0),
+    "ttyACM0": ("ttyACM", 166, 0),
+    "ttyTHS1": ("ttyTHS", 238, 1),
+}
+"""Device files of I2C buses and serial ports: the name of their driver in the kernel's /proc/devices, major, minor."""
+OTHERS = {"hwrng": (10, 183), "vcs": (7, 0)}
+"""Device files that are none of the service's business."""
+PROBE = """
+import errno, os
+for name in %s:
+    try:
+        os.open(f"/dev/{name}", os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY)
+        print(name, "opened")
+    except OSError as error:
+        print(name, errno.errorcode[error.errno])
+"""
+
+
+def has_devices(machine: Machine, _: Receiver) -> None:
+    """Device files by which the service may reach a device, with the kernel's list of drivers."""
+    for name, (_driver, major, minor) in DEVICES.items():
+        group = "i2c" if name.startswith("i2c") else "dialout"
+        machine.run(f"mknod -m 660 /dev/{name} c {major} {minor} && chgrp {group} /dev/{name}")
+    for name, (major, minor) in OTHERS.items():
+        machine.run(f"mknod -m 666 /dev/{name} c {major} {minor}")
+    (machine.root / "srv/probe.py").write_text(PROBE % [*DEVICES, *OTHERS])
+    # The unit as it is installed, with another program.
+    machine.run(
+        "sed -e 's|^ExecStart=.*|ExecStart=/usr/bin/python3 /srv/probe.py|' -e 's|^Type=.*|Type=oneshot|'"
+        " -e '/^Restart/d' -e '/^WatchdogSec/d' -e '/^RuntimeDirectory/d' -e '/^ExecReload/d'"
+        " /etc/systemd/system/msp-range.service >/etc/systemd/system/probe.service && systemctl daemon-reload"
+    )
+    # This computer has none of these: no driver answers (ENXIO) where the service may open the file.
+    refused = dict.fromkeys([*DEVICES, *OTHERS], "EPERM")
+    expect(probed(machine) == refused, "a device whose driver is loaded later is refused until the next start")
+    lines = "".join(f"\\n{major} {driver}" for driver, major, _minor in DEVICES.values())
+    machine.run(f"sed 's/^Character devices:/&{lines}/' /proc/devices >/root/devices")
+    machine.run("mount --bind /root/devices /proc/devices")
+    allowed = refused | dict.fromkeys(DEVICES, "ENXIO")
+    expect(probed(machine) == allowed, f"it may open {', '.join(DEVICES)}, and not {', '.join(OTHERS)}")
+    machine.run("umount /proc/devices; rm /root/devices /srv/probe.py /etc/systemd/system/probe.service")
+    machine.run(f"rm {' '.join(f'/dev/{name}' for name in [*DEVICES, *OTHERS])}; systemctl daemon-reload")
+
+
+def probed(machine: Machine) -> dict[str, str]:
+    """What became of opening each device file: 'opened', or the error's name."""
+    machine.run("systemctl start probe && journalctl --sync")
+    # Not by _COMM: on a busy computer the journal asks for it when the program has ended.
+    lines = machine.run("journalctl -u probe -o cat --no-pager").stdout.splitlines()
+    results = [line.split(" ") for line in lines if line.partition(" ")[0] in {*DEVICES, *OTHERS}]
+    return dict(results[-len(DEVICES) - len(OTHERS) :])
+
+
+def resident(machine: Machine, pid: str) -> int:
+    """Resident memory of a process [MB]."""
+    return int(machine.run(f"awk '/VmRSS/ {{print $2}}' /proc/{pid}/status").stdout) // 1024
+
+
+def has_wheels() -> None:
+    """Every dependency as a ready package for a 64-bit Raspberry Pi: nothing is compiled there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    dependencies = project["dependencies"] + project["optional-dependencies"]["web"]
+    platforms = [f"--platform=manylinux{each}_aarch64" for each in ("2014", "_2_17", "_2_28")]
+    for version in PYTHONS:
+        options = ["--dry-run", "--ignore-installed", "--only-binary=:all:", "--target=/nowhere", *platforms]
+        done = subprocess.run(
+            [sys.executable, "-m", "pip", "install", "-q", *options, f"--python-version={version}", *dependencies],
+            capture_output=True,
+            text=True,
+        )
+        expect(done.returncode == 0, f"aarch64 packages for Python {version} {done.stderr[-300:].strip()}".strip())
+
+
+def recordings(machine: Machine) -> list[str]:
+    """Names of the recordings."""
+    return machine.run("ls /var/lib/msp-range/flights").stdout.split()
+
+
+def restarts(machine: Machine) -> int:
+    """How often systemd has started it again."""
+    return int(machine.show("NRestarts"))
+
+
+def is_killed(machine: Machine, receiver: Receiver) -> None:
+    """kill -9, five times in a row."""
+    before = restarts(machine)
+    outages = []
+    for _ in range(5):
+        machine.run("systemctl kill --signal=KILL msp-range")
+        outages.append(receiver.await_distance())
+    expect(restarts(machine) == before + 5, "killed five times, started five times")
+    expect(max(outages) < RESTARTED_S, "outages of " + ", ".join(f"{outage:.2f}" for outage in outages) + " s")
+
+
+def hangs(machine: Machine, receiver: Receiver) -> None:
+    """A bus whose driver does not return."""
+    before = restarts(machine)
+    machine.run("systemctl kill --signal=STOP emulated-i2c")
+    took_s = Machine.until("watchdog", lambda: restarts(machine) > before)
+    machine.run("systemctl kill --signal=CONT emulated-i2c")
+    receiver.await_distance()
+    journal = machine.run("journalctl -u msp-range -o cat --no-pager").stdout
+    expect("in _transfer" in journal, f"a hang: ended after {took_s:.1f} s, and the journal has the line where it hung")
+
+
+def loses_its_disk(machine: Machine, receiver: Receiver) -> None:
+    """A disk that is full, and one on which the folder is gone and cannot be made again."""
+    before = restarts(machine)
+    folder = "/var/lib/msp-range"
+    machine.run("systemctl stop msp-range")
+    machine.run(f"mount -t tmpfs -o size={EMPTY_DISK_MB}m,uid=$(id -u msp-range),gid=$(id -g msp-range) none {folder}")
+    machine.run("systemctl start msp-range")
+    receiver.await_distance()
+    machine.run(f"head -c {EMPTY_DISK_MB}M /dev/zero >{folder}/full || true")
+    receiver.await_text("not recording, disk full")
+    receiver.await_distance()
+    machine.run(f"rm {folder}/full")
+    receiver.await_text("recording again")
+    machine.run(f"chown root {folder}; chmod 755 {folder}; rm -r {folder}/flights")
+    receiver.await_text("not recording")
+    receiver.await_distance()
+    machine.run(f"systemctl stop msp-range; umount {folder}; systemctl start msp-range")
+    receiver.await_distance()
+    expect(restarts(machine) <= before, "no disk restarts it")
+
+
+def has_an_invalid_file(machine: Machine, receiver: Receiver) -> None:
+    """A user error in the airframe file: reported once, not started again and again."""
+    airframe = machine.root / "etc/msp-range/airframe.yaml"
+    good = airframe.read_text()
+    airframe.write_text(good + "colour: red\n")
+    machine.run("systemctl restart msp-range", check=False)
+    Machine.until("failure", lambda: machine.show("ActiveState") == "failed")
+    expect(machine.show("ExecMainStatus") == "3", "an invalid airframe file: exit code 3, not started again")
+    journal = machine.run("journalctl -u msp-range -o cat --no-pager -n 8").stdout
+    expect("colour" in journal, "and the journal names the place")
+    airframe.write_text(good + "# edited by its owner\n")
+    machine.run("systemctl restart msp-range")
+    receiver.await_distance()
+
+
+def is_upgraded(machine: Machine, receiver: Receiver) -> None:
+    """A newer version, with files that the owner has edited; then one that does not start, and one that cannot read."""
+    kept = recordings(machine)
+    machine.run("sed -i 's/^__version__.*/__version__ = \"9.9.1\"/' msp-range/msp_range/__init__.py")
+    machine.run("echo '# edited by its owner' >>/etc/systemd/system/msp-range.service")
+    machine.run("echo '# a new comment' >>msp-range/systemd/msp-range.rules")
+    done = machine.run("cd msp-range && ./install.sh --upgrade")
+    say(done.stdout)
+    receiver.await_distance()
+    expect("9.9.1" in machine.run("msp-range --version").stdout, "the new version is there")
+    expect("by its owner" in machine.run("cat /etc/msp-range/airframe.yaml").stdout, "the airframe file is kept")
+    unit = machine.run("cat /etc/systemd/system/msp-range.service").stdout
+    expect("by its owner" in unit, "an edited unit is kept")
+    machine.run("test -e /etc/systemd/system/msp-range.service.new")
+    rules = machine.run("cat /etc/udev/rules.d/70-msp-range.rules").stdout
+    expect("a new comment" in rules, "a rules file that nobody edited is replaced")
+    expect(set(kept) <= set(recordings(machine)), "recordings are kept")
+    expect(machine.run("ls -d /opt/msp-range/venv-*").stdout.count("\n") == 1, "the old environment is removed")
+
+    machine.run("cd msp-range && git stash -q -- msp_range/bridge.py; echo 'raise SystemExit(1)' >>msp_range/bridge.py")
+    done = machine.run("cd msp-range && ./install.sh --upgrade", check=False)
+    expect(done.returncode == 1, f"a version that does not start: exit code 1, {done.stderr.splitlines()[-1]!r}")
+    receiver.await_distance()
+    expect(machine.show("ActiveState") == "active", "and the old version runs")
+    machine.run(
+        "cd msp-range && git checkout -q msp_range/bridge.py && echo 'raise SystemExit(1)' >>msp_range/config.py"
+    )
+    pid = machine.show("MainPID")
+    done = machine.run("cd msp-range && ./install.sh --upgrade", check=False)
+    expect(done.returncode == 3, f"a version that cannot read the file: exit code 3, {done.stderr.splitlines()[-1]!r}")
+    expect(machine.show("MainPID") == pid, "and the old version went on without a pause")
+
+
+def boots_again(machine: Machine, receiver: Receiver) -> None:
+    """The computer is switched off and on."""
+    machine.power_off()
+    machine.boot()
+    Machine.until("start at boot", lambda: int(machine.show("NRestarts")) > 0 or is_active(machine))
+    machine.emulate_sensors(READINGS_CM)
+    machine.run("systemctl restart msp-range")
+    receiver.await_distance()
+    say("    ok: it starts at boot")
+
+
+def is_active(machine: Machine) -> bool:
+    """Whether the service runs."""
+    return machine.show("ActiveState") == "active"
+
+
+def is_removed(machine: Machine) -> None:
+    """--uninstall keeps what is the owner's, --purge does not."""
+    say(machine.run("cd msp-range && ./install.sh --uninstall").stdout)
+    for gone in ("/opt/msp-range", "/etc/systemd/system/msp-range.service", "/usr/local/bin/msp-range"):
+        expect(machine.run(f"test -e {gone}", check=False).returncode != 0, f"{gone} is gone")
+    expect(machine.show("LoadState") == "not-found" or not is_active(machine), "the service is gone")
+    expect("by its owner" in machine.run("cat /etc/msp-range/airframe.yaml").stdout, "the airframe file is kept")
+    expect(bool(recordings(machine)), "the recordings are kept")
+    say(machine.run("cd msp-range && ./install.sh --uninstall --purge").stdout)
+    # systemd keeps the folder for PrivateTmp of a service that a shutdown ended, in /var/tmp.
+    left = machine.run("find /etc /opt /usr /var/lib /var/log /var/cache /home -name '*msp*range*'").stdout.strip()
+    expect(left == "", f"--purge leaves no file {left}".strip())
+    expect(machine.run("id msp-range", check=False).returncode != 0, "and no user")
+
+
+def main() -> int:
+    """Run all steps; the exit code."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--suite", default="bookworm", help="Debian release (default: %(default)s)")
+    arguments.add_argument("--keep", action="store_true", help="keep the container's folder")
+    options = arguments.parse_args()
+    absent = missing()
+    if absent is not None:
+        say(f"make test-install: {absent}")
+        return 3
+    say(f"has wheels: {has_wheels.__doc__}")
+    has_wheels()
+    archive = make_debian(ROOT / "build/install", options.suite)
+    folder = Path(mkdtemp(prefix="msp-install-", dir="/var/tmp"))
+    machine = Machine(archive, folder)
+    receiver = Receiver()
+    try:
+        machine.boot()
+        say(
+            "booted: "
+            + machine.run("systemctl --version | head -1; cat /etc/debian_version").stdout.replace("\n", ", ")
+        )
+        machine.emulate_sensors(READINGS_CM)
+        for step in (
+            install,
+            has_devices,
+            is_killed,
+            hangs,
+            loses_its_disk,
+            has_an_invalid_file,
+            is_upgraded,
+            boots_again,
+        ):
+            say(f"{step.__name__.replace('_', ' ')}: {step.__doc__}")
+            step(machine, receiver)
+        say(f"is removed: {is_removed.__doc__}")
+        is_removed(machine)
+    except (AssertionError, RuntimeError, subprocess.TimeoutExpired) as error:
+        say(f"FAILED: {error}")
+        if machine.leader:
+            say(machine.run("journalctl -u msp-range -o cat --no-pager -n 40", check=False).stdout)
+        return 1
+    finally:
+        machine.close()
+        if not options.keep:
+            shutil.rmtree(folder, ignore_errors=True)
+    say("all as it should be")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,199 @@
+"""A measured set end to end by the commands, and what was reported of it against the table of names.
+
+``python -m evaluation.real.run [NAME ...] --out build/real`` runs sets and prints a line each.
+"""
+
+import argparse
+import json
+import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from evaluation.closure.closure import Closure, describe, gap_closed
+from evaluation.real.analysis import data_folder
+from evaluation.real.commands import run_command
+from evaluation.real.names import Line, expected_names
+from evaluation.real.sets import CONFIGS, SETS, MeasuredSet
+
+KEPT = ("named", "indistinguishable")
+"""Verdicts on an effect with which its name stands in the report."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """One thing that the workflow found.
+
+    Attributes
+    ----------
+    names
+        Names that it cannot separate, the first choice among them.
+    values
+        Parameters of the first choice.
+    """
+
+    names: frozenset[str]
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What happened to a set.
+
+    Attributes
+    ----------
+    command
+        The last command that ran, as it would be typed.
+    failure
+        Its last line on standard error where it failed; empty where all went well.
+    verdict
+        Of the workflow.
+    found
+        All that was found, in the words of `names.csv`.
+    forbidden, missing
+        Found although forbidden; required and not found.
+    gap
+        Nats per reading before and after, as the workflow measures it.
+    closed
+        The same by the measures of `evaluation.closure`; None where they were not asked.
+    """
+
+    command: str
+    failure: str
+    verdict: str = ""
+    found: tuple[Found, ...] = ()
+    forbidden: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    gap: tuple[float, float] | None = None
+    closed: Closure | None = None
+
+
+def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False) -> Outcome:
+    """Characterise where the set has a bench session, then `msp-lab gap`.
+
+    Parameters
+    ----------
+    measured
+        The set.
+    data
+        Folder of measured data.
+    out
+        Folder to work in; `gap` and `model.yaml` are left there.
+    closure
+        Also measure how much of the gap is closed (half a minute more).
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    model = CONFIGS / "sensors" / f"{measured.sensor}.yaml"
+    column_map = () if measured.column_map is None else ("--map", measured.column_map)
+    if measured.bench:
+        bench = [data / each for each in measured.bench]
+        characterised = out / "model.yaml"
+        characterised.unlink(missing_ok=True)  # of a run before this one: the command overwrites none
+        command = (
+            "characterise",
+            *bench,
+            "--sensor",
+            model,
+            *column_map,
+            "--date",
+            "2026-11-22",
+            "--out",
+            characterised,
+        )
+        failed = _run(command)
+        if failed:
+            return Outcome(_typed(command), failed)
+        model = characterised
+    raw = [data / each for each in measured.readings]
+    readings = measured.prepare(data, out / "form") if measured.column_map is None else raw
+    command = ("gap", *readings, "--model", model, *column_map, "--out", out / "gap", "--until", "add")
+    failed = _run(command)
+    if failed:
+        return Outcome(_typed(command), failed)
+    gap = json.loads((out / "gap" / "gap.json").read_text(encoding="utf-8"))
+    found = found_in(gap)
+    forbidden, missing = compare_names(found, expected_names()[measured.name])
+    measure = (gap.get("gap") or {}).get("nats_per_reading")
+    nats = None if measure is None else (measure["before"], measure["after"])
+    closed = None
+    if closure:
+        form = measured.prepare(data, out / "form")
+        closed = gap_closed(form, model, out / "gap" / "model.yaml", gap["held_out_runs"])
+    return Outcome(_typed(command), "", gap["verdict"], found, forbidden, missing, nats, closed)
+
+
+def _run(arguments: tuple[object, ...]) -> str:
+    done = run_command("msp-lab", *arguments)
+    return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+
+
+def _typed(arguments: Iterable[object]) -> str:
+    return "msp-lab " + shlex.join(map(str, arguments))
+
+
+def found_in(gap: Mapping[str, Any]) -> tuple[Found, ...]:
+    """What a `gap.json` names, in the words of `names.csv`."""
+    found = []
+    for effect in gap.get("effects", ()):
+        if effect["verdict"] in KEPT:
+            names = frozenset({effect["name"], *(each["name"] for each in effect.get("alternatives", ()))})
+            values = {name: each["value"] for name, each in effect.get("parameters", {}).items()}
+            found.append(Found(names, values))
+    for unknown in gap.get("unknown", ()):
+        # The time in the run is the time, where runs are as they were recorded.
+        variables = ["time_s" if name == "time_in_run_s" else name for name in unknown["variables"]]
+        found.append(Found(frozenset(f"unknown {unknown['channel']} of {name}" for name in variables)))
+    for calibration in gap.get("calibration", ()):
+        # reading_model.missed_growth_per_m is named by its last part.
+        found.append(Found(frozenset({f"calibration {calibration['name'].rpartition('.')[2]}"})))
+    return tuple(found)
+
+
+def compare_names(found: Iterable[Found], lines: Iterable[Line]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Forbidden things that were found, and required ones that were not.
+
+    Several indistinguishable names are right if one of them is required or allowed. What is unknown and what is
+    calibration is never forbidden. A required name with values that are not there is not found.
+    """
+    found = list(found)
+    right = {what for line in lines if line.status != "forbidden" for what in line.what}
+    free = ("unknown ", "calibration ")
+    forbidden = [one.names for one in found if not one.names & right and not all(x.startswith(free) for x in one.names)]
+    missing = [
+        " or ".join(line.what)
+        for line in lines
+        if line.status == "required" and not any(one.names & set(line.what) and line.holds(one.values) for one in found)
+    ]
+    return tuple("/".join(sorted(one)) for one in forbidden), tuple(missing)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(prog="python -m evaluation.real.run", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="sets; left out: all")
+    parser.add_argument("--out", type=Path, default=Path("build/real"))
+    parser.add_argument("--closure", action="store_true", help="measure independently how much of the gap is closed")
+    given = parser.parse_args()
+    data = data_folder()
+    for measured in SETS:
+        if given.names and measured.name not in given.names:
+            continue
+        outcome = run_set(measured, data, given.out / measured.name, closure=given.closure)
+        print(f"{measured.name}: {outcome.failure or outcome.verdict}", flush=True)
+        if outcome.failure:
+            print(f"  {outcome.command}")
+        else:
+            gap = "" if outcome.gap is None else f"  gap {outcome.gap[0]:.3g} to {outcome.gap[1]:.3g} nats per reading"
+            print(gap)
+            if outcome.closed is not None:
+                print(f"  {describe(outcome.closed)}")
+            for one in outcome.found:
+                values = ", ".join(f"{name} {value:.3g}" for name, value in one.values.items())
+                print(f"  found {'/'.join(sorted(one.names))} {values}".rstrip())
+            print(f"  forbidden: {'; '.join(outcome.forbidden) or 'none'}")
+            print(f"  missing: {'; '.join(outcome.missing) or 'none'}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

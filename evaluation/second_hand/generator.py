@@ -1,0 +1,159 @@
+"""Cases: a table with a known truth, and a bench table of the same sensor in which nothing is hidden.
+
+``case("one:10", 7)`` is always the same case. Kinds: ``null:0``, ``null:0.3``, ``null:0.5``, ``null:0.8`` (correlation
+of successive readings), ``null:drift`` (a slow wander inside runs), and ``one:Z``, ``two:Z``, ``three:Z``,
+``unknown:Z`` (effects of Z standard errors each).
+"""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import reduce
+from operator import or_
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluation.second_hand.base import Base, draw_base
+from evaluation.second_hand.density import base_law
+from evaluation.second_hand.effect import Effect, Kind, law_with
+from evaluation.second_hand.flights import Design, draw_bench, draw_flights
+from evaluation.second_hand.physics import KNOWN
+from evaluation.second_hand.rows import Rows
+from evaluation.second_hand.sample import draw
+from evaluation.second_hand.size import sizes_of
+from evaluation.second_hand.unknown import UNKNOWN
+
+FINAL_SEED = 3_000_000_000
+"""Seeds from here on are for a final run and refused without ``final``: nothing has been tuned on them."""
+SENSORS = ("left", "right")
+COUNTS = {"one": 1, "two": 2, "three": 3, "unknown": 1}
+NULLS = ("null:0", "null:0.3", "null:0.5", "null:0.8", "null:drift")
+ATTEMPTS = 40
+"""Most draws of runs and effects for one case; an effect that would be impossibly large is drawn again."""
+ATTEMPTS_OF_ONE = 20
+"""After so many draws the next effect of the list is taken: this one is hardly ever as large as asked."""
+NO_ANSWER_SHARE = 0.003
+"""Share of the rows without an answer: an empty cell."""
+
+Columns = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """Columns of both tables in the CSV form, and the truth as numbers and words for a JSON file."""
+
+    bench: Columns
+    runs: Columns
+    truth: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What a case is drawn from: times and contexts of both tables, the base, and the effects with their sizes."""
+
+    bench: Rows
+    rows: Rows
+    base: Base
+    effects: Sequence[Effect] = ()
+    sizes: Sequence[float] = ()
+    asked: float | None = None
+    attempt: int = 0
+
+
+class SeedError(ValueError):
+    """The seed is kept for a final run."""
+
+
+def case(kind: str, seed: int, final: bool = False) -> Case:
+    """Make a case.
+
+    Raises
+    ------
+    SeedError
+        The seed is one of those kept for a final run, and this is none.
+    ValueError
+        There is no such kind.
+    """
+    if seed >= FINAL_SEED and not final:
+        raise SeedError(f"seed {seed}: seeds from {FINAL_SEED} on are kept for a final run (--final)")
+    family, _, number = kind.partition(":")
+    if kind not in NULLS and not (family in COUNTS and number.replace(".", "", 1).isdigit()):
+        raise ValueError(f"kind {kind!r}: expected one of {', '.join(NULLS)}, or {', '.join(COUNTS)} with :Z")
+    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+    if family == "null":
+        drift = number == "drift"
+        base = draw_base(rng, rng.choice([0.0, 0.3]) if drift else float(number), drift)
+        rows = draw_flights(rng, Design())
+        return _finish(kind, seed, rng, Hidden(draw_bench(rng, rows), rows, base))
+    return _hidden(kind, seed, rng, UNKNOWN if family == "unknown" else KNOWN, COUNTS[family], float(number))
+
+
+def _hidden(kind: str, seed: int, rng: np.random.Generator, table: tuple[Kind, ...], count: int, asked: float) -> Case:
+    # The seed goes round the list, so that every effect comes up equally often in a block of seeds.
+    for attempt in range(ATTEMPTS):
+        first = (seed + attempt // ATTEMPTS_OF_ONE) % len(table)
+        others = [index for index in range(len(table)) if index != first]
+        picked = [table[first], *(table[index] for index in rng.choice(others, count - 1, replace=False))]
+        if _same_thing(picked):
+            continue
+        base = draw_base(rng)
+        design = reduce(or_, (each.design for each in picked))
+        rows = draw_flights(rng, design)
+        bench = draw_bench(rng, rows)
+        effects = [each.draw(rng, rows) for each in picked]
+        sizes = sizes_of(rows, bench, base, effects, asked, seed % 2**31)
+        if sizes is not None:
+            return _finish(kind, seed, rng, Hidden(bench, rows, base, effects, sizes, asked, attempt))
+    raise RuntimeError(f"{kind} {seed}: no possible size in {ATTEMPTS} draws")
+
+
+def _same_thing(picked: list[Kind]) -> bool:
+    """Two mechanisms that are one to the readings: scale and thermometer, the two slants, two of one sensor."""
+    titles = {each.title for each in picked}
+    return any(len(titles & pair) > 1 for pair in ({"scale", "thermometer_bias"}, {"slant_axis", "slant_beam_edge"}))
+
+
+def _finish(kind: str, seed: int, rng: np.random.Generator, hidden: Hidden) -> Case:
+    rows, bench, base = hidden.rows, hidden.bench, hidden.base
+    truth = {
+        "kind": kind,
+        "seed": seed,
+        "z": hidden.asked,
+        "attempt": hidden.attempt,
+        "runs": int(rows.run.max()) + 1,
+        "rows": len(rows),
+        "sensors": int(rows.sensor.max()) + 1,
+        "base": {name: value if isinstance(value, str) else float(value) for name, value in asdict(base).items()},
+        "effects": [
+            {
+                "title": effect.title,
+                "names": sorted(effect.names),
+                "channel": effect.channel,
+                "variable": effect.variable,
+                "size": size,
+                "between_runs": effect.between_runs,
+                **{name: float(value) for name, value in effect.details},
+            }
+            for effect, size in zip(hidden.effects, hidden.sizes, strict=True)
+        ],
+    }
+    law = law_with(rows, base, hidden.effects, hidden.sizes)
+    return Case(
+        bench=_columns(bench, draw(bench, base, base_law(bench, base), rng).reading_cm, rng, "bench"),
+        runs=_columns(rows, draw(rows, base, law, rng).reading_cm, rng, "run"),
+        truth=truth,
+    )
+
+
+def _columns(rows: Rows, reading_cm: NDArray[np.float64], rng: np.random.Generator, prefix: str) -> Columns:
+    reading = np.where(rng.random(len(rows)) < NO_ANSWER_SHARE, np.nan, reading_cm)
+    return {
+        "time_s": np.round(rows.time_s, 4),
+        "sensor": np.array(SENSORS)[rows.sensor],
+        "run": np.array([f"{prefix}{number + 1:02d}" for number in rows.run]),
+        "reading_cm": reading,
+        "true_range_cm": np.round(rows.true_cm, 2),
+        **rows.contexts,
+    }

@@ -1,0 +1,92 @@
+"""Runs the product on a case: characterise on the bench table, then gap on the runs, in this process.
+
+The only module here that knows of the product, and only by its commands and the files that they leave.
+"""
+
+import io
+import json
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+from evaluation.second_hand.generator import Case
+
+SENSOR = Path(__file__).parent / "sensor.yaml"
+DATE = "2026-01-01"
+"""Date in the model files: a case gives the same files on every day."""
+
+NAMED = ("named", "indistinguishable")
+"""Verdicts that an effect is there; any other is a suggestion."""
+
+
+def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, Any]:
+    """Run both commands on a case.
+
+    Parameters
+    ----------
+    case
+        Its tables.
+    folder
+        An empty folder for the tables and what is made of them.
+    splits
+        Random seed of `gap`, by which runs are split; None: its default.
+
+    Returns
+    -------
+    dict
+        ``verdict``, ``effects`` (name, alternatives, parameters), ``curves`` (channel, variables, formula),
+        ``calibration`` (names of base numbers that changed), ``sentence``, ``seconds``, and ``crash``: empty, or what
+        ended the command.
+    """
+    # Here, so that the generator can be used without the product.
+    from msp_range.recording.csv_form import write_csv
+
+    bench, runs, model, out = (folder / name for name in ("bench.csv", "runs.csv", "model.yaml", "gap"))
+    write_csv(bench, case.bench)
+    write_csv(runs, case.runs)
+    made = ["characterise", str(bench), "--sensor", str(SENSOR), "--out", str(model), "--date", DATE]
+    asked = ["gap", str(runs), "--model", str(model), "--out", str(out), "--until", "add"]
+    crash = command(made) or command(asked if splits is None else [*asked, "--seed", str(splits)])
+    if crash:
+        return {
+            "verdict": "",
+            "effects": [],
+            "curves": [],
+            "calibration": [],
+            "sentence": "",
+            "seconds": 0.0,
+            "crash": crash,
+        }
+    reported = json.loads((out / "gap.json").read_text())
+    return {
+        "verdict": reported["verdict"],
+        "effects": [
+            {
+                "name": each["name"],
+                "alternatives": [other["name"] for other in each["alternatives"]],
+                "parameters": each["parameters"],
+            }
+            for each in reported["effects"]
+            if each["verdict"] in NAMED
+        ],
+        "curves": [{name: each[name] for name in ("channel", "variables", "formula")} for each in reported["unknown"]],
+        "calibration": [each["name"] for each in reported["calibration"]],
+        "sentence": reported["sentence"],
+        "seconds": reported["seconds"],
+        "crash": "",
+    }
+
+
+def command(arguments: Sequence[str]) -> str:
+    """Run an `msp-lab` command in this process; return what ended it, empty where it succeeded."""
+    from msp_lab.cli import app
+
+    output = io.StringIO()
+    try:
+        with redirect_stdout(output), redirect_stderr(output):
+            code = app(list(arguments), standalone_mode=False)
+    except (Exception, SystemExit) as error:
+        # Whatever it is, a table of many cases goes on; the outcome is 'crash'.
+        return f"{arguments[0]}: {type(error).__name__}: {error} {output.getvalue()[-300:]}".strip()
+    return f"{arguments[0]}: exit code {code}: {output.getvalue()[-300:]}" if code else ""
