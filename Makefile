@@ -38,7 +38,7 @@ test-all: .venv/.installed-test compile mavproxy
 	$(PYTEST)
 
 test-install: .venv/.installed-test
-	$(BIN)/python -m evaluation.install
+	$(BIN)/python -m evaluation install
 
 docs: .venv/.installed-test
 	$(BIN)/python docs/site/build.py
@@ -53,35 +53,35 @@ check: lint
 	$(MAKE) test-all
 
 bench: .venv/.installed-test compile
-	$(BIN)/python -m evaluation.benchmarks $(ONLY)
+	$(BIN)/python -m evaluation bench $(ONLY)
 
 SEED ?= 1
 SECONDS ?= 600
 fuzz: .venv/.installed-test compile
-	$(BIN)/python -m evaluation.fuzz --seconds $(SECONDS) --seed $(SEED)
+	$(BIN)/python -m evaluation fuzz --seconds $(SECONDS) --seed $(SEED)
 
 N ?= 200
 gap-demo: .venv/.installed
 	$(BIN)/msp-lab demo --out flights/gap-demo --force
 
 blind: .venv/.installed-test compile
-	$(BIN)/python -m evaluation.blind build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED) --figures docs/figures.md
+	$(BIN)/python -m evaluation blind --out build/blind-$(SEED)-$(N) --count $(N) --seed $(SEED) --figures docs/figures.md
 
 second: .venv/.installed-test compile
-	$(BIN)/python -m evaluation.second_hand $(if $(KINDS),--kinds $(KINDS)) --cases $(N) --seed $(SEED) --jobs 2 --out build/second-$(SEED)
+	$(BIN)/python -m evaluation second_hand $(if $(KINDS),--kinds $(KINDS)) --cases $(N) --seed $(SEED) --jobs 2 --out build/second-$(SEED)
 
 others: .venv/.installed-test compile
-	$(BIN)/python -m evaluation.others build/others-$(SEED) --cases $(N) --nulls $$(( ($(N) + 3) / 4 )) --seed $(SEED)
+	$(BIN)/python -m evaluation others --out build/others-$(SEED) --cases $(N) --nulls $$(( ($(N) + 3) / 4 )) --seed $(SEED)
 
 FLIGHTS ?= 700
 faults: .venv/.installed-test compile
-	$(BIN)/python -m evaluation.faults --flights $(FLIGHTS) --seed $(SEED) --out build/faults
+	$(BIN)/python -m evaluation faults --flights $(FLIGHTS) --seed $(SEED) --out build/faults
 
 # With the memory allocator as the service has it.
 HOURS ?= 24
 MINUTES ?= 20
 soak: .venv/.installed-test compile
-	env $$(sed -n 's/^Environment=//p' systemd/msp-range.service) $(BIN)/python -m evaluation.soak --hours $(HOURS) --minutes $(MINUTES) --seed $(SEED) --write docs/soak.md
+	env $$(sed -n 's/^Environment=//p' systemd/msp-range.service) $(BIN)/python -m evaluation soak --hours $(HOURS) --minutes $(MINUTES) --seed $(SEED) --write docs/soak.md
 
 # Bytecode is made here, so that starts are quick also where PYTHONDONTWRITEBYTECODE is set.
 compile: .venv/.installed

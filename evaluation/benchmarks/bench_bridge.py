@@ -20,6 +20,7 @@ import orjson
 from filterpy.kalman import KalmanFilter
 from mcap.writer import Writer
 
+from evaluation import CONFIGS
 from msp_range.bridge import Bridge
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.config import load_airframe
@@ -30,7 +31,7 @@ from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import DeviceTiming
 from msp_sim.device.mb1242 import NO_ECHO_CM, TIMING, EmulatedMB1242
 
-AIRFRAME = Path(__file__).parents[2] / "configs" / "quad_pallet.yaml"
+AIRFRAME = CONFIGS / "quad_pallet.yaml"
 ROUNDS = 15
 READINGS = 400
 LATENCY_S = 30.0

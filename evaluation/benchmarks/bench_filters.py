@@ -2,11 +2,11 @@
 
 import statistics
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evaluation import CONFIGS
 from msp_lab.filter_study.explain import explain_rows
 from msp_lab.filter_study.goals import check_goals
 from msp_lab.filter_study.study import run_study
@@ -15,7 +15,7 @@ from msp_range.filters.base import Estimate
 from msp_range.filters.changepoint import ChangepointParameters
 from msp_range.reading_model.sensor_model import load_sensor_model
 
-SENSOR = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
+SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
 UPDATES = 20_000
 COUNTED = 2_000
 SEEDS = 200
@@ -60,8 +60,3 @@ def _update_us() -> tuple[float, float]:
 
 def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
     return {"key": key, "value": round(value, 2), "unit": unit, "goal": goal, "met": met}
-
-
-if __name__ == "__main__":
-    for figure in run():
-        print(figure)

@@ -8,7 +8,6 @@ optimiser gets the same likelihood, with this fit's own exact gradients, and a s
 import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
+from evaluation import CONFIGS
 from msp_range.reading_model import densities as mix
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.grid import ReadingGrid
@@ -30,7 +30,7 @@ FEWER = 10_000
 NUMERIC = 100_000
 """Readings of the comparison with differences for gradients, which takes ten times as long."""
 REPEATS = 5
-SENSOR = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
+SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
 START = np.array([-3.0, -3.0, -3.0, np.log(3.0), np.log(0.01), 0.0])
 """Logits of the weights, 3 cm, 1/m, and half of the codes saturated."""
 
@@ -170,8 +170,3 @@ def _plain(sensor: SensorModel, reading_cm: _Array, true_cm: _Array) -> Callable
 
     negative.count = reading_cm.size  # type: ignore[attr-defined]
     return negative
-
-
-if __name__ == "__main__":
-    for figure in run():
-        print(figure)

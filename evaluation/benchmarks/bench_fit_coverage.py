@@ -1,9 +1,6 @@
-"""Whether the fit's 95 % intervals hold: many fits of readings from a plain sampler that shares no code with it.
+"""Whether the fit's 95 % intervals hold: many fits of readings from a plain sampler that shares no code with it."""
 
-Run it by itself for the whole table: ``python -m evaluation.benchmarks.bench_fit_coverage [SEEDS]``.
-"""
-
-import sys
+import argparse
 from collections.abc import Iterable
 from typing import Any
 
@@ -64,8 +61,13 @@ def run() -> list[dict[str, Any]]:
     return figures
 
 
-if __name__ == "__main__":
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS
-    print(f"95 % intervals that hold the truth, {count} fits of {READINGS} readings:")
-    for parameter, share in coverage(range(count)).items():
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("seeds", type=int, nargs="?", default=SEEDS, help="fits (default: %(default)s)")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Fit, and print a line for each parameter."""
+    print(f"95 % intervals that hold the truth, {given.seeds} fits of {READINGS} readings:")
+    for parameter, share in coverage(range(given.seeds)).items():
         print(f"  {parameter:24} {100.0 * share:.1f} %")

@@ -5,11 +5,11 @@ which no receiver can. The single stream through the same filter is an airframe 
 """
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evaluation import CONFIGS
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe, FusedSettings, Send
 from msp_sim.flight.flight import Simulation
@@ -17,7 +17,7 @@ from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
 from tests.loop.test_objects_below import NAMES, SLOT_S, Hover
 
-SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
+SCENARIOS = CONFIGS / "scenarios"
 GROUNDS = ("flat", "slope", "steps", "boxes", "rough_grass")
 SEEDS = range(4)
 WILD_M = 0.15
@@ -141,8 +141,3 @@ def _rms(errors_m: np.ndarray) -> float:
 
 def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
     return {"key": key, "value": round(value, 3), "unit": unit, "goal": goal, "met": met}
-
-
-if __name__ == "__main__":
-    for figure in run():
-        print(figure)

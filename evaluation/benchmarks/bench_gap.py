@@ -2,8 +2,8 @@
 
 Contexts are those of the flights of the blind tables (`evaluation/blind`) and every further column that an effect can
 ask for, so that the complete catalogue is tested; no two readings are alike. Two effects are hidden, to be named and
-refitted. `python -m evaluation.benchmarks.bench_gap --rows 5000000` prints seconds and the largest memory of one
-process for that many.
+refitted. `python -m evaluation gap_cost --rows 5000000` prints seconds and the largest memory of one process
+for that many.
 """
 
 import argparse
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from evaluation import CONFIGS
 from evaluation.blind.flight import Columns, contexts
 from msp_lab.gap.problem import Problem, first_state, screened
 from msp_range.arrays import numbered
@@ -28,7 +29,7 @@ READINGS = 100_000
 FEWER = 10_000
 GROWTH = 11.0
 """Times the time for ten times the readings: linear, and a tenth for what was not measured."""
-SENSOR = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
+SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
 MSP_LAB = Path(sys.executable).parent / "msp-lab"
 AT_ONCE = 250_000
 """Rows that are drawn and written at a time."""
@@ -136,19 +137,13 @@ def write_readings(path: Path, rows: int) -> None:
             file.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.benchmarks.bench_gap", description=__doc__)
-    parser.add_argument("--rows", type=int, help="measure the workflow once on so many readings, and nothing else")
-    rows = parser.parse_args().rows
-    if rows is None:
-        for figure in run():
-            print(figure)
-        return
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--rows", type=int, default=READINGS, help="readings (default: %(default)s)")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Measure the workflow once on so many readings, and nothing else."""
     with tempfile.TemporaryDirectory() as name:
-        wall_s, cpu_s, largest_gb = workflow(Path(name), rows)
-    print(f"{rows} readings: {wall_s:.1f} s, {cpu_s:.1f} s of the processor, {largest_gb:.2f} GB")
-
-
-if __name__ == "__main__":
-    main()
+        wall_s, cpu_s, largest_gb = workflow(Path(name), given.rows)
+    print(f"{given.rows} readings: {wall_s:.1f} s, {cpu_s:.1f} s of the processor, {largest_gb:.2f} GB")

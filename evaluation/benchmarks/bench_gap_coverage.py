@@ -1,10 +1,10 @@
 """Whether the 95 % intervals of effects hold: the gap workflow on flights of a plain sampler with known parameters.
 
-``python -m evaluation.benchmarks.bench_gap_coverage [SEEDS]`` looks at 3 tables a seed, of 4000 readings in 40 runs,
-with three or four effects each; half of the runs choose and fit, and the intervals are those that the other half gives.
+It looks at 3 tables a seed, of 4000 readings in 40 runs, with three or four effects each; half of the runs choose and
+fit, and the intervals are those that the other half gives.
 """
 
-import sys
+import argparse
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -107,5 +107,11 @@ def show(found: Mapping[tuple[str, str], Held]) -> str:
     return "\n".join(lines)
 
 
-if __name__ == "__main__":
-    print(show(coverage(range(int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS))))
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("seeds", type=int, nargs="?", default=SEEDS, help="three tables each (default: %(default)s)")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Look, and print the table."""
+    print(show(coverage(range(given.seeds))))

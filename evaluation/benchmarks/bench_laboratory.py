@@ -8,7 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-CAMPAIGN = Path(__file__).parents[2] / "configs" / "campaigns" / "table_4_1.yaml"
+from evaluation import CONFIGS
+
+CAMPAIGN = CONFIGS / "campaigns" / "table_4_1.yaml"
 BIN = Path(sys.executable).parent
 
 

@@ -19,11 +19,12 @@ from pymavlink.DFReader import DFReader_binary
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores
 
+from evaluation import ROOT
 from msp_lab.logs.ardupilot import WANTED, read_ardupilot
 from msp_range.mavlink.dialect import dialect
 from tests.support.flight_logs import START_S, START_US, Types, telemetry
 
-LOG = Path(__file__).parents[2] / "tests" / "data" / "logs" / "arducopter.BIN"
+LOG = ROOT / "tests" / "data" / "logs" / "arducopter.BIN"
 COMPARED_BYTES, IMPORTED_BYTES = 50_000_000, 1_000_000_000
 _IMPORT = """
 import json, resource, sys
@@ -152,8 +153,3 @@ def _write_bag(path: Path, size: int) -> None:
 
 def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
     return {"key": key, "value": round(value, 3), "unit": unit, "goal": goal, "met": met}
-
-
-if __name__ == "__main__":
-    for figure in run():
-        print(figure)

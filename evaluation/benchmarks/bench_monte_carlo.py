@@ -2,8 +2,8 @@
 separate gaps.
 
 In `make bench` with a few of each, where seconds for 1,000 flights are those of the few, times as many, and the start.
-`python -m evaluation.benchmarks.bench_monte_carlo --flights 1000 --gaps 100 --readings 100000` measures the whole, in
-half an hour on an idle machine.
+`python -m evaluation monte_carlo --flights 1000 --gaps 100 --readings 100000` measures the whole, in half an hour on an
+idle machine.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from evaluation import CONFIGS
 from evaluation.benchmarks.bench_gap import SENSOR, write_readings
 from msp_lab.gap.findings import Settings
 from msp_lab.gap.separate import Common, Job, separate_gap
@@ -22,7 +23,7 @@ from msp_sim.flight.scenario import load_scenario
 from msp_sim.monte_carlo.outcome import Flights, draw_sample, fly_sample
 from msp_sim.workers import Workers, workers
 
-SCENARIO = Path(__file__).parents[2] / "configs" / "scenarios" / "rough_grass.yaml"
+SCENARIO = CONFIGS / "scenarios" / "rough_grass.yaml"
 """60 s, four sensors."""
 WANTED = 1000
 FEW_FLIGHTS, FEW_DRAWN, FEW_GAPS, FEW_READINGS = 40, 500, 12, 1000
@@ -122,20 +123,18 @@ def _memory_mb() -> float:
     return pages * 4096 / 1e6
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.benchmarks.bench_monte_carlo", description=__doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("--flights", type=int, default=FEW_FLIGHTS, help="with the bridge, and with the model only")
     parser.add_argument("--gaps", type=int, default=FEW_GAPS, help="separate gaps")
     parser.add_argument("--readings", type=int, default=FEW_READINGS, help="of each gap")
-    given = parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> None:
+    """Measure and print."""
     if given.gaps < MEMORY_FROM + 2:
-        parser.error(
+        raise argparse.ArgumentTypeError(
             f"--gaps: at least {MEMORY_FROM + 2}, as memory after gap {MEMORY_FROM + 1} is compared with later"
         )
     for figure in run(given.flights, max(given.flights, FEW_DRAWN), given.gaps, given.readings):
         print(figure)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,11 +2,11 @@
 
 import statistics
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evaluation import CONFIGS
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
@@ -15,7 +15,7 @@ from msp_sim.model.sampler import Sampler
 READINGS = 1_000_000
 REPEATS = 9
 SINGLE_READINGS = 20_000
-SENSOR = Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml"
+SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
 
 
 def run() -> list[dict[str, Any]]:
@@ -63,8 +63,3 @@ def run() -> list[dict[str, Any]]:
             "met": single_us <= 10.0,
         },
     ]
-
-
-if __name__ == "__main__":
-    for figure in run():
-        print(figure)

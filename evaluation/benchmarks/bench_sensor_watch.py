@@ -6,11 +6,11 @@ else runs on the computer only adds to it.
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evaluation import CONFIGS
 from evaluation.sensor_watch.drawn import STD_M, TURN_S, Drawn, Ground, draw, feed, watch_of
 from msp_range.clock import VirtualClock
 from msp_range.health import GroundUse, SensorWatch
@@ -19,7 +19,7 @@ from msp_range.health.sensor_watch import MOST_NEIGHBOURS
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
 
-SCENARIO = Path(__file__).parents[2] / "configs" / "scenarios" / "demo.yaml"
+SCENARIO = CONFIGS / "scenarios" / "demo.yaml"
 HOURS, ROUNDS = 0.2, 7
 
 

@@ -6,12 +6,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+from evaluation import CONFIGS
 from msp_range.clock import VirtualClock
 from msp_range.recording.writer import Recorder
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
 
-SCENARIO = Path(__file__).parents[2] / "configs" / "scenarios" / "demo.yaml"
+SCENARIO = CONFIGS / "scenarios" / "demo.yaml"
 FLIGHTS = 5
 
 

@@ -116,7 +116,7 @@ class Tools:
 
     def __init__(self) -> None:
         # In a session of its own, so that Ctrl-C lets it finish what it is at.
-        command = [sys.executable, "-m", "tests.support.warm_cli"]
+        command = [sys.executable, "-m", "evaluation.warm_cli"]
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         self._process = subprocess.Popen(
             command,

@@ -1,4 +1,4 @@
-"""The smallest bias that is found: ``python -m evaluation.blind_peers.power N SEED`` draws N tables of each size.
+"""The smallest bias that is found, in tables with a bias of each size.
 
 A size is the root mean square of the bias over a table's readings, in standard deviations of a hit, its mean taken off;
 its form is one of ten mechanisms in turn. Every method has 2000 readings, those of half of the runs, and may be wrong
@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from evaluation.blind.run import Campaign
 from evaluation.blind.run import run as run_gap
 from evaluation.blind.score import interval
 from evaluation.blind.tables import ROWS, RUNS, TOGETHER, Case
-from evaluation.blind_peers.__main__ import ALPHA, ask
+from evaluation.blind_peers.command import ALPHA, ask
 
 SIZES = (0.05, 0.07, 0.1, 0.14, 0.2)
 """Root mean square of the bias, in standard deviations of a hit."""
@@ -139,25 +138,23 @@ def _sigma(size: float) -> str:
     return f"{size:.3f}" if np.isfinite(size) else f"> {SIZES[-1]:g}"
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.blind_peers.power", description=__doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("count", type=int, help=f"tables of each size, and {NULLS_FOR_EACH} times as many nulls")
-    parser.add_argument("seed", type=int)
+    parser.add_argument("seed", type=int, help="random seed")
     parser.add_argument("--out", type=Path, help="folder; build/blind-power-SEED unless given; the count can be raised")
-    parser.add_argument("--at-once", type=int, default=2)
-    parser.add_argument("--step", choices=("all", "show"), default="all")
-    given: Any = parser.parse_args()
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+    parser.add_argument("--step", choices=("all", "show"), default="all", help="only show what is there")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run what is not there yet, and print the table."""
     out = given.out or Path("build") / f"blind-power-{given.seed}"
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     if given.step == "all":
         campaign, wanted = Campaign(out, given.seed, until="name"), cases(given.count, given.seed)
-        run_gap(campaign, wanted, given.at_once)
-        with ProcessPoolExecutor(given.at_once) as pool:
+        run_gap(campaign, wanted, given.jobs)
+        with ProcessPoolExecutor(given.jobs) as pool:
             asking = partial(ask, given.seed, namers=(), detectors=DETECTORS)
             list(pool.map(asking, [campaign.table(case) for case in wanted]))
     print(show(found(out)))
-
-
-if __name__ == "__main__":
-    main()

@@ -10,6 +10,7 @@ from typing import Any
 
 import yaml
 
+from evaluation import CONFIGS
 from evaluation.faults import families
 from evaluation.faults.dice import Dice
 from evaluation.faults.families import FAMILIES
@@ -18,7 +19,6 @@ from evaluation.faults.profiles import draw_flight
 from msp_range.yaml_file import read_yaml
 from msp_sim.flight.autopilot import BAROMETER_WARMER_C
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 SENSOR_MODEL = "sensors/mb1242.yaml"
 
 SHARES = {

@@ -11,7 +11,6 @@ import os
 import pty
 import resource
 import socket
-import sys
 import time
 import traceback
 from abc import ABC, abstractmethod
@@ -351,7 +350,3 @@ def _resident_mb() -> float:
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * resource.getpagesize() / 1e6
-
-
-if __name__ == "__main__":
-    print(fuzz(float(sys.argv[1]), int(sys.argv[2])))

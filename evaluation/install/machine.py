@@ -14,10 +14,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from evaluation import ROOT
 from msp_sim.device.mb1242 import TIMING
 from tests.support.waiting import LIMIT_S, until
 
-ROOT = Path(__file__).parents[2]
 PACKAGES = (
     "systemd,systemd-sysv,dbus,udev,python3,python3-venv,git,make,ca-certificates,procps,"
     "umockdev,python3-gi,gir1.2-umockdev-1.0"

@@ -1,4 +1,4 @@
-"""What is in the measured sets, by numpy alone: ``python -m evaluation.real.analysis [--plots DIR]``.
+"""What is in the measured sets, by numpy alone.
 
 Written, and its table of names (`names.csv`) with it, before the gap workflow was run on the sets as they are tested
 here. Residuals against every column, repeats, autocorrelation, and regressions with runs or stretches of time as
@@ -332,12 +332,14 @@ def plot_all(data: Path, folder: Path) -> None:
         pyplot.close(figure)
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.real.analysis", description=__doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("--plots", type=Path, help="folder for pictures of residuals against each column")
     parser.add_argument("--only", choices=list(SETS), help="one set")
-    given = parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> None:
+    """Print what is in the sets, and draw it."""
     data = data_folder()
     if not data.exists():
         raise SystemExit(f"no measured data in {data}; MSP_RANGE_DATA names its folder")
@@ -347,7 +349,3 @@ def main() -> None:
             analyse(data)
     if given.plots:
         plot_all(data, given.plots)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,10 @@
-"""Names that are required, allowed and forbidden in each measured set; ``python -m evaluation.real.names`` prints them.
+"""Names that are required, allowed and forbidden in each measured set.
 
 A line of `names.csv` holds one thing or several that stand for each other (`|`): a name of the catalogue, ``unknown
 CHANNEL of VARIABLE``, or ``calibration NAME``. A name of the catalogue that no line of a set holds is forbidden there.
 """
 
+import argparse
 import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -66,5 +67,10 @@ def markdown_table() -> str:
     return "\n".join(rows)
 
 
-if __name__ == "__main__":
+def options(parser: argparse.ArgumentParser) -> None:
+    """It has none."""
+
+
+def main(given: argparse.Namespace) -> None:
+    """Print the table of the document."""
     print(markdown_table())

@@ -1,7 +1,4 @@
-"""A measured set end to end by the commands, and what was reported of it against the table of names.
-
-``python -m evaluation.real.run [NAME ...] --out build/real`` runs sets and prints a line each.
-"""
+"""Measured sets end to end by the commands, and what was reported of them against the table of names."""
 
 import argparse
 import json
@@ -11,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from evaluation import CONFIGS
 from evaluation.closure.closure import Closure, describe, gap_closed
 from evaluation.real.analysis import data_folder
 from evaluation.real.commands import run_command
 from evaluation.real.names import Line, expected_names
-from evaluation.real.sets import CONFIGS, SETS, MeasuredSet
+from evaluation.real.sets import SETS, MeasuredSet
 
 KEPT = ("named", "indistinguishable")
 """Verdicts on an effect with which its name stands in the report."""
@@ -168,13 +166,15 @@ def compare_names(found: Iterable[Found], lines: Iterable[Line]) -> tuple[tuple[
     return tuple("/".join(sorted(one)) for one in forbidden), tuple(missing)
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.real.run", description=__doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("names", nargs="*", metavar="NAME", help="sets; left out: all")
-    parser.add_argument("--out", type=Path, default=Path("build/real"))
+    parser.add_argument("--out", type=Path, default=Path("build/real"), help="folder (default: %(default)s)")
     parser.add_argument("--closure", action="store_true", help="measure independently how much of the gap is closed")
-    given = parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run sets, and print what was found."""
     data = data_folder()
     for measured in SETS:
         if given.names and measured.name not in given.names:
@@ -193,7 +193,3 @@ def main() -> None:
                 print(f"  found {'/'.join(sorted(one.names))} {values}".rstrip())
             print(f"  forbidden: {'; '.join(outcome.forbidden) or 'none'}")
             print(f"  missing: {'; '.join(outcome.missing) or 'none'}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation import CONFIGS
 from evaluation.real.columns import FloatArray, read_table, read_tilt, read_words
 
-ROOT = Path(__file__).resolve().parents[2]
-CONFIGS = ROOT / "configs"
 OWN_MAPS = Path(__file__).parent / "maps"
 
 

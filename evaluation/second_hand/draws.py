@@ -1,14 +1,9 @@
-"""Runs the workflow on each case with several draws of the splits, and prints how often it names the same.
-
-``python -m evaluation.second_hand.draws --kinds null:0.5=20 one:10=20 --seed 1 --draws 5 --out build/draws``; what is
-there is not made again.
-"""
+"""Runs the workflow on each case with several draws of the splits, and prints how often it names the same."""
 
 import argparse
 import json
 import multiprocessing
 import os
-import sys
 import tempfile
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -25,26 +20,33 @@ from evaluation.second_hand.workflow import run_case
 KINDS = ("null:0.5=20", "null:0.8=20", "one:6=20", "one:10=20", "one:20=20")
 
 
-def main() -> int:
-    options = _options()
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), metavar="KIND=CASES", help="default: %(default)s")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the first case; the others follow")
+    parser.add_argument("--draws", type=int, default=5, help="random seeds of the splits, from 1 on")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a case and draw")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run what is not there yet, and print the table."""
     wanted = [
-        (kind, options.seed + number, draw)
-        for kind, count in (each.split("=") for each in options.kinds)
+        (kind, given.seed + number, draw)
+        for kind, count in (each.split("=") for each in given.kinds)
         for number in range(int(count))
-        for draw in range(1, options.draws + 1)
+        for draw in range(1, given.draws + 1)
     ]
     if max(seed for _, seed, _ in wanted) >= FINAL_SEED:
-        print(f"seeds from {FINAL_SEED} on are kept for a final run", file=sys.stderr)
-        return 2
-    todo = [each for each in wanted if not _file(options.out, *each).exists()]
+        raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run")
+    todo = [each for each in wanted if not _file(given.out, *each).exists()]
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    with Progress() as progress, ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+    with Progress() as progress, ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
         bar = progress.add_task("draws", total=len(wanted), completed=len(wanted) - len(todo))
-        for done in as_completed([pool.submit(_find, options.out, *each) for each in todo]):
+        for done in as_completed([pool.submit(_find, given.out, *each) for each in todo]):
             done.result()
             progress.advance(bar)
-    print(table(options.out, wanted))
-    return 0
+    print(table(given.out, wanted))
 
 
 def table(out: Path, wanted: list[tuple[str, int, int]]) -> str:
@@ -93,17 +95,3 @@ def _file(out: Path, kind: str, seed: int, draw: int) -> Path:
 def _said(found: dict[str, Any]) -> str:
     curves = [f"curve of {each['channel']} over {' and '.join(each['variables'])}" for each in found["curves"]]
     return ", ".join([*(each["name"] for each in found["effects"]), *curves]) or "nothing"
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m evaluation.second_hand.draws", description=__doc__)
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS), metavar="KIND=CASES", help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the first case; the others follow")
-    parser.add_argument("--draws", type=int, default=5, help="random seeds of the splits, from 1 on")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a case and draw")
-    return parser.parse_args()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

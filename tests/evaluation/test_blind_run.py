@@ -76,7 +76,7 @@ def test_what_fails_is_reported_and_made_again(tmp_path: Path, monkeypatch: pyte
 def test_commands_that_stay_loaded_answer_as_commands_do() -> None:
     lines = [["msp-lab", "effects", "--json"], ["msp-lab", "show", "no-such-folder"], ["msp-range", "nonsense"]]
     done = subprocess.run(
-        [sys.executable, "-m", "tests.support.warm_cli"],
+        [sys.executable, "-m", "evaluation.warm_cli"],
         input="".join(json.dumps(line) + "\n" for line in lines),
         capture_output=True,
         text=True,

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evaluation import CONFIGS
 from evaluation.closure.closure import Closure, case_closed, gap_closed
 from evaluation.closure.measures import ks_by_slice, separability, slices
 from evaluation.closure.table import Table, comparable, step_of, table_of
 from evaluation.real.commands import run_command
-from evaluation.real.sets import CONFIGS
 from tests.support.known import known
 
 pytestmark = pytest.mark.slow

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.benchmarks.__main__ import as_markdown
-from evaluation.benchmarks.document import FIGURES, replace_section
+from evaluation.benchmarks.command import as_markdown
+from evaluation.document import FIGURES, replace_section
 
 
 def test_a_section_is_replaced_and_the_rest_stays(tmp_path: Path) -> None:

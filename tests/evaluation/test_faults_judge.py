@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from evaluation import CONFIGS
 from evaluation.faults.families import FAMILIES, FIRST
 from evaluation.faults.judge import Conditions, Received, Verdict, judge
-from evaluation.faults.plans import CONFIGS, SHARES, draw_plan, group_of, row_of, turn_of
+from evaluation.faults.plans import SHARES, draw_plan, group_of, row_of, turn_of
 from evaluation.faults.truth import Truth
 from msp_sim.flight.scenario import Scenario, load_scenario
 

@@ -153,7 +153,7 @@ def test_coverage_is_counted_where_nothing_is_wrong(hostile: list[dict[str, Any]
 
 def test_a_flight_of_a_campaign_is_flown_again_with_all_its_files(lines: list[dict[str, Any]], tmp_path: Path) -> None:
     line = lines[ROWS.index("one: clock_fault")]
-    command = [sys.executable, "-m", "evaluation.faults", "--again", line["again"], "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "evaluation", "faults", "--again", line["again"], "--out", str(tmp_path)]
     done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == json.loads(json.dumps(line))
     names = {path.name for path in tmp_path.iterdir()}

@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from evaluation.fuzz import base
-from evaluation.fuzz.__main__ import AREAS
+from evaluation.fuzz.command import AREAS
 from tests.support import crashing
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.soak.__main__ import growth_percent, simulated
+from evaluation.soak.command import growth_percent, simulated
 from evaluation.soak.vehicle import Judge, Vehicle
 from msp_range.clock import VirtualClock
 

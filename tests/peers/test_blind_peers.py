@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from evaluation.blind_peers import power
-from evaluation.blind_peers.__main__ import score, show
+from evaluation.blind_peers.command import score, show
 from evaluation.blind_peers.detectors import classifier, compare, ks_by_slice, pted_as_it_comes
 from evaluation.blind_peers.detectors import with_pairs_swapped as swapped
 from evaluation.blind_peers.library import LEAST, Library, fitted, library, previous

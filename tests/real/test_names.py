@@ -4,9 +4,10 @@ import json
 
 import pytest
 
+from evaluation import ROOT
 from evaluation.real.commands import run_command
 from evaluation.real.names import expected_names, markdown_table
-from evaluation.real.sets import ROOT, SETS
+from evaluation.real.sets import SETS
 
 
 def test_document_has_the_table() -> None:

@@ -42,7 +42,7 @@ def recovered(result: FitResult, sensor: PlainSensor, errors: float = 4.0) -> No
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
-    """The whole figure is `python -m evaluation.benchmarks.bench_fit_coverage`; one in twenty may miss."""
+    """The whole figure is `python -m evaluation fit_coverage`; one in twenty may miss."""
     shares = coverage(range(400, 416))
     assert 0.88 <= sum(shares.values()) / len(shares) <= 0.995
     assert min(shares.values()) >= 0.75

@@ -1,8 +1,6 @@
-"""Run every benchmark, print one table, and write it: into docs/figures.md, and as ``results.json`` in this folder.
+"""Run every benchmark, print one table, and write it: into docs/figures.md and evaluation/benchmarks/results.json.
 
-With names (``python -m evaluation.benchmarks start page``) only these run, and nothing is written.
-
-Each figure is {key, value, unit, goal, met}.
+With names, such as ``start page``, only these run, and nothing is written. Figures are {key, value, unit, goal, met}.
 """
 
 import argparse
@@ -35,7 +33,7 @@ from evaluation.benchmarks import (
     bench_start,
     bench_virtual_flight,
 )
-from evaluation.benchmarks.document import FIGURES, replace_section
+from evaluation.document import FIGURES, replace_section
 
 PARTS = (
     bench_reading_model,
@@ -72,16 +70,17 @@ def as_markdown(figures: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Run the benchmarks and print the table; if all ran, write both files."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.benchmarks", description=(__doc__ or "").partition("\n\nEach")[0]
-    )
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("name", nargs="*", help=f"one or more of {', '.join(BY_NAME)}; all if none is given")
-    names = parser.parse_args().name
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run the benchmarks and print the table; if all ran, write both files."""
+    names = given.name
     for name in names:
         if name not in BY_NAME:
-            parser.error(f"no benchmark is called {name!r}; there are {', '.join(BY_NAME)}")
+            raise argparse.ArgumentTypeError(f"no benchmark is called {name!r}; there are {', '.join(BY_NAME)}")
     # In a file or a log a line may be as long as it needs.
     console = Console(width=None if sys.stdout.isatty() else 200)
     figures = []
@@ -104,7 +103,3 @@ def main() -> None:
     replace_section(FIGURES, "bench", as_markdown(figures))
     for path in (RESULTS, FIGURES):
         console.print(f"written: {path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path}")
-
-
-if __name__ == "__main__":
-    main()

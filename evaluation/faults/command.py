@@ -1,4 +1,4 @@
-"""Fly a fault campaign: ``make faults``, or ``python -m evaluation.faults``.
+"""Fly a fault campaign: also ``make faults``.
 
 Prints a table of all groups, the goals, and the worst flights, which OUT/tables.md holds too; OUT/flights.jsonl has a
 line for each flight. A flight that is named there, such as 1:42, is flown again with everything about it written by
@@ -38,11 +38,8 @@ LINE_EACH_S = 30.0
 """Between two lines on the progress where there is no terminal [s]."""
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        prog="python -m evaluation.faults", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("--flights", type=int, default=700, help="how many (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the campaign (default: %(default)s)")
     parser.add_argument("--hostile", action="store_true", help="fly the hostile families instead of the groups")
@@ -58,10 +55,13 @@ def main() -> None:
         "--without-motion", action="store_true", help="the autopilot sends neither accelerations nor pressures"
     )
     parser.add_argument("--again", metavar="SEED:INDEX", help="fly one flight again and write all of it to OUT")
-    given = parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> None:
+    """Fly a campaign, or one flight again."""
     if given.again is not None:
         if not re.fullmatch(r"\d+:\d+", given.again):
-            parser.error(f"--again: found {given.again!r}; expected SEED:INDEX, such as 1:42")
+            raise argparse.ArgumentTypeError(f"--again: found {given.again!r}; expected SEED:INDEX, such as 1:42")
         seed, index = map(int, given.again.split(":"))
         print(json.dumps(fly_plan(draw_plan(seed, index, not given.without_motion), given.out), indent=2))
         return
@@ -69,13 +69,11 @@ def main() -> None:
     first = FIRST if given.hostile or set(only) & _names_from(FIRST) else 0
     for name in only:
         if name not in _names_from(first):
-            parser.error(f"--only: found {name!r}; expected some of: {'; '.join(sorted(_names_from(first)))}")
+            names = "; ".join(sorted(_names_from(first)))
+            raise argparse.ArgumentTypeError(f"--only: found {name!r}; expected some of: {names}")
     wanted = (index for index in count(first) if not only or {group_of(index), row_of(index)} & set(only))
-    try:
-        indices = list(islice(wanted, given.flights))
-        lines = _fly(given.seed, indices, given.jobs, given.out, not given.without_motion)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    indices = list(islice(wanted, given.flights))
+    lines = _fly(given.seed, indices, given.jobs, given.out, not given.without_motion)
     console = Console()
     console = console if console.is_terminal else Console(width=WIDTH)
     tables = [families_table(lines), edges_table(lines)] if first else [groups_table(lines), goals_table(lines)]
@@ -108,7 +106,3 @@ def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool
     flown_s = sum(line["verdict"]["flown_s"] for line in lines)
     print(f"{len(lines)} flights, {flown_s:,.0f} s flown in {clock.now() - started_s:.0f} s\n")
     return lines
-
-
-if __name__ == "__main__":
-    main()

@@ -1,11 +1,10 @@
-"""``python -m evaluation.fuzz``: mutated input through the readers of the project, ten minutes an area.
+"""Mutated input through the readers of the project, ten minutes an area.
 
 Ends with exit code 1 where anything failed. ``--only yaml build/fuzz/yaml-1-77`` checks saved inputs again, in this
 process, where a traceback and a debugger can be had.
 """
 
 import argparse
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -18,29 +17,27 @@ AREAS: dict[str, Any] = {"link": link, **FILES}
 """Name on the command line -> module with ``fuzz(seconds, seed)``."""
 
 
-def main() -> int:
-    """Run the areas that the command line names; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.fuzz", description=__doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("--seconds", type=float, default=600.0, help="time of each area [s] (default: 600)")
     parser.add_argument("--seed", type=int, default=1, help="random seed (default: 1)")
     parser.add_argument("--only", choices=AREAS, help="this area alone")
     parser.add_argument("saved", nargs="*", type=Path, help="saved inputs to check again; needs --only")
-    chosen = parser.parse_args()
-    if chosen.saved:
-        if chosen.only not in FILES:
-            parser.error(f"saved inputs need --only {', '.join(FILES)}")
+
+
+def main(given: argparse.Namespace) -> int:
+    """Run the areas that the command line names; returns the exit code."""
+    if given.saved:
+        if given.only not in FILES:
+            raise argparse.ArgumentTypeError(f"saved inputs need --only {', '.join(FILES)}")
         with tempfile.TemporaryDirectory() as folder:
-            check = AREAS[chosen.only].prepare(Path(folder))
-            for path in chosen.saved:
+            check = AREAS[given.only].prepare(Path(folder))
+            for path in given.saved:
                 check(path.read_bytes())
                 print(f"{path}: passes")
         return 0
     results = []
-    for name in [chosen.only] if chosen.only else AREAS:
-        results.append(AREAS[name].fuzz(chosen.seconds, chosen.seed))
+    for name in [given.only] if given.only else AREAS:
+        results.append(AREAS[name].fuzz(given.seconds, given.seed))
         base.show(results[-1])
     return 1 if any(result.failures for result in results) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

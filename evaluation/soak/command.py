@@ -1,5 +1,4 @@
-"""``python -m evaluation.soak --hours H --minutes M --seed S``: one bridge for H simulated hours, one for M real
-minutes.
+"""One bridge for many simulated hours, and for some real minutes.
 
 In the simulated hours sensors and bus fail at random; the real minutes run while a busy process occupies each core.
 Exit code 1: a distance was wrong, memory grew by more than 2 % after the first hour, or a message came later than a
@@ -148,15 +147,17 @@ def _percent(growth: float | None) -> str:
     return "no second hour" if growth is None else f"{growth:.1f} %"
 
 
-def main() -> int:
-    """Fly both, print the report, and write it."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.soak", description=__doc__)
-    parser.add_argument("--hours", type=float, default=24.0)
-    parser.add_argument("--minutes", type=float, default=20.0)
-    parser.add_argument("--seed", type=int, default=1)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--hours", type=float, default=24.0, help="simulated hours (default: %(default)s)")
+    parser.add_argument("--minutes", type=float, default=20.0, help="real minutes (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
     parser.add_argument("--busy", type=int, default=os.cpu_count(), help="busy processes in the real minutes")
     parser.add_argument("--write", type=Path, help="Markdown file for the report")
-    given = parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> int:
+    """Fly both, print the report, and write it."""
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     lines = [
         "# Soak",
@@ -183,7 +184,3 @@ def main() -> int:
     if given.write is not None:
         given.write.write_text(text, encoding="utf-8")
     return 0 if is_good and is_good_too else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,7 +3,9 @@
 import re
 from pathlib import Path
 
-FIGURES = Path(__file__).parents[2] / "docs" / "figures.md"
+from evaluation import ROOT
+
+FIGURES = ROOT / "docs" / "figures.md"
 
 
 def replace_section(path: Path, section: str, text: str) -> None:

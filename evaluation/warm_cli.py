@@ -1,6 +1,6 @@
 """The commands msp-lab, msp-range and msp-sim without the second or two that each takes to start.
 
-``python -m tests.support.warm_cli`` has imported them once. It reads command lines from standard input, each a JSON
+``python -m evaluation.warm_cli`` has imported them once. It reads command lines from standard input, each a JSON
 list on a line of its own, runs each in a fork of itself as the command would run, and answers a line: exit code and the
 end of its output. It ends with its input.
 """

@@ -17,7 +17,8 @@ from tempfile import mkdtemp
 
 from pymavlink.dialects.v20 import common
 
-from evaluation.install.machine import ROOT, Machine, make_debian, missing
+from evaluation import ROOT
+from evaluation.install.machine import Machine, make_debian, missing
 
 READINGS_CM = (40, 40, 40, 40)
 MAX_INSTALLED_MB = 300
@@ -367,19 +368,21 @@ def is_removed(machine: Machine) -> None:
     expect(machine.run("id msp-range", check=False).returncode != 0, "and no user")
 
 
-def main() -> int:
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--suite", default="bookworm", help="Debian release (default: %(default)s)")
+    parser.add_argument("--keep", action="store_true", help="keep the container's folder")
+
+
+def main(given: argparse.Namespace) -> int:
     """Run all steps; the exit code."""
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--suite", default="bookworm", help="Debian release (default: %(default)s)")
-    arguments.add_argument("--keep", action="store_true", help="keep the container's folder")
-    options = arguments.parse_args()
     absent = missing()
     if absent is not None:
         say(f"make test-install: {absent}")
         return 3
     say(f"has wheels: {has_wheels.__doc__}")
     has_wheels()
-    archive = make_debian(ROOT / "build/install", options.suite)
+    archive = make_debian(ROOT / "build/install", given.suite)
     folder = Path(mkdtemp(prefix="msp-install-", dir="/var/tmp"))
     machine = Machine(archive, folder)
     receiver = Receiver()
@@ -411,11 +414,7 @@ def main() -> int:
         return 1
     finally:
         machine.close()
-        if not options.keep:
+        if not given.keep:
             shutil.rmtree(folder, ignore_errors=True)
     say("all as it should be")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""``python -m evaluation.sensor_watch --hours H``: false findings in H drawn hours, and how soon faults are found.
+"""False findings of the sensor watch in drawn hours, and how soon faults are found.
 
 The hours are shared by the kinds of ground below. Each fault is drawn ``--flights`` times, five minutes into a flight.
 """
@@ -54,13 +54,15 @@ def delays_s(draws: np.random.Generator, fault: Fault, flights: int) -> list[flo
     return found
 
 
-def main() -> None:
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--hours", type=float, default=10.0, help="hours in all (default: %(default)s)")
+    parser.add_argument("--flights", type=int, default=100, help="flights with each fault (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+
+
+def main(given: argparse.Namespace) -> None:
     """Draw, watch and print."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.sensor_watch", description=__doc__)
-    parser.add_argument("--hours", type=float, default=10.0)
-    parser.add_argument("--flights", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
     draws = np.random.default_rng(given.seed)
     print("| ground | hours | false findings |\n|---|---|---|")
     for name, ground in GROUNDS.items():
@@ -72,7 +74,3 @@ def main() -> None:
         delays = delays_s(draws, fault, given.flights)
         early_s, late_s = np.quantile(delays, [0.1, 0.9])
         print(f"| {name} | {median(delays):.0f} s | {early_s:.0f} to {late_s:.0f} s |", flush=True)
-
-
-if __name__ == "__main__":
-    main()

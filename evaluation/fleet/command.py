@@ -1,11 +1,7 @@
-"""Draws fleets, runs `msp-lab fleet` on each, and prints a table; what is there is not made again.
-
-python -m evaluation.fleet --fleets 20 --seed 1 --out build/fleet
-"""
+"""Draws fleets, runs `msp-lab fleet` on each, and prints a table; what is there is not made again."""
 
 import argparse
 import json
-import sys
 import tempfile
 from pathlib import Path
 
@@ -33,14 +29,22 @@ USUAL = (
 """Kinds in the order in which fleets are drawn, again and again."""
 
 
-def main() -> int:
-    options = _options()
-    options.out.mkdir(parents=True, exist_ok=True)
-    kinds = options.kinds or USUAL
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--fleets", type=int, default=len(USUAL), help="number of fleets")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the first of each kind; the others follow")
+    parser.add_argument("--kinds", nargs="+", help=f"default: some of each; effects: {', '.join(KINDS)}")
+    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a fleet")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run what is not there yet, and print the table."""
+    given.out.mkdir(parents=True, exist_ok=True)
+    kinds = given.kinds or USUAL
     outcomes = []
-    for number in range(options.fleets):
-        kind, seed = kinds[number % len(kinds)], options.seed + number // len(kinds)
-        file = options.out / f"{kind.replace(':', '-')}-{seed}.json"
+    for number in range(given.fleets):
+        kind, seed = kinds[number % len(kinds)], given.seed + number // len(kinds)
+        file = given.out / f"{kind.replace(':', '-')}-{seed}.json"
         if not file.exists():
             with tempfile.TemporaryDirectory() as folder:
                 file.write_text(as_json(run(kind, seed, fleet(kind, seed), Path(folder))))
@@ -50,17 +54,3 @@ def main() -> int:
         print(f"{kind} {seed}: {last.found} of {last.hidden}, false {list(last.false)}, shared {list(last.shared)}",
               last.crash, flush=True)  # fmt: skip
     print(table(outcomes))
-    return 0
-
-
-def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m evaluation.fleet", description=__doc__)
-    parser.add_argument("--fleets", type=int, default=len(USUAL), help="number of fleets")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the first of each kind; the others follow")
-    parser.add_argument("--kinds", nargs="+", help=f"default: some of each; effects: {', '.join(KINDS)}")
-    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a fleet")
-    return parser.parse_args()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

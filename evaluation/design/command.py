@@ -1,5 +1,4 @@
-"""``python -m evaluation.design OUT --pairs N --seed S``: blind pairs, and the table of promises and how they were
-kept.
+"""Blind pairs of effects that look alike, and the table of promises and how they were kept.
 
 Cases that are in OUT are kept, so that an interrupted run is resumed, and a larger N adds cases.
 """
@@ -38,15 +37,17 @@ def _share(count: int, of: int) -> str:
     return f"{count} of {of} (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
 
 
-def main() -> None:
-    """Run what is not there yet, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.design", description=__doc__)
-    parser.add_argument("out", type=Path, nargs="?", default=Path("build/design"), help="folder for the cases")
-    parser.add_argument("--pairs", type=int, default=21)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--power", type=float, default=0.95)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--out", type=Path, default=Path("build/design"), help="folder (default: %(default)s)")
+    parser.add_argument("--pairs", type=int, default=21, help="cases (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    parser.add_argument("--power", type=float, default=0.95, help="wanted of a session (default: %(default)s)")
     parser.add_argument("--sessions", type=int, default=0, help="sessions that the command simulates; 0: none")
-    given = parser.parse_args()
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run what is not there yet, and print the table."""
     given.out.mkdir(parents=True, exist_ok=True)
     found: list[Outcome] = []
     for number in range(given.pairs):
@@ -56,7 +57,3 @@ def main() -> None:
             detail = each.detail + (f"; {each.decidable_nats:.0f} nats by an oracle" if each.outcome == "same" else "")
             print(f"{number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({detail})", flush=True)
     print(table(found))
-
-
-if __name__ == "__main__":
-    main()

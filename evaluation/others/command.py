@@ -1,4 +1,4 @@
-"""``python -m evaluation.others OUT --cases N``: blind flights with the truth hidden, and the table of what was found.
+"""Blind flights with the truth hidden, and the table of what was found.
 
 Cases that are in OUT are kept, so that an interrupted campaign is resumed, and a larger N adds cases.
 """
@@ -9,15 +9,17 @@ from pathlib import Path
 from evaluation.others.campaign import Case, run_case, table
 
 
-def main() -> None:
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a case, and table.md")
+    parser.add_argument("--cases", type=int, default=20, help="cases with an effect (default: %(default)s)")
+    parser.add_argument("--nulls", type=int, default=5, help="cases without one (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    parser.add_argument("--standard-errors", type=float, default=10.0, help="size of an effect (default: %(default)s)")
+
+
+def main(given: argparse.Namespace) -> None:
     """Fly and compare what is not there yet, and print the table."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.others", description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--cases", type=int, default=20)
-    parser.add_argument("--nulls", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--standard-errors", type=float, default=10.0)
-    given = parser.parse_args()
     out = given.out.resolve()  # scenarios name files next to them
     out.mkdir(parents=True, exist_ok=True)
     found: dict[bool, list[Case]] = {}
@@ -30,7 +32,3 @@ def main() -> None:
     text = table(found[False], found[True])
     (out / "table.md").write_text(text, encoding="utf-8")
     print(text)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
-"""Peers on blind tables: ``python -m evaluation.blind_peers N SEED`` draws N tables of each kind and asks every peer.
+"""Peers on blind tables: draws tables of each kind, and asks every peer.
 
 Tables lie in a folder as `evaluation.blind` lays them out, and are those of its plan with this seed: given ``--out``
-with a folder in which that was drawn, the first N of each kind are taken from it. What is there already is not made
+with a folder in which that was drawn, the first of each kind are taken from it. What is there already is not made
 again. Needs the extra ``bench``.
 """
 
@@ -137,23 +137,21 @@ def _cell(reported: list[bool]) -> str:
     return f"{sum(reported) / len(reported):.2f} ({low:.2f} to {high:.2f})"
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(prog="python -m evaluation.blind_peers", description=__doc__)
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.add_argument("count", type=int, help="tables of each kind")
-    parser.add_argument("seed", type=int)
+    parser.add_argument("seed", type=int, help="random seed")
     parser.add_argument("--out", type=Path, help="folder; build/blind-peers-SEED-COUNT unless given")
-    parser.add_argument("--at-once", type=int, default=2)
-    given = parser.parse_args()
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
+
+
+def main(given: argparse.Namespace) -> None:
+    """Run what is not there yet, and print both tables."""
     out = given.out or Path("build") / f"blind-peers-{given.seed}-{given.count}"
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     campaign = Campaign(out, given.seed)
     cases = draw_plan(given.seed, [f"{kind}={given.count}" for kind in KINDS])
-    run_gap(campaign, cases, given.at_once)
-    with ProcessPoolExecutor(given.at_once) as pool:
+    run_gap(campaign, cases, given.jobs)
+    with ProcessPoolExecutor(given.jobs) as pool:
         list(pool.map(partial(ask, given.seed), [campaign.table(case) for case in cases]))
     print(show(*score(out)))
-
-
-if __name__ == "__main__":
-    main()
