@@ -21,6 +21,7 @@ from filterpy.kalman import KalmanFilter
 from mcap.writer import Writer
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_most, figure
 from msp_range.bridge import Bridge
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.config import load_airframe
@@ -39,12 +40,12 @@ LATENCY_S = 30.0
 Record = tuple[str, dict[str, Any]]
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """All figures of this file."""
     return cost() + latency()
 
 
-def cost() -> list[dict[str, Any]]:
+def cost() -> Figures:
     """CPU a reading, and its ratios to the floors."""
     with _sink() as sink, tempfile.TemporaryDirectory() as folder:
         bridge_round, records = _bridge(sink, Path(folder))
@@ -55,17 +56,15 @@ def cost() -> list[dict[str, Any]]:
     ratio = statistics.median(bridge / floor for bridge, floor, _ in rounds)
     full_ratio = statistics.median(bridge / full for bridge, _, full in rounds)
     return [
-        _figure("bridge_cpu_per_reading", bridge_us, "us, recording on", None, None),
-        _figure("floor_pack_and_send", floor_us, "us", "at most 25", floor_us <= 25),
-        _figure("floor_with_kalman_and_records", full_floor_us, f"us, {len(records)} records", None, None),
-        _figure("bridge_over_floor", ratio, "times pack and send", "at most 16", ratio <= 16),
-        _figure(
-            "bridge_over_full_floor", full_ratio, "times with Kalman and records", "at most 2.9", full_ratio <= 2.9
-        ),
+        figure("bridge_cpu_per_reading", bridge_us, "us, recording on"),
+        figure("floor_pack_and_send", floor_us, "us", at_most(25)),
+        figure("floor_with_kalman_and_records", full_floor_us, f"us, {len(records)} records"),
+        figure("bridge_over_floor", ratio, "times pack and send", at_most(16)),
+        figure("bridge_over_full_floor", full_ratio, "times with Kalman and records", at_most(2.9)),
     ]
 
 
-def latency() -> list[dict[str, Any]]:
+def latency() -> Figures:
     """End of a ranging to the fused message handed to the link, in real time."""
     clock = SystemClock()
     ends: dict[int, float] = {}
@@ -85,8 +84,8 @@ def latency() -> list[dict[str, Any]]:
             bridge.step()
     p99_ms = float(np.percentile(delays_ms, 99))
     return [
-        _figure("latency_median", float(np.median(delays_ms)), "ms, end of ranging to message", None, None),
-        _figure("latency_p99", p99_ms, "ms, end of ranging to message", "at most 5", p99_ms <= 5),
+        figure("latency_median", float(np.median(delays_ms)), "ms, end of ranging to message"),
+        figure("latency_p99", p99_ms, "ms, end of ranging to message", at_most(5)),
     ]
 
 
@@ -236,7 +235,3 @@ def _drain(sink: socket.socket) -> None:
             sink.recv(4096)
     except BlockingIOError:
         return
-
-
-def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
-    return {"key": key, "value": round(value, 3), "unit": unit, "goal": goal, "met": met}

@@ -2,11 +2,11 @@
 
 import statistics
 import time
-from typing import Any
 
 import numpy as np
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, Goal, at_most, figure, under
 from msp_lab.filter_study.explain import explain_rows
 from msp_lab.filter_study.goals import check_goals
 from msp_lab.filter_study.study import run_study
@@ -21,7 +21,7 @@ COUNTED = 2_000
 SEEDS = 200
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """All figures of this file."""
     early_us, late_us = _update_us()
     started_s = time.perf_counter()
@@ -33,13 +33,11 @@ def run() -> list[dict[str, Any]]:
     wanted = [goal for goal in check_goals(results) if goal.met is not None]
     reached = sum(goal.met is True for goal in wanted)
     return [
-        _figure("changepoint_update", late_us, "us", "at most 300", late_us <= 300),
-        _figure(
-            "changepoint_update_late_over_early", late_us / early_us, "times", "at most 1.2", late_us < 1.2 * early_us
-        ),
-        _figure("filter_study", study_s, f"s, {SEEDS} seeds of all scenarios and filters", "under 60", study_s < 60),
-        _figure("filter_table_explained", explain_s, "s, tables 5.4-5.6", None, None),
-        _figure("filter_goals_reached", reached, f"of {len(wanted)}", "all", reached == len(wanted)),
+        figure("changepoint_update", late_us, "us", at_most(300)),
+        figure("changepoint_update_late_over_early", late_us / early_us, "times", at_most(1.2)),
+        figure("filter_study", study_s, f"s, {SEEDS} seeds of all scenarios and filters", under(60)),
+        figure("filter_table_explained", explain_s, "s, tables 5.4-5.6"),
+        figure("filter_goals_reached", reached, f"of {len(wanted)}", Goal("all", lambda value: value == len(wanted))),
     ]
 
 
@@ -56,7 +54,3 @@ def _update_us() -> tuple[float, float]:
         one.update(0.1 * number, Estimate(range_m, 4e-4))
         spent_ns.append(time.thread_time_ns() - started_ns)
     return statistics.median(spent_ns[:COUNTED]) / 1e3, statistics.median(spent_ns[-COUNTED:]) / 1e3
-
-
-def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
-    return {"key": key, "value": round(value, 2), "unit": unit, "goal": goal, "met": met}

@@ -16,6 +16,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_least, at_most, figure
 from msp_range.reading_model import densities as mix
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.grid import ReadingGrid
@@ -35,7 +36,7 @@ START = np.array([-3.0, -3.0, -3.0, np.log(3.0), np.log(0.01), 0.0])
 """Logits of the weights, 3 cm, 1/m, and half of the codes saturated."""
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Measure the fit, and the same by `scipy.optimize.minimize`."""
     sensor = load_sensor_model(SENSOR)
     grid = ReadingGrid.of(sensor)
@@ -61,40 +62,27 @@ def run() -> list[dict[str, Any]]:
     numeric_cpu_s = _general_cpu_s(_plain(sensor, few_reading_cm, few_true_cm), few_best, False, "L-BFGS-B")
 
     return [
-        _figure("fit_1e6_all_ranges_differ", hard_s, "s for 1,000,000 readings, four densities, codes", 3.0),
-        _figure("fit_1e6_campaign", campaign_s, "s for 1,000,000 readings at 24 ranges, given uncounted", 3.0),
-        {
-            "key": "fit_cost_growth",
-            "value": round(hard_cpu_s / fewer_cpu_s, 1),
-            "unit": "times the time for 100 times the readings (10,000 to 1,000,000)",
-            "goal": "at most 100",
-            "met": hard_cpu_s <= 100.0 * fewer_cpu_s,
-        },
-        {
-            "key": "fit_1e6_over_general",
-            "value": round(general_cpu_s / hard_cpu_s, 1),
-            "unit": "times faster than the best of four scipy methods with exact gradients, ranges differ",
-            "goal": "at least 5",
-            "met": general_cpu_s >= 5.0 * hard_cpu_s,
-        },
-        {
-            "key": "fit_1e5_over_numeric",
-            "value": round(numeric_cpu_s / few_cpu_s, 1),
-            "unit": "times faster than L-BFGS-B on ReadingModel.log_prob, 100,000 readings",
-            "goal": "at least 5",
-            "met": numeric_cpu_s >= 5.0 * few_cpu_s,
-        },
+        figure("fit_1e6_all_ranges_differ", hard_s, "s for 1,000,000 readings, four densities, codes", at_most(3.0)),
+        figure("fit_1e6_campaign", campaign_s, "s for 1,000,000 readings at 24 ranges, given uncounted", at_most(3.0)),
+        figure(
+            "fit_cost_growth",
+            hard_cpu_s / fewer_cpu_s,
+            "times the time for 100 times the readings (10,000 to 1,000,000)",
+            at_most(100),
+        ),
+        figure(
+            "fit_1e6_over_general",
+            general_cpu_s / hard_cpu_s,
+            "times faster than the best of four scipy methods with exact gradients, ranges differ",
+            at_least(5),
+        ),
+        figure(
+            "fit_1e5_over_numeric",
+            numeric_cpu_s / few_cpu_s,
+            "times faster than L-BFGS-B on ReadingModel.log_prob, 100,000 readings",
+            at_least(5),
+        ),
     ]
-
-
-def _figure(key: str, seconds: float, unit: str, most_s: float) -> dict[str, Any]:
-    return {
-        "key": key,
-        "value": round(seconds, 3),
-        "unit": unit,
-        "goal": f"at most {most_s:g}",
-        "met": seconds <= most_s,
-    }
 
 
 def _median_s(work: Callable[[], Any]) -> tuple[float, float]:

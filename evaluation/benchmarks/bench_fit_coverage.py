@@ -2,10 +2,10 @@
 
 import argparse
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
+from evaluation.benchmarks.figure import Figures, Goal, figure
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.grid import ReadingGrid
 from tests.support.plain_sampler import PlainSensor
@@ -43,22 +43,15 @@ def coverage(seeds: Iterable[int], readings: int = READINGS) -> dict[str, float]
     return {name: count / runs for name, count in held.items()}
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """The parameters whose intervals hold least and most often."""
     found = coverage(range(SEEDS))
-    figures = []
-    for key, pick in (("fit_coverage_least", min), ("fit_coverage_most", max)):
-        name = pick(found, key=lambda each: found[each])
-        figures.append(
-            {
-                "key": key,
-                "value": round(100.0 * found[name], 1),
-                "unit": f"% of {SEEDS} fits of {READINGS} readings, {name}",
-                "goal": "90 to 99",
-                "met": 0.90 <= found[name] <= 0.99,
-            }
-        )
-    return figures
+    least, *_, most = sorted(found, key=lambda each: found[each])
+    goal = Goal("90 to 99", lambda value: 90.0 <= value <= 99.0)
+    return [
+        figure(key, 100.0 * found[name], f"% of {SEEDS} fits of {READINGS} readings, {name}", goal)
+        for key, name in (("fit_coverage_least", least), ("fit_coverage_most", most))
+    ]
 
 
 def options(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, Goal, at_least, at_most, figure
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe, FusedSettings, Send
 from msp_sim.flight.flight import Simulation
@@ -27,14 +28,15 @@ NEAREST_M = 0.30
 FAULT_FROM_S = 12.0
 OBJECTS = 600
 FLAT_S = 10000
+NONE = Goal("none in 1000 s", lambda per_1000_s: per_1000_s < 0.5)
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """All figures of this file."""
     return heights() + objects()
 
 
-def heights() -> list[dict[str, Any]]:
+def heights() -> Figures:
     """Ratios of the error of height, the worst of the five grounds; and the cost of a fault over all of them."""
     of_raw, of_hits, of_one, good = [], [], [], []
     faulty: dict[str, list[Any]] = {"silent": [], "stuck": []}
@@ -58,19 +60,17 @@ def heights() -> list[dict[str, Any]]:
     rms_m = _rms(np.concatenate(good))
     dead, stuck = (_rms(np.concatenate(errors)) / rms_m for errors in faulty.values())
     return [
-        _figure("fused_error_rms", 100 * rms_m, "cm, five kinds of ground", None, None),
-        _figure("fused_over_best_raw", max(of_raw), "worst ground", "at most 0.5", max(of_raw) <= 0.5),
-        _figure("fused_over_best_raw_hits", max(of_hits), "worst ground, outliers left out", None, None),
-        _figure(
-            "fused_over_best_single", max(of_one), "worst ground, same filter", "at most 0.75", max(of_one) <= 0.75
-        ),
-        _figure("fused_with_a_dead_sensor", dead, "times the error", "at most 1.2", dead <= 1.2),
-        _figure("fused_with_a_stuck_sensor", stuck, "times the error", "at most 1.2", stuck <= 1.2),
-        _figure("fused_longest_silence", max(gaps_s), "s", None, None),
+        figure("fused_error_rms", 100 * rms_m, "cm, five kinds of ground"),
+        figure("fused_over_best_raw", max(of_raw), "worst ground", at_most(0.5)),
+        figure("fused_over_best_raw_hits", max(of_hits), "worst ground, outliers left out"),
+        figure("fused_over_best_single", max(of_one), "worst ground, same filter", at_most(0.75)),
+        figure("fused_with_a_dead_sensor", dead, "times the error", at_most(1.2)),
+        figure("fused_with_a_stuck_sensor", stuck, "times the error", at_most(1.2)),
+        figure("fused_longest_silence", max(gaps_s), "s"),
     ]
 
 
-def objects() -> list[dict[str, Any]]:
+def objects() -> Figures:
     """Objects of 30 cm and more under one corner, and none over flat ground."""
     draw = np.random.default_rng(21)
     found = sum(_is_found(draw) for _ in range(OBJECTS)) / OBJECTS
@@ -84,8 +84,8 @@ def objects() -> list[dict[str, Any]]:
             before[name] = seen_m
     per_1000_s = 1000 * false / FLAT_S
     return [
-        _figure("objects_found_in_1200_ms", 100 * found, "%", "at least 95", found >= 0.95),
-        _figure("false_objects_in_1000_s", per_1000_s, f"over {FLAT_S} s of hover", "none in 1000 s", per_1000_s < 0.5),
+        figure("objects_found_in_1200_ms", 100 * found, "%", at_least(95)),
+        figure("false_objects_in_1000_s", per_1000_s, f"over {FLAT_S} s of hover", NONE),
     ]
 
 
@@ -137,7 +137,3 @@ def _errors_m(track: SensorTrack, values_m: list[float | None]) -> np.ndarray:
 
 def _rms(errors_m: np.ndarray) -> float:
     return math.sqrt(float((errors_m**2).mean()))
-
-
-def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
-    return {"key": key, "value": round(value, 3), "unit": unit, "goal": goal, "met": met}

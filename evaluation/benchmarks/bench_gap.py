@@ -13,11 +13,11 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_most, figure, under
 from evaluation.blind.flight import Columns, contexts
 from msp_lab.gap.problem import Problem, first_state, screened
 from msp_range.arrays import numbered
@@ -35,36 +35,24 @@ AT_ONCE = 250_000
 """Rows that are drawn and written at a time."""
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Measure the workflow, its screen, and the growth of its time."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         wall_s, _, _ = workflow(folder, READINGS)
         fewer_s, _, _ = workflow(folder, FEWER)
     seconds = screen_s(READINGS)
-    growth = wall_s / fewer_s
     return [
-        {
-            "key": "gap_1e5",
-            "value": round(wall_s, 1),
-            "unit": "s for 100,000 readings, complete catalogue: msp-lab gap with its report",
-            "goal": "under 14",
-            "met": wall_s < 14.0,
-        },
-        {
-            "key": "gap_screen_1e5",
-            "value": round(seconds, 2),
-            "unit": "s for 100,000 readings: every effect's score, and the null by runs",
-            "goal": "under 1",
-            "met": seconds < 1.0,
-        },
-        {
-            "key": "gap_cost_growth",
-            "value": round(growth, 1),
-            "unit": "times the time for ten times the readings (10,000 to 100,000)",
-            "goal": f"at most {GROWTH:g}",
-            "met": growth <= GROWTH,
-        },
+        figure("gap_1e5", wall_s, "s for 100,000 readings, complete catalogue: msp-lab gap with its report", under(14)),
+        figure(
+            "gap_screen_1e5", seconds, "s for 100,000 readings: every effect's score, and the null by runs", under(1)
+        ),
+        figure(
+            "gap_cost_growth",
+            wall_s / fewer_s,
+            "times the time for ten times the readings (10,000 to 100,000)",
+            at_most(GROWTH),
+        ),
     ]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind.score import interval
+from evaluation.shares import wilson
 from msp_lab.gap.naming import name_effects
 from msp_lab.gap.splits import draw_splits
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
@@ -100,7 +100,7 @@ def show(found: Mapping[tuple[str, str], Held]) -> str:
     )
     for what, each in [*rows, ("all", every)]:
         count, of = sum(each.held), len(each.held)
-        low, high = interval(count, of)
+        low, high = wilson(count, of)
         error = f"{np.mean(each.errors):+.2f} +- {np.std(each.errors):.2f}" if of else ""
         share = f"{count / of:.3f}" if of else ""
         lines.append(f"| {what} | {of} of {each.tables} | {count} | {share} | {low:.3f} to {high:.3f} | {error} |")

@@ -6,15 +6,15 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_most, figure, under
 
 CAMPAIGN = CONFIGS / "campaigns" / "table_4_1.yaml"
 BIN = Path(sys.executable).parent
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Wall time of both commands, and how far the sonar equation misses the angles that were measured."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -28,27 +28,14 @@ def run() -> list[dict[str, Any]]:
         rows = json.loads((report / "findings.json").read_text(encoding="utf-8"))["sonar"]["rows"]
     misses_deg = [abs(row["fitted_deg"] - row["measured_deg"]) for row in rows]
     return [
-        {
-            "key": "campaign_collected",
-            "value": round(collected_s - started_s, 1),
-            "unit": "s, Table 4.1 complete",
-            "goal": None,
-            "met": None,
-        },
-        {
-            "key": "campaign_to_report",
-            "value": round(done_s - started_s, 1),
-            "unit": "s, collected, fitted and reported",
-            "goal": "under 120",
-            "met": done_s - started_s < 120,
-        },
-        {
-            "key": "sonar_equation_misses",
-            "value": round(max(misses_deg), 2),
-            "unit": f"deg, largest of {len(misses_deg)} breakaway angles",
-            "goal": "at most 1.8",
-            "met": max(misses_deg) <= 1.8,
-        },
+        figure("campaign_collected", collected_s - started_s, "s, Table 4.1 complete"),
+        figure("campaign_to_report", done_s - started_s, "s, collected, fitted and reported", under(120)),
+        figure(
+            "sonar_equation_misses",
+            max(misses_deg),
+            f"deg, largest of {len(misses_deg)} breakaway angles",
+            at_most(1.8),
+        ),
     ]
 
 

@@ -12,7 +12,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pymavlink.DFReader import DFReader_binary
@@ -20,6 +19,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores
 
 from evaluation import ROOT
+from evaluation.benchmarks.figure import Figures, at_least, figure, under
 from msp_lab.logs.ardupilot import WANTED, read_ardupilot
 from msp_range.mavlink.dialect import dialect
 from tests.support.flight_logs import START_S, START_US, Types, telemetry
@@ -42,7 +42,7 @@ _FORMAT = b"\xa3\x95\x80" + bytes((0x7F, 35)) + b"PADD" + b"QQQQ".ljust(16, b"\0
 _MESSAGE = b"\xa3\x95\x7f" + bytes(32)
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """All figures of this file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "compared.bin"
@@ -56,14 +56,14 @@ def run() -> list[dict[str, Any]]:
         read_ardupilot(path, lambda share: None)
         faster = peer_s / (time.process_time() - started_s)
     return [
-        _figure("import_dataflash_over_recv_match", faster, "times as fast", "at least 3", faster >= 3),
+        figure("import_dataflash_over_recv_match", faster, "times as fast", at_least(3)),
         *_imported("dataflash", "log.bin", _write),
         *_imported("telemetry", "log.tlog", _write_telemetry),
         *_imported("bag", "log.bag", _write_bag),
     ]
 
 
-def _imported(what: str, name: str, write: Callable[[Path, int], None]) -> list[dict[str, Any]]:
+def _imported(what: str, name: str, write: Callable[[Path, int], None]) -> Figures:
     """Figures of the import of a log of 1 GB, in a process of its own."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -73,8 +73,8 @@ def _imported(what: str, name: str, write: Callable[[Path, int], None]) -> list[
         )
     used_s, peak_mb = json.loads(done.stderr.splitlines()[-1])
     return [
-        _figure(f"import_{what}_1_gb", used_s, "s of processor time", None, None),
-        _figure(f"import_{what}_1_gb_memory", peak_mb, "MB", "under 1000", peak_mb < 1000),
+        figure(f"import_{what}_1_gb", used_s, "s of processor time"),
+        figure(f"import_{what}_1_gb_memory", peak_mb, "MB", under(1000)),
     ]
 
 
@@ -149,7 +149,3 @@ def _write_bag(path: Path, size: int) -> None:
                 bag.write(topics[topic], stamp_s * 10**9 + time_ns % 10**9, bytes(content))
                 for _ in range(3):
                     bag.write(topics["/other"], stamp_s * 10**9 + time_ns % 10**9, filling)
-
-
-def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
-    return {"key": key, "value": round(value, 3), "unit": unit, "goal": goal, "met": met}

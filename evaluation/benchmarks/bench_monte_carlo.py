@@ -16,6 +16,8 @@ from typing import Any
 
 from evaluation import CONFIGS
 from evaluation.benchmarks.bench_gap import SENSOR, write_readings
+from evaluation.benchmarks.figure import Figures, at_least, figure, under
+from evaluation.memory import memory_mb
 from msp_lab.gap.findings import Settings
 from msp_lab.gap.separate import Common, Job, separate_gap
 from msp_sim.flight.sampled import Sampled
@@ -39,7 +41,9 @@ MEMORY_FROM, MOST_GROWTH_MB = 1, 50.0
 """Memory after this many gaps is compared with that after the last [MB]: the first one loads what all need."""
 
 
-def run(flights: int = FEW_FLIGHTS, drawn: int = FEW_DRAWN, gaps: int = FEW_GAPS, readings: int = FEW_READINGS) -> Any:
+def run(
+    flights: int = FEW_FLIGHTS, drawn: int = FEW_DRAWN, gaps: int = FEW_GAPS, readings: int = FEW_READINGS
+) -> Figures:
     """Measure so many flights with the bridge and with the model only, and so many gaps of so many readings."""
     common = Flights(Sampled(load_scenario(SCENARIO), str(SCENARIO)), 1)
     started_s = time.perf_counter()
@@ -57,27 +61,22 @@ def run(flights: int = FEW_FLIGHTS, drawn: int = FEW_DRAWN, gaps: int = FEW_GAPS
         _thousand("monte_carlo_1000_model_only", whole_drawn_s, drawn, 20.0),
         _ratio("monte_carlo_model_only_2_workers", drawn_ratio),
         _ratio("separate_gaps_2_workers", gap_ratio),
-        _figure(
+        figure(
             "separate_gaps_memory_growth",
-            round(growth_mb, 1),
+            growth_mb,
             f"MB of a process from gap {MEMORY_FROM + 1} to the last of {min(gaps, ALONE)}",
-            f"under {MOST_GROWTH_MB:g}",
-            growth_mb < MOST_GROWTH_MB,
+            under(MOST_GROWTH_MB),
         ),
     ]
 
 
-def _figure(key: str, value: float, unit: str, goal: str, met: bool) -> dict[str, Any]:
-    return {"key": key, "value": value, "unit": unit, "goal": goal, "met": met}
-
-
 def _thousand(key: str, seconds: float, measured: int, limit_s: float) -> dict[str, Any]:
     size = f"from {measured}" if measured != WANTED else "measured"
-    return _figure(key, round(seconds, 1), f"s, two workers, {size}", f"under {limit_s:g}", seconds < limit_s)
+    return figure(key, seconds, f"s, two workers, {size}", under(limit_s))
 
 
 def _ratio(key: str, value: float) -> dict[str, Any]:
-    return _figure(key, round(value, 2), "times as fast as one", f"at least {LEAST_RATIO}", value >= LEAST_RATIO)
+    return figure(key, value, "times as fast as one", at_least(LEAST_RATIO))
 
 
 def _speed(two: Workers, function: Callable[[Any, int], Any], common: Flights, count: int) -> tuple[float, float]:
@@ -105,22 +104,16 @@ def _gaps(two: Workers, folder: Path, gaps: int, readings: int) -> tuple[float, 
         return [Job(f"{i}", (folder / f"{i % FILES}.csv",), (), folder / kind / f"{i}") for i in range(count)]
 
     _seconds(two, separate_gap, common, jobs("start", WORKERS))
-    memory_mb: list[float] = []
+    used_mb: list[float] = []
     started_s = time.perf_counter()
     alone = jobs("one", min(gaps, ALONE))
     for outcome in Workers().map(separate_gap, alone, common, what="gaps"):
         assert outcome.error is None, outcome.error
-        memory_mb.append(_memory_mb())
+        used_mb.append(memory_mb())
     one_s = (time.perf_counter() - started_s) / len(alone)
     two_s = _seconds(two, separate_gap, common, jobs("two", gaps)) / gaps
     shutil.rmtree(folder / "two")
-    return one_s / two_s, memory_mb[-1] - memory_mb[MEMORY_FROM]
-
-
-def _memory_mb() -> float:
-    """Memory of this process in use [MB]."""
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * 4096 / 1e6
+    return one_s / two_s, used_mb[-1] - used_mb[MEMORY_FROM]
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -136,5 +129,5 @@ def main(given: argparse.Namespace) -> None:
         raise argparse.ArgumentTypeError(
             f"--gaps: at least {MEMORY_FROM + 2}, as memory after gap {MEMORY_FROM + 1} is compared with later"
         )
-    for figure in run(given.flights, max(given.flights, FEW_DRAWN), given.gaps, given.readings):
-        print(figure)
+    for each in run(given.flights, max(given.flights, FEW_DRAWN), given.gaps, given.readings):
+        print(each)

@@ -24,6 +24,7 @@ from playwright.sync_api import sync_playwright
 from pymavlink.dialects.v20 import ardupilotmega
 
 from evaluation.benchmarks.bench_bridge import AIRFRAME
+from evaluation.benchmarks.figure import Figures, at_most, figure
 from msp_range.bridge import ATTITUDE, ATTITUDE_REQUEST_HZ
 from msp_range.mavlink.inertial import WITNESSES
 from tests.support.kernel_bus import KernelTestbed, Sonar, kernel_bus
@@ -42,7 +43,7 @@ SAMPLES = """() => {
 }"""
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Shares of a processor, memory and the delay to the screen."""
     sonars = [Sonar(0x70 + number, [300, 301, 299]) for number in range(4)]
     with kernel_bus(sonars) as testbed, tempfile.TemporaryDirectory() as folder:
@@ -57,22 +58,20 @@ def run() -> list[dict[str, Any]]:
             memory_mb = {name: _resident_mb(each) for name, each in (("bridge", pid), ("page", page))}
     late_s = statistics.quantiles(delays_s, n=20)[-1]
     return [
-        _figure("service_processor", 100 * (alone - emulation), "% of one core, four sensors, recording on", 2.0),
-        _figure(
-            "emulation_processor", 100 * emulation, "% of one core more for umockdev's emulated bus, see above", None
+        figure(
+            "service_processor", 100 * (alone - emulation), "% of one core, four sensors, recording on", at_most(2.0)
         ),
-        _figure(
-            "page_cost_on_bridge", 100 * (watched - alone), "% of one core more while a browser shows the page", 3.0
+        figure("emulation_processor", 100 * emulation, "% of one core more for umockdev's emulated bus, see above"),
+        figure(
+            "page_cost_on_bridge",
+            100 * (watched - alone),
+            "% of one core more while a browser shows the page",
+            at_most(3.0),
         ),
-        _figure("echo_to_pixel_p95", 1e3 * late_s, "ms from the echo to the frame in Chromium, 95 %", 250.0),
-        _figure("bridge_resident", memory_mb["bridge"], "MB in memory, watched", 170.0),
-        _figure("page_resident", memory_mb["page"], "MB in memory, the page's process", 60.0),
+        figure("echo_to_pixel_p95", 1e3 * late_s, "ms from the echo to the frame in Chromium, 95 %", at_most(250.0)),
+        figure("bridge_resident", memory_mb["bridge"], "MB in memory, watched", at_most(170.0)),
+        figure("page_resident", memory_mb["page"], "MB in memory, the page's process", at_most(60.0)),
     ]
-
-
-def _figure(key: str, value: float, unit: str, goal: float | None) -> dict[str, Any]:
-    met = {"goal": None, "met": None} if goal is None else {"goal": f"at most {goal:g}", "met": value <= goal}
-    return {"key": key, "value": round(value, 2), "unit": unit, **met}
 
 
 class _Streaming(Autopilot):

@@ -1,8 +1,7 @@
 """Rate of the fused stream of four sequential sensors: at the safe spacing, and with faster pings near the ground."""
 
-from typing import Any
-
 from evaluation.benchmarks.bench_bridge import AIRFRAME
+from evaluation.benchmarks.figure import Figures, at_least, figure
 from msp_range.bridge import Bridge
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
@@ -14,14 +13,14 @@ FLOWN_S = 60.0
 LOOPBACK = AIRFRAME.with_name("loopback.yaml")
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Both rates, on a virtual clock."""
     safe_hz = _rate_hz(str(AIRFRAME), 500)
     near_hz = _rate_hz(str(LOOPBACK), 195)
     return [
-        _figure("fused_rate_safe", safe_hz, "Hz at 5 m, pings 100 ms apart", "at least 9.9", safe_hz >= 9.9),
-        _figure("fused_rate_near", near_hz, "Hz at 1.95 m, near spacing", None, None),
-        _figure("near_over_safe", near_hz / safe_hz, "times", "at least 1.5", near_hz / safe_hz >= 1.5),
+        figure("fused_rate_safe", safe_hz, "Hz at 5 m, pings 100 ms apart", at_least(9.9)),
+        figure("fused_rate_near", near_hz, "Hz at 1.95 m, near spacing"),
+        figure("near_over_safe", near_hz / safe_hz, "times", at_least(1.5)),
     ]
 
 
@@ -53,7 +52,3 @@ class _Counter:
 
     def close(self) -> None:
         pass
-
-
-def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
-    return {"key": key, "value": round(value, 2), "unit": unit, "goal": goal, "met": met}

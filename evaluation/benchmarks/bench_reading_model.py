@@ -2,11 +2,11 @@
 
 import statistics
 import time
-from typing import Any
 
 import numpy as np
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_most, figure
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
@@ -18,7 +18,7 @@ SINGLE_READINGS = 20_000
 SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Measure `ReadingModel.sample` against numpy's own draws in the same run, and `Sampler.sample_one`."""
     sensor = load_sensor_model(SENSOR).model_copy(update={"effects": ()})
     model = ReadingModel.of(sensor)
@@ -48,18 +48,6 @@ def run() -> list[dict[str, Any]]:
     single_us = statistics.median(singles_us)
 
     return [
-        {
-            "key": "reading_model_sample_over_numpy",
-            "value": round(ratio, 2),
-            "unit": "times one normal and one uniform a reading",
-            "goal": "at most 5",
-            "met": ratio <= 5.0,
-        },
-        {
-            "key": "reading_model_sample_one",
-            "value": round(single_us, 2),
-            "unit": "us a reading",
-            "goal": "at most 10",
-            "met": single_us <= 10.0,
-        },
+        figure("reading_model_sample_over_numpy", ratio, "times one normal and one uniform a reading", at_most(5)),
+        figure("reading_model_sample_one", single_us, "us a reading", at_most(10)),
     ]

@@ -6,11 +6,11 @@ else runs on the computer only adds to it.
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_most, figure
 from evaluation.sensor_watch.drawn import STD_M, TURN_S, Drawn, Ground, draw, feed, watch_of
 from msp_range.clock import VirtualClock
 from msp_range.health import GroundUse, SensorWatch
@@ -23,7 +23,7 @@ SCENARIO = CONFIGS / "scenarios" / "demo.yaml"
 HOURS, ROUNDS = 0.2, 7
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """All figures of this file."""
     drawn = draw(np.random.default_rng(1), HOURS, Ground())
     count = drawn.time_s.size
@@ -35,9 +35,9 @@ def run() -> list[dict[str, Any]]:
     flight_us = _flight_us()
     share = 100.0 * (whole_us - nothing_us) / flight_us
     return [
-        _figure("sensor_watch", watch_us, "us a reading, without the reference", "at most 20", watch_us <= 20.0),
-        _figure("sensor_watch_reference", others_us, "us a reading, leave-one-out height", None, None),
-        _figure("sensor_watch_of_a_virtual_flight", share, "% of its time", "at most 2", share <= 2.0),
+        figure("sensor_watch", watch_us, "us a reading, without the reference", at_most(20)),
+        figure("sensor_watch_reference", others_us, "us a reading, leave-one-out height"),
+        figure("sensor_watch_of_a_virtual_flight", share, "% of its time", at_most(2)),
     ]
 
 
@@ -82,7 +82,3 @@ def _flight_us() -> float:
 
     fly()
     return _fastest_us(fly, readings)
-
-
-def _figure(key: str, value: float, unit: str, goal: str | None, met: bool | None) -> dict[str, Any]:
-    return {"key": key, "value": round(value, 2), "unit": unit, "goal": goal, "met": met}

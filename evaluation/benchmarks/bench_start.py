@@ -15,9 +15,9 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from evaluation.benchmarks.bench_bridge import AIRFRAME
+from evaluation.benchmarks.figure import Figures, at_most, figure, under
 from tests.support.kernel_bus import KernelTestbed, Sonar, kernel_bus
 from tests.support.mavlink_ends import read_distance_sensor
 
@@ -28,7 +28,7 @@ RESTART_S = 0.1
 COMMAND = Path(sys.executable).with_name("msp-range")
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Medians of several starts, each ended by SIGKILL while it flies."""
     sonars = [Sonar(0x70 + number, [300]) for number in range(4)]
     with kernel_bus(sonars) as testbed, tempfile.TemporaryDirectory() as folder, _sink() as sink:
@@ -36,20 +36,18 @@ def run() -> list[dict[str, Any]]:
     start_s = statistics.median(first_s - started_s for started_s, first_s, _ in flights)
     outages_s = [after[1] - before[2] for before, after in itertools.pairwise(flights)]
     return [
-        {
-            "key": "start_to_first_message",
-            "value": round(start_s, 3),
-            "unit": "s, process start to the first DISTANCE_SENSOR, recording on",
-            "goal": "at most 0.5",
-            "met": start_s <= 0.5,
-        },
-        {
-            "key": "outage_by_kill",
-            "value": round(statistics.median(outages_s), 3),
-            "unit": "s, last message before kill -9 to the first after it, 0.1 s of RestartSec",
-            "goal": "under 3",
-            "met": statistics.median(outages_s) < 3,
-        },
+        figure(
+            "start_to_first_message",
+            start_s,
+            "s, process start to the first DISTANCE_SENSOR, recording on",
+            at_most(0.5),
+        ),
+        figure(
+            "outage_by_kill",
+            statistics.median(outages_s),
+            "s, last message before kill -9 to the first after it, 0.1 s of RestartSec",
+            under(3),
+        ),
     ]
 
 

@@ -4,9 +4,9 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from evaluation import CONFIGS
+from evaluation.benchmarks.figure import Figures, at_least, figure
 from msp_range.clock import VirtualClock
 from msp_range.recording.writer import Recorder
 from msp_sim.flight.flight import Simulation
@@ -16,7 +16,7 @@ SCENARIO = CONFIGS / "scenarios" / "demo.yaml"
 FLIGHTS = 5
 
 
-def run() -> list[dict[str, Any]]:
+def run() -> Figures:
     """Flown seconds a second of wall time, median of several flights."""
     scenario = load_scenario(SCENARIO)
     speeds = []
@@ -30,13 +30,4 @@ def run() -> list[dict[str, Any]]:
                 pass
             recorder.close()
             speeds.append(simulation.flight.duration_s / (time.perf_counter() - started_s))
-    speed = statistics.median(speeds)
-    return [
-        {
-            "key": "virtual_flight_over_real_time",
-            "value": round(speed, 1),
-            "unit": "times real time",
-            "goal": "at least 180",
-            "met": speed >= 180,
-        }
-    ]
+    return [figure("virtual_flight_over_real_time", statistics.median(speeds), "times real time", at_least(180))]

@@ -14,18 +14,17 @@ from evaluation.blind.report import score
 from evaluation.blind.run import Campaign, draw, draw_base, run
 from evaluation.blind.tables import SHARES, Case, draw_cases, draw_plan
 from evaluation.document import replace_section
+from evaluation.runner import campaign_options
 
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("--out", type=Path, required=True, help="folder for bases, tables, answers and results")
-    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
+    campaign_options(parser)
     parser.add_argument("--count", type=int, default=200, help="tables, of all kinds (default: %(default)s)")
     parser.add_argument("--kind", choices=list(SHARES), help="all of one kind")
     parser.add_argument("--regime", choices=REGIMES, help="all in one")
     parser.add_argument("--standard-errors", type=float, help="all of one size")
     parser.add_argument("--plan", nargs="+", metavar="KIND[:REGIME|S.E.]=COUNT", help="how many of what, instead")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
     parser.add_argument("--until", choices=("name", "add", "show"), default="add", help="last step of msp-lab gap")
     parser.add_argument("--nulls-until", choices=("name", "add", "show"), default="name", help="the same for nulls")
     parser.add_argument("--step", choices=("all", "draw", "run", "score"), default="all", help="do this step alone")

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.blind.score import Outcome, accepted_names, interval, judge
+from evaluation.blind.score import Outcome, accepted_names, judge
+from evaluation.shares import wilson
 
 OUTCOMES = "outcomes.json"
 DRAWS = 2000
@@ -174,7 +175,7 @@ def show(scored: Group, missing: Sequence[str] = ()) -> str:
     """All of it as text, in Markdown."""
     lines = ["| what | count | of | share | 95 % interval |", "|---|---|---|---|---|"]
     for what, count, of in counts(scored):
-        low, high = interval(count, of)
+        low, high = wilson(count, of)
         lines.append(f"| {what} | {count} | {of} | {count / of:.3f} | {low:.3f} to {high:.3f} |")
     quantiles = closed(scored)
     if quantiles:

@@ -7,14 +7,9 @@ What is there is not made again, so that a campaign can be stopped at any time a
 
 import csv
 import json
-import os
-import signal
-import subprocess
+import shutil
 import sys
-import time
-from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -25,10 +20,10 @@ from evaluation.blind.flight import Columns, Regime
 from evaluation.blind.mechanisms import MECHANISMS
 from evaluation.blind.sound import Array
 from evaluation.blind.tables import CONFOUNDED, Case, fly_base, fly_case
+from evaluation.product import command
+from evaluation.runner import Row, run_cases
 
 SENSOR = Path(__file__).parent / "sensor.yaml"
-PROGRESS_EACH_S = 30.0
-"""Between two lines on the progress where nobody looks: the output goes into a file."""
 
 Until = Literal["name", "add", "show"]
 
@@ -111,124 +106,40 @@ def draw(campaign: Campaign, case: Case) -> None:
     write(table / "measured.csv", columns, reading_cm)
 
 
-class Tools:
-    """The commands of the product, in a process that has them loaded."""
-
-    def __init__(self) -> None:
-        # In a session of its own, so that Ctrl-C lets it finish what it is at.
-        command = [sys.executable, "-m", "evaluation.warm_cli"]
-        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-            env=os.environ | one_thread,
-        )
-
-    def call(self, *command: object) -> str:
-        """Run a command, and return what was wrong with it, or nothing."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps([str(each) for each in command]) + "\n")
-        self._process.stdin.flush()
-        code, output = json.loads(self._process.stdout.readline())
-        return "" if code == 0 else f"{' '.join(str(each) for each in command[:2])}: exit code {code}: {output}"
-
-
-_tools: Tools
-
-
-def _begin() -> None:
-    """In each process of the pool."""
-    global _tools
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _tools = Tools()
-
-
-def _do_base(campaign: Campaign, regime: Regime) -> str:
+def _do_base(campaign: Campaign, regime: Regime) -> Row:
     draw_base(campaign, regime)
     base = campaign.base(regime)
     model = base.with_suffix(".yaml")
     if model.exists():
-        return ""
+        return {"wrong": ""}
     # The lift's heights are true to a hair: what its runs differ by is the sensor's and the vehicle's.
     given = ("--sensor", SENSOR, "--set-up-std-cm", 0.02, "--seed", campaign.seed)
-    return _tools.call("msp-lab", "characterise", base, *given, "--out", model)
+    return {"wrong": command("msp-lab", "characterise", base, *given, "--out", model)}
 
 
-def _do_table(campaign: Campaign, case: Case) -> str:
+def _do_table(campaign: Campaign, case: Case) -> Row:
     draw(campaign, case)
     table, to = campaign.table(case), campaign.findings(case).parent
     model = campaign.base(case.regime).with_suffix(".yaml")
     until = campaign.until if case.hidden else campaign.nulls_until
     # Made next to its place, so that what is in it is finished.
     begun = table / "gap.part"
-    wrong = _tools.call(
+    shutil.rmtree(begun, ignore_errors=True)
+    wrong = command(
         "msp-lab", "gap", table / "measured.csv", "--model", model, "--out", begun, "--seed", campaign.seed,
         "--until", until,
     )  # fmt: skip
     if not wrong:
         begun.rename(to)
-    return f"table {case.number}: {wrong}" if wrong else ""
+    return {"wrong": f"table {case.number}: {wrong}" if wrong else ""}
 
 
-def run(campaign: Campaign, cases: Sequence[Case], at_once: int) -> None:
+def run(campaign: Campaign, cases: Sequence[Case], jobs: int) -> None:
     """Draw what is not there, and look for the gap in it, table by table.
 
     Ctrl-C finishes what is begun and leaves the rest.
     """
-    left = [case for case in cases if not campaign.findings(case).exists()]
-    progress = _Progress(cases, left)
-    with ProcessPoolExecutor(at_once, initializer=_begin) as pool:
-        regimes = sorted({case.regime for case in left})
-        try:
-            for wrong in pool.map(_do_base, [campaign] * len(regimes), regimes):
-                progress.wrong(wrong)
-            waiting: dict[Future[str], Case] = {}
-            for case in left:
-                if len(waiting) > 2 * at_once:
-                    progress.add(_first_of(waiting))
-                waiting[pool.submit(_do_table, campaign, case)] = case
-            while waiting:
-                progress.add(_first_of(waiting))
-        except KeyboardInterrupt:
-            print("\nstopping; the same command goes on", file=sys.stderr)
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def _first_of(waiting: dict[Future[str], Case]) -> list[tuple[Case, str]]:
-    done, _ = wait(waiting, return_when=FIRST_COMPLETED)
-    return [(waiting.pop(each), each.result()) for each in done]
-
-
-class _Progress:
-    """The progress, on standard error: a line that changes on a terminal, and else one now and then."""
-
-    def __init__(self, cases: Sequence[Case], left: Sequence[Case]) -> None:
-        self._wanted = Counter(case.kind for case in cases)
-        self._done = self._wanted - Counter(case.kind for case in left)
-        self._left, self._made = len(left), 0
-        self._start_s = self._shown_s = time.monotonic()
-
-    def add(self, finished: Sequence[tuple[Case, str]]) -> None:
-        for case, wrong in finished:
-            self._made += 1
-            self._done[case.kind] += 1
-            self.wrong(wrong)
-        now_s = time.monotonic()
-        if not sys.stderr.isatty() and now_s - self._shown_s < PROGRESS_EACH_S and self._made < self._left:
-            return
-        self._shown_s = now_s
-        per_s = self._made / (now_s - self._start_s)
-        counts = ", ".join(f"{kind} {self._done[kind]} of {of}" for kind, of in self._wanted.items())
-        minutes = (self._left - self._made) / max(per_s, 1e-9) / 60.0
-        start, end = ("\r", "\x1b[K") if sys.stderr.isatty() else ("", "\n")
-        text = f"{start}{counts}; {60.0 * per_s:.0f} a minute, {minutes:.0f} min left"
-        print(text, end=end if self._made < self._left else "\n", file=sys.stderr, flush=True)
-
-    def wrong(self, what: str) -> None:
-        if what:
-            print(what, file=sys.stderr, flush=True)
+    left = {str(case.number): (campaign, case) for case in cases if not campaign.findings(case).exists()}
+    regimes = {str(case.regime): (campaign, case.regime) for _, case in left.values()}
+    wrong = [*run_cases(regimes, _do_base, jobs), *run_cases(left, _do_table, jobs)]
+    print("".join(f"{row['wrong']}\n" for row in wrong if row["wrong"]), end="", file=sys.stderr)

@@ -200,14 +200,3 @@ def _words(values: Any) -> Iterable[str]:
     elif isinstance(values, Sequence):
         for value in values:
             yield from _words(value)
-
-
-def interval(count: int, of: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
-    if of == 0:
-        return 0.0, 1.0
-    z = 1.959964
-    share = count / of
-    middle = (share + z * z / (2 * of)) / (1 + z * z / of)
-    half = z / (1 + z * z / of) * math.sqrt(share * (1 - share) / of + z * z / (4 * of * of))
-    return max(middle - half, 0.0), min(middle + half, 1.0)

@@ -7,11 +7,9 @@ again. Needs the extra ``bench``.
 
 import argparse
 import json
-import os
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,11 +19,13 @@ import numpy as np
 from evaluation.blind.flight import REGIMES
 from evaluation.blind.run import Campaign
 from evaluation.blind.run import run as run_gap
-from evaluation.blind.score import accepted_names, interval, judge
+from evaluation.blind.score import accepted_names, judge
 from evaluation.blind.tables import draw_plan
 from evaluation.blind_peers.detectors import DETECTORS, compare
 from evaluation.blind_peers.library import library
 from evaluation.blind_peers.namers import NAMERS
+from evaluation.runner import Row, run_cases
+from evaluation.shares import share_of
 from msp_range.recording.csv_form import read_csv
 from msp_sim.model.model import load_model
 
@@ -36,12 +36,12 @@ KINDS = ("null", "one:6", "one:10", "three:10")
 
 def ask(
     seed: int, table: Path, namers: Iterable[str] = tuple(NAMERS), detectors: Iterable[str] = tuple(DETECTORS)
-) -> None:
-    """What each peer reports of one table, and its seconds of the processor, into ``peers.json`` next to it."""
+) -> Row:
+    """What each peer reports of one table, and its seconds of the processor, into ``peers.json`` next to it too."""
     answers = table / "peers.json"
     reported: dict[str, Any] = json.loads(answers.read_text(encoding="utf-8")) if answers.exists() else {}
     if {*namers, *detectors} <= reported.keys():
-        return
+        return reported
     model = load_model(table.parents[1] / "bases" / f"{(table / 'base').read_text(encoding='utf-8')}.yaml")
     data = read_csv(table / "measured.csv")
     runs = np.unique(data["run"])
@@ -65,6 +65,7 @@ def ask(
             p_value, seconds = timed(partial(DETECTORS[name], compared, rng))
             reported[name] = {"p_value": p_value, "seconds": round(seconds, 2)}
     answers.write_text(json.dumps(reported, indent=1) + "\n", encoding="utf-8")
+    return reported
 
 
 Counts = dict[tuple[str, str], list[bool]]
@@ -124,17 +125,11 @@ def show(counts: Counts, seconds: Mapping[str, list[float]]) -> str:
         lines = [f"{heading} (at most {of} tables each)", "", "| | " + " | ".join(shown) + " | s a table |"]
         lines.append("|---" * (len(shown) + 2) + "|")
         for method in methods:
-            cells = [_cell(counts.get((method, column), [])) for column in shown]
+            reported = [counts.get((method, column), []) for column in shown]
+            cells = [share_of(sum(each), len(each)) for each in reported]
             lines.append(f"| {method} | " + " | ".join(cells) + f" | {np.mean(seconds[method]):.2g} |")
         parts.append("\n".join(lines))
     return "\n\n".join(parts)
-
-
-def _cell(reported: list[bool]) -> str:
-    if not reported:
-        return ""
-    low, high = interval(sum(reported), len(reported))
-    return f"{sum(reported) / len(reported):.2f} ({low:.2f} to {high:.2f})"
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -148,10 +143,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 def main(given: argparse.Namespace) -> None:
     """Run what is not there yet, and print both tables."""
     out = given.out or Path("build") / f"blind-peers-{given.seed}-{given.count}"
-    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     campaign = Campaign(out, given.seed)
     cases = draw_plan(given.seed, [f"{kind}={given.count}" for kind in KINDS])
     run_gap(campaign, cases, given.jobs)
-    with ProcessPoolExecutor(given.jobs) as pool:
-        list(pool.map(partial(ask, given.seed), [campaign.table(case) for case in cases]))
+    run_cases({str(case.number): (given.seed, campaign.table(case)) for case in cases}, ask, given.jobs)
     print(show(*score(out)))

@@ -8,21 +8,19 @@ reports in the end has also to hold on the other half of the runs.
 
 import argparse
 import json
-import os
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from evaluation.blind.run import Campaign
 from evaluation.blind.run import run as run_gap
-from evaluation.blind.score import interval
 from evaluation.blind.tables import ROWS, RUNS, TOGETHER, Case
 from evaluation.blind_peers.command import ALPHA, ask
+from evaluation.runner import run_cases
+from evaluation.shares import wilson
 
 SIZES = (0.05, 0.07, 0.1, 0.14, 0.2)
 """Root mean square of the bias, in standard deviations of a hit."""
@@ -125,7 +123,7 @@ def show(reported: Mapping[str, Mapping[float, list[bool]]]) -> str:
             continue
         by_size: Mapping[float, list[bool]] = reported[name]
         null = by_size.get(0.0, [])
-        low, high = interval(sum(null), len(null))
+        low, high = wilson(sum(null), len(null))
         cells = [f"{np.mean(null):.3f} ({low:.3f} to {high:.3f})" if null else ""]
         cells += [f"{np.mean(by_size[size]):.2f}" if by_size.get(size) else "" for size in sizes]
         middle, least, most = _size_with_interval(by_size)
@@ -150,11 +148,9 @@ def options(parser: argparse.ArgumentParser) -> None:
 def main(given: argparse.Namespace) -> None:
     """Run what is not there yet, and print the table."""
     out = given.out or Path("build") / f"blind-power-{given.seed}"
-    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     if given.step == "all":
         campaign, wanted = Campaign(out, given.seed, until="name"), cases(given.count, given.seed)
         run_gap(campaign, wanted, given.jobs)
-        with ProcessPoolExecutor(given.jobs) as pool:
-            asking = partial(ask, given.seed, namers=(), detectors=DETECTORS)
-            list(pool.map(asking, [campaign.table(case) for case in wanted]))
+        tables = {str(case.number): (given.seed, campaign.table(case), (), DETECTORS) for case in wanted}
+        run_cases(tables, ask, given.jobs)
     print(show(found(out)))

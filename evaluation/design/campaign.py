@@ -14,7 +14,8 @@ import yaml
 
 from evaluation.design.oracle import PLACED_CM, decidable_nats
 from evaluation.design.pairs import Columns, Hidden, draw_case, with_readings
-from evaluation.second_hand.workflow import command
+from evaluation.product import command
+from evaluation.runner import Row
 from msp_range.recording.csv_form import read_csv, write_csv
 from tests.support.measured import MODEL
 
@@ -55,18 +56,14 @@ class Outcome:
     about_pair: bool = True
 
 
-def run_case(folder: Path, seed: int, number: int, power: float = 0.95, sessions: int = 0) -> list[Outcome]:
-    """Draw a case, run `gap` and `design`, hold each session, and run `gap` with its readings; kept in a file."""
-    kept = folder / f"case-{number:03d}.json"
-    if kept.exists():
-        return [Outcome(**each) for each in json.loads(kept.read_text())]
-    work = folder / f"case-{number:03d}"
+def run_case(folder: Path, seed: int, number: int, power: float = 0.95, sessions: int = 0) -> Row:
+    """Draw a case, run `gap` and `design`, hold each session, and run `gap` with its readings."""
+    work = folder / f"case-{seed}-{number:03d}"
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     found = _run(work, seed, number, power, sessions)
-    kept.write_text(json.dumps([asdict(each) for each in found], indent=1))
     shutil.rmtree(work)
-    return found
+    return {"outcomes": [asdict(each) for each in found]}
 
 
 def _run(work: Path, seed: int, number: int, power: float, sessions: int) -> list[Outcome]:
@@ -81,11 +78,10 @@ def _run(work: Path, seed: int, number: int, power: float, sessions: int) -> lis
     model, old = work / "given.yaml", work / "old.csv"
     model.write_text(yaml.safe_dump(yaml.safe_load(MODEL.read_text()) | {"effects": []}))
     write_csv(old, columns)
-    crash = command(["gap", str(old), "--model", str(model), "--out", str(work / "gap"), "--until", "add"])
+    crash = command("msp-lab", "gap", old, "--model", model, "--out", work / "gap", "--until", "add")
     if crash:
         return [outcome("crash", crash)]
-    asked = ["design", str(work / "gap"), "--power", str(power), "--sessions", str(sessions), "--seed", str(seed)]
-    crash = command(asked)
+    crash = command("msp-lab", "design", work / "gap", "--power", power, "--sessions", sessions, "--seed", seed)
     if "nothing to decide" in crash:
         effects = json.loads((work / "gap/gap.json").read_text())["effects"]
         return [outcome("no question", ", ".join(each["name"] for each in effects))]
@@ -117,12 +113,12 @@ def _held(
     keeps = simulated is None or simulated["right"] >= power * simulated["sessions"]
     collect, gap = (shlex.split(each)[1:] for each in session["commands"])
     table = Path(collect[collect.index("--out") + 1]) / "readings.csv"
-    crash = command([*collect, "--simulate"])
+    crash = command("msp-lab", *collect, "--simulate")
     if not crash:
         new: Columns = dict(read_csv(table).columns)
         drawn = with_readings(new, hidden, size, seed, PLACED_CM[session["kind"]])
         write_csv(table, drawn, replacing=True)
-        crash = command([*gap, "--until", "name"])
+        crash = command("msp-lab", *gap, "--until", "name")
     if crash:
         return "crash", crash, promised, minutes
     out = Path(gap[gap.index("--out") + 1])

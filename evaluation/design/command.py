@@ -5,11 +5,11 @@ Cases that are in OUT are kept, so that an interrupted run is resumed, and a lar
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 from evaluation.design.campaign import Outcome, run_case
 from evaluation.design.oracle import ENOUGH_NATS
-from evaluation.second_hand.score import wilson
+from evaluation.runner import Row, as_objects, campaign_options, publish, run_cases
+from evaluation.shares import wilson
 
 OUTCOMES = ("right", "wrong", "not promised", "same", "no question", "not asked", "crash")
 
@@ -39,21 +39,31 @@ def _share(count: int, of: int) -> str:
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("--out", type=Path, default=Path("build/design"), help="folder (default: %(default)s)")
+    campaign_options(parser, "build/design")
     parser.add_argument("--pairs", type=int, default=21, help="cases (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
     parser.add_argument("--power", type=float, default=0.95, help="wanted of a session (default: %(default)s)")
     parser.add_argument("--sessions", type=int, default=0, help="sessions that the command simulates; 0: none")
 
 
 def main(given: argparse.Namespace) -> None:
     """Run what is not there yet, and print the table."""
-    given.out.mkdir(parents=True, exist_ok=True)
-    found: list[Outcome] = []
-    for number in range(given.pairs):
-        own = run_case(given.out, given.seed, number, given.power, given.sessions)
-        found += own
-        for each in own:
-            detail = each.detail + (f"; {each.decidable_nats:.0f} nats by an oracle" if each.outcome == "same" else "")
-            print(f"{number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({detail})", flush=True)
-    print(table(found))
+    cases = {
+        f"{given.seed}:{number}:{given.power:g}:{given.sessions}": (
+            given.out,
+            given.seed,
+            number,
+            given.power,
+            given.sessions,
+        )
+        for number in range(given.pairs)
+    }
+    rows = run_cases(cases, run_case, given.jobs, given.out / "cases.jsonl", line=_lines)
+    publish(table([Outcome(**each) for row in rows for each in row["outcomes"]]), given.out)
+
+
+def _lines(row: Row) -> str:
+    lines = []
+    for each in as_objects(Outcome, row["outcomes"]):
+        detail = each.detail + (f"; {each.decidable_nats:.0f} nats by an oracle" if each.outcome == "same" else "")
+        lines.append(f"{each.number} {each.pair}, {each.hidden} {each.size:.3g}: {each.outcome} ({detail})")
+    return "\n".join(lines)

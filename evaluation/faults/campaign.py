@@ -6,8 +6,7 @@ flights.jsonl.
 
 import json
 import math
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +19,7 @@ from evaluation.faults.judge import Conditions, Received, judge
 from evaluation.faults.observer import GRAVITY_M_S2, Messages, decide
 from evaluation.faults.plans import Plan, draw_plan, group_of, row_of, turn_of
 from evaluation.faults.truth import Truth
+from evaluation.runner import run_cases
 from msp_range.bridge import Step
 from msp_range.clock import Clock, VirtualClock
 from msp_range.config import Airframe
@@ -211,20 +211,14 @@ def _write(
     (out / "messages.csv").write_text("".join(rows), encoding="utf-8")
 
 
-def fly_drawn(arguments: tuple[int, int, bool]) -> dict[str, Any]:
+def fly_drawn(seed: int, index: int, sends_motion: bool) -> dict[str, Any]:
     """Draw and fly one flight, see `draw_plan`."""
-    return fly_plan(draw_plan(*arguments))
+    return fly_plan(draw_plan(seed, index, sends_motion))
 
 
-def fly_all(seed: int, indices: Sequence[int], jobs: int, sends_motion: bool = True) -> Iterator[dict[str, Any]]:
-    """Fly many, in the order of their indices, in ``jobs`` processes."""
-    flights = [(seed, index, sends_motion) for index in indices]
-    if jobs == 1:
-        yield from map(fly_drawn, flights)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        try:
-            yield from pool.map(fly_drawn, flights)
-        except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)
-            raise
+def fly_all(
+    seed: int, indices: Sequence[int], jobs: int, sends_motion: bool = True, file: Path | None = None
+) -> list[dict[str, Any]]:
+    """Fly many, in the order of their indices, in ``jobs`` processes, with a line of the file for each."""
+    flights = {f"{seed}:{index}": (seed, index, sends_motion) for index in indices}
+    return run_cases(flights, fly_drawn, jobs, file, resume=False)

@@ -8,12 +8,10 @@ line for each flight. A flight that is named there, such as 1:42, is flown again
 import argparse
 import json
 import re
-import sys
 from itertools import count, islice
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
 from evaluation.faults.campaign import fly_all, fly_plan
 from evaluation.faults.families import FAMILIES, FIRST
@@ -29,19 +27,17 @@ from evaluation.faults.report import (
     shown,
     worst_table,
 )
+from evaluation.runner import campaign_options
 from msp_range.clock import SystemClock
-from msp_range.terminal import Bar
 
 WIDTH = 260
 """Of the tables where there is no terminal [characters]: no heading is wrapped."""
-LINE_EACH_S = 30.0
-"""Between two lines on the progress where there is no terminal [s]."""
 
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--flights", type=int, default=700, help="how many (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=1, help="of the campaign (default: %(default)s)")
+    campaign_options(parser, "build/faults")
     parser.add_argument("--hostile", action="store_true", help="fly the hostile families instead of the groups")
     parser.add_argument(
         "--only",
@@ -49,8 +45,6 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="GROUP",
         help=f"groups or rows: {', '.join(SHARES)}, 'one: stuck'; or hostile families: {', '.join(FAMILIES)}",
     )
-    parser.add_argument("--out", type=Path, default=Path("build/faults"), help="folder (default: %(default)s)")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
     parser.add_argument(
         "--without-motion", action="store_true", help="the autopilot sends neither accelerations nor pressures"
     )
@@ -90,19 +84,9 @@ def _names_from(first: int) -> set[str]:
 
 
 def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool) -> list[Line]:
-    out.mkdir(parents=True, exist_ok=True)
     clock = SystemClock()
-    started_s = next_line_s = clock.now()
-    lines: list[Line] = []
-    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with (out / "flights.jsonl").open("w", encoding="utf-8") as file, Bar(*columns, total=len(indices)) as bar:
-        for line in fly_all(seed, indices, jobs, sends_motion):
-            lines.append(line)
-            file.write(json.dumps(line) + "\n")
-            bar.show(line["row"], len(lines))
-            if not bar.is_shown and clock.now() >= next_line_s:
-                next_line_s = clock.now() + LINE_EACH_S
-                print(f"{len(lines)} of {len(indices)} flights, {clock.now() - started_s:.0f} s", file=sys.stderr)
+    started_s = clock.now()
+    lines = fly_all(seed, indices, jobs, sends_motion, out / "flights.jsonl")
     flown_s = sum(line["verdict"]["flown_s"] for line in lines)
     print(f"{len(lines)} flights, {flown_s:,.0f} s flown in {clock.now() - started_s:.0f} s\n")
     return lines

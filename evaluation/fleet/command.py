@@ -1,12 +1,13 @@
 """Draws fleets, runs `msp-lab fleet` on each, and prints a table; what is there is not made again."""
 
 import argparse
-import json
-import tempfile
+from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from evaluation.fleet.generator import KINDS, fleet
-from evaluation.fleet.score import Outcome, as_json, run, table
+from evaluation.fleet.score import Outcome, run, table
+from evaluation.runner import Row, as_objects, campaign_options, publish, run_cases
 
 USUAL = (
     "null",
@@ -31,26 +32,26 @@ USUAL = (
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("--fleets", type=int, default=len(USUAL), help="number of fleets")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the first of each kind; the others follow")
+    campaign_options(parser)
+    parser.add_argument("--fleets", type=int, default=len(USUAL), help="number of fleets (default: %(default)s)")
     parser.add_argument("--kinds", nargs="+", help=f"default: some of each; effects: {', '.join(KINDS)}")
-    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a fleet")
 
 
 def main(given: argparse.Namespace) -> None:
     """Run what is not there yet, and print the table."""
-    given.out.mkdir(parents=True, exist_ok=True)
     kinds = given.kinds or USUAL
-    outcomes = []
-    for number in range(given.fleets):
-        kind, seed = kinds[number % len(kinds)], given.seed + number // len(kinds)
-        file = given.out / f"{kind.replace(':', '-')}-{seed}.json"
-        if not file.exists():
-            with tempfile.TemporaryDirectory() as folder:
-                file.write_text(as_json(run(kind, seed, fleet(kind, seed), Path(folder))))
-        data = json.loads(file.read_text())
-        outcomes.append(Outcome(**{**data, "false": tuple(data["false"]), "shared": tuple(data["shared"])}))
-        last = outcomes[-1]
-        print(f"{kind} {seed}: {last.found} of {last.hidden}, false {list(last.false)}, shared {list(last.shared)}",
-              last.crash, flush=True)  # fmt: skip
-    print(table(outcomes))
+    fleets = [(kinds[number % len(kinds)], given.seed + number // len(kinds)) for number in range(given.fleets)]
+    cases = {f"{kind} {seed}": (kind, seed) for kind, seed in fleets}
+    rows = run_cases(cases, find, given.jobs, given.out / "cases.jsonl", line=_line)
+    publish(table(as_objects(Outcome, rows)), given.out)
+
+
+def find(kind: str, seed: int) -> Row:
+    """Draw a fleet, and score what is found in it."""
+    with TemporaryDirectory() as folder:
+        return asdict(run(kind, seed, fleet(kind, seed), Path(folder)))
+
+
+def _line(row: Row) -> str:
+    found = f"{row['found']} of {row['hidden']}, false {row['false']}, shared {row['shared']}"
+    return f"{row['again']}: {found} {row['crash']}".rstrip()

@@ -5,13 +5,15 @@ was given, or an alternative, is right. What the whole fleet shares is scored on
 """
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from evaluation.fleet.generator import Fleet
-from evaluation.second_hand.score import wilson
-from evaluation.second_hand.workflow import DATE, SENSOR, command
+from evaluation.product import command
+from evaluation.second_hand.workflow import DATE, SENSOR
+from evaluation.shares import wilson
 
 
 @dataclass(frozen=True)
@@ -38,8 +40,8 @@ class Outcome:
     seed: int
     hidden: int
     found: int
-    false: tuple[str, ...]
-    shared: tuple[str, ...]
+    false: Sequence[str]
+    shared: Sequence[str]
     shared_right: bool | None
     crash: str
 
@@ -59,8 +61,8 @@ def run(kind: str, seed: int, fleet: Fleet, folder: Path) -> Outcome:
             name = f"{vehicle.name}/{session}"
             write_tables(dataset, name, {"down": table})
             record_runs(dataset, [name], {"file": f"{name}.csv"})
-    crash = command(["characterise", str(bench), "--sensor", str(SENSOR), "--out", str(model), "--date", DATE])
-    crash = crash or command(["fleet", str(dataset), "--model", str(model), "--out", str(out)])
+    crash = command("msp-lab", "characterise", bench, "--sensor", SENSOR, "--out", model, "--date", DATE)
+    crash = crash or command("msp-lab", "fleet", dataset, "--model", model, "--out", out)
     family = kind.partition(":")[0]
     if crash:
         return Outcome(kind, seed, len(fleet.odd), 0, (), (), False if family == "shared" else None, crash)
@@ -111,8 +113,3 @@ def _share(count: int, of: int) -> str:
         return ""
     low, high = wilson(count, of)
     return f"{100.0 * count / of:.1f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %)"
-
-
-def as_json(outcome: Outcome) -> str:
-    """An outcome for its file."""
-    return json.dumps(asdict(outcome), indent=2)

@@ -22,6 +22,8 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
+from evaluation.memory import ALL_ADDRESSES, memory_mb
+
 Check = Callable[[bytes], None]
 """Reads one input. The project's own errors are caught inside; whatever it raises is a failure."""
 Prepare = Callable[[Path], Check]
@@ -181,7 +183,7 @@ def _serve(connection: Connection, prepare: Prepare) -> None:
             data = connection.recv()
             if data is None:
                 return
-            limit = int(1e6 * (_memory_mb(0) + MEMORY_MB))
+            limit = int(1e6 * (memory_mb(ALL_ADDRESSES) + MEMORY_MB))
             resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
             start_s = time.process_time()
             failure = _failure(check, data)
@@ -207,12 +209,7 @@ def _held_mb() -> float:
     """Resident memory that is in use: without garbage, and without what the allocator keeps for later [MB]."""
     gc.collect()
     ctypes.CDLL(None).malloc_trim(0)
-    return _memory_mb(1)
-
-
-def _memory_mb(field: int) -> float:
-    """Memory of this process [MB]: field 0 all addresses, 1 what is resident."""
-    return int(Path("/proc/self/statm").read_text().split()[field]) * resource.getpagesize() / 1e6
+    return memory_mb()
 
 
 def show(result: FuzzResult) -> None:

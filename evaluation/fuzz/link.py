@@ -9,7 +9,6 @@ import contextlib
 import gc
 import os
 import pty
-import resource
 import socket
 import time
 import traceback
@@ -19,6 +18,7 @@ from pathlib import Path
 from random import Random
 
 from evaluation.fuzz.base import FuzzResult
+from evaluation.memory import memory_mb
 from msp_range.bridge import Bridge
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
@@ -348,5 +348,4 @@ def _cut(content: bytes, rng: Random, longest: int) -> Iterator[bytes]:
 
 def _resident_mb() -> float:
     gc.collect()
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6
+    return memory_mb()

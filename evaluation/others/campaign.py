@@ -1,10 +1,8 @@
 """Blind cases: eight flights each, an effect on one sensor, and the gap workflow with the other sensors as reference.
 
-A folder, the number of a case and a seed enter. What was hidden and what was said leaves, a file for each case, so
-that an interrupted campaign is resumed.
+A folder, the number of a case and a seed enter. What was hidden and what was said leaves.
 """
 
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -14,6 +12,7 @@ import numpy as np
 
 from evaluation.others.flights import SENSORS, fly, write_airframe, write_scenario
 from evaluation.others.size import MECHANISMS, NullFlights, size_for
+from evaluation.runner import Row
 from msp_lab.gap.findings import Settings
 from msp_lab.gap.sensors import SensorGap, compare_sensors
 from msp_lab.gap.steps import Steps
@@ -62,14 +61,11 @@ class Case:
         return sum(bool(names) for sensor, names in self.named.items() if sensor != self.sensor)
 
 
-def run_case(folder: Path, seed: int, number: int, standard_errors: float, null: bool) -> Case:
-    """Hide an effect, fly, compare, and keep what was said."""
-    path = folder / f"{'null' if null else 'case'}-{number:03d}.json"
-    if path.exists():
-        return Case(**json.loads(path.read_text(encoding="utf-8")))
+def run_case(folder: Path, seed: int, number: int, standard_errors: float, null: bool) -> Row:
+    """Hide an effect, fly, and compare."""
     rng = np.random.default_rng([seed, number, int(null)])
     sensor = SENSORS[int(rng.integers(len(SENSORS)))]
-    work = folder / path.stem
+    work = folder / f"{'null' if null else 'case'}-{seed}-{number:03d}"
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
     effect: str | None = None
@@ -98,10 +94,9 @@ def run_case(folder: Path, seed: int, number: int, standard_errors: float, null:
         named={gap.sensor: list(gap.named) if gap.doubted is None else [] for gap in gaps},
         seconds=round(clock.now() - started_s, 1),
     )
-    path.write_text(json.dumps(asdict(case), indent=1) + "\n", encoding="utf-8")
     for recording in recordings:
         recording.unlink()
-    return case
+    return asdict(case)
 
 
 def _hidden(
@@ -165,4 +160,4 @@ def table(cases: Sequence[Case], nulls: Sequence[Case]) -> str:
     if nulls:
         others = sum(bool(names) for case in nulls for names in case.named.values())
         lines.append(f"| none | {len(nulls)} | - | - | {others} of {len(nulls) * len(SENSORS)} |")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from evaluation.runner import ONE_THREAD
+
 BIN = Path(sys.executable).parent
 SECONDS = 300.0
 """Longest run of a command; the museum's 40,000 beams take about a minute on one core."""
@@ -18,5 +20,5 @@ def run_command(command: str, *arguments: object) -> subprocess.CompletedProcess
         text=True,
         check=False,
         timeout=SECONDS,
-        env=os.environ | {"COLUMNS": "120", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        env=os.environ | ONE_THREAD | {"COLUMNS": "120"},
     )

@@ -14,6 +14,7 @@ from evaluation.real.analysis import data_folder
 from evaluation.real.commands import run_command
 from evaluation.real.names import Line, expected_names
 from evaluation.real.sets import SETS, MeasuredSet
+from evaluation.runner import Row, run_cases
 
 KEPT = ("named", "indistinguishable")
 """Verdicts on an effect with which its name stands in the report."""
@@ -170,26 +171,30 @@ def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("names", nargs="*", metavar="NAME", help="sets; left out: all")
     parser.add_argument("--out", type=Path, default=Path("build/real"), help="folder (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
     parser.add_argument("--closure", action="store_true", help="measure independently how much of the gap is closed")
 
 
 def main(given: argparse.Namespace) -> None:
     """Run sets, and print what was found."""
-    data = data_folder()
-    for measured in SETS:
-        if given.names and measured.name not in given.names:
-            continue
-        outcome = run_set(measured, data, given.out / measured.name, closure=given.closure)
-        print(f"{measured.name}: {outcome.failure or outcome.verdict}", flush=True)
-        if outcome.failure:
-            print(f"  {outcome.command}")
-        else:
-            gap = "" if outcome.gap is None else f"  gap {outcome.gap[0]:.3g} to {outcome.gap[1]:.3g} nats per reading"
-            print(gap)
-            if outcome.closed is not None:
-                print(f"  {describe(outcome.closed)}")
-            for one in outcome.found:
-                values = ", ".join(f"{name} {value:.3g}" for name, value in one.values.items())
-                print(f"  found {'/'.join(sorted(one.names))} {values}".rstrip())
-            print(f"  forbidden: {'; '.join(outcome.forbidden) or 'none'}")
-            print(f"  missing: {'; '.join(outcome.missing) or 'none'}", flush=True)
+    names = [each.name for each in SETS if not given.names or each.name in given.names]
+    sets = {name: (name, given.out / name, given.closure) for name in names}
+    run_cases(sets, run_named, given.jobs, given.out / "sets.jsonl", resume=False, line=lambda row: str(row["text"]))
+
+
+def run_named(name: str, out: Path, closure: bool) -> Row:
+    """Run a set, and describe what was found."""
+    (measured,) = [each for each in SETS if each.name == name]
+    outcome = run_set(measured, data_folder(), out, closure)
+    lines = [f"{name}: {outcome.failure or outcome.verdict}"]
+    if outcome.failure:
+        return {"text": f"{lines[0]}\n  {outcome.command}"}
+    if outcome.gap is not None:
+        lines.append(f"  gap {outcome.gap[0]:.3g} to {outcome.gap[1]:.3g} nats per reading")
+    if outcome.closed is not None:
+        lines.append(f"  {describe(outcome.closed)}")
+    for one in outcome.found:
+        values = ", ".join(f"{parameter} {value:.3g}" for parameter, value in one.values.items())
+        lines.append(f"  found {'/'.join(sorted(one.names))} {values}".rstrip())
+    lines += [f"  {what}: {'; '.join(getattr(outcome, what)) or 'none'}" for what in ("forbidden", "missing")]
+    return {"text": "\n".join(lines)}

@@ -1,19 +1,14 @@
 """Runs the workflow on each case with several draws of the splits, and prints how often it names the same."""
 
 import argparse
-import json
-import multiprocessing
-import os
-import tempfile
 from collections import defaultdict
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
-from rich.progress import Progress
-
+from evaluation.runner import Row, campaign_options, publish, run_cases
 from evaluation.second_hand.generator import FINAL_SEED, case
-from evaluation.second_hand.results import result_file
 from evaluation.second_hand.score import matched
 from evaluation.second_hand.workflow import run_case
 
@@ -22,38 +17,29 @@ KINDS = ("null:0.5=20", "null:0.8=20", "one:6=20", "one:10=20", "one:20=20")
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
+    campaign_options(parser)
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), metavar="KIND=CASES", help="default: %(default)s")
-    parser.add_argument("--seed", type=int, default=1, help="seed of the first case; the others follow")
     parser.add_argument("--draws", type=int, default=5, help="random seeds of the splits, from 1 on")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--out", type=Path, required=True, help="folder for one JSON file a case and draw")
 
 
 def main(given: argparse.Namespace) -> None:
     """Run what is not there yet, and print the table."""
-    wanted = [
-        (kind, given.seed + number, draw)
+    wanted = {
+        f"{kind} {seed} {draw}": (kind, seed, draw)
         for kind, count in (each.split("=") for each in given.kinds)
-        for number in range(int(count))
+        for seed in range(given.seed, given.seed + int(count))
         for draw in range(1, given.draws + 1)
-    ]
-    if max(seed for _, seed, _ in wanted) >= FINAL_SEED:
+    }
+    if max(seed for _, seed, _ in wanted.values()) >= FINAL_SEED:
         raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run")
-    todo = [each for each in wanted if not _file(given.out, *each).exists()]
-    os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    with Progress() as progress, ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as pool:
-        bar = progress.add_task("draws", total=len(wanted), completed=len(wanted) - len(todo))
-        for done in as_completed([pool.submit(_find, given.out, *each) for each in todo]):
-            done.result()
-            progress.advance(bar)
-    print(table(given.out, wanted))
+    publish(table(run_cases(wanted, _find, given.jobs, given.out / "cases.jsonl")), given.out)
 
 
-def table(out: Path, wanted: list[tuple[str, int, int]]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """For each kind the share of cases with the same names and curves in all draws, and of draws as the first one."""
     found: dict[str, dict[int, list[dict[str, Any]]]] = defaultdict(lambda: defaultdict(list))
-    for kind, seed, draw in wanted:
-        found[kind][seed].append(json.loads(_file(out, kind, seed, draw).read_text(encoding="utf-8")))
+    for row in rows:
+        found[row["kind"]][row["seed"]].append(row)
     lines = ["| kind | cases | the same in all draws | draws that say what most say |", "|---|---|---|---|"]
     others = []
     for kind, cases in found.items():
@@ -78,18 +64,9 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return len(first) == len(second) == matched(first, second) and curves[0] == curves[1]
 
 
-def _find(out: Path, kind: str, seed: int, draw: int) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        found = run_case(case(kind, seed), Path(folder), draw)
-    path = _file(out, kind, seed, draw)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
-    unfinished.write_text(json.dumps(found, indent=1), encoding="utf-8")
-    unfinished.rename(path)
-
-
-def _file(out: Path, kind: str, seed: int, draw: int) -> Path:
-    return result_file(out / str(draw), kind, seed)
+def _find(kind: str, seed: int, draw: int) -> Row:
+    with TemporaryDirectory() as folder:
+        return {"kind": kind, "seed": seed} | run_case(case(kind, seed), Path(folder), draw)
 
 
 def _said(found: dict[str, Any]) -> str:

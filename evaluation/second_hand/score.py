@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from evaluation.shares import share_of
+
 BASE_NUMBERS = {
     "spread_with_range": "sigma_growth_cm_per_m",
     "missed_with_range": "missed_growth_per_m",
@@ -80,22 +82,6 @@ def _unknown(effect: dict[str, Any], named: list[set[str]], curves: list[dict[st
     return "other curve" if curves else "nothing"
 
 
-def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's interval of a share, 95 % by default.
-
-    Examples
-    --------
-    >>> [round(edge, 3) for edge in wilson(9, 10)]
-    [0.596, 0.982]
-    """
-    if count == 0:
-        return 0.0, 1.0
-    share = hits / count
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
-
-
 def table(results: Iterable[dict[str, Any]]) -> str:
     """A Markdown table of the outcomes by kind, and what was hidden and found where it was not right.
 
@@ -118,17 +104,12 @@ def table(results: Iterable[dict[str, Any]]) -> str:
         wrong = words.count("wrong name")
         sizes = [1 + len(effect["alternatives"]) for result in each for effect in result["found"]["effects"]]
         lines.append(
-            f"| {kind} | {count} | {right} | {_share(right, count)} | {_share(wrong, count)} "
+            f"| {kind} | {count} | {right} | {share_of(right, count)} | {share_of(wrong, count)} "
             f"| {words.count('calibrated')} "
             f"| {words.count('missing') + words.count('nothing')} | {words.count('other curve')} "
             f"| {words.count('crash')} | {np.mean(sizes) if sizes else 0:.1f} |"
         )
     return "\n".join(lines)
-
-
-def _share(hits: int, count: int) -> str:
-    low, high = wilson(hits, count)
-    return f"{hits / count:.2f} ({low:.2f} to {high:.2f})"
 
 
 def failures(results: Iterable[dict[str, Any]]) -> str:

@@ -3,13 +3,11 @@
 The only module here that knows of the product, and only by its commands and the files that they leave.
 """
 
-import io
 import json
-from collections.abc import Sequence
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
+from evaluation.product import command
 from evaluation.second_hand.generator import Case
 
 SENSOR = Path(__file__).parent / "sensor.yaml"
@@ -45,9 +43,10 @@ def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, A
     bench, runs, model, out = (folder / name for name in ("bench.csv", "runs.csv", "model.yaml", "gap"))
     write_csv(bench, case.bench)
     write_csv(runs, case.runs)
-    made = ["characterise", str(bench), "--sensor", str(SENSOR), "--out", str(model), "--date", DATE]
-    asked = ["gap", str(runs), "--model", str(model), "--out", str(out), "--until", "add"]
-    crash = command(made) or command(asked if splits is None else [*asked, "--seed", str(splits)])
+    seed = () if splits is None else ("--seed", splits)
+    crash = command("msp-lab", "characterise", bench, "--sensor", SENSOR, "--out", model, "--date", DATE) or command(
+        "msp-lab", "gap", runs, "--model", model, "--out", out, "--until", "add", *seed
+    )
     if crash:
         return {
             "verdict": "",
@@ -76,17 +75,3 @@ def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, A
         "seconds": reported["seconds"],
         "crash": "",
     }
-
-
-def command(arguments: Sequence[str]) -> str:
-    """Run an `msp-lab` command in this process; return what ended it, empty where it succeeded."""
-    from msp_lab.cli import app
-
-    output = io.StringIO()
-    try:
-        with redirect_stdout(output), redirect_stderr(output):
-            code = app(list(arguments), standalone_mode=False)
-    except (Exception, SystemExit) as error:
-        # Whatever it is, a table of many cases goes on; the outcome is 'crash'.
-        return f"{arguments[0]}: {type(error).__name__}: {error} {output.getvalue()[-300:]}".strip()
-    return f"{arguments[0]}: exit code {code}: {output.getvalue()[-300:]}" if code else ""

@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Thread
 
+from evaluation.memory import memory_mb
 from evaluation.soak.vehicle import Vehicle
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.recording.writer import Recorder
@@ -27,12 +28,6 @@ BUSY = "while True: pass"
 IN_MEMORY = Path("/dev/shm")
 """Where the simulated hours are recorded. A vehicle's disk has a second for a second of flight; here it has 3 ms, and
 what waits for a slow disk would be minutes of flight, whose memory no vehicle needs."""
-
-
-def memory_mb() -> float:
-    """Resident memory of this process [MB]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def growth_percent(samples: list[tuple[float, float]]) -> float | None:

@@ -1,8 +1,6 @@
 """A campaign of blind tables: what is made, what is kept, and the commands that stay loaded."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from evaluation.blind import run as running
 from evaluation.blind.run import Campaign
 from evaluation.blind.tables import Case, draw_cases
+from evaluation.product import command
 
 pytestmark = pytest.mark.slow
 
@@ -34,8 +33,8 @@ class FakeTools:
 
 
 def do(campaign: Campaign, case: Case, tools: FakeTools, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(running, "_tools", tools, raising=False)
-    return running._do_base(campaign, case.regime) or running._do_table(campaign, case)
+    monkeypatch.setattr(running, "command", tools.call)
+    return str(running._do_base(campaign, case.regime)["wrong"] or running._do_table(campaign, case)["wrong"])
 
 
 def test_a_table_is_drawn_and_looked_at_and_its_answer_is_apart(
@@ -73,16 +72,7 @@ def test_what_fails_is_reported_and_made_again(tmp_path: Path, monkeypatch: pyte
     assert (campaign.table(one) / "measured.csv").stat().st_mtime_ns == drawn
 
 
-def test_commands_that_stay_loaded_answer_as_commands_do() -> None:
-    lines = [["msp-lab", "effects", "--json"], ["msp-lab", "show", "no-such-folder"], ["msp-range", "nonsense"]]
-    done = subprocess.run(
-        [sys.executable, "-m", "evaluation.warm_cli"],
-        input="".join(json.dumps(line) + "\n" for line in lines),
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    (good, _), (failed, output), (wrong, usage) = (json.loads(line) for line in done.stdout.splitlines())
-    assert (good, failed, wrong) == (0, 3, 2)
-    assert output.startswith("no-such-folder/gap.json: no such file")
-    assert "nonsense" in usage
+def test_a_command_in_this_process_fails_as_commands_do() -> None:
+    assert command("msp-lab", "effects", "--json") == ""
+    assert "no-such-folder/gap.json: no such file" in command("msp-lab", "show", "no-such-folder")
+    assert "nonsense" in command("msp-range", "nonsense")

@@ -1,15 +1,15 @@
 """The second generator's scoring, and a case through both commands."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from evaluation.second_hand.command import make_result
 from evaluation.second_hand.draws import same
-from evaluation.second_hand.results import make_result, result_file
-from evaluation.second_hand.score import failures, outcome, table, wilson
+from evaluation.second_hand.score import failures, outcome, table
+from evaluation.shares import wilson
 
 pytestmark = pytest.mark.slow
 """Tests of the tests' own tools."""
@@ -91,8 +91,7 @@ def test_effects_between_runs_have_a_row_of_their_own() -> None:
 
 def test_a_case_goes_through_both_commands(tmp_path: Path) -> None:
     # 20 standard errors of a thermometer that shows too much: the class is known, and so is its size.
-    make_result(tmp_path, "one:20", 22)
-    result = json.loads(result_file(tmp_path, "one:20", 22).read_text())
+    result = make_result("one:20", 22)
     assert result["truth"]["effects"][0]["title"] == "thermometer_bias"
     assert result["found"]["crash"] == ""
     names = {name for each in result["found"]["effects"] for name in (each["name"], *each["alternatives"])}
