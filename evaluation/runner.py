@@ -37,9 +37,14 @@ a result do not depend on the machine."""
 def campaign_options(parser: argparse.ArgumentParser, out: str | None = None) -> None:
     """Add the options that all campaigns have; ``out`` is the default folder, None: it has to be named."""
     parser.add_argument(
-        "--out", type=Path, default=out and Path(out), required=out is None, help="folder for the results, kept there"
+        "--out",
+        type=Path,
+        default=out and Path(out),
+        required=out is None,
+        help="folder for the results" + (" (default: %(default)s)" if out else ""),
     )
-    parser.add_argument("--seed", type=int, default=1, help="random seed, of the first case (default: %(default)s)")
+    seed = "random seed; where each case has one of its own, that of the first (default: %(default)s)"
+    parser.add_argument("--seed", type=int, default=1, help=seed)
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: %(default)s)")
 
 

@@ -135,8 +135,8 @@ def _bridge(sink: socket.socket, folder: Path) -> tuple[Callable[[], float], lis
     return fly, of_one_reading
 
 
-def _floor(sink: socket.socket) -> Callable[[], float]:
-    """pymavlink packs one DISTANCE_SENSOR, a connected UDP socket sends it."""
+def _floor(sink: socket.socket, also: Callable[[], None] = lambda: None) -> Callable[[], float]:
+    """pymavlink packs one DISTANCE_SENSOR, a connected UDP socket sends it; and what is also done for a reading."""
     mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     out.connect(sink.getsockname())
@@ -146,6 +146,7 @@ def _floor(sink: socket.socket) -> Callable[[], float]:
             1000, 19, 765, 300, 1, 10, 25, 4, 0.44, 0.44, (0.0, 0.0, 0.0, 0.0), 100
         )
         out.send(message.pack(mav))
+        also()
 
     def round_() -> float:
         microseconds = _time(send)
@@ -165,25 +166,19 @@ def _full_floor(sink: socket.socket, folder: Path, records: list[Record]) -> Cal
     kalman.H = np.array([[1.0, 0.0]])
     transition, noise = np.array([[1.0, 0.1], [0.0, 1.0]]), np.eye(2) * 1e-3
     measured, variance = np.array([[3.0]]), np.array([[4e-4]])
-    mav = dialect.MAVLink(None, srcSystem=1, srcComponent=191)
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    out.connect(sink.getsockname())
 
-    def reading() -> None:
+    def filter_and_record() -> None:
         kalman.predict(F=transition, Q=noise)
         kalman.update(measured, R=variance)
-        distance = dialect.MAVLink_distance_sensor_message(
-            1000, 19, 765, 300, 1, 10, 25, 4, 0.44, 0.44, (0.0, 0.0, 0.0, 0.0), 100
-        )
-        out.send(distance.pack(mav))
         for topic, message in records:
             time_ns = time.time_ns()
             recording.add_message(channels[topic], time_ns, orjson.dumps(message), time_ns)
 
+    floor = _floor(sink, filter_and_record)
+
     def round_() -> float:
-        microseconds = _time(reading)
+        microseconds = floor()
         recording.flush()
-        _drain(sink)
         return microseconds
 
     return round_

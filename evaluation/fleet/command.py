@@ -1,4 +1,7 @@
-"""Draws fleets, runs `msp-lab fleet` on each, and prints a table; what is there is not made again."""
+"""Draws fleets, runs `msp-lab fleet` on each, and prints a table; what is there is not made again.
+
+For instance ``--fleets 20 --seed 1 --out build/fleet``.
+"""
 
 import argparse
 from dataclasses import asdict

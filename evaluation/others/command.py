@@ -1,6 +1,7 @@
 """Blind flights with the truth hidden, and the table of what was found.
 
 Cases that are in OUT are kept, so that an interrupted campaign is resumed, and a larger number adds cases.
+For instance ``--cases 30 --nulls 8 --seed 4 --out build/others``.
 """
 
 import argparse

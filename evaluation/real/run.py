@@ -1,4 +1,7 @@
-"""Measured sets end to end by the commands, and what was reported of them against the table of names."""
+"""Measured sets end to end by the commands, and what was reported of them against the table of names.
+
+For instance ``robot_mb1433 --closure``.
+"""
 
 import argparse
 import json

@@ -1,4 +1,7 @@
-"""Makes cases, runs the workflow on each, and prints a table of what it named; what is there is not made again."""
+"""Makes cases, runs the workflow on each, and prints a table of what it named; what is there is not made again.
+
+For instance ``--kinds null:0.5=50 one:10=100 --seed 1000 --out build/second``.
+"""
 
 import argparse
 from collections.abc import Iterator

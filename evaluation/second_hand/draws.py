@@ -1,4 +1,7 @@
-"""Runs the workflow on each case with several draws of the splits, and prints how often it names the same."""
+"""Runs the workflow on each case with several draws of the splits, and prints how often it names the same.
+
+For instance ``--kinds null:0.5=20 one:10=20 --seed 1 --draws 5 --out build/draws``.
+"""
 
 import argparse
 from collections import defaultdict

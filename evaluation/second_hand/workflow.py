@@ -16,6 +16,15 @@ DATE = "2026-01-01"
 
 NAMED = ("named", "indistinguishable")
 """Verdicts that an effect is there; any other is a suggestion."""
+NOTHING: dict[str, Any] = {
+    "verdict": "",
+    "effects": [],
+    "unknown": [],
+    "calibration": [],
+    "sentence": "",
+    "seconds": 0.0,
+}
+"""What is reported where a command crashed."""
 
 
 def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, Any]:
@@ -47,17 +56,7 @@ def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, A
     crash = command("msp-lab", "characterise", bench, "--sensor", SENSOR, "--out", model, "--date", DATE) or command(
         "msp-lab", "gap", runs, "--model", model, "--out", out, "--until", "add", *seed
     )
-    if crash:
-        return {
-            "verdict": "",
-            "effects": [],
-            "curves": [],
-            "calibration": [],
-            "sentence": "",
-            "seconds": 0.0,
-            "crash": crash,
-        }
-    reported = json.loads((out / "gap.json").read_text())
+    reported = dict(NOTHING) if crash else json.loads((out / "gap.json").read_text())
     return {
         "verdict": reported["verdict"],
         "effects": [
@@ -73,5 +72,5 @@ def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, A
         "calibration": [each["name"] for each in reported["calibration"]],
         "sentence": reported["sentence"],
         "seconds": reported["seconds"],
-        "crash": "",
+        "crash": crash,
     }
