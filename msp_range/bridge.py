@@ -62,7 +62,6 @@ from msp_range.health import (
 )
 from msp_range.health.finding import SensorFinding
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.frames import pack
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
@@ -434,8 +433,8 @@ class Bridge:
     def _send(self, message: Any) -> None:
         """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
         if self._airframe.send.nothing:
-            frame = pack(message, self.link.autopilot_system or 1, self._airframe.link.component_id, 0)
-            self._write_frame(WITHHELD_TOPIC, message, frame)
+            sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self._airframe.link.component_id)
+            self._write_frame(WITHHELD_TOPIC, message, message.pack(sender))
         elif (sent := self.link.send(message)) is not None:
             self._write_frame(SENT_TOPIC, message, sent)
 

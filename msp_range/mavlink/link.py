@@ -16,7 +16,7 @@ from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFO
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import Frame, FrameReader, pack
+from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.participants import Participants
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.time_sync import AutopilotClock
@@ -104,7 +104,7 @@ class Link:
         self._frames = FrameReader()
         self._from_autopilot: Waiting = deque()
         self._from_others: Waiting = deque()
-        self._system, self._component, self._sequence = system_id or 1, component_id, 0
+        self._mav = dialect.MAVLink(None, system_id or 1, component_id)
         now_s = clock.now()
         self._start_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
@@ -129,16 +129,21 @@ class Link:
         return self._clock.now() - self._heartbeat_s < AUTOPILOT_LOST_S
 
     @property
+    def _ids(self) -> tuple[int, int]:
+        """System and component that it sends as."""
+        return self._mav.srcSystem, self._mav.srcComponent
+
+    @property
     def files(self) -> Sequence[int]:
         """Files that, as soon as one can be read, are a reason for `service` before ``next_event_s``."""
         return self.transport.files if self._waits_for_files else ()
 
     def send(self, message: Any) -> bytes | None:
         """Send a message at once; returns the frame, or None if the transport dropped it."""
-        frame = pack(message, self._system, self._component, self._sequence)
         if self._signing is not None:
-            frame = self._signing.sign(frame)
-        self._sequence = (self._sequence + 1) % 256
+            self._signing.sign_next(self._mav)
+        frame: bytes = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
         self._sent_frames.append(frame)
         if self.transport.send(frame):
             self.sent[message.msgname] += 1
@@ -222,7 +227,7 @@ class Link:
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
         """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge."""
         autopilot = self.autopilot_system or self._pinned_system
-        own_ids = (self._system, self._component)
+        own_ids = self._ids
         for frame in frames:
             if (frame.system, frame.component) == own_ids:
                 self._from_others.append((now_s, frame))
@@ -259,7 +264,7 @@ class Link:
 
     def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
-        if source == (self._system, self._component):
+        if source == self._ids:
             if frame.data not in self._sent_frames:
                 self._participants.on_own_ids(now_s, *source)
             return
@@ -301,12 +306,11 @@ class Link:
         self._first_system = self._first_system or system
         if system != self._first_system:
             if self._pinned_system is not None or (is_present and system != self.autopilot_system):
-                self._participants.on_other_autopilot(now_s, system, self._system, is_present)
+                self._participants.on_other_autopilot(now_s, system, self._mav.srcSystem, is_present)
                 return
             self._participants.on_stand_in(now_s, system, self._first_system)
         if system != self.autopilot_system:
-            self.autopilot_system = system
-            self._system = system
+            self.autopilot_system = self._mav.srcSystem = system
             self.autopilot_clock = AutopilotClock(self._start_s)
             self._participants.on_change()
             is_present = False
@@ -336,7 +340,8 @@ class Link:
 
     def _is_for(self, system: int, component: int) -> bool:
         """Whether a target is this component, or all."""
-        return system in (0, self._system) and component in (0, self._component)
+        own_system, own_component = self._ids
+        return system in (0, own_system) and component in (0, own_component)
 
     def _requested(self, message_id: float) -> Any | None:
         if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:

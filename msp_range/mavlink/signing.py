@@ -12,10 +12,11 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from msp_range.clock import Clock
 from msp_range.input_file import making, read_text
-from msp_range.mavlink.frames import SIGNATURE_BYTES, SIGNED, Frame, checked_again
+from msp_range.mavlink.frames import SIGNATURE_BYTES, Frame
 from msp_range.state_folder import state_folder
 from msp_range.yaml_file import ConfigError
 
@@ -23,7 +24,6 @@ TIME_NAME = "signing-time"
 KEY_BYTES = 32
 MOST_FILE_BYTES = 1_000_000
 """A file of a key or a time that is larger is refused unread: both take less than a hundred bytes."""
-LINK_ID = 0
 EPOCH_S = 1_420_070_400.0
 """2015-01-01 UTC, where timestamps begin [s since 1970]."""
 UNITS_PER_S = 100_000
@@ -92,16 +92,16 @@ class Signing:
             threading.Thread(target=self._keep_reserved, name="signing", daemon=True).start()
         return self._last
 
-    def sign(self, frame: bytes) -> bytes:
-        """A MAVLink 2 frame with its signature."""
-        signed = checked_again(frame[:2] + bytes((frame[2] | SIGNED,)) + frame[3:])
-        signed += bytes((LINK_ID,)) + self.timestamp().to_bytes(6, "little")
-        return signed + self._signature(signed)
+    def sign_next(self, mav: Any) -> None:
+        """Have a sender (pymavlink's ``MAVLink``) sign the next frame that it packs, as that of link 0."""
+        mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = self._key, True, self.timestamp()
 
     def accepts(self, frame: Frame) -> bool:
         """Whether a received frame may be used: its signature is right, and it is newer than those before."""
         data = frame.data
-        if not frame.is_signed or not hmac.compare_digest(data[-6:], self._signature(data[:-6])):
+        if not frame.is_signed or not hmac.compare_digest(
+            data[-6:], hashlib.sha256(self._key + data[:-6]).digest()[:6]
+        ):
             return self._accepts_unsigned
         stream = (data[-SIGNATURE_BYTES], frame.system, frame.component)
         timestamp = int.from_bytes(data[-12:-6], "little")
@@ -112,9 +112,6 @@ class Signing:
         self._last = max(self._last, timestamp)
         self.verified += 1
         return True
-
-    def _signature(self, data: bytes) -> bytes:
-        return hashlib.sha256(self._key + data).digest()[:6]
 
     def _keep_reserved(self) -> None:
         try:

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import FrameReader, pack
+from msp_range.mavlink.frames import FrameReader
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import (
     EPOCH_S,
@@ -57,8 +57,12 @@ def heartbeat_1(mav: Any) -> bytes:
     return frame
 
 
-def our_heartbeat() -> bytes:
-    return pack(ardupilotmega.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 1, 191, 7)
+def our_heartbeat(signing: Signing | None = None) -> bytes:
+    mav = ardupilotmega.MAVLink(None, 1, 191)
+    if signing is not None:
+        signing.sign_next(mav)
+    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(mav)
+    return frame
 
 
 def received(frame: bytes) -> Any:
@@ -70,10 +74,10 @@ def test_pymavlink_accepts_what_is_signed() -> None:
     signing = Signing(KEY, VirtualClock(NOW_S))
     autopilot = peer()
     for _ in range(3):
-        (message,) = autopilot.parse_buffer(signing.sign(our_heartbeat()))
+        (message,) = autopilot.parse_buffer(our_heartbeat(signing))
         assert message.get_type() == "HEARTBEAT"
         assert message.get_signed()
-    (wrong,) = peer(b"x" * 32).parse_buffer(signing.sign(our_heartbeat()))
+    (wrong,) = peer(b"x" * 32).parse_buffer(our_heartbeat(signing))
     assert wrong.get_type() == "BAD_DATA"
     (unsigned,) = autopilot.parse_buffer(our_heartbeat())
     assert unsigned.get_type() == "BAD_DATA"
@@ -218,7 +222,7 @@ def test_a_damaged_time_is_replaced_by_the_clocks(
     for utc_s, first in ((NOW_S, NOW), (0.0, 1)):
         signing = signing_of(str(tmp_path / "key"), VirtualClock(utc_s))
         assert signing is not None
-        (message,) = peer(timestamp=0).parse_buffer(signing.sign(our_heartbeat()))
+        (message,) = peer(timestamp=0).parse_buffer(our_heartbeat(signing))
         assert message.get_type() == "HEARTBEAT"
         assert signing.timestamp() == first + 1
         for thread in threading.enumerate():
@@ -232,7 +236,7 @@ def test_a_date_that_no_clock_shows_is_not_followed() -> None:
     """A real-time clock whose battery is empty may show any year."""
     signing = Signing(KEY, VirtualClock(EPOCH_S + 2**48 / UNITS_PER_S), kept=NOW)
     assert signing.timestamp() == NOW + 1
-    assert len(signing.sign(our_heartbeat())) > len(our_heartbeat())
+    assert len(our_heartbeat(signing)) > len(our_heartbeat())
 
 
 def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> None:
