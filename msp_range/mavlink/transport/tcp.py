@@ -32,54 +32,38 @@ def _prepare(tcp: socket.socket) -> None:
     tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(STUCK_AFTER_S * 1000))
 
 
-class TcpOut(StreamTransport):
+class TcpOut(StreamTransport[socket.socket]):
     """``tcp``: a client of one server."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
         super().__init__(str(url), clock)
-        self._port = url.port
-        self._resolver = Resolver(url.host)
-        self._socket: socket.socket | None = None
+        self._resolver = Resolver(url)
         self._address = ("", 0)
         self._give_up_at_s = 0.0
         self._try_open()
 
     def _open(self) -> bool:
-        if self._socket is None:
-            host = self._resolver.address()
-            if host is None:
+        if self._handle is None:
+            address = self._resolver.address()
+            if address is None:
                 return False
-            self._address = (host, self._port)
+            self._address = address
             self._give_up_at_s = self._clock.now() + CONNECT_DEADLINE_S
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-            _prepare(self._socket)
+            self._handle = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            _prepare(self._handle)
         # Called again during the attempt, connect returns its state.
-        error = self._socket.connect_ex(self._address)
+        error = self._handle.connect_ex(self._address)
         if error in (errno.EINPROGRESS, errno.EALREADY):
             if self._clock.now() > self._give_up_at_s:
                 raise TimeoutError(f"no answer within {CONNECT_DEADLINE_S:.0f} s")
             return False
-        if error not in (0, errno.EISCONN):
-            raise OSError(error, os.strerror(error))
-        if self._socket.getsockname() == self._socket.getpeername():
+        if error in (0, errno.EISCONN):
+            if self._handle.getsockname() != self._handle.getpeername():
+                self._stream = FrameStream(self._handle.send, self._clock, self.stats, STUCK_AFTER_S)
+                return True
             # A free port on this computer can be given to the socket itself, and it is then connected to itself.
-            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
-        self._stream = FrameStream(self._socket.send, self._clock, self.stats, STUCK_AFTER_S)
-        return True
-
-    def _read(self) -> bytes:
-        assert self._socket is not None
-        return self._socket.recv(RECEIVE_BOUND_BYTES)
-
-    def _fileno(self) -> int:
-        assert self._socket is not None
-        return self._socket.fileno()
-
-    def _release(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-        super()._release()
+            error = errno.ECONNREFUSED
+        raise OSError(error, os.strerror(error))
 
 
 class _Client(Peer):
@@ -91,7 +75,7 @@ class _Client(Peer):
         self.stream = stream
 
 
-class TcpIn(Reconnecting):
+class TcpIn(Reconnecting[socket.socket]):
     """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received.
 
     A client that sends no valid frame for 10 s is dropped. If the maximum number is reached, a new client
@@ -100,9 +84,7 @@ class TcpIn(Reconnecting):
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
         super().__init__(str(url), clock)
-        self._port = url.port
-        self._resolver = Resolver(url.host)
-        self._listener: socket.socket | None = None
+        self._resolver = Resolver(url)
         self._clients: list[_Client] = []
         self._try_open()
 
@@ -114,9 +96,9 @@ class TcpIn(Reconnecting):
     @property
     def files(self) -> Sequence[int]:
         """All sockets; none while frames wait, which `receive` writes."""
-        if self._listener is None or not all(client.stream.is_empty for client in self._clients):
+        if not all(client.stream.is_empty for client in self._clients):
             return ()
-        return (self._listener.fileno(), *(client.tcp.fileno() for client in self._clients))
+        return (*super().files, *(client.tcp.fileno() for client in self._clients))
 
     def send(self, frame: bytes) -> bool:
         """Send a frame to every client, now or within 0.25 s; False if no client can get it."""
@@ -132,10 +114,9 @@ class TcpIn(Reconnecting):
 
     def receive(self) -> bytes:
         """Return the complete frames that have arrived; accept clients, and write waiting frames."""
-        if self._listener is None:
-            self._try_open()
-        if self._listener is not None:
-            self._accept(self._listener)
+        listener = self._opened()
+        if listener is not None:
+            self._accept(listener)
         now_s = self._clock.now()
         received: list[bytes] = []
         for client in self._clients.copy():
@@ -153,22 +134,20 @@ class TcpIn(Reconnecting):
         return b"".join(received)
 
     def _open(self) -> bool:
-        host = self._resolver.address()
-        if host is None:
+        address = self._resolver.address()
+        if address is None:
             return False
-        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._listener.setblocking(False)
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self._listener.bind((host, self._port))
-        self._listener.listen()
+        self._handle = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._handle.setblocking(False)
+        self._handle.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._handle.bind(address)
+        self._handle.listen()
         return True
 
     def _release(self) -> None:
         for client in self._clients.copy():
             self._drop(client)
-        if self._listener is not None:
-            self._listener.close()
-            self._listener = None
+        super()._release()
 
     def _accept(self, listener: socket.socket) -> None:
         for _ in range(MOST_CLIENTS):
