@@ -281,13 +281,7 @@ class Bridge:
         )
         self._schedule = schedule or polling_order(airframe, bus, clock.now())
         self._poller = Poller(bus, clock, self._schedule)
-        self._streams = Streams(
-            {sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors},
-            single_streams(airframe),
-            fused_stream(airframe),
-            object_streams(airframe),
-            self._send,
-        )
+        self._streams = Streams({sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors}, self._send)
         self._limits_c = float("inf")  # The first reading sets the limits of its air.
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
         self._output = OutputWatch(always, self._windows.silence_s, clock.now())

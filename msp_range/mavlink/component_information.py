@@ -6,6 +6,7 @@ Fields and their order on the wire as in MAVLink's common.xml; tests compute the
 import struct
 from typing import Any
 
+from msp_range import __version__
 from msp_range.mavlink.dialect import dialect
 
 MESSAGE_ID = 396
@@ -19,13 +20,13 @@ class ComponentInformationBasic(dialect.MAVLink_message):  # type: ignore[misc]
     id = MESSAGE_ID
     msgname = "COMPONENT_INFORMATION_BASIC"
 
-    def __init__(self, time_boot_ms: int, vendor_name: str, model_name: str, software_version: str) -> None:
+    def __init__(self, time_boot_ms: int) -> None:
         super().__init__(MESSAGE_ID, self.msgname)
         self._time_boot_ms = time_boot_ms
-        self._texts = vendor_name.encode()[:31], model_name.encode()[:31], software_version.encode()[:23]
 
     def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
         """The frame, as pymavlink's messages make it."""
-        payload = _WIRE.pack(0, self._time_boot_ms, 0, *self._texts, b"", b"")
+        version = __version__.encode()[:23]
+        payload = _WIRE.pack(0, self._time_boot_ms, 0, b"msp-range", b"range finder bridge", version, b"", b"")
         frame: bytes = self._pack(mav, CRC_EXTRA, payload, force_mavlink1)
         return frame

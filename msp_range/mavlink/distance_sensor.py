@@ -80,19 +80,19 @@ def make_stream(
 def distance_sensor(
     stream: Stream,
     time_boot_ms: int,
-    range_m: float,
+    range_m: float | None,
     variance_m2: float,
     field_of_view_rad: float,
     quality: int,
 ) -> Any:
-    """DISTANCE_SENSOR with a distance.
+    """DISTANCE_SENSOR with a distance, or of a working sensor without an echo.
 
     Parameters
     ----------
     time_boot_ms
         Time of the echo on the autopilot's clock [ms].
     range_m
-        Distance [m]; limited to what the sensor can report.
+        Distance [m]; limited to what the sensor can report. None: no echo, of which only the field of view counts.
     variance_m2
         Variance of its error [m^2]; infinite if unknown. Sent in cm^2, rounded up, 1 to 254.
     field_of_view_rad
@@ -105,22 +105,16 @@ def distance_sensor(
     ValueError
         The range is not a number: that is a fault, and a fault is never sent.
     """
-    if not math.isfinite(range_m):
-        raise ValueError(f"a distance of {range_m} m cannot be sent")
-    current_cm = round(min(max(range_m * 100, stream.min_distance_cm + 1), stream.max_distance_cm))
-    covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254)) if math.isfinite(variance_m2) else COVARIANCE_UNKNOWN
-    quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
-    return _message(stream, time_boot_ms, current_cm, covariance, field_of_view_rad, quality)
-
-
-def no_echo(stream: Stream, time_boot_ms: int, field_of_view_rad: float) -> Any:
-    """DISTANCE_SENSOR for a working sensor without an echo."""
-    return _message(stream, time_boot_ms, stream.no_echo_cm, COVARIANCE_UNKNOWN, field_of_view_rad, QUALITY_INVALID)
-
-
-def _message(
-    stream: Stream, time_boot_ms: int, current_cm: int, covariance: int, field_of_view_rad: float, quality: int
-) -> Any:
+    covariance = COVARIANCE_UNKNOWN
+    if range_m is None:
+        current_cm, quality = stream.no_echo_cm, QUALITY_INVALID
+    else:
+        if not math.isfinite(range_m):
+            raise ValueError(f"a distance of {range_m} m cannot be sent")
+        current_cm = round(min(max(range_m * 100, stream.min_distance_cm + 1), stream.max_distance_cm))
+        quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
+        if math.isfinite(variance_m2):
+            covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254))
     return _Message(
         time_boot_ms & 0xFFFFFFFF,
         stream.min_distance_cm,

@@ -6,7 +6,6 @@ message's name, so a refusal counts only if a single request was pending.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from msp_range.mavlink.dialect import dialect
 
@@ -33,18 +32,10 @@ were pending, requests are `ANSWER_S` apart."""
 _NOT_REFUSED = (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 
 
-class Request(NamedTuple):
-    """A message to request: its number, and its interval [us]."""
-
-    message_id: int
-    interval_us: float
-
-
 class _Message:
     """The state of one required message."""
 
-    def __init__(self, name: str, rate_hz: float) -> None:
-        self.name = name
+    def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         self.ask_anew(float("-inf"))
 
@@ -80,15 +71,10 @@ class WantedMessages:
     """
 
     def __init__(self, rates_hz: Mapping[str, float]) -> None:
-        self._messages = {_message_id(name): _Message(name, rate_hz) for name, rate_hz in rates_hz.items()}
-        self._under_way: list[tuple[float, _Message]] = []
-        self._next_request_s = float("-inf")
-        self._apart_s = APART_S
-
-    @property
-    def refused(self) -> frozenset[str]:
-        """Messages that the autopilot refused to send; they are not requested again."""
-        return frozenset(message.name for message in self._messages.values() if message.refused)
+        self._messages: dict[int, _Message] = {
+            getattr(dialect, f"MAVLINK_MSG_ID_{name}"): _Message(rate_hz) for name, rate_hz in rates_hz.items()
+        }
+        self.ask_anew(float("-inf"))
 
     def on_message(self, now_s: float, message_id: int) -> None:
         """Count a message of the autopilot."""
@@ -111,8 +97,8 @@ class WantedMessages:
         self._under_way = under_way[1:]
         self._next_request_s = now_s
 
-    def request(self, now_s: float) -> Request | None:
-        """The messages to request now."""
+    def request(self, now_s: float) -> tuple[int, float] | None:
+        """The message to request now: its number, and its interval [us]."""
         if now_s < self._next_request_s:
             return None
         self._next_request_s = now_s + self._apart_s
@@ -124,21 +110,16 @@ class WantedMessages:
             message.start_measuring(now_s)
             if slow:
                 self._under_way = [*self._not_yet_answered(now_s), (now_s, message)]
-                return Request(message_id, 1e6 / message.rate_hz)
+                return message_id, 1e6 / message.rate_hz
         return None
 
     def ask_anew(self, now_s: float) -> None:
         """Forget refusals and rates: this may be another autopilot or another firmware."""
         for message in self._messages.values():
             message.ask_anew(now_s)
-        self._under_way = []
+        self._under_way: list[tuple[float, _Message]] = []
         self._next_request_s = float("-inf")
         self._apart_s = APART_S
 
     def _not_yet_answered(self, now_s: float) -> list[tuple[float, _Message]]:
         return [each for each in self._under_way if now_s - each[0] < ANSWER_S]
-
-
-def _message_id(name: str) -> int:
-    message_id: int = getattr(dialect, f"MAVLINK_MSG_ID_{name}")
-    return message_id
