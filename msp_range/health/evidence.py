@@ -48,8 +48,6 @@ class Evidence:
     ([False, False, False, True], 4.0)
     """
 
-    __slots__ = ("_expected", "_found", "_since", "_sum", "_threshold", "is_found")
-
     def __init__(self, threshold: float) -> None:
         self._threshold = threshold
         self.is_found = False
@@ -119,8 +117,6 @@ class Occurrences:
     nones
         Readings since it last happened.
     """
-
-    __slots__ = ("_frequency", "_odds", "_probability", "_readings", "evidence", "nones")
 
     def __init__(self, threshold: float, odds: float) -> None:
         self.evidence = Evidence(threshold)

@@ -80,11 +80,6 @@ class OutputWatch:
         limits_s = [usable_s + self._silence_s for usable_s in self._usable_s.values()]
         return min([limit_s for limit_s in limits_s if limit_s > now_s], default=float("inf"))
 
-    def silent(self, now_s: float) -> list[str]:
-        """Streams that have sent nothing usable for too long."""
-        # Compare sums, not differences: at exactly the limit a stream is silent, whatever was rounded.
-        return [name for name, usable_s in self._usable_s.items() if now_s >= usable_s + self._silence_s]
-
     def conditions(
         self, now_s: float, failing: Collection[str], finding: SensorFinding | None = None
     ) -> list[Condition]:
@@ -99,13 +94,13 @@ class OutputWatch:
         finding
             What was found of a sensor last, the second source of 'noisy'.
         """
-        silent = self.silent(now_s)
         found = []
-        for name in self._usable_s:
+        for name, usable_s in self._usable_s.items():
             text, over = f"Range {name}: no distance", f"Range {name}: distance is back"
             if name == FUSED:
                 text, over = "Range: no distance to the ground", "Range: distance is back"
-            now = text if name in silent else None
+            # Compare sums, not differences: at exactly the limit a stream is silent, whatever was rounded.
+            now = text if now_s >= usable_s + self._silence_s else None
             key, is_reported = f"silence {name}", name not in failing
             found.append(Condition(key, now, over, Severity.ERROR, remedy=_SILENT, is_reported=is_reported))
         rejected = len(self._used) - sum(self._used)

@@ -177,18 +177,3 @@ def signing_of(key_file: str | None, clock: Clock, accepts_unsigned: bool = Fals
             os.fsync(file.fileno())
 
     return Signing(key, clock, kept, keep, accepts_unsigned)
-
-
-def make_key(path: Path, key: bytes) -> None:
-    """Write a new key file that only its owner can read.
-
-    Raises
-    ------
-    ConfigError
-        There is a file already, or none can be made.
-    """
-    try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-            file.write(key.hex() + "\n")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None

@@ -115,11 +115,13 @@ def test_the_reference_is_the_others_height_at_the_time_of_the_reading() -> None
     """On a steady climb, exactly; its own reading and its own sensor's take no part."""
     climb_m_s = 1.5
 
-    def seen(i: int, sensor: int, off_m: float = 0.0) -> Sighting:
+    def seen(i: int, sensor: str, off_m: float = 0.0) -> Sighting:
         height_m = 2.0 + climb_m_s * i * SLOT_S + off_m
         return Sighting(i * SLOT_S, sensor, height_m, STD_M, GroundUse.GROUND, height_m, None, climb_m_s, DOWN)
 
-    window = [seen(0, 3), seen(1, 1, 5.0), seen(2, 0), seen(3, 1, 5.0), seen(4, 2), seen(5, 1, 5.0), seen(6, 3)]
+    window = [
+        seen(*each) for each in ((0, "d"), (1, "b", 5.0), (2, "a"), (3, "b", 5.0), (4, "c"), (5, "b", 5.0), (6, "d"))
+    ]
     found = reference(window, 3, 1.0)
     assert found is not None
     assert found.height_m == pytest.approx(2.0 + climb_m_s * 0.3)
@@ -220,7 +222,7 @@ def test_an_object_below_a_sensor_is_no_short_reading_and_single_ones_are() -> N
 def test_outliers_of_the_ground_do_not_teach_a_larger_scatter() -> None:
     watch = watch_of()
     fly(watch, lambda name, time_s: -0.14 if name == "a" and time_s % 4.0 < 0.4 else 0.0, 100.0)
-    assert watch._sensors[0].scale < 1.5
+    assert watch._sensors["a"].scale < 1.5
 
 
 def test_a_shift_is_asked_for_only_while_the_vehicle_moves_over_level_ground() -> None:
