@@ -71,20 +71,17 @@ class Evidence:
             What is counted of the reading: its expectation by the model, and its value.
         """
         if self.is_found:
-            self._sum = (self._sum + 1.0) / likelihood_ratio
-            if self._sum < RECOVERS_READINGS:
-                return False
-            self._since = 0.0
+            self._sum, limit = (self._sum + 1.0) / likelihood_ratio, RECOVERS_READINGS
         else:
             if self._since <= 1.0:
                 self._since, self._expected, self._found = 1.0, 0.0, 0.0
             self._since *= likelihood_ratio
             self._expected += expected
             self._found += found
-            self._sum = likelihood_ratio * (self._sum + 1.0)
-            if self._sum < self._threshold:
-                return False
-        self._sum = 0.0
+            self._sum, limit = likelihood_ratio * (self._sum + 1.0), self._threshold
+        if self._sum < limit:
+            return False
+        self._sum = self._since = 0.0
         self.is_found = not self.is_found
         return True
 

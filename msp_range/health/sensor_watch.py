@@ -93,6 +93,8 @@ TURNS_APART = 1.7
 """Readings up to so many turns apart are successive: beyond them nothing is known of the correlation."""
 BAROMETER_M_S = 0.3
 """A single sensor's repeats count as far as the barometer's climb is more than this [m/s], its error."""
+LEVEL: Vector = (0.0, 0.0, 1.0)
+"""Straight down where the attitude is not known."""
 MOST_NEIGHBOURS = 3
 """Readings before and after one among which its reference is looked for: a turn of four sensors."""
 
@@ -102,11 +104,9 @@ class _Sensor:
 
     def __init__(self, name: str, expected: Expected, readings: float) -> None:
         self.name, self.expected = name, expected
-        self.faces_level = expected.boresight[2] > expected.facing_cosine
         self.others: list[_Sensor] = []
         self.rare = {kind: Occurrences(readings / WEIGHTS[kind], odds) for kind, odds in ODDS.items()}
         self.wider, self.shifted = Evidence(readings / WEIGHTS["wider"]), Evidence(readings / WEIGHTS["shifted"])
-        self.findings: dict[Kind, SensorFinding] = {}
         # Slow means of its readings: how many there were, offset from the others [m], mean square of e, and of the
         # others' offsets the variance [m^2].
         self.readings, self.offset_m, self.scale, self.rough_m2 = 0, 0.0, 1.0, 0.0
@@ -207,11 +207,11 @@ class SensorWatch:
 
         ``moved_m``: by how much that has changed since its reading before, to ``height_m``.
         """
-        seen, down, expected = sighting.seen, sighting.down, own.expected
+        seen, expected = sighting.seen, own.expected
         if range_m is not None and NEAREST_M < range_m < FARTHEST * expected.maximum_m:
             if seen is not GroundUse.MISSED:
                 own.rare["missed"].nones += 1
-            elif own.faces_level if down is None else dot(down, expected.boresight) > expected.facing_cosine:
+            elif dot(sighting.down or LEVEL, expected.boresight) > expected.facing_cosine:
                 self._happens(own, "missed", missed_share(expected, range_m))
         if (
             sighting.time_s - own.time_s < self._successive_s
@@ -241,18 +241,20 @@ class SensorWatch:
         self._count(own, sighting, others_m, moved_m, others_m)
         if seen is GroundUse.REPEATED:
             return
+        before, is_successive = own.x, own.x_s > time_s - self._successive_s
+        own.x, own.x_s = 0.0, -math.inf
         if height_m is None or seen is GroundUse.MISSED:
             self._confirm_short(own)
-            own.seen_m, own.x, own.x_s = None, 0.0, -math.inf
+            own.seen_m = None
             return
         off_m = height_m - others_m
         variance_m2 = std_m * std_m + others.variance_m2
         deviation_m = math.sqrt(variance_m2)
         x = (off_m - own.offset_m) / deviation_m
         e = x
-        phi = max(min(self._product / self._square, MOST_CORRELATION), self._model_correlation)
-        if own.x_s > time_s - self._successive_s and phi > 0.0:
-            e = (x - phi * own.x) / math.sqrt(1.0 - phi * phi)
+        if is_successive:
+            phi = max(min(self._product / self._square, MOST_CORRELATION), self._model_correlation, 0.0)
+            e = (x - phi * before) / math.sqrt(1.0 - phi * phi)
         limit = OFF * math.sqrt(scale)
         agrees = own.seen_m is not None and abs(off_m - own.seen_m) < AGREE_M
         if agrees:
@@ -262,7 +264,7 @@ class SensorWatch:
         is_ground = seen is GroundUse.GROUND
         # Two large differences in a row that are alike: a stone or an edge below the sensor.
         step = STEP * limit
-        has_stepped = own.x * x > step * step and abs(own.x - x) < step
+        has_stepped = before * x > step * step and abs(before - x) < step
         if own.readings > WARM_UP:
             if e >= -limit:
                 own.rare["short"].nones += 1
@@ -278,29 +280,25 @@ class SensorWatch:
                     self._report(own, "wider", own.wider)
             if abs(own.offset_m - _mean([each.offset_m for each in self._sensors.values()])) > SHIFT_ASKED_M:
                 self._shift(own, sighting, others.climb_m_s, off_m, deviation_m)
-        if not is_ground:
-            own.x, own.x_s = 0.0, -math.inf
-        elif has_stepped:
-            own.offset_m += 0.5 * (x + own.x) * deviation_m
-            own.x, own.x_s = 0.0, -math.inf
-        else:
-            self._learn(own, x, e, limit, deviation_m, time_s)
+        if is_ground and has_stepped:
+            own.offset_m += 0.5 * (x + before) * deviation_m
+        elif is_ground:
+            if abs(e) <= limit:
+                own.x_s = time_s
+                if is_successive:
+                    self._product += (x * before - self._product) * CORRELATION_SHARE
+                self._square += (x * x - self._square) * CORRELATION_SHARE
+            own.x = x
+            self._learn(own, x * deviation_m, e, limit)
 
-    def _learn(self, own: _Sensor, x: float, e: float, limit: float, deviation_m: float, time_s: float) -> None:
-        """Offset, scatter and correlation, by a reading of the ground."""
+    def _learn(self, own: _Sensor, change_m: float, e: float, limit: float) -> None:
+        """Offset and scatter, by a reading of the ground."""
         own.readings += 1
-        change_m = x * deviation_m / min(own.readings, OFFSET_READINGS)
-        before, before_s = own.x, own.x_s
-        own.x = x
+        change_m /= min(own.readings, OFFSET_READINGS)
         if abs(e) > limit:
-            own.x_s = -math.inf
             change_m *= limit / abs(e)
         else:
-            own.x_s = time_s
             own.scale += (e * e - own.scale) / min(own.readings, SCALE_READINGS)
-            if before_s > time_s - self._successive_s:
-                self._product += (x * before - self._product) * CORRELATION_SHARE
-            self._square += (x * x - self._square) * CORRELATION_SHARE
         own.offset_m += change_m
         offsets_m = [each.offset_m for each in own.others]
         if len(offsets_m) >= LEVEL_SENSORS:
@@ -335,11 +333,10 @@ class SensorWatch:
     def _report(self, own: _Sensor, kind: Kind, evidence: Evidence) -> None:
         """Begin or end a finding."""
         if evidence.is_found:
-            finding = SensorFinding(own.name, kind, math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio)
-            own.findings[kind] = finding
-            self.findings.append(finding)
+            size = math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio
+            self.findings.append(SensorFinding(own.name, kind, size))
         else:
-            self.findings.remove(own.findings.pop(kind))
+            self.findings = [each for each in self.findings if (each.sensor, each.kind) != (own.name, kind)]
 
 
 def _mean(values: list[float]) -> float:

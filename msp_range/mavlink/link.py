@@ -121,8 +121,7 @@ class Link:
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self._sent_frames: deque[bytes] = deque(maxlen=SENT_KEPT)
-        self._autopilot_answers = _Allowance(ANSWERS_PER_S, now_s)
-        self._command_answers = _Allowance(ANSWERS_PER_S, now_s)
+        self._autopilot_answers, self._command_answers = _Allowance(now_s), _Allowance(now_s)
 
     @property
     def autopilot_is_present(self) -> bool:
@@ -201,15 +200,14 @@ class Link:
 
     def _ask(self, now_s: float) -> None:
         """Send due requests to the autopilot: for its time, and for a message that arrives too slowly."""
+        target = self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
         if now_s >= self.autopilot_clock.next_request_s:
-            target = self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
             self.send(_timesync(0, self.autopilot_clock.request(now_s), target))
         request = self.wanted.request(now_s)
         if request is not None:
             self.send(
                 dialect.MAVLink_command_long_message(
-                    self.autopilot_system,
-                    dialect.MAV_COMP_ID_AUTOPILOT1,
+                    *target,
                     dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
                     0,
                     *request,
@@ -361,23 +359,22 @@ def _bounded(waiting: Waiting, count: int) -> Waiting:
 
 
 class _Allowance:
-    """Limits events to a number per second, and to the same number at once.
+    """Limits answers to `ANSWERS_PER_S`, and to the same number at once.
 
     Examples
     --------
-    >>> allowance = _Allowance(2, 0.0)
-    >>> [allowance.take(time_s) for time_s in (0.0, 0.0, 0.0, 0.5, 0.5)]
-    [True, True, False, True, False]
+    >>> allowance = _Allowance(0.0)
+    >>> [sum(allowance.take(time_s) for _ in range(30)) for time_s in (0.0, 0.5, 9.0)]
+    [20, 10, 20]
     """
 
-    def __init__(self, per_s: int, now_s: float) -> None:
-        self._per_s = per_s
-        self._left = float(per_s)
+    def __init__(self, now_s: float) -> None:
+        self._left = float(ANSWERS_PER_S)
         self._last_s = now_s
 
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed; if so, it is counted."""
-        self._left = min(self._left + (now_s - self._last_s) * self._per_s, self._per_s)
+        self._left = min(self._left + (now_s - self._last_s) * ANSWERS_PER_S, ANSWERS_PER_S)
         self._last_s = now_s
         if self._left < 1.0:
             return False

@@ -38,7 +38,6 @@ class Outbox:
     ----------
     send
         Sends a message now.
-
     """
 
     def __init__(self, send: Callable[[Any], object]) -> None:
@@ -56,9 +55,10 @@ class Outbox:
         self._send(message)
         self._free_s = now_s + SPACING_S
 
-    def put(self, stream_id: int, message: Any) -> None:
-        """Queue a message; it replaces a waiting one of the same stream."""
+    def put(self, now_s: float, stream_id: int, message: Any) -> None:
+        """Queue a message, in place of a waiting one of the same stream, and send the next one if it is due."""
         self._waiting[stream_id] = message
+        self.send_due(now_s)
 
     def send_due(self, now_s: float) -> None:
         """Send the next waiting message if it is due."""
@@ -170,8 +170,7 @@ class Streams:
         if estimate is None and status is not Status.NO_ECHO:
             return False
         quality = quality_of(self._fits[sensor])
-        self.outbox.put(stream.id, self._message(stream, boot_ms, sensor, estimate, air, quality))
-        self.outbox.send_due(now_s)
+        self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, sensor, estimate, air, quality))
         return True
 
     def send_object(self, now_s: float, boot_ms: int, reading: Reading, air: Air) -> None:
@@ -181,8 +180,7 @@ class Streams:
             return
         variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
         estimate = Estimate(reading.range_m, variance_m2)
-        self.outbox.put(stream.id, self._message(stream, boot_ms, reading.sensor, estimate, air, QUALITY_BEST))
-        self.outbox.send_due(now_s)
+        self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, reading.sensor, estimate, air, QUALITY_BEST))
 
     def _message(
         self,

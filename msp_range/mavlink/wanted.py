@@ -46,15 +46,6 @@ class _Message:
         self.first_s = now_s
         self.next_check_s = now_s + FIRST_MEASURED_S
 
-    def is_slow(self, now_s: float) -> bool:
-        """Whether it has not arrived since the last check, or too slowly since it first arrived."""
-        return self.received == 0 or self.received < ENOUGH * self.rate_hz * (now_s - self.first_s)
-
-    def start_measuring(self, now_s: float) -> None:
-        self.received = 0
-        slowly = self.requests > QUICK_REQUESTS
-        self.next_check_s = now_s + (SLOW_REQUEST_S if slowly else max(MEASURED_S, MEASURED_INTERVALS / self.rate_hz))
-
 
 class WantedMessages:
     """Keeps track of required and received messages, and decides what to request next.
@@ -69,6 +60,8 @@ class WantedMessages:
     AttributeError
         The dialect has no such message.
     """
+
+    _under_way: list[tuple[float, _Message]]
 
     def __init__(self, rates_hz: Mapping[str, float]) -> None:
         self._messages: dict[int, _Message] = {
@@ -105,9 +98,12 @@ class WantedMessages:
         for message_id, message in self._messages.items():
             if message.refused or now_s < message.next_check_s:
                 continue
-            slow = message.is_slow(now_s)
+            # Not since the last check, or too slowly since it first arrived.
+            slow = message.received == 0 or message.received < ENOUGH * message.rate_hz * (now_s - message.first_s)
             message.requests = message.requests + 1 if slow else 0
-            message.start_measuring(now_s)
+            message.received = 0
+            measured_s = max(MEASURED_S, MEASURED_INTERVALS / message.rate_hz)
+            message.next_check_s = now_s + (SLOW_REQUEST_S if message.requests > QUICK_REQUESTS else measured_s)
             if slow:
                 self._under_way = [*self._not_yet_answered(now_s), (now_s, message)]
                 return message_id, 1e6 / message.rate_hz
@@ -117,7 +113,7 @@ class WantedMessages:
         """Forget refusals and rates: this may be another autopilot or another firmware."""
         for message in self._messages.values():
             message.ask_anew(now_s)
-        self._under_way: list[tuple[float, _Message]] = []
+        self._under_way = []
         self._next_request_s = float("-inf")
         self._apart_s = APART_S
 

@@ -7,7 +7,7 @@ come back by themselves after a loss (`base.Reconnecting`) and drop a frame rath
 from collections.abc import Callable
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import Nowhere, Transport, TransportStats, Wrapped
+from msp_range.mavlink.transport.base import Transport, TransportStats, Wrapped
 from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
 from msp_range.mavlink.transport.udp import UdpIn, UdpOut
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url

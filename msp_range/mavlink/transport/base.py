@@ -71,31 +71,6 @@ class Transport(Protocol):
         """Release the link; afterwards ``send`` drops and ``receive`` returns nothing."""
 
 
-class Nowhere:
-    """A transport that accepts every frame and never receives: for a bridge without a link."""
-
-    description = "nowhere"
-    last_error = None
-    connected = True
-    quiet_until_s = float("inf")
-    files = ()
-
-    def __init__(self) -> None:
-        self.stats = TransportStats()
-
-    def send(self, frame: bytes) -> bool:
-        """Count the frame."""
-        self.stats.sent_frames += 1
-        return True
-
-    def receive(self) -> bytes:
-        """Nothing."""
-        return b""
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-
 class Wrapped:
     """A transport on top of another one, which it passes everything on to; subclasses look at what passes."""
 
