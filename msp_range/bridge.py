@@ -136,7 +136,6 @@ class _Channel:
         if sensor.name in airframe.sent_names:
             self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
         self.topic = RANGE_PREFIX + sensor.name
-        self.name = sensor.name
         self.is_fused = sensor in airframe.downward
         self.readings = 0
         self.rejected: dict[str, int] = {}
@@ -404,7 +403,7 @@ class Bridge:
         """Send the fused distance, and what is below the sensor that is not ground."""
         reading, rejected = outcome.reading, outcome.rejected
         quality = quality_of(fusion.fit, fusion.is_tied)
-        if self._streams.send_fused(now_s, boot_ms, reading.sensor, outcome, air, quality):
+        if self._streams.send_fused(now_s, boot_ms, outcome, air, quality):
             self._output.on_usable(FUSED, now_s)
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
@@ -419,8 +418,8 @@ class Bridge:
         self, channel: _Channel, reading: Reading, filtered: Filtered, air: Air, now_s: float, boot_ms: int
     ) -> None:
         """Send the distance of one sensor's own stream."""
-        if self._streams.send_single(now_s, boot_ms, channel.name, reading.status, filtered, air):
-            self._output.on_usable(channel.name, now_s)
+        if self._streams.send_single(now_s, boot_ms, reading, filtered, air):
+            self._output.on_usable(reading.sensor, now_s)
         if not channel.is_fused and reading.range_m is not None:
             self._output.on_range(filtered.estimate is not None, 1.0)
 

@@ -19,13 +19,6 @@ QUALITY_LOWEST, QUALITY_BEST = 2, 100
 
 Autopilot = Literal["ardupilot", "px4"]
 
-TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
-"""Time without a message after which a range finder counts as lost [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's
-EKF2 requires readings at least this often."""
-
-ULTRASOUND: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
-LASER: int = dialect.MAV_DISTANCE_SENSOR_LASER
-RADAR: int = dialect.MAV_DISTANCE_SENSOR_RADAR
 _Message = dialect.MAVLink_distance_sensor_message
 
 
@@ -44,7 +37,7 @@ class Stream:
     no_echo_cm
         ``current_distance`` for no echo [cm].
     type
-        `ULTRASOUND`, `LASER` or `RADAR`.
+        MAV_DISTANCE_SENSOR.
     """
 
     id: int
@@ -52,7 +45,7 @@ class Stream:
     min_distance_cm: int
     max_distance_cm: int
     no_echo_cm: int
-    type: int = ULTRASOUND
+    type: int
 
 
 def make_stream(
@@ -61,7 +54,7 @@ def make_stream(
     shortest_cm: int,
     longest_cm: int,
     autopilot: Autopilot,
-    type: int = ULTRASOUND,
+    type: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND,
 ) -> Stream:
     """Make a stream with the bounds and the no-echo value that the autopilot expects.
 

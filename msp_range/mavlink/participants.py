@@ -45,8 +45,9 @@ class Participants:
             "autopilot lost": "Range: the first autopilot is back",
             "signing": "Range: the autopilot's signature is right now",
         }
-        both = "msp-range sign AIRFRAME.yaml gives both the same key"
-        self._remedies = {"signing": PX4_SIGNS_NOT if expected == "px4" else both}
+        self._signing_remedy = "msp-range sign AIRFRAME.yaml gives both the same key"
+        if expected == "px4":
+            self._signing_remedy = PX4_SIGNS_NOT
         # When each was last seen, and its text.
         self._seen = dict.fromkeys(self._over, (float("-inf"), ""))
         self._suspected_s: dict[str, list[float]] = {}
@@ -77,7 +78,7 @@ class Participants:
                 key,
                 text if now_s - last_s < HOLD_S else None,
                 self._over[key],
-                remedy=self._remedies.get(key, EXPLAINED),
+                remedy=self._signing_remedy if key == "signing" else EXPLAINED,
             )
             for key, (last_s, text) in self._seen.items()
         ]

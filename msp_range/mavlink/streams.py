@@ -129,7 +129,7 @@ class Streams:
         """
         self._singles, self._fused, self._objects = singles, fused, objects
 
-    def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air, quality: int) -> bool:
+    def send_fused(self, now_s: float, boot_ms: int, outcome: Outcome, air: Air, quality: int) -> bool:
         """Send the fused stream's message for a downward sensor's reading; False if there is nothing usable.
 
         Parameters
@@ -138,8 +138,8 @@ class Streams:
             Time on the bridge's clock [s].
         boot_ms
             Time of the echo on the autopilot's clock [ms].
-        sensor, outcome
-            The sensor, and the fusion's result.
+        outcome
+            The fusion's result.
         air
             The air temperature used for compensation; its uncertainty is added to the variance.
         quality
@@ -147,27 +147,28 @@ class Streams:
         """
         if self._fused is None or (outcome.fused is None and not outcome.above_maximum):
             return False
-        self.outbox.send_now(now_s, self._message(self._fused, boot_ms, sensor, outcome.fused, air, quality))
+        self.outbox.send_now(
+            now_s, self._message(self._fused, boot_ms, outcome.reading.sensor, outcome.fused, air, quality)
+        )
         return True
 
-    def send_single(
-        self, now_s: float, boot_ms: int, sensor: str, status: Status, filtered: Filtered, air: Air
-    ) -> bool:
+    def send_single(self, now_s: float, boot_ms: int, reading: Reading, filtered: Filtered, air: Air) -> bool:
         """Send the message of the sensor's own stream for a reading; False if there is nothing usable.
 
         Parameters
         ----------
-        now_s, boot_ms, sensor, air
+        now_s, boot_ms, air
             As for `send_fused`.
-        status, filtered
-            Status of the sensor's answer, and its filters' result.
+        reading, filtered
+            The sensor's answer, and its filters' result.
         """
-        stream, estimate = self._singles[sensor], filtered.estimate
+        sensor, estimate = reading.sensor, filtered.estimate
+        stream = self._singles[sensor]
         if filtered.rejected in (None, UNEXPECTED):
             # A filter does not say how far off a reading was that it used: by as much as stated, then.
             square = 1.0 if filtered.rejected is None else FIT_OUTLIER
             self._fits[sensor] += (square - self._fits[sensor]) / FIT_READINGS
-        if estimate is None and status is not Status.NO_ECHO:
+        if estimate is None and reading.status is not Status.NO_ECHO:
             return False
         quality = quality_of(self._fits[sensor])
         self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, sensor, estimate, air, quality))

@@ -8,6 +8,7 @@ from io import FileIO
 from typing import Any, Generic, Protocol, TypeVar
 
 from msp_range.clock import Clock
+from msp_range.mavlink.transport.url import TransportUrl
 
 RETRY_FIRST_S = 0.5
 RETRY_LONGEST_S = 5.0
@@ -107,20 +108,21 @@ Handle = TypeVar("Handle", socket.socket, FileIO)
 class Reconnecting(ABC, Generic[Handle]):
     """Opens at once, then 0.5 s after a failure, with twice the delay after each further one, up to 5 s.
 
-    Subclasses implement opening.
+    Subclasses implement opening, and make what that needs before they call this class's constructor.
     """
 
     quiet_until_s = float("-inf")
     _handle: Handle | None = None
 
-    def __init__(self, description: str, clock: Clock) -> None:
-        self.description = description
+    def __init__(self, url: TransportUrl, clock: Clock) -> None:
+        self.description = str(url)
         self.stats = TransportStats()
         self.last_error: str | None = None
         self._clock = clock
         self._open_at_s = float("-inf")
         self._retry_delay_s = RETRY_FIRST_S
         self._was_open = False
+        self._try_open()
 
     @abstractmethod
     def _open(self) -> bool:

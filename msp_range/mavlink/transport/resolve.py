@@ -42,7 +42,6 @@ class Resolver:
     def _look_up(self) -> None:
         try:
             self._answer = str(socket.getaddrinfo(self._host, None, socket.AF_INET)[0][4][0])
-        except OSError as error:
-            self._answer = OSError(error.errno, f"cannot look up {self._host!r}: {error.strerror or error}")
-        except UnicodeError as error:
-            self._answer = OSError(f"cannot look up {self._host!r}: {error}")
+        except (OSError, UnicodeError) as error:
+            why = getattr(error, "strerror", None) or error
+            self._answer = OSError(f"cannot look up {self._host!r}: {why}")

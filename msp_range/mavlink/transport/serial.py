@@ -21,9 +21,8 @@ class Serial(StreamTransport[FileIO]):
     """``serial``: a device file, which may vanish (unplugged) and return under the same name."""
 
     def __init__(self, url: SerialUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
         self._url = url
-        self._try_open()
+        super().__init__(url, clock)
 
     def _open(self) -> bool:
         # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.

@@ -36,11 +36,10 @@ class TcpOut(StreamTransport[socket.socket]):
     """``tcp``: a client of one server."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
         self._resolver = Resolver(url)
         self._address = ("", 0)
         self._give_up_at_s = 0.0
-        self._try_open()
+        super().__init__(url, clock)
 
     def _open(self) -> bool:
         if self._handle is None:
@@ -83,10 +82,9 @@ class TcpIn(Reconnecting[socket.socket]):
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
         self._resolver = Resolver(url)
         self._clients: list[_Client] = []
-        self._try_open()
+        super().__init__(url, clock)
 
     @property
     def connected(self) -> bool:

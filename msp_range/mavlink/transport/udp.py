@@ -31,10 +31,9 @@ class _Udp(Reconnecting[socket.socket]):
     """Common part of both kinds of UDP link: one socket, and the received datagrams."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
         self._resolver = Resolver(url)
         self._refused_at_s = float("-inf")
-        self._try_open()
+        super().__init__(url, clock)
 
     def receive(self) -> bytes:
         """Return the datagrams that have arrived, joined."""
