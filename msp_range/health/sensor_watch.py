@@ -225,8 +225,8 @@ class SensorWatch:
         own.time_s, own.height_m, own.raw = sighting.time_s, height_m, sighting.raw
         # What has not happened to a sensor with a finding may end it.
         for kind, each in own.rare.items():
-            if each.evidence.is_found and each.settle():
-                self._report(own, kind, each.evidence)
+            if each.is_found and each.settle():
+                self._report(own, kind, each)
 
     def _compare(self, own: _Sensor, sighting: Sighting) -> None:
         """A reading with the others' around it."""
@@ -308,7 +308,7 @@ class SensorWatch:
     def _happens(self, own: _Sensor, kind: Kind, probability: float) -> None:
         """Something rare happens, which has this probability by the model."""
         if own.rare[kind].happens(probability, [each.rare[kind] for each in own.others]):
-            self._report(own, kind, own.rare[kind].evidence)
+            self._report(own, kind, own.rare[kind])
 
     def _confirm_short(self, own: _Sensor) -> None:
         """The short reading before was one: the reading after it does not agree."""
