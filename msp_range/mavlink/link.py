@@ -189,7 +189,7 @@ class Link:
         # Nobody would get a text: it is for those who look.
         found.append(Condition("autopilot", missing, "", Severity.ERROR, remedy=remedy, is_reported=False))
         if self._signing is not None:
-            text = None if self._signing.fault is None else "Range: signing time is not kept, check the disk"
+            text = None if self._signing.keeps_time else "Range: signing time is not kept, check the disk"
             found.append(Condition("signing time", text, "Range: signing time is kept again"))
         return found
 

@@ -59,8 +59,8 @@ class Signing:
 
     Attributes
     ----------
-    fault : str or None
-        Why the time cannot be kept, in a few words for the pilot.
+    keeps_time : bool
+        Whether the time could be kept when that was last tried.
     verified : int
         Frames received that were signed with this key.
     """
@@ -80,7 +80,7 @@ class Signing:
         self._keeping = threading.Lock()
         self._accepts_unsigned = accepts_unsigned
         self._streams: dict[tuple[int, int, int], int] = {}
-        self.fault: str | None = None
+        self.keeps_time = True
         self.verified = 0
 
     def timestamp(self) -> int:
@@ -118,10 +118,9 @@ class Signing:
             # One after the other: a slow disk must not end with the older of two times.
             with self._keeping:
                 self._keep(self._reserved)
-        except OSError as error:
-            self.fault = error.strerror or str(error)
-        else:
-            self.fault = None
+            self.keeps_time = True
+        except OSError:
+            self.keeps_time = False
 
 
 def _possible(timestamp: int) -> int:

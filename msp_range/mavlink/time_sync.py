@@ -146,12 +146,13 @@ class AutopilotClock:
         self._update(now_s)
 
     def _update(self, now_s: float) -> None:
-        for samples in (self._exchanges, self._system_times):
-            recent = [each for each in samples if now_s - each.received_s <= OLDEST_S]
-            if recent:
-                # Of messages without an error, the one with the smallest delay.
-                self._offset_s = min(recent, key=lambda each: (each.error_s, -each.offset_s)).offset_s
-                return
+        exchanges = [each for each in self._exchanges if now_s - each.received_s <= OLDEST_S]
+        if exchanges:
+            self._offset_s = min(exchanges, key=lambda each: each.error_s).offset_s
+            return
+        system_times = [each.offset_s for each in self._system_times if now_s - each.received_s <= OLDEST_S]
+        if system_times:
+            self._offset_s = max(system_times)
 
     def _goes_back(self, time_s: float) -> bool:
         """Whether a time of the autopilot is before the newest one that it has sent."""

@@ -1,8 +1,8 @@
 """MAVLink over a serial port: raw, 8 data bits, no parity, one stop bit, no flow control, exclusive use."""
 
-import array
 import fcntl
 import os
+import sys
 import termios
 from contextlib import suppress
 from io import FileIO
@@ -58,9 +58,7 @@ class Serial(StreamTransport[FileIO]):
 
 def queued_bytes(file: FileIO) -> int:
     """Bytes that the kernel has buffered; 0 if the driver does not report them."""
-    count = array.array("i", [0])
-    fcntl.ioctl(file, termios.TIOCOUTQ, count)
-    return count[0]
+    return int.from_bytes(fcntl.ioctl(file, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
 def _make_exclusive(file: FileIO) -> None:

@@ -107,7 +107,7 @@ class TcpIn(Reconnecting[socket.socket]):
             try:
                 taken = client.stream.send(frame) or taken
             except OSError as error:
-                self._part(client, error)
+                self._drop(client, error)
         return taken
 
     def receive(self) -> bytes:
@@ -128,7 +128,7 @@ class TcpIn(Reconnecting[socket.socket]):
                 if client.is_silent(now_s):
                     raise TimeoutError(f"a client has sent no MAVLink for {PEER_SILENT_S:.0f} s")
             except OSError as error:
-                self._part(client, error)
+                self._drop(client, error)
         return b"".join(received)
 
     def _open(self) -> bool:
@@ -163,11 +163,9 @@ class TcpIn(Reconnecting[socket.socket]):
             self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S), now_s))
             self.last_error = None
 
-    def _part(self, client: _Client, error: OSError) -> None:
-        self._drop(client)
-        self._remember(error)
-
-    def _drop(self, client: _Client) -> None:
+    def _drop(self, client: _Client, error: OSError | None = None) -> None:
         client.tcp.close()
         client.stream.abandon()
         self._clients.remove(client)
+        if error is not None:
+            self._remember(error)
