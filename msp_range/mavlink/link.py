@@ -376,7 +376,6 @@ class _Allowance:
         """Whether one more is allowed; if so, it is counted."""
         self._left = min(self._left + (now_s - self._last_s) * ANSWERS_PER_S, ANSWERS_PER_S)
         self._last_s = now_s
-        if self._left < 1.0:
-            return False
-        self._left -= 1.0
-        return True
+        is_allowed = self._left >= 1.0
+        self._left -= is_allowed
+        return is_allowed
