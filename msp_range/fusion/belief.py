@@ -30,6 +30,7 @@ from msp_range.fusion.modes import (
     STAYS,
     UNSEEN,
     SensorMode,
+    all_noise,
     ground_prior,
     object_prior,
 )
@@ -132,7 +133,7 @@ class Belief:
         self._time_s = float("-inf")
         self._is_measured = False
         self.ground: Surface | None = None
-        self.sure = 0.0
+        self.sure = self.noise = 0.0
         self.is_doubted = False
 
     def predict(self, time_s: float) -> None:
@@ -162,7 +163,9 @@ class Belief:
         """The sensors whose newest range is of a surface, and not older."""
         return [mode for mode in self._modes if mode.sees is surface and mode.seen_s >= since_s]
 
-    def best_of(self, mode: SensorMode, densities: Mapping[Surface, float]) -> tuple[Surface | None, float]:
+    def best_of(
+        self, mode: SensorMode, range_m: float, densities: Mapping[Surface, float]
+    ) -> tuple[Surface | None, float]:
         """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known."""
         best, most = None, mode.outlier * PER_M
         total = most
@@ -171,6 +174,8 @@ class Belief:
             total += likely
             if likely > most:
                 best, most = surface, likely
+        if self.surfaces:
+            mode.weigh_noise(range_m, total)
         return best, most / total
 
     @property
@@ -239,6 +244,8 @@ class Belief:
             may_climb = not self._is_measured and abs(off_m) < NEAR_M
             ground.shift(off_m, STEP_STD_M**2, (BLIND_M_S if may_climb else STEP_CLIMB_STD_M_S) ** 2)
         new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
+        if parent is not None:
+            new.response.inherit(parent.response)
         self._appraise(new)
         new.raw = None if self.expected() is None else raw
         new.seen_s, new.garbled_m = self._time_s, garbled_m
@@ -291,13 +298,14 @@ class Belief:
             nothing += fixed[self.proven] - other[self.proven]
             scores[self.proven] -= self._stuck(self.proven, voters)
         best = max(scores, key=lambda each: scores[each], default=None)
+        self.noise = all_noise([mode.noise for mode in voters]) if voters else 0.0
         if best is None:
             self.ground, self.sure, self.is_doubted = None, 0.0, False
             return
         most = scores[best]
         weights = {each: math.exp(score - most) for each, score in scores.items()}
         total = sum(weights.values()) + math.exp(min(nothing - most, 50.0))
-        self.ground, self.sure = best, weights[best] / total
+        self.ground, self.sure = best, weights[best] / total * (1 - self.noise)
         most_seen = max(counts, key=lambda each: counts[each])
         self.is_doubted = (
             self._known is not None
@@ -308,7 +316,7 @@ class Belief:
         if self.sure < SURE and self.proven is not None and counts[self.proven]:
             # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
             self.ground = self.proven
-            self.sure = sum([weight for each, weight in weights.items() if counts[each]]) / total
+            self.sure = sum([weight for each, weight in weights.items() if counts[each]]) / total * (1 - self.noise)
             return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
         if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):

@@ -154,13 +154,15 @@ class Fusion:
         return self._belief.is_disputed
 
     def conditions(self) -> list[Condition]:
-        """Answers that come a ping late, and a change that is no likely ground, for `msp_range.health.Health.set`."""
+        """Answers a ping late, readings of nothing, and a change to no likely ground: for `msp_range.health`."""
         late = "Range: answers are those of the ping before" if self._is_late else None
+        scatter = "Range: readings scatter, as in dust" if self._belief.noise > 0.5 else None
         power = "switch the sensors' power off and on; check that pings are acknowledged"
         doubted = "Range: sudden change, maybe an object or fault" if self._belief.is_doubted else None
         look = "look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground"
         return [
             Condition("late answers", late, "Range: answers are in time again", remedy=power),
+            Condition("scatter", scatter, "Range: readings are of the ground again", remedy=look),
             Condition("sudden change", doubted, "Range: ground is certain again", remedy=look),
         ]
 
@@ -284,7 +286,7 @@ class Fusion:
                     density = 0.5 / gate_m  # Of so slow a polling any reading within the gate is as likely.
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
-        found, share = belief.best_of(mode, densities)
+        found, share = belief.best_of(mode, look.range_m, densities)
         answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
         if parent is not None and not answers and self._is_fixed(parent, look, seen):
             return FIXED

@@ -7,6 +7,7 @@ modes of one sensor are a chain: it stays with what it has seen before unless a 
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from msp_range.fusion.ground_filter import SQRT_TWO_PI
@@ -28,6 +29,16 @@ ground in a climb at 4.5 m/s^2 without an accelerometer."""
 OUTLIERS, OUTLIER_READINGS = 0.5, 6.0
 """A sensor that gives outliers goes on with that, as in dust: the probability is this share of theirs, over so many
 readings."""
+NOISE, NOISE_ALL = 0.003, 1e-4
+"""That one sensor begins to give readings of nothing, as one that fails does; and that all do, as in dust."""
+NOISE_SHARE = 0.95
+"""Of the readings of a sensor that sees nothing for certain: the others are of the ground. With 0.8 nothing is sent in
+dust that leaves half of the readings to the ground; with all, one reading of it ends the dust."""
+DUST_WIDEST_M, DUST_NARROWEST_M, DUST_FROM_M = 2.5, 0.5, 0.2
+"""Dust answers from anywhere between the last and a distance between the other two [m]."""
+NOISE_LEAST, NOISE_MOST = -4.0, 8.0
+"""Log likelihood, over surfaces, that readings of a sensor are noise: at least, so that it is found, and at most,
+so that it ends with some. Not varied."""
 GARBLED, P_AGAIN = 0.02, 0.5
 """That the bus garbles an answer, once it is one that garbling would explain; and that it does so again."""
 STEP = 0.002
@@ -96,6 +107,22 @@ def ground_prior(off_m: float, std_m: float, height_m: float) -> float:
     return math.log(max((returns + steps) / PER_M, 1e-9))
 
 
+def noise_density(range_m: float) -> float:
+    """Density of a range in dust, or of one that is of nothing [1/m]."""
+    if range_m >= DUST_WIDEST_M:
+        return OUTLIERS * PER_M
+    width_m, least_m = DUST_WIDEST_M - DUST_FROM_M, max(range_m, DUST_NARROWEST_M) - DUST_FROM_M
+    return math.log(width_m / least_m) / (DUST_WIDEST_M - DUST_NARROWEST_M)
+
+
+def all_noise(log_odds: Sequence[float]) -> float:
+    """How probable it is that the readings of all sensors are noise, by the log likelihood of each over surfaces."""
+    odds = [math.exp(each) for each in log_odds]
+    each_alone = math.prod([NOISE * each for each in odds])
+    every = math.prod(odds) * NOISE_ALL + each_alone
+    return every / (every + math.prod([1 + NOISE * each for each in odds]) - each_alone)
+
+
 def object_prior(off_m: float) -> float:
     """Log prior density, over `PER_M`, of an object, a hole or an edge, ``off_m`` from the ground [m]."""
     return math.log(OBJECT + EDGE * math.exp(-abs(off_m) / STEP_M) / (2 * STEP_M) / PER_M)
@@ -124,6 +151,7 @@ class SensorMode:
         self.readings = 0
         self.share = 1.0
         self._outliers = 0.0
+        self.noise = NOISE_LEAST
         self.seen_s = self.read_s = float("-inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
@@ -147,6 +175,11 @@ class SensorMode:
     def count_outlier(self, is_outlier: bool) -> None:
         """A reading was of something known, or not."""
         self._outliers += (is_outlier - self._outliers) / OUTLIER_READINGS
+
+    def weigh_noise(self, range_m: float, density: float) -> None:
+        """Update how likely its readings are noise with one, by its density over all surfaces [1/m]."""
+        gain = math.log(1 - NOISE_SHARE + NOISE_SHARE * noise_density(range_m) / density)
+        self.noise = min(max(self.noise + gain, NOISE_LEAST), NOISE_MOST)
 
     @property
     def repeated(self) -> bool:

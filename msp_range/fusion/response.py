@@ -61,6 +61,11 @@ adds up noise. The second where the surface is in doubt and has never answered t
 FOLLOWS, DECIDED = 4.0, -12.0
 """Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
 sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
+LATE, LATE_S = -13.0, 0.2
+"""At the first log odds the answers are those of the ping before: in healthy flights of the hostile families they stay
+above -13, the lowest where a thermometer flaps or pressure below the rotors passes for an acceleration. With turns
+shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on they are late until
+the odds are even."""
 APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
@@ -102,6 +107,8 @@ class MotionResponse:
         self._states = ((0.0, 0.0, 0.0),) * 3
         # Log odds of the first over each of the other two.
         self._fixed = self._late = 0.0
+        self._apart = 0.0  # Of the third over the second.
+        self.is_late = False
         self._answered = 0.0
 
     @property
@@ -115,12 +122,11 @@ class MotionResponse:
     @property
     def is_fixed(self) -> bool:
         """Whether the ground is fixed to the vehicle."""
-        return self._fixed <= DECIDED and self._fixed - self._late <= APART
+        return self._fixed <= DECIDED and self._apart <= APART
 
-    @property
-    def is_late(self) -> bool:
-        """Whether the sensors answer with the ranges of their pings before."""
-        return self._late <= DECIDED and self._late - self._fixed <= APART
+    def inherit(self, other: "MotionResponse") -> None:
+        """Answers that came late on another surface do on this one."""
+        self._late, self.is_late = min(other._late, 0.0), other.is_late
 
     def sees(self, since_s: float) -> set[str]:
         """The sensors of which a reading has been taken since a time [s]."""
@@ -199,13 +205,19 @@ class MotionResponse:
             least = max(least, -SLOPING_PER_S * t * (1 + (self._change_m_s / SLOPE_M_S) ** 2))
         fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else LASTS_S))
 
-        def updated(log_odds: float, evidence: float) -> float:
+        def updated(log_odds: float, fades: float, evidence: float) -> float:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
 
-        self._fixed = updated(self._fixed, 0.5 * (fixed - follows + NOISE_SHARE * share))
+        self._fixed = updated(self._fixed, fades, 0.5 * (fixed - follows + NOISE_SHARE * share))
         answers = min(max(0.5 * (fixed - follows + REST_SHARE * share), least), STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
-        self._late = updated(self._late, 0.5 * (late - follows))
+        self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
+        self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows))
+        if self._turn_s < LATE_S:
+            self._late = 0.0
+        if self._late >= 0.0 or (self._late <= LATE and self._apart >= -APART):
+            self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)
         if climb is not None and abs(climb.m_s - self._states[1][1]) > HILL_M_S:
             self._fixed -= HILL_PER_S * t
+            self._apart -= HILL_PER_S * t

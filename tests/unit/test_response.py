@@ -122,3 +122,41 @@ def test_without_an_accelerometer_nothing_is_decided() -> None:
         response.update("a", 0.1 * i, 0.4, 0.0, 1e-4, False)
     assert not response.is_fixed
     assert not response.is_late
+
+
+def test_late_answers_stay_late_at_rest_and_on_another_surface_until_they_are_in_time() -> None:
+    climbs = [ramp(5.0, 1.5, 10.0), ramp(25.0, 1.5, 30.0)]
+
+    def height_m(time_s: float) -> float:
+        return sum([climb(time_s) for climb in climbs])
+
+    draw, motion, verdicts = random.Random(1), VerticalMotion(), {}
+    response = MotionResponse(motion, TURN_S)
+    for i in range(400):
+        read_s = 0.1 * i
+        for k in range(3):
+            time_s = read_s - 0.08 + 0.04 * k
+            up_m_s2 = (height_m(time_s + 0.02) - 2 * height_m(time_s) + height_m(time_s - 0.02)) / 0.02**2
+            motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        if i == 120:
+            old, response = response, MotionResponse(motion, TURN_S)
+            response.inherit(old)
+        seen_m = 0.3 + height_m(read_s - (TURN_S if read_s < 20.0 else 0.0)) + draw.gauss(0.0, 0.01)
+        response.update(NAMES[i % 4], read_s, seen_m, 0.0, 1e-4, False)
+        verdicts[i] = response.is_late
+    assert not verdicts[49]
+    assert all(verdicts[i] for i in range(100, 249))
+    assert not verdicts[330]
+
+
+def test_a_turn_as_short_as_an_accelerometers_delay_decides_nothing() -> None:
+    climb = ramp(5.0, 1.5, 10.0)
+    motion, draw = VerticalMotion(), random.Random(1)
+    response = MotionResponse(motion, 0.1)
+    for i in range(1500):
+        read_s = 0.02 * i
+        up_m_s2 = (climb(read_s + 0.02) - 2 * climb(read_s) + climb(read_s - 0.02)) / 0.02**2
+        motion.on_acceleration(read_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        if i % 5 == 0:
+            response.update("a", read_s, 0.3 + climb(read_s - 0.1) + draw.gauss(0.0, 0.01), 0.0, 1e-4, False)
+        assert not response.is_late

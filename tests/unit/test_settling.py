@@ -112,3 +112,20 @@ def test_values_come_as_often_as_they_like(period_s: float) -> None:
     found = lags(shown_c, 150.0, period_s)
     value_s, lag_c = found[-1]
     assert lag_c == pytest.approx(-35.0 * math.exp(-(value_s - STEP_S) / 120.0), rel=0.4)
+
+
+@pytest.mark.parametrize(("change_c", "time_constant_s"), [(-35.0, 60.0), (-35.0, SLOWEST_S), (30.0, 90.0)])
+def test_one_that_is_switched_on_in_other_air_is_noticed_within_seconds(
+    change_c: float, time_constant_s: float
+) -> None:
+    """Later a change by so little may be a shadow."""
+
+    def shown_c(time_s: float) -> float:
+        return 20.0 + change_c * (1 - math.exp(-max(time_s, 0.0) / time_constant_s))
+
+    at_start = next(time_s for time_s, lag_c in lags(measured(shown_c, 0.1, 0.05), 60.0) if lag_c)
+    later = next(
+        time_s for time_s, lag_c in lags(measured(lambda time_s: shown_c(time_s - STEP_S), 0.1, 0.05), 90.0) if lag_c
+    )
+    assert at_start <= 8.0
+    assert at_start < later - STEP_S
