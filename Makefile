@@ -1,4 +1,5 @@
-# make demo   fly a simulated flight with the real bridge, and draw it
+# make demo   fly a simulated flight with the real bridge, and draw it; installs what it needs into .venv
+# make venv   install all commands with all that they may need into .venv: also laboratory, logs, web page, several processes
 # make test   run the quick tests (3 to 5 minutes on two processors)
 # make test-all   run all tests: also more cases, statistics, long waits, and tests of the tests' own tools
 # make check  what CI runs: format, lint, types, layers, then all tests
@@ -15,15 +16,17 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo gap-demo docs test test-all test-install lint check bench fuzz blind second others faults soak mavproxy compile clean
+.PHONY: demo venv gap-demo docs test test-all test-install lint check bench fuzz blind second others faults soak mavproxy compile clean
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
 .PHONY: help
 help:
 	@sed -n 's/^# make/make/p' Makefile
 
-demo: .venv/.installed compile
+demo: .venv/.installed-demo compile
 	$(BIN)/msp-sim fly configs/scenarios/demo.yaml --out flights/demo --force --speed 12
+
+venv: .venv/.installed compile
 
 # Tests are rewritten for pytest before they run, which takes a process 8 s unless their bytecode is kept.
 unexport PYTHONDONTWRITEBYTECODE
@@ -84,7 +87,7 @@ soak: .venv/.installed-test compile
 	env $$(sed -n 's/^Environment=//p' systemd/msp-range.service) $(BIN)/python -m tests.soak --hours $(HOURS) --minutes $(MINUTES) --seed $(SEED) --write docs/soak.md
 
 # Bytecode is made here, so that starts are quick also where PYTHONDONTWRITEBYTECODE is set.
-compile: .venv/.installed
+compile: .venv/.installed-demo
 	@$(BIN)/python -m compileall -q msp_range sim
 
 .venv/bin/python:
@@ -96,19 +99,34 @@ compile: .venv/.installed
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "venv is missing: apt install python3-venv"; exit 1; }
 	$(PYTHON) -m venv .venv
 
-.venv/.installed: pyproject.toml | .venv/bin/python
-	@echo "Installing into .venv: a minute or two in silence."
-	$(BIN)/python -m pip install --quiet --compile --editable '.[lab,logs,kalman,web,fleet]'
+# What is installed: each list holds the one before. The bytecode of the demo's packages is made where they are imported.
+DEMO := sim,kalman
+USERS := $(DEMO),lab,logs,web,fleet
+TESTS := $(USERS),docs,test,bench
+COMPILE := $(BIN)/python -m compileall -qq -j 0 -x /tests/ .venv/lib || true
+
+# uv takes 8 s where pip takes 50. It does not know pip's configuration, so pip is next where uv finds no packages.
+define install
+@echo "Installing $(2) into .venv, in silence: $(3)."
+@PATH="$$PATH:$(BIN)"; { command -v uv >/dev/null && uv pip install --quiet --python $(BIN)/python --editable '.[$(1)]'; } || \
+	$(BIN)/python -m pip install --quiet --no-compile --editable '.[$(1)]'
+endef
+
+.venv/.installed-demo: pyproject.toml | .venv/bin/python
+	$(call install,$(DEMO),what the simulator needs,up to a minute)
 	@touch $@
 
-# uv takes 8 s where pip takes 50. It does not know pip's configuration, so pip is next where uv finds no packages. Not all
-# files of packages are for this version of Python, and compile.
-EVERYTHING := --quiet --editable '.[lab,logs,kalman,web,fleet,docs,test,bench]'
+# Not all files of packages are for this version of Python, and compile.
+.venv/.installed: pyproject.toml | .venv/bin/python
+	$(call install,$(USERS),all commands,a minute or two)
+	@$(COMPILE)
+	@touch .venv/.installed-demo $@
+
 .venv/.installed-test: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip install --python $(BIN)/python $(EVERYTHING) || $(BIN)/python -m pip install --no-compile $(EVERYTHING)
-	@$(BIN)/python -m compileall -qq -j 0 -x /tests/ .venv/lib || true
-	@touch .venv/.installed $@
+	@command -v uv >/dev/null || $(BIN)/python -m pip install --quiet uv
+	$(call install,$(TESTS),all commands and what tests need,two minutes)
+	@$(COMPILE)
+	@touch .venv/.installed-demo .venv/.installed $@
 
 # MAVProxy in an environment of its own, for the tests: it wants packages that the bridge does not.
 mavproxy: .venv/.installed-test

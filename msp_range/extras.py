@@ -1,6 +1,8 @@
 """Optional packages (pip's extras), and the error message of commands that need one."""
 
+import sys
 from importlib.util import find_spec
+from shlex import quote
 
 from msp_range.yaml_file import ConfigError
 
@@ -22,12 +24,15 @@ DRAWING = "matplotlib"
 def missing(extra: str, but: str = "") -> str | None:
     """Missing packages of an extra with the command that installs them; None if all are there, ``but`` one.
 
+    The command names the environment's own Python: on a vehicle, and in a clone before its environment is activated,
+    ``pip`` is that of the system.
+
     Examples
     --------
     >>> missing("lab")
     """
     absent = [name for name in EXTRAS[extra] if name != but and find_spec(name) is None]
-    return f"{', '.join(absent)}: pip install 'msp-range[{extra}]'" if absent else None
+    return f"{', '.join(absent)}: {quote(sys.executable)} -m pip install 'msp-range[{extra}]'" if absent else None
 
 
 def require(extra: str, command: str, but: str = "") -> None:

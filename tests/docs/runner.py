@@ -43,7 +43,7 @@ def clone(folder: Path, smaller: how.Changes = how.SMALLER) -> Path:
     environment.mkdir()
     for each in Path(sys.prefix).iterdir():
         (environment / each.name).symlink_to(each)
-    for name in (".installed", ".installed-test"):
+    for name in (".installed-demo", ".installed", ".installed-test"):
         (environment / name).unlink(missing_ok=True)
         (environment / name).touch()
     data = Path(os.environ.get("MSP_RANGE_DATA", ROOT / "../shared/data")).resolve()

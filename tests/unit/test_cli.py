@@ -302,7 +302,8 @@ def test_what_draws_or_fits_asks_for_its_extra_before_the_work(
     code = f"import sys; sys.modules[{missing!r}] = None; from {program.replace('-', '_')}.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, cwd=CONFIGS, timeout=60)
     assert done.returncode == 3, done.stderr
-    assert re.fullmatch(rf".* needs {missing}: pip install 'msp-range\[{extra}\]'\n", done.stderr)
+    install = re.escape(f"{sys.executable} -m pip install 'msp-range[{extra}]'")
+    assert re.fullmatch(rf".* needs {missing}: {install}\n", done.stderr)
     assert done.stdout == ""
     assert not (tmp_path / "out").exists()
 
@@ -322,7 +323,8 @@ def test_without_matplotlib_there_are_numbers_and_no_picture(args: list[str], tm
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     # Said before the flight, not after it.
-    assert done.stdout.startswith("no picture will be drawn without matplotlib: pip install 'msp-range[sim]'")
+    install = f"{sys.executable} -m pip install 'msp-range[sim]'"
+    assert done.stdout.startswith(f"no picture will be drawn without matplotlib: {install}")
     assert json.loads((tmp_path / "summary.json").read_text())["duration_s"] > 0
     assert not (tmp_path / "flight.png").exists()
 

@@ -231,7 +231,7 @@ def test_a_kalman_filter_asks_for_its_package_where_it_would_be_used(
     monkeypatch.setitem(sys.modules, "filterpy", None)
     load_airframe(write(tmp_path, lambda content: None))
     (line,) = errors_of(tmp_path, lambda content: content.update(send=single))
-    assert "filters: kalman requires filterpy: pip install 'msp-range[kalman]'" in line
+    assert f"filters: kalman requires filterpy: {sys.executable} -m pip install 'msp-range[kalman]'" in line
 
 
 def test_nothing_is_short_for_the_usual_stream_that_is_not_sent(tmp_path: Path) -> None:
