@@ -16,7 +16,6 @@ from msp_range.fusion.modes import (
     APART_MOST,
     COMMON,
     COMMON_LOW,
-    GARBLED,
     LOW_M,
     MOST,
     MOVES,
@@ -72,8 +71,6 @@ class Surface:
         Log likelihood ratio of its readings over readings of nothing.
     response
         Whether it answers to the vehicle's motion.
-    garbled_m
-        How much higher the vehicle would be if the answers had been garbled on the bus [m].
     """
 
     def __init__(self, ground: GroundFilter, prior: float, common: float, response: MotionResponse) -> None:
@@ -85,17 +82,11 @@ class Surface:
         self.seen_s = self.kept_s = float("-inf")
         self.raw: int | None = None
         self.same = 0.0
-        self.garbled_m: Sequence[float] = ()
 
     @property
     def travel_m(self) -> float:
         """How far the vehicle has climbed, from any level [m]."""
         return self.filter.height_m - self.steps_m
-
-    def is_garbled(self, other: "Surface") -> bool:
-        """Whether this may be another surface by answers that are garbled on the bus."""
-        higher_m = other.filter.height_m - self.filter.height_m
-        return any(abs(each - higher_m) < RETURNS_M for each in self.garbled_m)
 
 
 class Belief:
@@ -212,15 +203,7 @@ class Belief:
             if other is not surface and abs(other.filter.height_m - surface.filter.height_m) < SAME_M:
                 self._merge(surface, other)
 
-    def start(
-        self,
-        mode: SensorMode,
-        height_m: float,
-        variance_m2: float,
-        view: View,
-        raw: int | None,
-        garbled_m: Sequence[float],
-    ) -> Surface:
+    def start(self, mode: SensorMode, height_m: float, variance_m2: float, view: View, raw: int | None) -> Surface:
         """A reading is of nothing known: perhaps of a new surface."""
         if self.surfaces:
             mode.count_outlier(True)
@@ -241,7 +224,7 @@ class Belief:
         new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
         self._appraise(new)
         new.raw = None if self.expected() is None else raw
-        new.seen_s, new.garbled_m = self._time_s, garbled_m
+        new.seen_s = self._time_s
         new.steps_m = height_m - (parent.travel_m if parent is not None else 0.0)
         if len(self.surfaces) >= SURFACES:
             self._drop(min([each for each in self.surfaces if each is not self.proven], key=lambda each: each.evidence))
@@ -283,9 +266,6 @@ class Belief:
         for each, count in counts.items():
             if not count and each is not self.proven:
                 scores[each] += UNSEEN
-            for of in self.surfaces:
-                if of.is_garbled(each):
-                    scores[each] += max(_log_sum(0.0, of.evidence + math.log(GARBLED)) - other[of], 0.0)
         nothing = total
         if self.proven is not None:
             nothing += fixed[self.proven] - other[self.proven]
@@ -346,9 +326,6 @@ class Belief:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
-        if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
-            # What did not answer to the motion may be here now.
-            surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)
 
     def _update_same(self, surface: Surface, raw: int | None) -> None:
         if surface.raw is None or raw is None or not self._is_measured:

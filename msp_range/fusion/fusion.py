@@ -298,7 +298,7 @@ class Fusion:
             mode.see(None, self._time_s)
             return REPEATED
         raw = None if mode.repeated else reading.raw
-        new = belief.start(mode, seen.height_m, look.variance_m2, seen.view, raw, look.garbled_m(seen))
+        new = belief.start(mode, seen.height_m, look.variance_m2, seen.view, raw)
         mode.see(new, self._time_s)
         return UNCONFIRMED
 
