@@ -264,6 +264,13 @@ def test_while_as_many_sensors_see_another_ground_the_quality_is_at_most_half() 
     assert set(qualities(bench, 12.5, 14.0)) == {100}
 
 
+def test_at_an_edge_no_sensor_gets_more_turns_than_the_others() -> None:
+    """Two that agree on another ground need no second look: their turns would delay the readings that decide."""
+    bench = Bench(airframe(), lambda name, time_s: 200 if name in "cd" and 5.0 < time_s < 9.0 else 300).fly(9.0)
+    turns = [name for ping_s, name, _ in bench.pings if ping_s > 5.8]
+    assert turns == [NAMES[(NAMES.index(turns[0]) + i) % 4] for i in range(len(turns))]
+
+
 def test_an_object_below_one_sensor_leaves_the_quality_of_the_ground_and_has_a_good_one_itself() -> None:
     bench = Bench(airframe(), lambda name, time_s: 240 if name == "c" and time_s > 5.0 else 300).fly(12.0)
     assert set(qualities(bench, 8.0, 12.0)) == set(qualities(bench, 8.0, 12.0, stream=3)) == {100}
