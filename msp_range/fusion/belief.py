@@ -3,7 +3,7 @@
 Each surface has a filter of its height. A reading belongs to the surface that explains it best, or begins a new one.
 How probable each surface is as the ground follows from the evidence that it is there, from its prior where it was first
 seen, from how the other sensors would have to be explained, and from how it responds to the vehicle's motion. All
-priors are in `msp_range.fusion.modes`.
+priors and thresholds are in `msp_range.fusion.modes`.
 """
 
 import copy
@@ -12,21 +12,33 @@ from collections.abc import Mapping, Sequence
 
 from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.modes import (
+    ANSWERED,
     APART_M,
     APART_MOST,
+    BLIND_M_S,
+    BLIND_NEAR_M,
     COMMON,
     COMMON_LOW,
+    EVIDENCE_LEAST,
+    EVIDENCE_MOST,
+    HIT,
+    HIT_MOST,
     LOW_M,
+    MISS,
     MOST,
     MOVES,
-    OUTLIER,
+    P_OUTLIER,
     PER_M,
     RETURNS_M,
+    SAME_M,
     SAME_RAW,
     SAME_RAW_MOST,
     SHARED,
     START,
     STAYS,
+    SURE,
+    SURFACES,
+    UNANSWERED,
     UNSEEN,
     SensorMode,
     ground_prior,
@@ -37,25 +49,10 @@ from msp_range.fusion.response import MotionResponse
 from msp_range.fusion.vertical import Known, Rate, VerticalMotion
 from msp_range.fusion.windows import Windows
 
-SURFACES = 4
-"""So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
-EVIDENCE_MOST, EVIDENCE_LEAST, HIT, HIT_MOST, MISS = 15.0, -6.0, 3.5, 7.5, 3.0
-"""Log likelihood that a surface is there, over readings of nothing: at most, so that some outliers in a row begin to
-count; at least; by one reading that is of it at most; and less by each that is of nothing known [nats]."""
-SURE = 0.8
-"""A distance goes out where its surface is the ground with this probability."""
-SAME_M = 0.10
-"""Surfaces as near as this are one [m]: an autopilot does the same with either."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
 """What a new surface leaves uncertain of the height [m] and of its rate [m/s]: the first reading may be of a flank."""
 SURE_STD_M_S, START_CLIMB_STD_M_S = 0.3, 3.0
 """The barometer's rate is used at the start below this deviation [m/s]; else a vehicle may climb by the second."""
-UNANSWERED, ANSWERED = -3.0, 2.0
-"""Below the first log odds a surface is not thought to move with the measured acceleration any more; above the second
-one that was low when it was first seen, as before a take-off, is no payload."""
-BLIND_M_S, NEAR_M = 2.0, 0.5
-"""How fast the ground's height is lost where no barometer says how the vehicle climbs [m/s]; and where no accelerometer
-does, a surface that begins as near to the ground as the second may be the ground of a vehicle that climbs so [m]."""
 
 
 class Surface:
@@ -189,7 +186,7 @@ class Belief:
         mode.count_outlier(False)
         if surface.evidence <= 0.0 and surface is not self.proven:
             self._appraise(surface)  # Its first reading may have been of something else.
-        gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(OUTLIER / mode.outlier), HIT_MOST)
+        gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
         if surface is self.proven and surface.response.log_odds > ANSWERED:
@@ -219,7 +216,7 @@ class Belief:
         else:
             ground = copy.copy(parent.filter)
             off_m = height_m - ground.height_m
-            may_climb = not self._is_measured and abs(off_m) < NEAR_M
+            may_climb = not self._is_measured and abs(off_m) < BLIND_NEAR_M
             ground.shift(off_m, STEP_STD_M**2, (BLIND_M_S if may_climb else STEP_CLIMB_STD_M_S) ** 2)
         new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
         self._appraise(new)
