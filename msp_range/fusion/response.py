@@ -17,6 +17,7 @@ the vehicle. A vehicle at rest or at a steady rate favours none of the three.
 
 import math
 
+from msp_range.fusion.modes import DECIDED, DECIDED_APART, DOUBT_LASTS_S, FOLLOWS, LATE, LATE_S, ODDS_LAST_S
 from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
 
 NOISE_M2_S3 = 0.005
@@ -55,20 +56,6 @@ rate are added up [s]. A larger speed finds what is fixed later in flight, a sma
 LEVEL_RISE = 0.03
 """Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
 vehicle follows."""
-LASTS_S, DOUBT_LASTS_S = 6.0, 60.0
-"""Time constant with which the odds fall back to even [s]: shorter forgets before slow movements have decided, longer
-adds up noise. The second where the surface is in doubt and has never answered to a movement."""
-FOLLOWS, DECIDED = 4.0, -12.0
-"""Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
-sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
-LATE, LATE_S = -13.0, 0.2
-"""At the first log odds the answers are those of the ping before: in healthy flights of the hostile families they stay
-above -13, the lowest where a thermometer flaps or pressure below the rotors passes for an acceleration. With turns
-shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on they are late until
-the odds are even."""
-APART = -4.0
-"""So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
-late look alike. More decides later."""
 
 _START = (0.01, 0.0, 0.0, 0.25, 0.0, B_STD_M_S2**2)
 """Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
@@ -122,7 +109,7 @@ class MotionResponse:
     @property
     def is_fixed(self) -> bool:
         """Whether the ground is fixed to the vehicle."""
-        return self._fixed <= DECIDED and self._apart <= APART
+        return self._fixed <= DECIDED and self._apart <= DECIDED_APART
 
     def inherit(self, other: "MotionResponse") -> None:
         """Answers that came late on another surface do on this one."""
@@ -203,7 +190,7 @@ class MotionResponse:
         least = -STRONGEST
         if may_slope:
             least = max(least, -SLOPING_PER_S * t * (1 + (self._change_m_s / SLOPE_M_S) ** 2))
-        fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else LASTS_S))
+        fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else ODDS_LAST_S))
 
         def updated(log_odds: float, fades: float, evidence: float) -> float:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
@@ -215,7 +202,7 @@ class MotionResponse:
         self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows))
         if self._turn_s < LATE_S:
             self._late = 0.0
-        if self._late >= 0.0 or (self._late <= LATE and self._apart >= -APART):
+        if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):
             self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)
         if climb is not None and abs(climb.m_s - self._states[1][1]) > HILL_M_S:

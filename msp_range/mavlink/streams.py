@@ -7,6 +7,7 @@ Fused messages are sent at once, those of single streams spaced out after them: 
 so of several in one burst only the last is seen.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,18 +16,10 @@ from msp_range.acoustics.beam import BreakawayTable
 from msp_range.filters.base import Estimate
 from msp_range.filters.chain import UNEXPECTED, Filtered
 from msp_range.fusion import Fused, Outcome
-from msp_range.fusion.fusion import FIT_OUTLIER, FIT_READINGS, FIT_TOLERATED
-from msp_range.mavlink.distance_sensor import QUALITY_BEST, QUALITY_LOWEST, Stream, distance_sensor, no_echo
+from msp_range.fusion.fusion import CONFIDENCE_READINGS
+from msp_range.mavlink.distance_sensor import QUALITY_BEST, Stream, distance_sensor, no_echo
 from msp_range.reading import Reading, Status
 
-DOUBT_FIT, DOUBT_QUALITY = 3.0, 90
-"""Quality at this mean square of the normalised innovations; ArduSub drops a distance of less than 90 (RNGFND_SQ_MIN).
-One outlier among good readings takes the mean square to 2.1, a second one soon after it to 3.1. In 350 flights of the
-fault campaign (seed 5) it was over 3 in 1.7 % of the time, with two thirds of the errors over 25 cm (4 s in all). Over
-4 was one third of them; at 2 ArduSub would drop distances for single outliers."""
-TIED_QUALITY = 50
-"""Quality at most while the newest readings of as many sensors are off the ground as on it: either may be right.
-Anything below 90 and above 1 makes ArduSub wait for the end of that."""
 SPACING_S = 0.020
 """Time from a message to the next one of a single stream [s]: more delays the last of several streams."""
 
@@ -71,34 +64,6 @@ class Outbox:
         self.next_event_s = self._free_s if self._waiting else float("inf")
 
 
-def quality_of(fit: float, is_tied: bool = False) -> int:
-    """``signal_quality`` of a distance: 100 where its error is as stated, less where readings contradict it.
-
-    100 - 10 (fit - 1.5) / (3 - 1.5) from a fit of 1.5 on, up to which the filter's variance stands. Sensors that are
-    silent or get no echo change nothing.
-
-    Parameters
-    ----------
-    fit
-        Mean square of the last innovations over their variance (`Fusion.fit`).
-    is_tied
-        Whether as many sensors see something else (`Fusion.is_tied`).
-
-    Returns
-    -------
-    int
-        100 to 2.
-
-    Examples
-    --------
-    >>> [quality_of(fit) for fit in (1.0, 2.1, 3.0, 4.0, 25.0)], quality_of(1.0, is_tied=True)
-    ([100, 96, 90, 83, 2], 50)
-    """
-    excess = max(fit - FIT_TOLERATED, 0.0) / (DOUBT_FIT - FIT_TOLERATED)
-    quality = max(round(QUALITY_BEST - (QUALITY_BEST - DOUBT_QUALITY) * excess), QUALITY_LOWEST)
-    return min(quality, TIED_QUALITY) if is_tied else quality
-
-
 class Streams:
     """The DISTANCE_SENSOR streams of a vehicle.
 
@@ -133,14 +98,16 @@ class Streams:
         self._singles = singles
         self._fused = fused
         self._objects = objects
-        self._fits = dict.fromkeys(singles, 1.0)
+        self._agree = {name: deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS) for name in singles}
         self.outbox = Outbox(send)
 
     def set_streams(self, singles: Mapping[str, Stream], fused: Stream | None, objects: Mapping[str, Stream]) -> None:
         """The same streams with other limits, because the air has another temperature."""
         self._singles, self._fused, self._objects = singles, fused, objects
 
-    def send_fused(self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air, quality: int) -> bool:
+    def send_fused(
+        self, now_s: float, boot_ms: int, sensor: str, outcome: Outcome, air: Air, confidence: float
+    ) -> bool:
         """Send the fused stream's message for a downward sensor's reading; False if there is nothing usable.
 
         Parameters
@@ -153,14 +120,14 @@ class Streams:
             The sensor, and the fusion's result.
         air
             The air temperature used for compensation; its uncertainty is added to the variance.
-        quality
-            Of a distance; see `quality_of`.
+        confidence
+            In a distance (`Fusion.confidence`).
         """
         if self._fused is None:
             return False
         beam = self._beams[sensor]
         if outcome.fused is not None:
-            self.outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, air, beam, quality))
+            self.outbox.send_now(now_s, _distance(self._fused, boot_ms, outcome.fused, air, beam, confidence))
         elif outcome.above_maximum:
             self.outbox.send_now(now_s, _no_echo(self._fused, boot_ms, beam))
         else:
@@ -181,12 +148,10 @@ class Streams:
         """
         stream, beam, estimate = self._singles[sensor], self._beams[sensor], filtered.estimate
         if filtered.rejected in (None, UNEXPECTED):
-            # A filter does not say how far off a reading was that it used: by as much as stated, then.
-            square = 1.0 if filtered.rejected is None else FIT_OUTLIER
-            self._fits[sensor] += (square - self._fits[sensor]) / FIT_READINGS
+            self._agree[sensor].append(filtered.rejected is None)
         if estimate is not None:
-            quality = quality_of(self._fits[sensor])
-            self.outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, quality))
+            confidence = sum(self._agree[sensor]) / CONFIDENCE_READINGS
+            self.outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, confidence))
         elif status is Status.NO_ECHO:
             self.outbox.put(stream.id, _no_echo(stream, boot_ms, beam))
         else:
@@ -201,16 +166,16 @@ class Streams:
             return
         variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
         estimate, beam = Estimate(reading.range_m, variance_m2), self._beams[reading.sensor]
-        self.outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, QUALITY_BEST))
+        self.outbox.put(stream.id, _distance(stream, boot_ms, estimate, air, beam, 1.0))
         self.outbox.send_due(now_s)
 
 
 def _distance(
-    stream: Stream, boot_ms: int, estimate: Estimate | Fused, air: Air, beam: BreakawayTable, quality: int
+    stream: Stream, boot_ms: int, estimate: Estimate | Fused, air: Air, beam: BreakawayTable, confidence: float
 ) -> Any:
     view_rad = beam.field_of_view_rad(estimate.range_m)
     variance_m2 = estimate.variance_m2 + air_variance_m2(estimate.range_m, air)
-    return distance_sensor(stream, boot_ms, estimate.range_m, variance_m2, view_rad, quality)
+    return distance_sensor(stream, boot_ms, estimate.range_m, variance_m2, view_rad, round(QUALITY_BEST * confidence))
 
 
 def _no_echo(stream: Stream, boot_ms: int, beam: BreakawayTable) -> Any:

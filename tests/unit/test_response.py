@@ -116,6 +116,22 @@ def test_answers_that_follow_a_turn_late_are_late(seed: int) -> None:
     assert 5.0 < late_s < 7.5
 
 
+@pytest.mark.parametrize("speed_m_s", [-6.0, 4.0])
+def test_a_rate_that_a_surface_had_when_it_was_first_seen_says_nothing(speed_m_s: float) -> None:
+    """As at a start of the bridge in a climb: it has no acceleration that the accelerometer would show."""
+    draw = random.Random(1)
+    motion = VerticalMotion()
+    response = MotionResponse(motion, TURN_S)
+    for i in range(200):
+        time_s = i * 0.025
+        motion.on_acceleration(time_s, draw.gauss(0.0, 0.3))
+        motion.on_pressure_height(time_s, speed_m_s * time_s + draw.gauss(0.0, 0.15))
+        if i % 4 == 0:
+            seen_m = 40.0 + speed_m_s * time_s + draw.gauss(0.0, 0.02)
+            response.update(NAMES[i // 4 % 4], time_s, seen_m, speed_m_s, 0.02**2, False)
+            assert abs(response.log_odds) < 3.0
+
+
 def test_without_an_accelerometer_nothing_is_decided() -> None:
     response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
