@@ -10,7 +10,8 @@ from msp_range.config import Airframe, SensorSettings
 from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import Vector, quaternion
 from msp_range.health import Expected, SensorWatch
-from msp_range.mavlink.distance_sensor import LASER, RADAR, ULTRASOUND, Stream, make_stream
+from msp_range.mavlink.dialect import dialect
+from msp_range.mavlink.distance_sensor import Stream, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
@@ -226,4 +227,6 @@ def fused_stream(airframe: Airframe, temperature_c: float | None = None) -> Stre
 def _stream_type(sensors: Sequence[SensorSettings]) -> int:
     """Sensor type in DISTANCE_SENSOR for a stream: ultrasound if one sensor is ultrasonic, radar if all are radio."""
     media = {sensor.sensor_model.medium for sensor in sensors}
-    return ULTRASOUND if "sound" in media else RADAR if media == {"radio"} else LASER
+    if "sound" in media:
+        return int(dialect.MAV_DISTANCE_SENSOR_ULTRASOUND)
+    return int(dialect.MAV_DISTANCE_SENSOR_RADAR if media == {"radio"} else dialect.MAV_DISTANCE_SENSOR_LASER)

@@ -62,7 +62,6 @@ from msp_range.health import (
 )
 from msp_range.health.finding import SensorFinding
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.frames import pack
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
@@ -137,7 +136,6 @@ class _Channel:
         if sensor.name in airframe.sent_names:
             self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
         self.topic = RANGE_PREFIX + sensor.name
-        self.name = sensor.name
         self.is_fused = sensor in airframe.downward
         self.readings = 0
         self.rejected: dict[str, int] = {}
@@ -282,13 +280,7 @@ class Bridge:
         )
         self._schedule = schedule or polling_order(airframe, bus, clock.now())
         self._poller = Poller(bus, clock, self._schedule)
-        self._streams = Streams(
-            {sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors},
-            single_streams(airframe),
-            fused_stream(airframe),
-            object_streams(airframe),
-            self._send,
-        )
+        self._streams = Streams({sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors}, self._send)
         self._limits_c = float("inf")  # The first reading sets the limits of its air.
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
         self._output = OutputWatch(always, self._windows.silence_s, clock.now())
@@ -410,7 +402,7 @@ class Bridge:
     def _send_fused(self, fusion: Fusion, outcome: Outcome, air: Air, now_s: float, boot_ms: int) -> None:
         """Send the fused distance, and what is below the sensor that is not ground."""
         reading, rejected = outcome.reading, outcome.rejected
-        if self._streams.send_fused(now_s, boot_ms, reading.sensor, outcome, air, fusion.confidence):
+        if self._streams.send_fused(now_s, boot_ms, outcome, air, fusion.confidence):
             self._output.on_usable(FUSED, now_s)
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
@@ -425,16 +417,16 @@ class Bridge:
         self, channel: _Channel, reading: Reading, filtered: Filtered, air: Air, now_s: float, boot_ms: int
     ) -> None:
         """Send the distance of one sensor's own stream."""
-        if self._streams.send_single(now_s, boot_ms, channel.name, reading.status, filtered, air):
-            self._output.on_usable(channel.name, now_s)
+        if self._streams.send_single(now_s, boot_ms, reading, filtered, air):
+            self._output.on_usable(reading.sensor, now_s)
         if not channel.is_fused and reading.range_m is not None:
             self._output.on_range(filtered.estimate is not None, 1.0)
 
     def _send(self, message: Any) -> None:
         """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
         if self._airframe.send.nothing:
-            frame = pack(message, self.link.autopilot_system or 1, self._airframe.link.component_id, 0)
-            self._write_frame(WITHHELD_TOPIC, message, frame)
+            sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self._airframe.link.component_id)
+            self._write_frame(WITHHELD_TOPIC, message, message.pack(sender))
         elif (sent := self.link.send(message)) is not None:
             self._write_frame(SENT_TOPIC, message, sent)
 
@@ -500,7 +492,7 @@ class Bridge:
         is_there = self.link.autopilot_is_present
         self.verdict = verdict_of(self.health.conditions, self.health.complete and is_there)
         self.link.system_status = _SYSTEM_STATUS[self.verdict.state]
-        if self._reminder.is_due(now_s, is_there, self.link.autopilot_clock.reboots):
+        if self._reminder.is_due(now_s, self.link.autopilot_clock.reboots if is_there else None):
             texts = [(each.severity, each.text) for each in self.verdict.findings if each.is_reported]
             for severity, text in texts + self._below.texts():
                 self.link.send_text(severity, text)

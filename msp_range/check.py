@@ -7,7 +7,7 @@ from rich.table import Table
 from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s, sensor_watch_of
 from msp_range.config import Airframe
 from msp_range.correction.air_temperature import describe
-from msp_range.mavlink.distance_sensor import TIME_OUT_S
+from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.plausible import doubts
@@ -15,6 +15,9 @@ from msp_range.terminal import PlainConsole
 
 WIDTH, HEIGHT = 33, 9
 """Of the drawing [characters]: it fits next to nothing else on 80 columns, and a character is twice as high as wide."""
+TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
+"""Time without a message after which a range finder counts as lost [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's
+EKF2 requires readings at least this often."""
 
 
 def show(airframe: Airframe, console: PlainConsole) -> None:

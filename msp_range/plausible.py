@@ -1,4 +1,5 @@
-"""What is legal in an airframe file and probably a mistake: lengths in centimetres, sensors of one place."""
+"""What is legal in an airframe file and probably a mistake: lengths in centimetres, sensors of one place, and a
+beam that was not predicted."""
 
 from collections.abc import Iterator
 
@@ -28,3 +29,10 @@ def doubts(airframe: Airframe) -> Iterator[str]:
         if key in places:
             yield f"sensors.{sensor.name}: at the same place and angle as {places[key]}"
         places[key] = sensor.name
+    for name, model in {sensor.model: sensor.sensor_model for sensor in airframe.sensors}.items():
+        if model.beam_doubt:
+            last = model.breakaway[-1]
+            yield (
+                f"{name}: {model.beam_doubt}, so the beam's half angle is held at {last.half_angle_deg:g} deg beyond "
+                f"{last.range_cm:g} cm; to predict it: msp-lab beam {name}"
+            )

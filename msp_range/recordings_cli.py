@@ -27,7 +27,7 @@ def replay(
     from msp_range import replay as replaying
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
-    from msp_range.mavlink.transport import Nowhere, open_transport
+    from msp_range.mavlink.transport import open_transport
     from msp_range.recording.pings import recorded_air, recorded_attitudes, recorded_motion, recorded_pings
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
@@ -42,7 +42,7 @@ def replay(
         raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)
     pings = recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
-    transport = Nowhere() if link is None else open_transport(link, SystemClock())
+    transport = replaying.Nowhere() if link is None else open_transport(link, SystemClock())
     first_s = replaying.first_ping_s(pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)

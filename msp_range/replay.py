@@ -19,7 +19,7 @@ from msp_range.bridge import Bridge, Counts, Records
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.fusion import Angles, Moved, RecordedAttitude, RecordedMotion
-from msp_range.mavlink.transport import Transport
+from msp_range.mavlink.transport import Transport, TransportStats
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
@@ -38,6 +38,31 @@ LONGEST_GAP_S = 3600.0
 """A record with a longer gap is two records, or has a wrong time [s]."""
 LATE_S = 0.5
 """A replay that falls behind its record by more than this says so [s]."""
+
+
+class Nowhere:
+    """A transport that accepts every frame and never receives: for a bridge without a link."""
+
+    description = "nowhere"
+    last_error = None
+    connected = True
+    quiet_until_s = float("inf")
+    files = ()
+
+    def __init__(self) -> None:
+        self.stats = TransportStats()
+
+    def send(self, frame: bytes) -> bool:
+        """Count the frame."""
+        self.stats.sent_frames += 1
+        return True
+
+    def receive(self) -> bytes:
+        """Nothing."""
+        return b""
+
+    def close(self) -> None:
+        """Nothing to release."""
 
 
 class RecordedOrder:

@@ -2,7 +2,7 @@
 
 A table of measured breakaway angles enters (report 4.3.3: the largest angle of incidence with a reliable range),
 half angles and fields of view leave. Between the table's rows the angle is interpolated linearly; outside of them it
-is constant. The bridge's table has additional rows beyond the measured ones, from `msp_range.acoustics.sonar`.
+is constant. The bridge's table has additional rows beyond the measured ones, from `msp_lab.characterise.sonar`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,6 @@ class BreakawayTable:
         Perpendicular distances to the surface [m], strictly growing, at least one.
     half_angles_deg
         Largest angle with a reliable range at each of them [deg], between 0 and 90.
-    known_to_m
-        Range beyond which the angle is only assumed [m]; infinite if it is known at all ranges.
-
     narrowest_deg
         Smaller half angles are replaced by this one [deg]; 0 for a laser.
 
@@ -51,7 +48,6 @@ class BreakawayTable:
 
     ranges_m: tuple[float, ...]
     half_angles_deg: tuple[float, ...]
-    known_to_m: float = math.inf
     narrowest_deg: float = NARROWEST_HALF_ANGLE_DEG
 
     def __post_init__(self) -> None:

@@ -18,9 +18,9 @@ from msp_range.bridge import Bridge
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe, SensorSettings, load_airframe
 from msp_range.doctor.finding import Finding, right, unknown
-from msp_range.mavlink.transport import Nowhere
 from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.recording.replay_bus import ReplayBus
+from msp_range.replay import Nowhere
 from msp_range.sensors.base import RecordedPing
 
 BENCH_S = 10.0

@@ -1,6 +1,6 @@
 """What works and what does not: conditions of sensors and of all else, and what is reported of them to the pilot."""
 
-from msp_range.health.below import Observation, ObservationsBelow
+from msp_range.health.below import ObservationsBelow
 from msp_range.health.bus import BusHealth
 from msp_range.health.conditions import Condition, Health, Report, Severity
 from msp_range.health.expected import Expected

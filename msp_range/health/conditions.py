@@ -75,8 +75,8 @@ class Condition(NamedTuple):
 
 class _SensorHealth:
     def __init__(self) -> None:
-        self.fault: str | None = None
-        self.remedy = ""
+        # What is wrong, and what to do about it.
+        self.fault: tuple[str, str] | None = None
         self.known = False
         self.streak = 0
         self.streak_bad = False
@@ -102,14 +102,9 @@ class Health:
         self._conditions: dict[str, Condition] = {}
 
     @property
-    def bad_sensors(self) -> list[str]:
-        """Sensors that are out of order now."""
-        return [name for name, sensor in self._sensors.items() if sensor.fault is not None]
-
-    @property
-    def sensor_faults(self) -> dict[str, str | None]:
-        """What is wrong with each sensor; None for a good one."""
-        return {name: sensor.fault for name, sensor in self._sensors.items()}
+    def sensor_faults(self) -> dict[str, str]:
+        """What is wrong with each sensor that is out of order now."""
+        return {name: sensor.fault[0] for name, sensor in self._sensors.items() if sensor.fault is not None}
 
     @property
     def failing_sensors(self) -> list[str]:
@@ -137,8 +132,8 @@ class Health:
             return
         often = len(sensor.recent) == READINGS_JUDGED and 2 * sum(sensor.recent) >= READINGS_JUDGED
         if sensor.fault is None and (often or (bad and in_a_row)):
-            sensor.fault, sensor.remedy = sensor.last_fault
-            self._report(Severity.ERROR, f"Range {reading.sensor}: {sensor.fault}")
+            sensor.fault = sensor.last_fault
+            self._report(Severity.ERROR, f"Range {reading.sensor}: {sensor.fault[0]}")
         elif not bad and sensor.fault is not None and sensor.streak >= sensor.to_be_good:
             sensor.fault = None
             sensor.to_be_good = min(2 * sensor.to_be_good, MOST_TO_BE_GOOD)
@@ -148,7 +143,7 @@ class Health:
             sensor.to_be_good = READINGS_TO_CHANGE
         if not sensor.known:
             sensor.known = True
-            if self.complete and not self.bad_sensors:
+            if self.complete and not self.sensor_faults:
                 self._report(Severity.INFO, f"Range: all {len(self._sensors)} sensors good")
 
     def set(self, condition: Condition) -> None:
@@ -160,8 +155,7 @@ class Health:
                 if known.is_reported:
                     self._report(Severity.INFO, condition.over)
             return
-        was_reported = known is not None and known.is_reported
-        if known is None or not was_reported or (condition.renews and known.text != condition.text):
+        if known is None or not known.is_reported or (condition.renews and known.text != condition.text):
             self._conditions[condition.key] = condition
             if condition.is_reported:
                 self._report(condition.severity, condition.text)
@@ -170,7 +164,7 @@ class Health:
     def conditions(self) -> list[Condition]:
         """All that is wrong now, of sensors first."""
         sensors = [
-            Condition(f"sensor {name}", f"Range {name}: {sensor.fault}", "", Severity.ERROR, remedy=sensor.remedy)
+            Condition(f"sensor {name}", f"Range {name}: {sensor.fault[0]}", "", Severity.ERROR, remedy=sensor.fault[1])
             for name, sensor in self._sensors.items()
             if sensor.fault is not None
         ]

@@ -48,8 +48,6 @@ class Evidence:
     ([False, False, False, True], 4.0)
     """
 
-    __slots__ = ("_expected", "_found", "_since", "_sum", "_threshold", "is_found")
-
     def __init__(self, threshold: float) -> None:
         self._threshold = threshold
         self.is_found = False
@@ -73,34 +71,22 @@ class Evidence:
             What is counted of the reading: its expectation by the model, and its value.
         """
         if self.is_found:
-            self._sum = (self._sum + 1.0) / likelihood_ratio
-            if self._sum < RECOVERS_READINGS:
-                return False
-            self._since = 0.0
+            self._sum, limit = (self._sum + 1.0) / likelihood_ratio, RECOVERS_READINGS
         else:
             if self._since <= 1.0:
                 self._since, self._expected, self._found = 1.0, 0.0, 0.0
             self._since *= likelihood_ratio
             self._expected += expected
             self._found += found
-            self._sum = likelihood_ratio * (self._sum + 1.0)
-            if self._sum < self._threshold:
-                return False
-        self._sum = 0.0
+            self._sum, limit = likelihood_ratio * (self._sum + 1.0), self._threshold
+        if self._sum < limit:
+            return False
+        self._sum = self._since = 0.0
         self.is_found = not self.is_found
         return True
 
-    def update_many(self, likelihood_ratio: float, expected: float, count: int) -> None:
-        """Update an alternative that is not found with ``count`` readings of a ratio up to 1 that count nothing."""
-        product = likelihood_ratio**count
-        # The ratio is 1 where the model says that something never happens.
-        terms = (1.0 - product) / (1.0 - likelihood_ratio) if likelihood_ratio < 1.0 else count
-        self._sum = product * self._sum + likelihood_ratio * terms
-        self._since *= product
-        self._expected += count * expected
 
-
-class Occurrences:
+class Occurrences(Evidence):
     """How often something rare happens at a sensor, with the evidence that it has become more frequent.
 
     The alternative has ``odds`` times the odds of the model's probability p, so L = odds^k / (1 + (odds - 1) p), k = 1
@@ -120,10 +106,8 @@ class Occurrences:
         Readings since it last happened.
     """
 
-    __slots__ = ("_frequency", "_odds", "_probability", "_readings", "evidence", "nones")
-
     def __init__(self, threshold: float, odds: float) -> None:
-        self.evidence = Evidence(threshold)
+        super().__init__(threshold)
         self.nones = 0
         self._odds = odds
         self._frequency, self._readings, self._probability = 0.0, 0, 0.0
@@ -144,7 +128,7 @@ class Occurrences:
         others
             The same of other sensors: what happens to all of them has a common cause.
         """
-        good = [each.frequency for each in others if not each.evidence.is_found]
+        good = [each.frequency for each in others if not each.is_found]
         if good and (mean := sum(good) / len(good)) > probability:
             error = (mean * (1.0 - mean) * (1.0 - KEPT) / (2.0 * len(good))) ** 0.5
             probability = max(probability, mean - FREQUENCY_SIGMAS * error)
@@ -153,7 +137,7 @@ class Occurrences:
         self._frequency = self._frequency * KEPT + 1.0 - KEPT
         self._readings += 1
         ratio = self._odds / (1.0 + (self._odds - 1.0) * probability)
-        return self.evidence.update(ratio, probability, 1.0) or changed
+        return self.update(ratio, probability, 1.0) or changed
 
     def settle(self) -> bool:
         """Account for the readings in which it did not happen; True where they end the report."""
@@ -163,7 +147,11 @@ class Occurrences:
         self._frequency *= KEPT**count
         self._readings += count
         ratio = 1.0 / (1.0 + (self._odds - 1.0) * self._probability)
-        if self.evidence.is_found:
-            return sum([self.evidence.update(ratio, 0.0, 0.0) for _ in range(count)]) > 0
-        self.evidence.update_many(ratio, self._probability, count)
+        if self.is_found:
+            return sum([self.update(ratio, 0.0, 0.0) for _ in range(count)]) > 0
+        # As many updates at once: no ratio up to 1 begins a report. It is 1 where by the model this never happens.
+        product = ratio**count
+        self._sum = product * self._sum + ratio * ((1.0 - product) / (1.0 - ratio) if ratio < 1.0 else count)
+        self._since *= product
+        self._expected += count * self._probability
         return False

@@ -45,7 +45,7 @@ class Sighting(NamedTuple):
     time_s
         Of the echo [s].
     sensor
-        Its index.
+        Its name.
     common_m
         Height of the reference point over level ground by this reading alone, without the sensor's own offset from the
         others [m]; None where it is not of the ground, so that it is no reference for others.
@@ -64,7 +64,7 @@ class Sighting(NamedTuple):
     """
 
     time_s: float
-    sensor: int
+    sensor: str
     common_m: float | None
     std_m: float
     seen: GroundUse
@@ -102,41 +102,46 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
     scale
         Variance of the readings over that of their model, more than 1 on rough ground.
     """
-    time_s, sensor = window[middle].time_s, window[middle].sensor
-    befores, before_m, before_s, first_m, first_s, variance_m2 = _nearest(window, range(middle - 1, -1, -1), sensor)
-    if not befores:
+    this = window[middle]
+    befores = _nearest(window[:middle][::-1], this.sensor)
+    afters = _nearest(window[middle + 1 :], this.sensor)
+    if not befores or not afters:
         return None
-    count, after_m, after_s, last_m, last_s, _ = _nearest(window, range(middle + 1, len(window)), sensor)
-    if not count or after_s <= before_s:
+    before_m, before_s, first_m, first_s = _mean(befores)
+    after_m, after_s, last_m, last_s = _mean(afters)
+    if after_s <= before_s:
         return None
     slope = (after_m - before_m) / (after_s - before_s)
+    _, _, variance_m2 = befores[0]
     spread_m2 = 2.0 * LARGEST_SPREAD * LARGEST_SPREAD * scale * variance_m2
-    first_m -= slope * first_s
-    last_m -= slope * last_s
     if (
-        abs(slope - window[middle].climb_m_s) > MOST_CLIMB_ERROR_M_S
-        or first_m * first_m > spread_m2
-        or last_m * last_m > spread_m2
+        abs(slope - this.climb_m_s) > MOST_CLIMB_ERROR_M_S
+        or (first_m - slope * first_s) ** 2 > spread_m2
+        or (last_m - slope * last_s) ** 2 > spread_m2
     ):
         return None
-    early_s, late_s = time_s - before_s, after_s - time_s
+    early_s, late_s = this.time_s - before_s, after_s - this.time_s
     share = early_s / (early_s + late_s)
     bend_m = 0.5 * ACCELERATION_M_S2 * early_s * late_s
-    variance_m2 *= (1.0 - share) * (1.0 - share) / befores + share * share / count
-    return ReferenceHeight(before_m + slope * early_s, variance_m2 + bend_m * bend_m, slope)
+    variance_m2 *= (1.0 - share) ** 2 / len(befores) + share**2 / len(afters)
+    return ReferenceHeight(before_m + slope * early_s, variance_m2 + bend_m**2, slope)
 
 
-def _nearest(window: Sequence[Sighting], places: range, sensor: int) -> tuple[int, float, float, float, float, float]:
-    """The first two of these readings that are of other sensors: their number, their mean height and time, by how much
-    the second differs in both, and the variance of the first."""
-    count = 0
-    mean_m = mean_s = apart_m = apart_s = variance_m2 = 0.0
-    for i in places:
-        each = window[i]
-        common_m = each.common_m
-        if common_m is not None and each.sensor != sensor:
-            if count:
-                apart_m, apart_s = common_m - mean_m, each.time_s - mean_s
-                return 2, mean_m + 0.5 * apart_m, mean_s + 0.5 * apart_s, apart_m, apart_s, variance_m2
-            count, mean_m, mean_s, variance_m2 = 1, common_m, each.time_s, each.std_m * each.std_m
-    return count, mean_m, mean_s, apart_m, apart_s, variance_m2
+_Heights = list[tuple[float, float, float]]
+"""Heights [m], their times [s] and variances [m^2]."""
+
+
+def _nearest(sightings: Sequence[Sighting], sensor: str) -> _Heights:
+    """The heights by the first two of these readings that are of other sensors."""
+    return [
+        (each.common_m, each.time_s, each.std_m**2)
+        for each in sightings
+        if each.common_m is not None and each.sensor != sensor
+    ][:2]
+
+
+def _mean(heights: _Heights) -> tuple[float, float, float, float]:
+    """Mean height and time of one or two, and by how much the second differs in both."""
+    (first_m, first_s, _), (last_m, last_s, _) = heights[0], heights[-1]
+    apart_m, apart_s = last_m - first_m, last_s - first_s
+    return first_m + 0.5 * apart_m, first_s + 0.5 * apart_s, apart_m, apart_s

@@ -59,16 +59,17 @@ class OutputWatch:
     """
 
     def __init__(self, streams: Iterable[str], silence_s: float, start_s: float) -> None:
-        self._usable_s = dict.fromkeys(streams, start_s)
         self._silence_s = silence_s
+        # When each stream has been silent for too long, if it stays so.
+        self._limits_s = dict.fromkeys(streams, start_s + silence_s)
         self._used: deque[bool] = deque(maxlen=DISAGREE_READINGS)
         self._fit = 1.0
         self._disagree, self._noisy = _Lasting(), _Lasting()
 
     def on_usable(self, stream: str, now_s: float) -> None:
         """Note that a distance, or 'above the maximum', of a stream has gone out."""
-        if stream in self._usable_s:
-            self._usable_s[stream] = now_s
+        if stream in self._limits_s:
+            self._limits_s[stream] = now_s + self._silence_s
 
     def on_range(self, used: bool, fit: float) -> None:
         """Note whether a reading with a range was used, and the mean square of the normalised innovations."""
@@ -77,13 +78,7 @@ class OutputWatch:
 
     def next_event_s(self, now_s: float) -> float:
         """When the next stream will have been silent for too long [s], if it stays so; infinity: all are by now."""
-        limits_s = [usable_s + self._silence_s for usable_s in self._usable_s.values()]
-        return min([limit_s for limit_s in limits_s if limit_s > now_s], default=float("inf"))
-
-    def silent(self, now_s: float) -> list[str]:
-        """Streams that have sent nothing usable for too long."""
-        # Compare sums, not differences: at exactly the limit a stream is silent, whatever was rounded.
-        return [name for name, usable_s in self._usable_s.items() if now_s >= usable_s + self._silence_s]
+        return min([limit_s for limit_s in self._limits_s.values() if limit_s > now_s], default=float("inf"))
 
     def conditions(
         self, now_s: float, failing: Collection[str], finding: SensorFinding | None = None
@@ -99,16 +94,15 @@ class OutputWatch:
         finding
             What was found of a sensor last, the second source of 'noisy'.
         """
-        silent = self.silent(now_s)
         found = []
-        for name in self._usable_s:
+        for name, limit_s in self._limits_s.items():
             text, over = f"Range {name}: no distance", f"Range {name}: distance is back"
             if name == FUSED:
                 text, over = "Range: no distance to the ground", "Range: distance is back"
-            now = text if name in silent else None
+            now = text if now_s >= limit_s else None
             key, is_reported = f"silence {name}", name not in failing
             found.append(Condition(key, now, over, Severity.ERROR, remedy=_SILENT, is_reported=is_reported))
-        rejected = len(self._used) - sum(self._used)
+        rejected = self._used.count(False)
         disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
         now = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
         found.append(Condition("disagree", now, "Range: readings agree"))

@@ -9,25 +9,24 @@ class Reminder:
     """One autopilot's comings and restarts."""
 
     def __init__(self) -> None:
-        self._was_there = False
-        self._known_reboots = 0
+        self._reboots: int | None = None
         self._waits = False
         self._sent_s = float("-inf")
 
-    def is_due(self, now_s: float, is_there: bool, reboots: int) -> bool:
+    def is_due(self, now_s: float, reboots: int | None) -> bool:
         """Whether the texts are to be sent now; they then count as sent.
 
         Parameters
         ----------
         now_s
             Time [s].
-        is_there, reboots
-            Whether the autopilot is received, and how often it has started again.
+        reboots
+            How often the autopilot has started again; None: it is not received.
         """
-        if is_there and (not self._was_there or reboots != self._known_reboots):
+        if reboots not in (None, self._reboots):
             self._waits = True
-        self._was_there, self._known_reboots = is_there, reboots
-        if not (self._waits and is_there and now_s - self._sent_s >= AGAIN_S):
+        self._reboots = reboots
+        if not self._waits or reboots is None or now_s - self._sent_s < AGAIN_S:
             return False
         self._waits, self._sent_s = False, now_s
         return True

@@ -29,7 +29,7 @@ bound holds where the model's numbers, or the others' where they replace them, a
 import math
 from collections.abc import Mapping
 
-from msp_range.geometry import Vector
+from msp_range.geometry import Vector, dot
 from msp_range.health.evidence import Evidence, Occurrences
 from msp_range.health.expected import Expected, missed_share
 from msp_range.health.finding import Kind, SensorFinding
@@ -41,7 +41,7 @@ FALSE_ALARM_H = 2000.0
 readings 8 s later."""
 WEIGHTS: dict[Kind, float] = {"short": 0.35, "missed": 0.2, "wider": 0.35, "shifted": 0.05, "repeats": 0.05}
 """Share of the false alarms that each alternative may have; half of it costs 3 s of 60 s."""
-ODDS, REPEAT_ODDS = 6.0, 12.0
+ODDS: dict[Kind, float] = {"short": 6.0, "missed": 6.0, "repeats": 12.0}
 """Odds of the alternatives over the model's: fewer find a small change sooner and a large one later."""
 OFF = 4.0
 """A reading this many deviations nearer than the others is short."""
@@ -93,6 +93,8 @@ TURNS_APART = 1.7
 """Readings up to so many turns apart are successive: beyond them nothing is known of the correlation."""
 BAROMETER_M_S = 0.3
 """A single sensor's repeats count as far as the barometer's climb is more than this [m/s], its error."""
+LEVEL: Vector = (0.0, 0.0, 1.0)
+"""Straight down where the attitude is not known."""
 MOST_NEIGHBOURS = 3
 """Readings before and after one among which its reference is looked for: a turn of four sensors."""
 
@@ -100,15 +102,11 @@ MOST_NEIGHBOURS = 3
 class _Sensor:
     """One sensor: what its model says, and what was seen of it."""
 
-    def __init__(self, index: int, name: str, expected: Expected, readings: float) -> None:
-        self.index, self.name, self.expected = index, name, expected
-        self.faces_level = expected.boresight[2] > expected.facing_cosine
+    def __init__(self, name: str, expected: Expected, readings: float) -> None:
+        self.name, self.expected = name, expected
         self.others: list[_Sensor] = []
-        self.short = Occurrences(readings / WEIGHTS["short"], ODDS)
-        self.missed = Occurrences(readings / WEIGHTS["missed"], ODDS)
-        self.repeats = Occurrences(readings / WEIGHTS["repeats"], REPEAT_ODDS)
+        self.rare = {kind: Occurrences(readings / WEIGHTS[kind], odds) for kind, odds in ODDS.items()}
         self.wider, self.shifted = Evidence(readings / WEIGHTS["wider"]), Evidence(readings / WEIGHTS["shifted"])
-        self.findings: dict[Kind, SensorFinding] = {}
         # Slow means of its readings: how many there were, offset from the others [m], mean square of e, and of the
         # others' offsets the variance [m^2].
         self.readings, self.offset_m, self.scale, self.rough_m2 = 0, 0.0, 1.0, 0.0
@@ -119,8 +117,8 @@ class _Sensor:
         self.raw: int | None = None
         self.time_s = -math.inf
         self.height_m: float | None = None
-        # Whether that was short and waits for the next one, and the probability that it was.
-        self.has_pending, self.short_probability = False, 0.0
+        # The probability that it was short, where it was and waits for the next one.
+        self.short_probability: float | None = None
 
 
 class SensorWatch:
@@ -142,17 +140,14 @@ class SensorWatch:
     def __init__(self, sensors: Mapping[str, Expected], turn_s: float) -> None:
         count = len(sensors)
         readings = FALSE_ALARM_H * 3600.0 * count / turn_s
-        self._sensors = [_Sensor(i, name, each, readings) for i, (name, each) in enumerate(sensors.items())]
-        for sensor in self._sensors:
-            sensor.others = [each for each in self._sensors if each is not sensor]
-        self._of = {sensor.name: sensor for sensor in self._sensors}
+        self._sensors = {name: _Sensor(name, each, readings) for name, each in sensors.items()}
+        for sensor in self._sensors.values():
+            sensor.others = [each for each in self._sensors.values() if each is not sensor]
         self._successive_s = TURNS_APART * turn_s
         self._middle = min(count - 1, MOST_NEIGHBOURS)
         self._window: list[Sighting] = []
         self._model_correlation = max([each.correlation for each in sensors.values()], default=0.0)
         self._product, self._square = 0.0, 1.0
-        # Sum of the offsets [m], and of the mean squares of the sensors that are not found to be wider.
-        self._offsets_m, self._scales, self._in_order = 0.0, float(count), count
         self.findings: list[SensorFinding] = []
 
     @property
@@ -186,14 +181,16 @@ class SensorWatch:
         down
             Straight down, a unit vector in body FRD; None where the attitude is not known.
         """
-        own = self._of[name]
+        own = self._sensors[name]
         if height_m is None and seen is not GroundUse.MISSED:
             seen = GroundUse.NOTHING
         common_m = height_m - own.offset_m if height_m is not None and seen is GroundUse.GROUND else None
         std_m = own.expected.spread * (std_m or 0.0)
-        sighting = Sighting(time_s, own.index, common_m, std_m, seen, height_m, raw, climb_m_s, down)
-        if self._middle == 0:
-            self._alone(own, sighting)
+        sighting = Sighting(time_s, name, common_m, std_m, seen, height_m, raw, climb_m_s, down)
+        if self.is_single:
+            # Repeats count while the barometer shows a climb.
+            moved_m = max(abs(climb_m_s) - BAROMETER_M_S, 0.0) * (time_s - own.time_s)
+            self._count(own, sighting, own.height_m, moved_m, height_m)
             return
         window = self._window
         window.append(sighting)
@@ -203,145 +200,121 @@ class SensorWatch:
                 self._compare(self._sensors[sighting.sensor], sighting)
             del window[0]
 
-    def _alone(self, own: _Sensor, sighting: Sighting) -> None:
-        """The only sensor: codes after a range, and repeats while the barometer shows a climb."""
-        before_m = own.height_m
-        if before_m is not None and NEAREST_M < before_m < FARTHEST * own.expected.maximum_m:
-            self._echo(own, sighting, before_m)
-        elapsed_s = sighting.time_s - own.time_s
-        if elapsed_s < self._successive_s:
-            self._repeat(own, sighting, max(abs(sighting.climb_m_s) - BAROMETER_M_S, 0.0) * elapsed_s)
-        own.time_s, own.height_m, own.raw = sighting.time_s, sighting.height_m, sighting.raw
-        if own.findings:
-            self._settle(own)
+    def _count(
+        self, own: _Sensor, sighting: Sighting, range_m: float | None, moved_m: float, height_m: float | None
+    ) -> None:
+        """What a single sensor is asked for, too: an echo from ground in range, and an answer that follows the height.
+
+        ``moved_m``: by how much that has changed since its reading before, to ``height_m``.
+        """
+        seen, expected = sighting.seen, own.expected
+        if range_m is not None and NEAREST_M < range_m < FARTHEST * expected.maximum_m:
+            if seen is not GroundUse.MISSED:
+                own.rare["missed"].nones += 1
+            elif dot(sighting.down or LEVEL, expected.boresight) > expected.facing_cosine:
+                self._happens(own, "missed", missed_share(expected, range_m))
+        if (
+            sighting.time_s - own.time_s < self._successive_s
+            and moved_m >= max(FOLLOWS_M, FOLLOWS * sighting.std_m)
+            and seen is not GroundUse.MISSED
+        ):
+            if sighting.raw is None or sighting.raw != own.raw:
+                own.rare["repeats"].nones += 1
+            else:
+                self._happens(own, "repeats", REPEATS)
+        own.time_s, own.height_m, own.raw = sighting.time_s, height_m, sighting.raw
+        # What has not happened to a sensor with a finding may end it.
+        for kind, each in own.rare.items():
+            if each.is_found and each.settle():
+                self._report(own, kind, each)
 
     def _compare(self, own: _Sensor, sighting: Sighting) -> None:
         """A reading with the others' around it."""
-        if own.wider.is_found:
-            scale = self._scales / (self._in_order or 1)
-        else:
-            scale = (self._scales - own.scale) / (self._in_order - 1 or 1)
-        scale = scale if scale > 1.0 else 1.0
+        scales = [each.scale for each in own.others if not each.wider.is_found]
+        scale = max(sum(scales) / (len(scales) or 1), 1.0)
         others = reference(self._window, self._middle, scale)
         if others is None or not others.height_m > NEAREST_M:
             return
         time_s, std_m, seen, height_m = sighting.time_s, sighting.std_m, sighting.seen, sighting.height_m
         expected, others_m = own.expected, others.height_m
-        if others_m < FARTHEST * expected.maximum_m:
-            self._echo(own, sighting, others_m)
-        before_m, own.height_m = own.height_m, others_m
-        if before_m is not None and time_s - own.time_s < self._successive_s:
-            self._repeat(own, sighting, abs(others_m - before_m))
-        own.time_s, own.raw = time_s, sighting.raw
-        if own.findings:
-            self._settle(own)
+        moved_m = 0.0 if own.height_m is None else abs(others_m - own.height_m)
+        self._count(own, sighting, others_m, moved_m, others_m)
         if seen is GroundUse.REPEATED:
             return
+        before, is_successive = own.x, own.x_s > time_s - self._successive_s
+        own.x, own.x_s = 0.0, -math.inf
         if height_m is None or seen is GroundUse.MISSED:
             self._confirm_short(own)
-            own.seen_m, own.x, own.x_s = None, 0.0, -math.inf
+            own.seen_m = None
             return
         off_m = height_m - others_m
         variance_m2 = std_m * std_m + others.variance_m2
         deviation_m = math.sqrt(variance_m2)
         x = (off_m - own.offset_m) / deviation_m
         e = x
-        if own.x_s > time_s - self._successive_s and (phi := self._correlation()) > 0.0:
-            e = (x - phi * own.x) / math.sqrt(1.0 - phi * phi)
+        if is_successive:
+            phi = max(min(self._product / self._square, MOST_CORRELATION), self._model_correlation, 0.0)
+            e = (x - phi * before) / math.sqrt(1.0 - phi * phi)
         limit = OFF * math.sqrt(scale)
         agrees = own.seen_m is not None and abs(off_m - own.seen_m) < AGREE_M
-        if own.has_pending:
-            if agrees:
-                own.has_pending = False
-            else:
-                self._confirm_short(own)
+        if agrees:
+            own.short_probability = None
+        self._confirm_short(own)
         own.seen_m = off_m
         is_ground = seen is GroundUse.GROUND
         # Two large differences in a row that are alike: a stone or an edge below the sensor.
         step = STEP * limit
-        has_stepped = own.x * x > step * step and abs(own.x - x) < step
+        has_stepped = before * x > step * step and abs(before - x) < step
         if own.readings > WARM_UP:
             if e >= -limit:
-                own.short.nones += 1
+                own.rare["short"].nones += 1
             elif not agrees:
                 span = max(others_m - expected.minimum_m, 0.0) / (expected.maximum_m - expected.minimum_m)
-                own.has_pending, own.short_probability = True, expected.short + expected.random * span
+                own.short_probability = expected.short + expected.random * span
             if is_ground and not has_stepped:
                 square = e * e / scale
-                ratio = math.exp((square if square < MOST_SQUARE else MOST_SQUARE) * WIDER_SLOPE) * WIDER_NORM
+                ratio = math.exp(min(square, MOST_SQUARE) * WIDER_SLOPE) * WIDER_NORM
                 # The rest of the variance is the reference's.
                 own_share = std_m * std_m / variance_m2
                 if own.wider.update(ratio, own_share, square - 1.0 + own_share):
                     self._report(own, "wider", own.wider)
-            if abs(own.offset_m - self._offsets_m / len(self._sensors)) > SHIFT_ASKED_M:
+            if abs(own.offset_m - _mean([each.offset_m for each in self._sensors.values()])) > SHIFT_ASKED_M:
                 self._shift(own, sighting, others.climb_m_s, off_m, deviation_m)
-        if not is_ground:
-            own.x, own.x_s = 0.0, -math.inf
-        elif has_stepped:
-            self._move(own, 0.5 * (x + own.x) * deviation_m)
-            own.x, own.x_s = 0.0, -math.inf
-        else:
-            self._learn(own, x, e, limit, deviation_m, time_s)
+        if is_ground and has_stepped:
+            own.offset_m += 0.5 * (x + before) * deviation_m
+        elif is_ground:
+            if abs(e) <= limit:
+                own.x_s = time_s
+                if is_successive:
+                    self._product += (x * before - self._product) * CORRELATION_SHARE
+                self._square += (x * x - self._square) * CORRELATION_SHARE
+            own.x = x
+            self._learn(own, x * deviation_m, e, limit)
 
-    def _correlation(self) -> float:
-        phi = self._product / self._square
-        if phi < self._model_correlation:
-            return self._model_correlation
-        return phi if phi < MOST_CORRELATION else MOST_CORRELATION
-
-    def _move(self, own: _Sensor, by_m: float) -> None:
-        own.offset_m += by_m
-        self._offsets_m += by_m
-
-    def _learn(self, own: _Sensor, x: float, e: float, limit: float, deviation_m: float, time_s: float) -> None:
-        """Offset, scatter and correlation, by a reading of the ground."""
+    def _learn(self, own: _Sensor, change_m: float, e: float, limit: float) -> None:
+        """Offset and scatter, by a reading of the ground."""
         own.readings += 1
-        change_m = x * deviation_m / (own.readings if own.readings < OFFSET_READINGS else OFFSET_READINGS)
-        before, before_s = own.x, own.x_s
-        own.x = x
+        change_m /= min(own.readings, OFFSET_READINGS)
         if abs(e) > limit:
-            own.x_s = -math.inf
             change_m *= limit / abs(e)
         else:
-            own.x_s = time_s
-            change = (e * e - own.scale) / (own.readings if own.readings < SCALE_READINGS else SCALE_READINGS)
-            own.scale += change
-            if not own.wider.is_found:
-                self._scales += change
-            if before_s > time_s - self._successive_s:
-                self._product += (x * before - self._product) * CORRELATION_SHARE
-            self._square += (x * x - self._square) * CORRELATION_SHARE
-        self._move(own, change_m)
-        count = len(own.others)
-        if count >= LEVEL_SENSORS:
-            level_m = (self._offsets_m - own.offset_m) / count
-            variance_m2 = sum([each.offset_m * each.offset_m for each in own.others]) / count - level_m * level_m
+            own.scale += (e * e - own.scale) / min(own.readings, SCALE_READINGS)
+        own.offset_m += change_m
+        offsets_m = [each.offset_m for each in own.others]
+        if len(offsets_m) >= LEVEL_SENSORS:
+            variance_m2 = _mean([offset_m**2 for offset_m in offsets_m]) - _mean(offsets_m) ** 2
             own.rough_m2 += (variance_m2 - own.rough_m2) / min(own.readings, ROUGH_READINGS)
 
-    def _echo(self, own: _Sensor, sighting: Sighting, range_m: float) -> None:
-        """An echo from ground in range, or none."""
-        if sighting.seen is not GroundUse.MISSED:
-            own.missed.nones += 1
-        elif self._faces(own, sighting.down) and own.missed.happens(
-            missed_share(own.expected, range_m), [each.missed for each in own.others]
-        ):
-            self._report(own, "missed", own.missed.evidence)
-
-    def _repeat(self, own: _Sensor, sighting: Sighting, moved_m: float) -> None:
-        """The same answer where the height has changed, or another one."""
-        if moved_m < FOLLOWS_M or moved_m < FOLLOWS * sighting.std_m or sighting.seen is GroundUse.MISSED:
-            return
-        if sighting.raw is None or sighting.raw != own.raw:
-            own.repeats.nones += 1
-        elif own.repeats.happens(REPEATS, [each.repeats for each in own.others]):
-            self._report(own, "repeats", own.repeats.evidence)
+    def _happens(self, own: _Sensor, kind: Kind, probability: float) -> None:
+        """Something rare happens, which has this probability by the model."""
+        if own.rare[kind].happens(probability, [each.rare[kind] for each in own.others]):
+            self._report(own, kind, own.rare[kind])
 
     def _confirm_short(self, own: _Sensor) -> None:
         """The short reading before was one: the reading after it does not agree."""
-        if own.has_pending:
-            own.has_pending = False
-            if own.short.happens(own.short_probability, [each.short for each in own.others]):
-                self._report(own, "short", own.short.evidence)
+        if own.short_probability is not None:
+            self._happens(own, "short", own.short_probability)
+            own.short_probability = None
 
     def _shift(self, own: _Sensor, sighting: Sighting, climb_m_s: float, off_m: float, deviation_m: float) -> None:
         """A difference from others that agree on level ground, while the vehicle moves."""
@@ -350,38 +323,21 @@ class SensorWatch:
         offsets_m = [each.offset_m for each in own.others if not each.shifted.is_found]
         if len(offsets_m) < LEVEL_SENSORS or max(offsets_m) - min(offsets_m) > LEVEL_M:
             return
-        off_m -= sum(offsets_m) / len(offsets_m)
+        off_m -= _mean(offsets_m)
         if abs(off_m) < MOST_SHIFT_M:
             tolerated_m = SHIFT_M + ROUGH * math.sqrt(max(own.rough_m2, 0.0))
             ratio = math.exp(min(2.0 * (abs(off_m) - tolerated_m) / deviation_m - 2.0, SHIFT_LOG))
             if own.shifted.update(ratio, 1.0, off_m):
                 self._report(own, "shifted", own.shifted)
 
-    def _settle(self, own: _Sensor) -> None:
-        """What has not happened to a sensor with a finding may end it."""
-        rare: tuple[tuple[Kind, Occurrences], ...]
-        rare = (("short", own.short), ("missed", own.missed), ("repeats", own.repeats))
-        for kind, each in rare:
-            if each.evidence.is_found and each.settle():
-                self._report(own, kind, each.evidence)
-
     def _report(self, own: _Sensor, kind: Kind, evidence: Evidence) -> None:
         """Begin or end a finding."""
-        sign = -1
         if evidence.is_found:
-            finding = SensorFinding(own.name, kind, math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio)
-            own.findings[kind] = finding
-            self.findings.append(finding)
+            size = math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio
+            self.findings.append(SensorFinding(own.name, kind, size))
         else:
-            sign = 1
-            self.findings.remove(own.findings.pop(kind))
-        if kind == "wider":
-            self._in_order += sign
-            self._scales += sign * own.scale
+            self.findings = [each for each in self.findings if (each.sensor, each.kind) != (own.name, kind)]
 
-    @staticmethod
-    def _faces(own: _Sensor, down: Vector | None) -> bool:
-        if down is None:
-            return own.faces_level
-        x, y, z = own.expected.boresight
-        return down[0] * x + down[1] * y + down[2] * z > own.expected.facing_cosine
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values)

@@ -16,10 +16,10 @@ manoeuvres between slow attitudes for two vehicles, larger misses two that hover
 RATE_FACTOR = 2.0
 """Between two attitudes a vehicle turns at most this many times as fast as at the faster one of them."""
 
-_BOOT_MS, _BOOT_US = ("time_boot_ms", 1e-3), ("time_usec", 1e-6)
-_TIMES = dict.fromkeys(("ATTITUDE", "SCALED_PRESSURE", "SYSTEM_TIME"), _BOOT_MS) | dict.fromkeys(
-    ("HIGHRES_IMU", "RAW_IMU"), _BOOT_US
-)
+_TIMES = {
+    **dict.fromkeys(("ATTITUDE", "SCALED_PRESSURE", "SYSTEM_TIME"), ("time_boot_ms", 1e-3)),
+    **dict.fromkeys(("HIGHRES_IMU", "RAW_IMU"), ("time_usec", 1e-6)),
+}
 """Field with the time since boot, and its unit [s], of each message that the bridge uses."""
 
 

@@ -19,13 +19,6 @@ QUALITY_LOWEST, QUALITY_BEST = 2, 100
 
 Autopilot = Literal["ardupilot", "px4"]
 
-TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
-"""Time without a message after which a range finder counts as lost [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's
-EKF2 requires readings at least this often."""
-
-ULTRASOUND: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
-LASER: int = dialect.MAV_DISTANCE_SENSOR_LASER
-RADAR: int = dialect.MAV_DISTANCE_SENSOR_RADAR
 _Message = dialect.MAVLink_distance_sensor_message
 
 
@@ -44,7 +37,7 @@ class Stream:
     no_echo_cm
         ``current_distance`` for no echo [cm].
     type
-        `ULTRASOUND`, `LASER` or `RADAR`.
+        MAV_DISTANCE_SENSOR.
     """
 
     id: int
@@ -52,7 +45,7 @@ class Stream:
     min_distance_cm: int
     max_distance_cm: int
     no_echo_cm: int
-    type: int = ULTRASOUND
+    type: int
 
 
 def make_stream(
@@ -61,7 +54,7 @@ def make_stream(
     shortest_cm: int,
     longest_cm: int,
     autopilot: Autopilot,
-    type: int = ULTRASOUND,
+    type: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND,
 ) -> Stream:
     """Make a stream with the bounds and the no-echo value that the autopilot expects.
 
@@ -80,19 +73,19 @@ def make_stream(
 def distance_sensor(
     stream: Stream,
     time_boot_ms: int,
-    range_m: float,
+    range_m: float | None,
     variance_m2: float,
     field_of_view_rad: float,
     quality: int,
 ) -> Any:
-    """DISTANCE_SENSOR with a distance.
+    """DISTANCE_SENSOR with a distance, or of a working sensor without an echo.
 
     Parameters
     ----------
     time_boot_ms
         Time of the echo on the autopilot's clock [ms].
     range_m
-        Distance [m]; limited to what the sensor can report.
+        Distance [m]; limited to what the sensor can report. None: no echo, of which only the field of view counts.
     variance_m2
         Variance of its error [m^2]; infinite if unknown. Sent in cm^2, rounded up, 1 to 254.
     field_of_view_rad
@@ -105,22 +98,16 @@ def distance_sensor(
     ValueError
         The range is not a number: that is a fault, and a fault is never sent.
     """
-    if not math.isfinite(range_m):
-        raise ValueError(f"a distance of {range_m} m cannot be sent")
-    current_cm = round(min(max(range_m * 100, stream.min_distance_cm + 1), stream.max_distance_cm))
-    covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254)) if math.isfinite(variance_m2) else COVARIANCE_UNKNOWN
-    quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
-    return _message(stream, time_boot_ms, current_cm, covariance, field_of_view_rad, quality)
-
-
-def no_echo(stream: Stream, time_boot_ms: int, field_of_view_rad: float) -> Any:
-    """DISTANCE_SENSOR for a working sensor without an echo."""
-    return _message(stream, time_boot_ms, stream.no_echo_cm, COVARIANCE_UNKNOWN, field_of_view_rad, QUALITY_INVALID)
-
-
-def _message(
-    stream: Stream, time_boot_ms: int, current_cm: int, covariance: int, field_of_view_rad: float, quality: int
-) -> Any:
+    covariance = COVARIANCE_UNKNOWN
+    if range_m is None:
+        current_cm, quality = stream.no_echo_cm, QUALITY_INVALID
+    else:
+        if not math.isfinite(range_m):
+            raise ValueError(f"a distance of {range_m} m cannot be sent")
+        current_cm = round(min(max(range_m * 100, stream.min_distance_cm + 1), stream.max_distance_cm))
+        quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
+        if math.isfinite(variance_m2):
+            covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254))
     return _Message(
         time_boot_ms & 0xFFFFFFFF,
         stream.min_distance_cm,

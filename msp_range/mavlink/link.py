@@ -9,14 +9,14 @@ from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from msp_range import __version__
 from msp_range.clock import Clock
 from msp_range.health import Condition, Severity
 from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFORMATION_BASIC
 from msp_range.mavlink.component_information import ComponentInformationBasic
+from msp_range.mavlink.contradictions import Contradictions
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import Frame, FrameReader, pack
+from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.participants import Participants
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.time_sync import AutopilotClock
@@ -99,12 +99,13 @@ class Link:
         self._report_message = on_message
         self.wanted = WantedMessages(wanted or {})
         self._participants = Participants(autopilot)
+        self._contradictions = Contradictions()
         self._pinned_system = self._first_system = system_id
         self._signing = signing
         self._frames = FrameReader()
         self._from_autopilot: Waiting = deque()
         self._from_others: Waiting = deque()
-        self._system, self._component, self._sequence = system_id or 1, component_id, 0
+        self._mav = dialect.MAVLink(None, system_id or 1, component_id)
         now_s = clock.now()
         self._start_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
@@ -120,13 +121,17 @@ class Link:
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self._sent_frames: deque[bytes] = deque(maxlen=SENT_KEPT)
-        self._autopilot_answers = _Allowance(ANSWERS_PER_S, now_s)
-        self._command_answers = _Allowance(ANSWERS_PER_S, now_s)
+        self._autopilot_answers, self._command_answers = _Allowance(now_s), _Allowance(now_s)
 
     @property
     def autopilot_is_present(self) -> bool:
         """True while heartbeats of an autopilot are received."""
         return self._clock.now() - self._heartbeat_s < AUTOPILOT_LOST_S
+
+    @property
+    def _ids(self) -> tuple[int, int]:
+        """System and component that it sends as."""
+        return self._mav.srcSystem, self._mav.srcComponent
 
     @property
     def files(self) -> Sequence[int]:
@@ -135,16 +140,14 @@ class Link:
 
     def send(self, message: Any) -> bytes | None:
         """Send a message at once; returns the frame, or None if the transport dropped it."""
-        frame = pack(message, self._system, self._component, self._sequence)
         if self._signing is not None:
-            frame = self._signing.sign(frame)
-        self._sequence = (self._sequence + 1) % 256
+            self._signing.sign_next(self._mav)
+        frame: bytes = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
         self._sent_frames.append(frame)
-        if self.transport.send(frame):
-            self.sent[message.msgname] += 1
-            return frame
-        self.dropped[message.msgname] += 1
-        return None
+        is_sent = self.transport.send(frame)
+        (self.sent if is_sent else self.dropped)[message.msgname] += 1
+        return frame if is_sent else None
 
     def send_text(self, severity: int, text: str) -> None:
         """Send STATUSTEXT, truncated to its maximum length."""
@@ -157,14 +160,12 @@ class Link:
         received = self.transport.receive()
         if received:
             self._sort(now_s, self._frames.read(received))
-        if self._from_autopilot:
-            self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
-        if self._from_others:
-            self._decode_first(self._from_others, DECODED_FROM_OTHERS)
+        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
+        self._decode_first(self._from_others, DECODED_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
-        if now_s - self._heartbeat_s < AUTOPILOT_LOST_S:
+        if self.autopilot_is_present:
             self._ask(now_s)
         is_dense = False
         # Also where nothing came of it: a server with all the clients that it takes can be read for ever.
@@ -188,7 +189,7 @@ class Link:
         # Nobody would get a text: it is for those who look.
         found.append(Condition("autopilot", missing, "", Severity.ERROR, remedy=remedy, is_reported=False))
         if self._signing is not None:
-            text = None if self._signing.fault is None else "Range: signing time is not kept, check the disk"
+            text = None if self._signing.keeps_time else "Range: signing time is not kept, check the disk"
             found.append(Condition("signing time", text, "Range: signing time is kept again"))
         return found
 
@@ -199,30 +200,25 @@ class Link:
 
     def _ask(self, now_s: float) -> None:
         """Send due requests to the autopilot: for its time, and for a message that arrives too slowly."""
+        target = self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
         if now_s >= self.autopilot_clock.next_request_s:
-            target = self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
             self.send(_timesync(0, self.autopilot_clock.request(now_s), target))
         request = self.wanted.request(now_s)
         if request is not None:
             self.send(
                 dialect.MAVLink_command_long_message(
-                    self.autopilot_system,
-                    dialect.MAV_COMP_ID_AUTOPILOT1,
+                    *target,
                     dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
                     0,
                     *request,
-                    0,
-                    0,
-                    0,
-                    0,
-                    0,
+                    *[0] * 5,
                 )
             )
 
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
         """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge."""
         autopilot = self.autopilot_system or self._pinned_system
-        own_ids = (self._system, self._component)
+        own_ids = self._ids
         for frame in frames:
             if (frame.system, frame.component) == own_ids:
                 self._from_others.append((now_s, frame))
@@ -235,33 +231,31 @@ class Link:
                 continue
             if self._is_accepted(now_s, frame):
                 waiting.append((now_s, frame))
-        if len(self._from_autopilot) > WAITING_FROM_AUTOPILOT:
-            self._from_autopilot = _newest(self._from_autopilot, WAITING_FROM_AUTOPILOT)
-        if len(self._from_others) > WAITING_FROM_OTHERS:
-            self._from_others = _newest(self._from_others, WAITING_FROM_OTHERS)
+        self._from_autopilot = _bounded(self._from_autopilot, WAITING_FROM_AUTOPILOT)
+        self._from_others = _bounded(self._from_others, WAITING_FROM_OTHERS)
 
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
         """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
         if self._signing is None:
             if frame.is_signed and frame.is_autopilot_heartbeat:
-                self._participants.on_signed(now_s)
+                self._participants.seen("signing", now_s, "Range: autopilot signs, signing_key is missing")
             return True
         accepted = self._signing.accepts(frame)
         if frame.is_autopilot_heartbeat and not accepted:
-            self._participants.on_unsigned(now_s)
+            self._participants.seen("signing", now_s, "Range: autopilot does not sign with this key")
         return accepted
 
     def _decode_first(self, waiting: Waiting, count: int) -> None:
         """Decode up to ``count`` of the waiting messages."""
-        while waiting and count:
+        for _ in range(min(count, len(waiting))):
             self._decode(*waiting.popleft())
-            count -= 1
 
     def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
-        if source == (self._system, self._component):
+        if source == self._ids:
             if frame.data not in self._sent_frames:
-                self._participants.on_own_ids(now_s, *source)
+                text = f"Range: another program sends as {frame.system}/{frame.component}"
+                self._participants.suspected("own ids", now_s, text)
             return
         message = frame.decode()
         if frame.is_autopilot_heartbeat:
@@ -269,20 +263,24 @@ class Link:
         elif frame.message_id in _COMMANDS:
             self._take_command(now_s, source, message)
         if source == (self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1):
-            self._participants.on_message(now_s, frame.system, message)
-            is_ours = frame.message_id != dialect.MAVLINK_MSG_ID_TIMESYNC or self._is_for(*timesync_target(frame))
-            self._take_autopilots(now_s, source, message, is_ours)
+            self._take_autopilots(now_s, frame, source, message)
 
-    def _take_autopilots(self, now_s: float, source: tuple[int, int], message: Any, is_ours: bool) -> None:
+    def _take_autopilots(self, now_s: float, frame: Frame, source: tuple[int, int], message: Any) -> None:
+        if self._contradictions.update(message):
+            text = f"Range: two autopilots send as system {frame.system}"
+            self._participants.suspected("autopilot's ids", now_s, text)
         kind = message.get_type()
         if kind == "PING" and message.target_system == 0 and message.target_component == 0:
             if self._autopilot_answers.take(now_s):
                 self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
-        elif kind == "TIMESYNC" and message.tc1 == 0:
-            if is_ours and self._autopilot_answers.take(now_s):
+        elif kind == "TIMESYNC":
+            # Older senders and dialects do not have its target, which is 0 for all.
+            if not self._is_for(*frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")[:2]):
+                pass
+            elif message.tc1:
+                self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
+            elif self._autopilot_answers.take(now_s):
                 self.send(_timesync(round(now_s * 1e9), message.ts1, source))
-        elif kind == "TIMESYNC" and is_ours:
-            self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
         elif kind == "SYSTEM_TIME":
             self.autopilot_clock.on_system_time(now_s, message.time_boot_ms)
         elif (
@@ -291,7 +289,7 @@ class Link:
             and self._is_for(message.target_system, message.target_component)
         ):
             self.wanted.on_answer(now_s, message.result)
-        self.wanted.on_message(now_s, message.get_msgId())  # not message.id, which some messages have as a field
+        self.wanted.on_message(now_s, frame.message_id)
         if self._report_message is not None:
             self._report_message(now_s, message)
 
@@ -301,14 +299,18 @@ class Link:
         self._first_system = self._first_system or system
         if system != self._first_system:
             if self._pinned_system is not None or (is_present and system != self.autopilot_system):
-                self._participants.on_other_autopilot(now_s, system, self._system, is_present)
+                own = self._mav.srcSystem
+                text = f"Range: autopilot is system {system}, file says {own}"
+                if is_present:
+                    text = f"Range: second autopilot, system {system} (using {own})"
+                self._participants.seen("other autopilot", now_s, text)
                 return
-            self._participants.on_stand_in(now_s, system, self._first_system)
+            text = f"Range: autopilot {self._first_system} is silent, using {system}"
+            self._participants.seen("autopilot lost", now_s, text)
         if system != self.autopilot_system:
-            self.autopilot_system = system
-            self._system = system
+            self.autopilot_system = self._mav.srcSystem = system
             self.autopilot_clock = AutopilotClock(self._start_s)
-            self._participants.on_change()
+            self._contradictions = Contradictions()
             is_present = False
         if not is_present:
             self.wanted.ask_anew(now_s)
@@ -322,12 +324,14 @@ class Link:
         """Acknowledge every command to this component, and commands to all components if it supports them."""
         if not self._is_for(command.target_system, command.target_component):
             return
-        answer = None
+        answer: Any = None
+        result = dialect.MAV_RESULT_UNSUPPORTED
         if command.command == dialect.MAV_CMD_REQUEST_MESSAGE:
-            answer = self._requested(command.param1)
+            if command.param1 == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                answer = self._heartbeat()
+            elif command.param1 == COMPONENT_INFORMATION_BASIC:
+                answer = ComponentInformationBasic(self.autopilot_clock.time_boot_ms(self._clock.now()))
             result = dialect.MAV_RESULT_DENIED if answer is None else dialect.MAV_RESULT_ACCEPTED
-        else:
-            result = dialect.MAV_RESULT_UNSUPPORTED
         if (command.target_component == 0 and answer is None) or not self._command_answers.take(now_s):
             return
         self.send(dialect.MAVLink_command_ack_message(command.command, result, 0, 0, *source))
@@ -336,21 +340,8 @@ class Link:
 
     def _is_for(self, system: int, component: int) -> bool:
         """Whether a target is this component, or all."""
-        return system in (0, self._system) and component in (0, self._component)
-
-    def _requested(self, message_id: float) -> Any | None:
-        if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
-            return self._heartbeat()
-        if message_id == COMPONENT_INFORMATION_BASIC:
-            time_boot_ms = self.autopilot_clock.time_boot_ms(self._clock.now())
-            return ComponentInformationBasic(time_boot_ms, "msp-range", "range finder bridge", __version__)
-        return None
-
-
-def timesync_target(frame: Frame) -> tuple[int, int]:
-    """System and component that a TIMESYNC is for, 0 for all; older senders and dialects do not have these fields."""
-    fields = frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")
-    return fields[0], fields[1]
+        own_system, own_component = self._ids
+        return system in (0, own_system) and component in (0, own_component)
 
 
 def _timesync(tc1: int, ts1: int, target: tuple[int | None, int]) -> Any:
@@ -359,32 +350,32 @@ def _timesync(tc1: int, ts1: int, target: tuple[int | None, int]) -> Any:
     return kind(tc1, ts1, *target) if "target_system" in kind.fieldnames else kind(tc1, ts1)
 
 
-def _newest(waiting: Waiting, count: int) -> Waiting:
-    """Of more messages than ``count``, the newest of each type and system."""
+def _bounded(waiting: Waiting, count: int) -> Waiting:
+    """All messages, or of more than ``count`` the newest of each type and system."""
+    if len(waiting) <= count:
+        return waiting
     newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
     return deque(list(newest.values())[-count:])
 
 
 class _Allowance:
-    """Limits events to a number per second, and to the same number at once.
+    """Limits answers to `ANSWERS_PER_S`, and to the same number at once.
 
     Examples
     --------
-    >>> allowance = _Allowance(2, 0.0)
-    >>> [allowance.take(time_s) for time_s in (0.0, 0.0, 0.0, 0.5, 0.5)]
-    [True, True, False, True, False]
+    >>> allowance = _Allowance(0.0)
+    >>> [sum(allowance.take(time_s) for _ in range(30)) for time_s in (0.0, 0.5, 9.0)]
+    [20, 10, 20]
     """
 
-    def __init__(self, per_s: int, now_s: float) -> None:
-        self._per_s = per_s
-        self._left = float(per_s)
+    def __init__(self, now_s: float) -> None:
+        self._left = float(ANSWERS_PER_S)
         self._last_s = now_s
 
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed; if so, it is counted."""
-        self._left = min(self._left + (now_s - self._last_s) * self._per_s, self._per_s)
+        self._left = min(self._left + (now_s - self._last_s) * ANSWERS_PER_S, ANSWERS_PER_S)
         self._last_s = now_s
-        if self._left < 1.0:
-            return False
-        self._left -= 1.0
-        return True
+        is_allowed = self._left >= 1.0
+        self._left -= is_allowed
+        return is_allowed

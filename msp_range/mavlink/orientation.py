@@ -9,39 +9,35 @@ from dataclasses import dataclass
 
 from msp_range.geometry import Quaternion, angle_between, boresight, quaternion
 
-NONE, YAW_45, YAW_90, YAW_135, YAW_180, YAW_225, YAW_270, YAW_315 = range(8)
 PITCH_90 = 24
-PITCH_270 = 25
+DOWN = 25
 ROLL_90_PITCH_68_YAW_293 = 38
 PITCH_315 = 39
 CUSTOM = 100
-DOWN = PITCH_270
 
+_LEVEL = "forward", "forward right", "right", "rear right", "rear", "rear left", "left", "forward left"
+"""Values 0 to 7: yaw in steps of 45 deg."""
 NAMES = {
-    NONE: "forward",
-    YAW_45: "forward right",
-    YAW_90: "right",
-    YAW_135: "rear right",
-    YAW_180: "rear",
-    YAW_225: "rear left",
-    YAW_270: "left",
-    YAW_315: "forward left",
+    **dict(enumerate(_LEVEL)),
     PITCH_90: "up",
-    PITCH_270: "down",
+    DOWN: "down",
     ROLL_90_PITCH_68_YAW_293: "up, 68 deg, towards yaw 293",
     PITCH_315: "forward and down",
     CUSTOM: "custom",
 }
 
-# Roll, pitch, yaw [deg] of each axis, from the enum's own descriptions in common.xml.
-_ROTATIONS_DEG = {
-    **{NONE + step: (0.0, 0.0, 45.0 * step) for step in range(8)},
-    PITCH_90: (0.0, 90.0, 0.0),
-    PITCH_270: (0.0, 270.0, 0.0),
-    ROLL_90_PITCH_68_YAW_293: (90.0, 68.0, 293.0),
-    PITCH_315: (0.0, 315.0, 0.0),
+# Pitch and yaw [deg] of each axis, from the enum's own descriptions in common.xml; the roll does not move it.
+_PITCH_YAW_DEG = {
+    **{step: (0.0, 45.0 * step) for step in range(8)},
+    PITCH_90: (90.0, 0.0),
+    DOWN: (270.0, 0.0),
+    ROLL_90_PITCH_68_YAW_293: (68.0, 293.0),
+    PITCH_315: (315.0, 0.0),
 }
-_AXES = {value: boresight(*(math.radians(angle) for angle in angles)) for value, angles in _ROTATIONS_DEG.items()}
+_AXES = {
+    value: boresight(0.0, math.radians(pitch_deg), math.radians(yaw_deg))
+    for value, (pitch_deg, yaw_deg) in _PITCH_YAW_DEG.items()
+}
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,10 +12,11 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from msp_range.clock import Clock
 from msp_range.input_file import making, read_text
-from msp_range.mavlink.frames import SIGNATURE_BYTES, SIGNED, Frame, checked_again
+from msp_range.mavlink.frames import SIGNATURE_BYTES, Frame
 from msp_range.state_folder import state_folder
 from msp_range.yaml_file import ConfigError
 
@@ -23,7 +24,6 @@ TIME_NAME = "signing-time"
 KEY_BYTES = 32
 MOST_FILE_BYTES = 1_000_000
 """A file of a key or a time that is larger is refused unread: both take less than a hundred bytes."""
-LINK_ID = 0
 EPOCH_S = 1_420_070_400.0
 """2015-01-01 UTC, where timestamps begin [s since 1970]."""
 UNITS_PER_S = 100_000
@@ -59,8 +59,8 @@ class Signing:
 
     Attributes
     ----------
-    fault : str or None
-        Why the time cannot be kept, in a few words for the pilot.
+    keeps_time : bool
+        Whether the time could be kept when that was last tried.
     verified : int
         Frames received that were signed with this key.
     """
@@ -80,7 +80,7 @@ class Signing:
         self._keeping = threading.Lock()
         self._accepts_unsigned = accepts_unsigned
         self._streams: dict[tuple[int, int, int], int] = {}
-        self.fault: str | None = None
+        self.keeps_time = True
         self.verified = 0
 
     def timestamp(self) -> int:
@@ -92,16 +92,16 @@ class Signing:
             threading.Thread(target=self._keep_reserved, name="signing", daemon=True).start()
         return self._last
 
-    def sign(self, frame: bytes) -> bytes:
-        """A MAVLink 2 frame with its signature."""
-        signed = checked_again(frame[:2] + bytes((frame[2] | SIGNED,)) + frame[3:])
-        signed += bytes((LINK_ID,)) + self.timestamp().to_bytes(6, "little")
-        return signed + self._signature(signed)
+    def sign_next(self, mav: Any) -> None:
+        """Have a sender (pymavlink's ``MAVLink``) sign the next frame that it packs, as that of link 0."""
+        mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = self._key, True, self.timestamp()
 
     def accepts(self, frame: Frame) -> bool:
         """Whether a received frame may be used: its signature is right, and it is newer than those before."""
         data = frame.data
-        if not frame.is_signed or not hmac.compare_digest(data[-6:], self._signature(data[:-6])):
+        if not frame.is_signed or not hmac.compare_digest(
+            data[-6:], hashlib.sha256(self._key + data[:-6]).digest()[:6]
+        ):
             return self._accepts_unsigned
         stream = (data[-SIGNATURE_BYTES], frame.system, frame.component)
         timestamp = int.from_bytes(data[-12:-6], "little")
@@ -113,18 +113,14 @@ class Signing:
         self.verified += 1
         return True
 
-    def _signature(self, data: bytes) -> bytes:
-        return hashlib.sha256(self._key + data).digest()[:6]
-
     def _keep_reserved(self) -> None:
         try:
             # One after the other: a slow disk must not end with the older of two times.
             with self._keeping:
                 self._keep(self._reserved)
-        except OSError as error:
-            self.fault = error.strerror or str(error)
-        else:
-            self.fault = None
+            self.keeps_time = True
+        except OSError:
+            self.keeps_time = False
 
 
 def _possible(timestamp: int) -> int:
@@ -180,18 +176,3 @@ def signing_of(key_file: str | None, clock: Clock, accepts_unsigned: bool = Fals
             os.fsync(file.fileno())
 
     return Signing(key, clock, kept, keep, accepts_unsigned)
-
-
-def make_key(path: Path, key: bytes) -> None:
-    """Write a new key file that only its owner can read.
-
-    Raises
-    ------
-    ConfigError
-        There is a file already, or none can be made.
-    """
-    try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-            file.write(key.hex() + "\n")
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}") from None

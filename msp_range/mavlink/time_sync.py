@@ -61,14 +61,19 @@ class AutopilotClock:
 
     def __init__(self, start_s: float) -> None:
         self._start_s = start_s
+        self._newest_s: float | None = None
+        self._requested_s = self.next_request_s = start_s
+        self.reboots = 0
+        self._forget(False)
+
+    def _forget(self, rebooted: bool) -> None:
+        """Forget what the clock showed before it stepped."""
+        self.reboots += rebooted
         self._exchanges: deque[_Sample] = deque(maxlen=EXCHANGES_KEPT)
         self._system_times: deque[_Sample] = deque(maxlen=SYSTEM_TIMES_KEPT)
         self._outstanding: deque[int] = deque(maxlen=EXCHANGES_KEPT)
         self._offset_s: float | None = None
-        self._newest_s: float | None = None
         self._requests = 0
-        self._requested_s = self.next_request_s = start_s
-        self.reboots = 0
 
     @property
     def round_trip_s(self) -> float | None:
@@ -157,15 +162,6 @@ class AutopilotClock:
     def _goes_back(self, time_s: float) -> bool:
         """Whether a time of the autopilot is before the newest one that it has sent."""
         return self._newest_s is not None and shortest(time_s - self._newest_s) < -BACKWARDS_S
-
-    def _forget(self, rebooted: bool) -> None:
-        """Forget what the clock showed before it stepped."""
-        self.reboots += rebooted
-        self._exchanges.clear()
-        self._system_times.clear()
-        self._outstanding.clear()
-        self._offset_s = None
-        self._requests = 0
 
 
 def shortest(difference_s: float) -> float:

@@ -6,7 +6,6 @@ message's name, so a refusal counts only if a single request was pending.
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 from msp_range.mavlink.dialect import dialect
 
@@ -33,18 +32,10 @@ were pending, requests are `ANSWER_S` apart."""
 _NOT_REFUSED = (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 
 
-class Request(NamedTuple):
-    """A message to request: its number, and its interval [us]."""
-
-    message_id: int
-    interval_us: float
-
-
 class _Message:
     """The state of one required message."""
 
-    def __init__(self, name: str, rate_hz: float) -> None:
-        self.name = name
+    def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         self.ask_anew(float("-inf"))
 
@@ -54,15 +45,6 @@ class _Message:
         self.received = 0
         self.first_s = now_s
         self.next_check_s = now_s + FIRST_MEASURED_S
-
-    def is_slow(self, now_s: float) -> bool:
-        """Whether it has not arrived since the last check, or too slowly since it first arrived."""
-        return self.received == 0 or self.received < ENOUGH * self.rate_hz * (now_s - self.first_s)
-
-    def start_measuring(self, now_s: float) -> None:
-        self.received = 0
-        slowly = self.requests > QUICK_REQUESTS
-        self.next_check_s = now_s + (SLOW_REQUEST_S if slowly else max(MEASURED_S, MEASURED_INTERVALS / self.rate_hz))
 
 
 class WantedMessages:
@@ -79,16 +61,13 @@ class WantedMessages:
         The dialect has no such message.
     """
 
-    def __init__(self, rates_hz: Mapping[str, float]) -> None:
-        self._messages = {_message_id(name): _Message(name, rate_hz) for name, rate_hz in rates_hz.items()}
-        self._under_way: list[tuple[float, _Message]] = []
-        self._next_request_s = float("-inf")
-        self._apart_s = APART_S
+    _under_way: list[tuple[float, _Message]]
 
-    @property
-    def refused(self) -> frozenset[str]:
-        """Messages that the autopilot refused to send; they are not requested again."""
-        return frozenset(message.name for message in self._messages.values() if message.refused)
+    def __init__(self, rates_hz: Mapping[str, float]) -> None:
+        self._messages: dict[int, _Message] = {
+            getattr(dialect, f"MAVLINK_MSG_ID_{name}"): _Message(rate_hz) for name, rate_hz in rates_hz.items()
+        }
+        self.ask_anew(float("-inf"))
 
     def on_message(self, now_s: float, message_id: int) -> None:
         """Count a message of the autopilot."""
@@ -111,20 +90,23 @@ class WantedMessages:
         self._under_way = under_way[1:]
         self._next_request_s = now_s
 
-    def request(self, now_s: float) -> Request | None:
-        """The messages to request now."""
+    def request(self, now_s: float) -> tuple[int, float] | None:
+        """The message to request now: its number, and its interval [us]."""
         if now_s < self._next_request_s:
             return None
         self._next_request_s = now_s + self._apart_s
         for message_id, message in self._messages.items():
             if message.refused or now_s < message.next_check_s:
                 continue
-            slow = message.is_slow(now_s)
+            # Not since the last check, or too slowly since it first arrived.
+            slow = message.received == 0 or message.received < ENOUGH * message.rate_hz * (now_s - message.first_s)
             message.requests = message.requests + 1 if slow else 0
-            message.start_measuring(now_s)
+            message.received = 0
+            measured_s = max(MEASURED_S, MEASURED_INTERVALS / message.rate_hz)
+            message.next_check_s = now_s + (SLOW_REQUEST_S if message.requests > QUICK_REQUESTS else measured_s)
             if slow:
                 self._under_way = [*self._not_yet_answered(now_s), (now_s, message)]
-                return Request(message_id, 1e6 / message.rate_hz)
+                return message_id, 1e6 / message.rate_hz
         return None
 
     def ask_anew(self, now_s: float) -> None:
@@ -137,8 +119,3 @@ class WantedMessages:
 
     def _not_yet_answered(self, now_s: float) -> list[tuple[float, _Message]]:
         return [each for each in self._under_way if now_s - each[0] < ANSWER_S]
-
-
-def _message_id(name: str) -> int:
-    message_id: int = getattr(dialect, f"MAVLINK_MSG_ID_{name}")
-    return message_id

@@ -11,7 +11,7 @@ from pathlib import Path
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.signing import KEY_BYTES, PX4_SIGNS_NOT, Signing, make_key, read_key, signing_of
+from msp_range.mavlink.signing import KEY_BYTES, PX4_SIGNS_NOT, Signing, read_key, signing_of
 from msp_range.params.client import ParameterClient
 from msp_range.params.commands import connect
 from msp_range.yaml_file import ConfigError
@@ -37,11 +37,19 @@ def key_file(airframe: Airframe) -> Path:
 def make(path: Path, passphrase: str | None) -> None:
     """Make a key file: at random, or from a passphrase by SHA-256, as Mission Planner, QGroundControl and MAVProxy do.
 
-    If root makes it on a computer with the service, it becomes the service's.
+    Only its owner can read it. If root makes it on a computer with the service, it becomes the service's.
+
+    Raises
+    ------
+    ConfigError
+        There is a file already, or none can be made.
     """
-    make_key(
-        path, secrets.token_bytes(KEY_BYTES) if passphrase is None else hashlib.sha256(passphrase.encode()).digest()
-    )
+    key = secrets.token_bytes(KEY_BYTES) if passphrase is None else hashlib.sha256(passphrase.encode()).digest()
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+            file.write(key.hex() + "\n")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
     with suppress(KeyError):
         if os.geteuid() == 0 and pwd.getpwnam(SERVICE_USER):
             shutil.chown(path, SERVICE_USER, SERVICE_USER)

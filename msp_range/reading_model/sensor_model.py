@@ -5,6 +5,8 @@ from it; the simulator draws its readings from the same file; characterisation a
 fitted numbers, effects and the evidence for them.
 """
 
+import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -69,6 +71,17 @@ class BreakawayPoint(Section):
 
     half_angle_deg: float = Field(gt=0.0, lt=90.0)
     """Largest angle to either side of the axis with a reliable range [deg]."""
+
+
+class PredictedBreakaway(Section):
+    """Half angles beyond the measured ones, which ``msp-lab beam`` computes before flight."""
+
+    inputs: str = Field(pattern="^[0-9a-f]{8}$")
+    """Hash of the file's own numbers that they were computed from: breakaway, heard_on_axis_cm, maximum_cm and
+    frequency_hz. The rows are used only while the file still has these numbers."""
+
+    rows: tuple[BreakawayPoint, ...]
+    """From behind the last measured range on; beyond the last row its angle is held."""
 
 
 class CalibrationKnot(Section):
@@ -194,6 +207,9 @@ class SensorModel(Section):
     breakaway: tuple[BreakawayPoint, ...] = Field(min_length=1)
     """Largest angle with a reliable range, over range."""
 
+    predicted_breakaway: PredictedBreakaway | None = None
+    """The same beyond the measured ranges, made by `msp-lab beam`; left out: the last measured angle is held."""
+
     heard_on_axis_cm: float | None = Field(None, gt=0.0, le=10_000.0)
     """Range at which a wall straight ahead gives an echo for sure [cm]; left out: that of the last breakaway angle."""
 
@@ -284,6 +300,11 @@ class SensorModel(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _is_a_whole_beam(self) -> "SensorModel":
+        _beam(self._points)
+        return self
+
     @property
     def answered_cm(self) -> float:
         """Step of what a driver answers [cm]: whole centimetres, however fine the readings that were characterised."""
@@ -296,16 +317,34 @@ class SensorModel(Section):
 
     @cached_property
     def beam(self) -> BreakawayTable:
-        """The breakaway table, for sound carried on to `maximum_cm` by the sonar equation that is fitted to it.
+        """The breakaway table, for sound with the predicted angles beyond the measured ones."""
+        beam = _beam(self._points)
+        return beam if self.medium == "sound" else replace(beam, narrowest_deg=0.0)
 
-        Computed when it is first asked for, which the bridge does before it polls.
-        """
-        if self.medium != "sound":
-            return replace(_beam(self.breakaway), narrowest_deg=0.0)
-        from msp_range.acoustics.sonar import extended_beam
+    @property
+    def _points(self) -> tuple[BreakawayPoint, ...]:
+        predicted = self.predicted_breakaway
+        return self.breakaway if predicted is None or not self._is_predicted else (*self.breakaway, *predicted.rows)
 
-        on_axis_m = None if self.heard_on_axis_cm is None else self.heard_on_axis_cm / 100.0
-        return extended_beam(_beam(self.breakaway), self.maximum_cm / 100.0, self.frequency_hz, on_axis_m)
+    @property
+    def _is_predicted(self) -> bool:
+        return self.predicted_breakaway is not None and self.predicted_breakaway.inputs == self.beam_inputs
+
+    @property
+    def beam_doubt(self) -> str:
+        """Why the last measured angle is held to `maximum_cm`, though it can be predicted; empty: it need not be."""
+        if self._is_predicted or self.medium != "sound" or self.breakaway[-1].range_cm >= self.maximum_cm:
+            return ""
+        if self.predicted_breakaway is None:
+            return "no predicted_breakaway"
+        return "predicted_breakaway is of other numbers than those in the file"
+
+    @property
+    def beam_inputs(self) -> str:
+        """Hash of the numbers that `predicted_breakaway` is computed from, each to six digits, as files are written."""
+        rows = [number for point in self.breakaway for number in (point.range_cm, point.half_angle_deg)]
+        numbers = [self.heard_on_axis_cm or 0.0, self.maximum_cm, self.frequency_hz, *rows]
+        return f"{zlib.crc32(' '.join(f'{number:.6g}' for number in numbers).encode()):08x}"
 
 
 def load_sensor_model(path: Path | str) -> SensorModel:
@@ -319,7 +358,7 @@ def load_sensor_model(path: Path | str) -> SensorModel:
     return load(config_path(path, "sensors"), SensorModel)
 
 
-def _beam(points: tuple[BreakawayPoint, ...]) -> BreakawayTable:
+def _beam(points: Sequence[BreakawayPoint]) -> BreakawayTable:
     return BreakawayTable(
         ranges_m=tuple(point.range_cm / 100.0 for point in points),
         half_angles_deg=tuple(point.half_angle_deg for point in points),

@@ -67,7 +67,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: str | None, 
         "uptime_s": round(now_s - bridge.started_s, 1),
         "sensors": {
             name: {
-                "fault": faults[name],
+                "fault": faults.get(name),
                 "readings": each.readings,
                 "rejected": each.rejected,
                 "findings": [found.text for found in bridge.sensor_findings if found.sensor == name],

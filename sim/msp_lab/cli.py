@@ -261,6 +261,30 @@ def _is_date(text: str) -> bool:
 
 
 @app.command()
+def beam(
+    model_file: Annotated[
+        Path, typer.Argument(metavar="SENSOR.yaml", help="sensor model file with measured breakaway angles")
+    ],
+) -> None:
+    """Predict the beam of an ultrasonic sensor beyond its measured angles, and write it into its sensor model file.
+
+    'characterise' does so for a file that it makes; this is for one that was written or changed by hand. Without it the
+    bridge holds the last measured angle. Everything else in the file stays; SENSOR.yaml.1 is the file as it was.
+    """
+    require("lab", "msp-lab beam")
+    from msp_lab.characterise.beam import predict_in_file
+    from msp_range.yaml_file import config_path
+
+    path = config_path(model_file, "sensors")
+    predicted, backup = predict_in_file(path)
+    for row in predicted.rows:
+        print(f"{row.range_cm:g} cm: {row.half_angle_deg:.1f} deg")
+    held = "the last of these angles" if predicted.rows else "no narrower beam is predicted: the last measured angle"
+    print(f"{held} is held up to the longest range")
+    print(f"{path}: has this prediction already" if backup is None else f"written: {path}; as it was: {backup}")
+
+
+@app.command()
 def effects(
     as_json: Annotated[bool, typer.Option("--json", help="print everything as JSON")] = False,
     own_effects: OwnEffects = None,

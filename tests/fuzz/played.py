@@ -8,7 +8,7 @@ from msp_range.acoustics.air import Air
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.fusion import Angles, Moved
-from msp_range.mavlink.transport import Nowhere
+from msp_range.replay import Nowhere
 from msp_range.sensors.base import RecordedPing
 
 LONGEST_S = 600.0

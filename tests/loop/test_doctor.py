@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20.common import MAV_STATE_CRITICAL
 
-from msp_range.mavlink.signing import make_key
+from msp_range.params.keys import make
 from msp_sim.device.device import Fault
 from msp_sim.device.lidar_lite_v3 import TIMING as LASER_TIMING
 from tests.support.doctor_runs import AT_ONCE, Found, doctor_command, examined, findings_in
@@ -293,7 +293,7 @@ def delay_in_the_wrong_unit(setup: Setup) -> None:
 
 @broken("heartbeat", "not signed with the key", "PX4 1.17 has no MAVLink signing: take link.signing_key out")
 def key_for_an_autopilot_that_cannot_sign(setup: Setup) -> None:
-    make_key(setup.folder / "signing.key", bytes(range(32)))
+    make(setup.folder / "signing.key", None)
     setup.edit("autopilot: ardupilot", f"autopilot: px4\n  signing_key: {setup.folder / 'signing.key'}")
     setup.parameters, setup.options = PX4, {"px4": True}
 

@@ -15,13 +15,12 @@ from msp_lab.gap.intake import read_readings
 from msp_lab.readings.intake import load_readings
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
-from msp_range.mavlink.transport import Nowhere
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
 from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
-from msp_range.replay import first_ping_s, replay
+from msp_range.replay import Nowhere, first_ping_s, replay
 from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.support.bench import FUSED_ID, START_S, Bench, airframe

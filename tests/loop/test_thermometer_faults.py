@@ -10,10 +10,10 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from msp_range.acoustics.air import air_variance_m2
-from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.clock import VirtualClock
 from msp_range.recording.pings import recorded_air
 from msp_range.recording.writer import Recorder
+from msp_sim.acoustics.atmosphere import Atmosphere
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
 from tests.support.humid_air import speed_of_sound_humid
 from tests.support.slow import slow, slow_but

@@ -6,7 +6,7 @@ from msp_range.bridge import Bridge
 from msp_range.clock import SystemClock
 from msp_range.correction.temperature import FileSource
 from msp_range.correction.thermometer import ThreadReader
-from msp_range.mavlink.transport import Nowhere
+from msp_range.replay import Nowhere
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.bench import airframe

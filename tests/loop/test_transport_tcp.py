@@ -81,7 +81,7 @@ def test_small_frames_go_out_at_once() -> None:
         opened(f"tcp:127.0.0.1:{port}", StepClock()) as client,
     ):
         until(lambda: server.receive() == client.receive() and server.connected and client.connected)
-        for tcp in (client._socket, server._clients[0].tcp):  # type: ignore[attr-defined]
+        for tcp in (client._handle, server._clients[0].tcp):  # type: ignore[attr-defined]
             assert tcp.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 

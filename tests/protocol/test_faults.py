@@ -33,7 +33,7 @@ def recovers(bench: Bench, truth_cm: int, stream: int = FUSED_ID) -> None:
     after = bench.distances_cm(stream, TO_S + 2 * ROUND_S, END_S)
     assert len(after) >= (END_S - TO_S - 2 * ROUND_S) * 10 - 1
     assert set(after) == {truth_cm}
-    assert bench.bridge.health.bad_sensors == []
+    assert list(bench.bridge.health.sensor_faults) == []
 
 
 FAULTS_OF_AN_ANSWER = [
@@ -201,7 +201,7 @@ def test_another_device_at_the_address_of_a_sonar_is_no_sonar(answer: bytes, rea
     assert set(bench.distances_cm()) == {500}
     assert set(bench.rejected("a")) == {reason}
     assert len(bench.reported()) == 1
-    assert bench.bridge.health.bad_sensors == ["a"]
+    assert list(bench.bridge.health.sensor_faults) == ["a"]
 
 
 def test_part_information_after_a_power_cycle_is_not_a_distance() -> None:

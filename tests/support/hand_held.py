@@ -20,7 +20,6 @@ from msp_range.commission.steps.directions import SIDES
 from msp_range.config import Airframe
 from msp_range.geometry import angle_between, boresight
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.frames import pack
 from msp_sim.device.bus import EmulatedBus as Devices
 from msp_sim.device.emulated import EmulatedSensor, Surroundings, ranging_timing
 from msp_sim.device.table import emulated_kind
@@ -220,8 +219,8 @@ class Autopilot(LoopbackAutopilot):
         self._put_message(dialect.MAVLink_param_value_message(name.encode(), value, real, count, 0))
 
     def _put_message(self, message: Any) -> None:
-        self._outgoing += pack(message, 1, dialect.MAV_COMP_ID_AUTOPILOT1, self._sequence)
-        self._sequence = (self._sequence + 1) % 256
+        self._outgoing += message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
 
     def _put(self, kind: Any, *values: float) -> None:
         if kind is dialect.MAVLink_heartbeat_message and self._vehicle.armed:

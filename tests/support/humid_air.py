@@ -2,7 +2,7 @@
 
 import math
 
-from msp_range.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.atmosphere import Atmosphere
 
 CO2_MOLE_FRACTION = 400e-6
 """Mole fraction of carbon dioxide in open air; 100 ppm more lowers the speed of sound by 0.01 m/s."""

@@ -2,8 +2,8 @@
 
 import pytest
 
-from msp_range.acoustics.absorption import absorption_db_per_m
-from msp_range.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.absorption import absorption_db_per_m
+from msp_sim.acoustics.atmosphere import Atmosphere
 
 TABLE_1 = [
     # Temperature [deg C], humidity [%], preferred frequency's number k, [dB/km].

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from msp_range.acoustics.air import speed_of_sound
-from msp_range.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.atmosphere import Atmosphere
 from tests.support.humid_air import speed_of_sound_humid
 
 

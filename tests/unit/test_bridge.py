@@ -118,7 +118,7 @@ def test_no_echo_as_each_autopilot_understands_it(autopilot: str, pitch_deg: flo
     bench = Bench(vehicle, 765).fly(2.0)
     assert set(bench.distances_cm(1)) == {tells}
     assert last(bench, 1).max_distance == 765
-    assert bench.bridge.health.bad_sensors == []
+    assert list(bench.bridge.health.sensor_faults) == []
 
 
 @pytest.mark.parametrize("to", ["a", FUSED_ID])

@@ -12,6 +12,7 @@ import yaml
 from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
+from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.page.answers import summarise
 from msp_lab.characterise.page.mixture import densities
 from msp_lab.characterise.page.picture_data import PictureData
@@ -106,6 +107,8 @@ def test_a_model_is_where_the_next_characterisation_starts(tmp_path: Path) -> No
     )
     assert run(tmp_path / "more.csv", "--out", second, "--sensor", first).exit_code == 0
     before, after = load_sensor_model(first), load_sensor_model(second)
+    assert before.predicted_breakaway == predict_breakaway(before) == after.predicted_breakaway
+    assert before.beam_inputs != load_sensor_model(SENSOR).beam_inputs
     assert after.calibration == before.calibration
     assert after.reading_model == before.reading_model
     assert len(after.evidence) == 2

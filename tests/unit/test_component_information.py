@@ -1,6 +1,5 @@
 """COMPONENT_INFORMATION_BASIC against MAVLink's definition of it, worked out by pymavlink's own generator."""
 
-import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,10 @@ from typing import Any
 import pytest
 from pymavlink.generator import mavparse
 
+from msp_range import __version__
 from msp_range.mavlink import component_information
 from msp_range.mavlink.component_information import ComponentInformationBasic
-from msp_range.mavlink.frames import pack
+from tests.support.mavlink_ends import Component
 
 # MAVLink's common.xml, without the descriptions.
 DEFINITION = """<?xml version="1.0"?>
@@ -61,22 +61,22 @@ def test_checksum_seed_is_that_of_the_definition(definition: Any) -> None:
 def test_fields_lie_where_the_definition_puts_them(definition: Any) -> None:
     wire = wire_of(definition)
     assert wire.size == definition.wire_length
-    frame = pack(ComponentInformationBasic(0x01020304, "maker", "model", "1.2.3"), 7, 191, 0)
+    frame = Component(7, 191).frame(ComponentInformationBasic(0x01020304))
     texts = dict(zip(definition.ordered_fieldnames, wire.unpack(payload_of(frame, wire.size)), strict=True))
     assert texts.pop("time_boot_ms") == 0x01020304
     assert texts.pop("capabilities") == texts.pop("time_manufacture_s") == 0
     assert {name: text.rstrip(b"\0") for name, text in texts.items()} == {
-        "vendor_name": b"maker",
-        "model_name": b"model",
-        "software_version": b"1.2.3",
+        "vendor_name": b"msp-range",
+        "model_name": b"range finder bridge",
+        "software_version": __version__.encode(),
         "hardware_version": b"",
         "serial_number": b"",
     }
 
 
-def test_long_texts_are_cut_and_stay_terminated(definition: Any) -> None:
+def test_a_long_version_is_cut_and_stays_terminated(definition: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(component_information, "__version__", "1" * 40)
     wire = wire_of(definition)
-    frame = pack(ComponentInformationBasic(0, "v" * 40, "m" * 40, "1" * 40), 7, 191, 0)
+    frame = Component(7, 191).frame(ComponentInformationBasic(0))
     texts = dict(zip(definition.ordered_fieldnames, wire.unpack(payload_of(frame, wire.size)), strict=True))
-    for name, length in (("vendor_name", 32), ("model_name", 32), ("software_version", 24)):
-        assert re.fullmatch(rb"(.)\1{%d}\0" % (length - 2), texts[name]), name
+    assert texts["software_version"] == b"1" * 23 + b"\0"

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.distance_sensor import Autopilot, Stream, distance_sensor, make_stream, no_echo
+from msp_range.mavlink.distance_sensor import Autopilot, Stream, distance_sensor, make_stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90, Orientation
 from tests.support.mavlink_ends import read_distance_sensor
 
@@ -120,7 +120,7 @@ def test_no_echo_is_what_the_autopilot_takes_for_far_away(
     autopilot: Autopilot, orientation: int, expected_cm: int
 ) -> None:
     stream = make_stream(3, Orientation(orientation, NO_QUATERNION), 20, 765, autopilot)
-    message = fields(no_echo(stream, 5, 0.44))
+    message = fields(distance_sensor(stream, 5, None, math.inf, 0.44, 80))
     assert message["current_distance"] == expected_cm
     assert (message["min_distance"], message["max_distance"]) == (19, 765)
     assert (message["covariance"], message["signal_quality"]) == (255, 1)
@@ -129,8 +129,8 @@ def test_no_echo_is_what_the_autopilot_takes_for_far_away(
 
 
 def test_time_wraps_after_49_7_days_as_the_autopilots_own_does() -> None:
-    assert fields(no_echo(DOWNWARD, 2**32 - 1, 0.4))["time_boot_ms"] == 2**32 - 1
-    assert fields(no_echo(DOWNWARD, 2**32 + 5, 0.4))["time_boot_ms"] == 5
+    assert fields(distance_sensor(DOWNWARD, 2**32 - 1, 2.0, 0.0, 0.4, 80))["time_boot_ms"] == 2**32 - 1
+    assert fields(distance_sensor(DOWNWARD, 2**32 + 5, 2.0, 0.0, 0.4, 80))["time_boot_ms"] == 5
 
 
 @given(
@@ -160,4 +160,5 @@ def test_whatever_is_sent_packs_and_means_something(
     assert 2 <= message["signal_quality"] <= 100
     # Single precision on the wire: half a unit of its last of 24 bits.
     assert message["horizontal_fov"] == pytest.approx(field_of_view_rad, rel=2**-24, abs=1e-44)
-    assert fields(no_echo(stream, time_boot_ms, field_of_view_rad))["current_distance"] >= message["current_distance"]
+    no_echo = fields(distance_sensor(stream, time_boot_ms, None, variance_m2, field_of_view_rad, quality))
+    assert no_echo["current_distance"] >= message["current_distance"]

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msp_range.acoustics.absorption import absorption_db_per_m
-from msp_range.acoustics.atmosphere import Atmosphere
-from msp_range.acoustics.echo import WALL, Target, echo_level_db
-from msp_range.acoustics.materials import MATERIALS, porous_impedance_rayl, reflection_coefficient
-from msp_range.acoustics.piston import directivity_db
-from msp_range.acoustics.slant import nearest_range_in_beam, slant_range
-from msp_range.acoustics.spreading import (
+from msp_sim.acoustics.absorption import absorption_db_per_m
+from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.echo import WALL, Target, echo_level_db
+from msp_sim.acoustics.materials import MATERIALS, porous_impedance_rayl, reflection_coefficient
+from msp_sim.acoustics.piston import directivity_db
+from msp_sim.acoustics.slant import nearest_range_in_beam, slant_range
+from msp_sim.acoustics.spreading import (
     plate_cross_section_m2,
     plate_spreading,
     small_target_spreading,

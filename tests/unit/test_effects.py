@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.cli import app as lab_app
-from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
+from msp_sim.acoustics.atmosphere import Atmosphere
 from msp_sim.cli import app
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model, load_model

@@ -46,14 +46,14 @@ def test_three_in_a_row_change_what_is_reported_and_fewer_do_not() -> None:
     pilot.take(OK, OK, OK)
     pilot.reported.clear()
     pilot.take(SILENT, SILENT, OK, OK, OK, SILENT, SILENT)
-    assert (pilot.reported, pilot.health.bad_sensors) == ([], [])
+    assert (pilot.reported, list(pilot.health.sensor_faults)) == ([], [])
     pilot.take(SILENT)
     assert pilot.reported == [(Severity.ERROR, "Range a: no answer")]
     pilot.take(*[SILENT] * 20, OK, OK, SILENT, OK, OK)
-    assert (len(pilot.reported), pilot.health.bad_sensors) == (1, ["a"])
+    assert (len(pilot.reported), list(pilot.health.sensor_faults)) == (1, ["a"])
     pilot.take(OK)
     assert pilot.reported[1:] == [(Severity.INFO, "Range a: good again")]
-    assert pilot.health.bad_sensors == []
+    assert list(pilot.health.sensor_faults) == []
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_what_is_wrong_is_named(status: Status, error: BusError | None, text: st
 def test_what_the_scene_does_is_no_fault(status: Status) -> None:
     pilot = Pilot("a")
     pilot.take(*[status] * 10)
-    assert pilot.health.bad_sensors == []
+    assert list(pilot.health.sensor_faults) == []
 
 
 def test_a_sensor_that_never_worked_is_reported_and_all_good_is_not() -> None:

@@ -7,8 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from msp_range.acoustics.air import FIXED, Air, sonic_temperature_c, speed_of_sound
-from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.correction.humidity import MAX_AGE_S, Humidity
+from msp_sim.acoustics.atmosphere import Atmosphere
 from tests.support.humid_air import speed_of_sound_humid
 
 

@@ -7,9 +7,9 @@ def test_the_newest_message_of_a_stream_takes_the_place_of_one_that_waits() -> N
     sent: list[str] = []
     outbox = Outbox(sent.append)
     outbox.send_now(1.0, "fused")
-    outbox.put(1, "one, old")
-    outbox.put(2, "two")
-    outbox.put(1, "one, new")
+    outbox.put(1.0, 1, "one, old")
+    outbox.put(1.0, 2, "two")
+    outbox.put(1.0, 1, "one, new")
     outbox.send_due(1.0 + SPACING_S / 2)
     assert sent == ["fused"]
     outbox.send_due(1.0 + SPACING_S)

@@ -6,11 +6,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad
-from scipy.special import jv
 
-from msp_range.acoustics.piston import (
+from msp_sim.acoustics.piston import (
     FIRST_NULL_X,
-    bessel,
     directivity_db,
     level_db,
     main_lobe_x,
@@ -63,11 +61,6 @@ def test_directivity_is_the_interference_of_the_pistons_points(angle_rad: float,
 def test_behind_the_piston_is_refused() -> None:
     with pytest.raises(ValueError, match="found 91 deg off the axis"):
         directivity_db(math.radians(91), 2.0, 1.0)
-
-
-@given(st.integers(0, 2), st.floats(-60.0, 60.0))
-def test_bessel_functions_are_scipys(order: int, x: float) -> None:
-    assert bessel(order, x) == pytest.approx(jv(order, x), abs=2e-15)
 
 
 @given(st.floats(1e-5, 100.0))

@@ -38,7 +38,6 @@ def test_the_shipped_file_says_what_maker_and_report_say() -> None:
         assert math.degrees(sensor.beam.half_angle_rad(range_m)) == pytest.approx(half_angle_deg)
     # Beyond the table the angle is the sonar equation's, for the whole range of the sensor.
     assert math.degrees(sensor.beam.half_angle_rad(7.65)) == pytest.approx(11.3, abs=0.05)
-    assert sensor.beam.known_to_m == math.inf
     assert sensor.reading_model.sigma_cm**2 == pytest.approx(3.7811, abs=2 * 1.9445 * 0.5e-4)
 
 

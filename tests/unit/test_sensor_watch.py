@@ -40,14 +40,14 @@ def test_a_report_without_a_change_takes_as_many_readings_as_its_threshold_on_av
 
 
 def test_readings_in_which_nothing_happens_count_as_if_each_had_been_reported() -> None:
-    one_by_one, at_once = Evidence(1e9), Evidence(1e9)
-    for evidence in (one_by_one, at_once):
+    one_by_one, at_once = Occurrences(1e9, 6.0), Occurrences(1e9, 6.0)
+    for each in (one_by_one, at_once):
         for _ in range(5):
-            evidence.update(6.0, 0.1, 1.0)
+            each.happens(0.1, [])
     for _ in range(40):
-        one_by_one.update(0.9, 0.1, 0.0)
-    at_once.update_many(0.9, 0.1, 40)
-    assert at_once.update(6.0, 0.1, 1.0) is one_by_one.update(6.0, 0.1, 1.0) is False
+        one_by_one.update(1.0 / 1.5, 0.1, 0.0)
+    at_once.nones += 40
+    assert at_once.happens(0.1, []) is one_by_one.happens(0.1, []) is False
     assert at_once._sum == pytest.approx(one_by_one._sum)
 
 
@@ -58,8 +58,8 @@ def test_what_never_happens_by_the_model_is_found_when_it_does() -> None:
         never.nones += 10
         if never.happens(0.0, []):
             break
-    assert never.evidence.is_found
-    assert "99 times as often" in SensorFinding("front", "short", never.evidence.ratio).remedy
+    assert never.is_found
+    assert "99 times as often" in SensorFinding("front", "short", never.ratio).remedy
 
 
 @pytest.mark.parametrize("kind", ["short", "missed", "wider", "shifted", "repeats"])
@@ -93,7 +93,7 @@ def test_what_others_show_too_is_no_finding() -> None:
                 each.happens(0.01, [other for other in sensors if other is not each])
             else:
                 each.nones += 1
-    assert not any(each.evidence.is_found for each in sensors[1:])
+    assert not any(each.is_found for each in sensors[1:])
     assert sensors[0].frequency == pytest.approx(0.15, abs=0.1)
     # Their mean replaces the model's probability but for its standard error.
     sensors[0].happens(0.01, sensors[1:])
@@ -115,11 +115,13 @@ def test_the_reference_is_the_others_height_at_the_time_of_the_reading() -> None
     """On a steady climb, exactly; its own reading and its own sensor's take no part."""
     climb_m_s = 1.5
 
-    def seen(i: int, sensor: int, off_m: float = 0.0) -> Sighting:
+    def seen(i: int, sensor: str, off_m: float = 0.0) -> Sighting:
         height_m = 2.0 + climb_m_s * i * SLOT_S + off_m
         return Sighting(i * SLOT_S, sensor, height_m, STD_M, GroundUse.GROUND, height_m, None, climb_m_s, DOWN)
 
-    window = [seen(0, 3), seen(1, 1, 5.0), seen(2, 0), seen(3, 1, 5.0), seen(4, 2), seen(5, 1, 5.0), seen(6, 3)]
+    window = [
+        seen(*each) for each in ((0, "d"), (1, "b", 5.0), (2, "a"), (3, "b", 5.0), (4, "c"), (5, "b", 5.0), (6, "d"))
+    ]
     found = reference(window, 3, 1.0)
     assert found is not None
     assert found.height_m == pytest.approx(2.0 + climb_m_s * 0.3)
@@ -220,7 +222,7 @@ def test_an_object_below_a_sensor_is_no_short_reading_and_single_ones_are() -> N
 def test_outliers_of_the_ground_do_not_teach_a_larger_scatter() -> None:
     watch = watch_of()
     fly(watch, lambda name, time_s: -0.14 if name == "a" and time_s % 4.0 < 0.4 else 0.0, 100.0)
-    assert watch._sensors[0].scale < 1.5
+    assert watch._sensors["a"].scale < 1.5
 
 
 def test_a_shift_is_asked_for_only_while_the_vehicle_moves_over_level_ground() -> None:

@@ -17,7 +17,7 @@ from msp_range import service
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import SystemClock
 from msp_range.log import Log
-from msp_range.mavlink.transport.base import Nowhere
+from msp_range.replay import Nowhere
 from msp_range.service import serve, stop_signals, transfers_watched
 from tests.support.bench import Bench, airframe
 

@@ -16,24 +16,25 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from msp_range.clock import VirtualClock
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import FrameReader, pack
+from msp_range.mavlink.frames import FrameReader
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import (
     EPOCH_S,
     RESERVED_UNITS,
     UNITS_PER_S,
     Signing,
-    make_key,
     read_key,
     signing_of,
 )
+from msp_range.params.keys import make
 from msp_range.yaml_file import ConfigError
 from tests.support.mavlink_ends import MemoryTransport
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.transports import free_port
 from tests.support.waiting import LIMIT_S, until
 
-KEY = hashlib.sha256(b"a passphrase").digest()
+PASSPHRASE = "a passphrase"
+KEY = hashlib.sha256(PASSPHRASE.encode()).digest()
 NOW_S = EPOCH_S + 3.6e8
 NOW = round(3.6e8 * UNITS_PER_S)
 
@@ -57,8 +58,12 @@ def heartbeat_1(mav: Any) -> bytes:
     return frame
 
 
-def our_heartbeat() -> bytes:
-    return pack(ardupilotmega.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 1, 191, 7)
+def our_heartbeat(signing: Signing | None = None) -> bytes:
+    mav = ardupilotmega.MAVLink(None, 1, 191)
+    if signing is not None:
+        signing.sign_next(mav)
+    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3).pack(mav)
+    return frame
 
 
 def received(frame: bytes) -> Any:
@@ -70,10 +75,10 @@ def test_pymavlink_accepts_what_is_signed() -> None:
     signing = Signing(KEY, VirtualClock(NOW_S))
     autopilot = peer()
     for _ in range(3):
-        (message,) = autopilot.parse_buffer(signing.sign(our_heartbeat()))
+        (message,) = autopilot.parse_buffer(our_heartbeat(signing))
         assert message.get_type() == "HEARTBEAT"
         assert message.get_signed()
-    (wrong,) = peer(b"x" * 32).parse_buffer(signing.sign(our_heartbeat()))
+    (wrong,) = peer(b"x" * 32).parse_buffer(our_heartbeat(signing))
     assert wrong.get_type() == "BAD_DATA"
     (unsigned,) = autopilot.parse_buffer(our_heartbeat())
     assert unsigned.get_type() == "BAD_DATA"
@@ -110,7 +115,7 @@ def test_a_key_in_the_airframe_lets_nothing_in_that_is_not_signed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    make_key(tmp_path / "key", KEY)
+    make(tmp_path / "key", PASSPHRASE)
     unsigned = received(our_heartbeat())
     clock = VirtualClock(NOW_S)
     strict, setting_up = (signing_of(str(tmp_path / "key"), clock, **each) for each in ({}, {"accepts_unsigned": True}))
@@ -146,7 +151,7 @@ def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
 ) -> None:
     """Each run starts at 1970, as a Raspberry Pi without a network does, and is killed after some time."""
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "new"))
-    make_key(tmp_path / "key", KEY)
+    make(tmp_path / "key", PASSPHRASE)
     last = 0
     for run_s in (0.0, 5.0, 45.0, 200.0):
         clock = VirtualClock(0.0)
@@ -194,7 +199,7 @@ def test_a_timestamp_that_no_clock_shows_does_not_end_signing(
 ) -> None:
     """The bridge followed it to the end of the six bytes, kept that, and could not start again."""
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    make_key(tmp_path / "key", KEY)
+    make(tmp_path / "key", PASSPHRASE)
     for _ in range(2):
         signing = signing_of(str(tmp_path / "key"), VirtualClock(NOW_S))
         assert signing is not None
@@ -210,7 +215,7 @@ def test_a_damaged_time_is_replaced_by_the_clocks(
     kept: str | bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    make_key(tmp_path / "key", KEY)
+    make(tmp_path / "key", PASSPHRASE)
     if kept is None:
         os.mkfifo(tmp_path / "signing-time")
     else:
@@ -218,7 +223,7 @@ def test_a_damaged_time_is_replaced_by_the_clocks(
     for utc_s, first in ((NOW_S, NOW), (0.0, 1)):
         signing = signing_of(str(tmp_path / "key"), VirtualClock(utc_s))
         assert signing is not None
-        (message,) = peer(timestamp=0).parse_buffer(signing.sign(our_heartbeat()))
+        (message,) = peer(timestamp=0).parse_buffer(our_heartbeat(signing))
         assert message.get_type() == "HEARTBEAT"
         assert signing.timestamp() == first + 1
         for thread in threading.enumerate():
@@ -232,7 +237,7 @@ def test_a_date_that_no_clock_shows_is_not_followed() -> None:
     """A real-time clock whose battery is empty may show any year."""
     signing = Signing(KEY, VirtualClock(EPOCH_S + 2**48 / UNITS_PER_S), kept=NOW)
     assert signing.timestamp() == NOW + 1
-    assert len(signing.sign(our_heartbeat())) > len(our_heartbeat())
+    assert len(our_heartbeat(signing)) > len(our_heartbeat())
 
 
 def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> None:
@@ -287,7 +292,7 @@ def test_a_link_without_a_key_says_that_the_autopilot_has_one() -> None:
 
 def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "key"
-    make_key(path, KEY)
+    make(path, PASSPHRASE)
     assert path.stat().st_mode & 0o777 == 0o600
     assert read_key(path) == KEY
     path.chmod(0o640)
@@ -295,7 +300,7 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
         read_key(path)
     path.chmod(0o600)
     with pytest.raises(ConfigError, match="File exists"):
-        make_key(path, KEY)
+        make(path, PASSPHRASE)
     for wrong in ("", "abc", "zz" * 32, "00" * 31, "ä" * 64):
         path.write_text(wrong)
         with pytest.raises(ConfigError, match="expected 64 hexadecimal digits"):

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import jv
 
-from msp_range.acoustics.absorption import absorption_db_per_m
+from msp_lab.characterise.sonar import STEP_DEG, Sonar, extended_beam, fit_sonar, leave_one_out
 from msp_range.acoustics.air import speed_of_sound
-from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.acoustics.beam import BreakawayTable
-from msp_range.acoustics.echo import WALL, Target
-from msp_range.acoustics.sonar import STEP_DEG, Sonar, extended_beam, fit_sonar, leave_one_out
+from msp_sim.acoustics.absorption import absorption_db_per_m
+from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.echo import WALL, Target
 
 FREQUENCY_HZ = 42e3
 ON_AXIS_M = 5.0
@@ -120,18 +120,18 @@ def test_beyond_the_table_the_beam_is_the_equations_and_never_grows() -> None:
     everywhere_rad = beam.half_angle_rad(np.linspace(0.2, 9.0, 1000))
     assert (np.diff(everywhere_rad) <= 1e-12).all()
     assert math.degrees(beam.half_angle_rad(MAXIMUM_M)) == pytest.approx(11.3, abs=0.1)
-    assert beam.known_to_m == math.inf
 
 
 def test_where_no_echo_is_predicted_the_last_angle_is_held() -> None:
     table = BreakawayTable((0.5, 1.0, 1.5, 2.0), (20.0, 16.0, 13.0, 10.0))
     beam = extended_beam(table, MAXIMUM_M, FREQUENCY_HZ)
     sonar = fit_sonar(table, FREQUENCY_HZ)
-    assert sonar.half_angle_rad(beam.known_to_m) is not None
-    assert sonar.half_angle_rad(beam.known_to_m + 0.25) is None
-    assert 2.0 <= beam.known_to_m < MAXIMUM_M
-    assert half_angle_deg(sonar, beam.known_to_m) < 6.0 <= min(beam.half_angles_deg)
-    assert beam.half_angle_rad(7.0) == beam.half_angle_rad(beam.known_to_m) >= math.radians(6.0) - 1e-12
+    last_m = beam.ranges_m[-1]
+    assert sonar.half_angle_rad(last_m) is not None
+    assert sonar.half_angle_rad(last_m + 0.25) is None
+    assert 2.0 <= last_m < MAXIMUM_M
+    assert half_angle_deg(sonar, last_m) < 6.0 <= min(beam.half_angles_deg)
+    assert beam.half_angle_rad(7.0) == beam.half_angle_rad(last_m) >= math.radians(6.0) - 1e-12
 
 
 @pytest.mark.parametrize(
@@ -144,6 +144,4 @@ def test_where_no_echo_is_predicted_the_last_angle_is_held() -> None:
     ],
 )
 def test_a_table_that_the_equation_cannot_describe_is_held(table: BreakawayTable) -> None:
-    beam = extended_beam(table, MAXIMUM_M, FREQUENCY_HZ)
-    assert (beam.ranges_m, beam.half_angles_deg) == (table.ranges_m, table.half_angles_deg)
-    assert beam.known_to_m == table.ranges_m[-1]
+    assert extended_beam(table, MAXIMUM_M, FREQUENCY_HZ) == table

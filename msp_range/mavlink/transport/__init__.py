@@ -7,7 +7,7 @@ come back by themselves after a loss (`base.Reconnecting`) and drop a frame rath
 from collections.abc import Callable
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import Nowhere, Transport, TransportStats, Wrapped
+from msp_range.mavlink.transport.base import Transport, TransportStats, Wrapped
 from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
 from msp_range.mavlink.transport.udp import UdpIn, UdpOut
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url
@@ -20,7 +20,7 @@ _NETWORK: dict[str, Callable[[NetworkUrl, Clock], Transport]] = {
 }
 
 
-def open_transport(url: TransportUrl | str, clock: Clock) -> Transport:
+def open_transport(url: str, clock: Clock) -> Transport:
     """Start the transport that ``url`` names.
 
     The first attempt to open is made at once. Where it fails (no such device, port in use, nobody there) nothing is
@@ -29,7 +29,7 @@ def open_transport(url: TransportUrl | str, clock: Clock) -> Transport:
     Parameters
     ----------
     url
-        What `parse_url` returned, or the text itself.
+        As `parse_url` reads it.
     clock
         Deadlines and back-off are counted on it.
 
@@ -38,11 +38,10 @@ def open_transport(url: TransportUrl | str, clock: Clock) -> Transport:
     ValueError
         The text is not a URL of a known kind.
     """
-    if isinstance(url, str):
-        url = parse_url(url)
-    if isinstance(url, SerialUrl):
-        # Needs fcntl and termios, which virtual flights on other systems than Linux do not have.
-        from msp_range.mavlink.transport.serial import Serial
+    found = parse_url(url)
+    if isinstance(found, NetworkUrl):
+        return _NETWORK[found.kind](found, clock)
+    # Needs fcntl and termios, which virtual flights on other systems than Linux do not have.
+    from msp_range.mavlink.transport.serial import Serial
 
-        return Serial(url, clock)
-    return _NETWORK[url.kind](url, clock)
+    return Serial(found, clock)

@@ -1,11 +1,14 @@
 """The interface of a transport, and the schedule of its reopening after a failure."""
 
+import socket
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from io import FileIO
+from typing import Any, Generic, Protocol, TypeVar
 
 from msp_range.clock import Clock
+from msp_range.mavlink.transport.url import TransportUrl
 
 RETRY_FIRST_S = 0.5
 RETRY_LONGEST_S = 5.0
@@ -69,58 +72,21 @@ class Transport(Protocol):
         """Release the link; afterwards ``send`` drops and ``receive`` returns nothing."""
 
 
-class Nowhere:
-    """A transport that accepts every frame and never receives: for a bridge without a link."""
-
-    description = "nowhere"
-    last_error = None
-    connected = True
-    quiet_until_s = float("inf")
-    files = ()
-
-    def __init__(self) -> None:
-        self.stats = TransportStats()
-
-    def send(self, frame: bytes) -> bool:
-        """Count the frame."""
-        self.stats.sent_frames += 1
-        return True
-
-    def receive(self) -> bytes:
-        """Nothing."""
-        return b""
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-
 class Wrapped:
     """A transport on top of another one, which it passes everything on to; subclasses look at what passes."""
 
+    description: str
+    stats: TransportStats
+    last_error: str | None
+    connected: bool
+    quiet_until_s: float
+    files: Sequence[int]
+
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
-        self.description = transport.description
-        self.stats = transport.stats
 
-    @property
-    def last_error(self) -> str | None:
-        """That of the other one."""
-        return self._transport.last_error
-
-    @property
-    def connected(self) -> bool:
-        """That of the other one."""
-        return self._transport.connected
-
-    @property
-    def quiet_until_s(self) -> float:
-        """That of the other one."""
-        return self._transport.quiet_until_s
-
-    @property
-    def files(self) -> Sequence[int]:
-        """Those of the other one."""
-        return self._transport.files
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
 
     def send(self, frame: bytes) -> bool:
         """Send by the other one."""
@@ -135,46 +101,58 @@ class Wrapped:
         self._transport.close()
 
 
-class Reconnecting(ABC):
+Handle = TypeVar("Handle", socket.socket, FileIO)
+"""What is open."""
+
+
+class Reconnecting(ABC, Generic[Handle]):
     """Opens at once, then 0.5 s after a failure, with twice the delay after each further one, up to 5 s.
 
-    Subclasses implement opening and closing.
+    Subclasses implement opening, and make what that needs before they call this class's constructor.
     """
 
     quiet_until_s = float("-inf")
+    _handle: Handle | None = None
 
-    def __init__(self, description: str, clock: Clock) -> None:
-        self.description = description
+    def __init__(self, url: TransportUrl, clock: Clock) -> None:
+        self.description = str(url)
         self.stats = TransportStats()
         self.last_error: str | None = None
         self._clock = clock
         self._open_at_s = float("-inf")
         self._retry_delay_s = RETRY_FIRST_S
         self._was_open = False
+        self._try_open()
 
     @abstractmethod
     def _open(self) -> bool:
         """Open without waiting: False for 'not yet, call again', OSError where it failed."""
 
-    @abstractmethod
     def _release(self) -> None:
         """Close what `_open` opened, also partly; may be called repeatedly."""
+        if self._handle is not None:
+            self._handle.close()
+            self._handle = None
 
     @property
     def files(self) -> Sequence[int]:
-        """None, as long as it is not open: `receive` opens it."""
-        return ()
+        """What is open; none, as long as nothing is: `receive` opens it."""
+        return () if self._handle is None else (self._handle.fileno(),)
 
     def close(self) -> None:
         """Release the link; it is not opened again."""
         self._open_at_s = float("inf")
         self._release()
 
+    def _opened(self) -> Handle | None:
+        """What is open, after an attempt to open where nothing is and one is due."""
+        if self._handle is None:
+            self._try_open()
+        return self._handle
+
     def _try_open(self) -> None:
-        if self._clock.now() < self._open_at_s:
-            return
         try:
-            if not self._open():
+            if self._clock.now() < self._open_at_s or not self._open():
                 return
         except OSError as error:
             self._lost(error)

@@ -3,34 +3,32 @@
 import ipaddress
 import socket
 import threading
+from contextlib import suppress
+
+from msp_range.mavlink.transport.url import NetworkUrl
 
 
 class Resolver:
-    """Looks up ``host`` in a separate thread, each time that a new connection needs the address.
+    """Looks up a URL's host in a separate thread, each time that a new connection needs the address.
 
     The look-up has no time limit; the operating system gives up after some 10 s.
     """
 
-    def __init__(self, host: str) -> None:
-        self._host = host
+    def __init__(self, url: NetworkUrl) -> None:
+        self._host, self._port = url.host, url.port
         self._thread: threading.Thread | None = None
-        self._answer: str | OSError = host
-        try:
-            ipaddress.IPv4Address(host)
-            self._numeric = True
-        except ValueError:
-            self._numeric = False
+        self._answer: str | OSError = self._host
 
-    def address(self) -> str | None:
-        """Return the numeric address, or None while the look-up is running: call again later.
+    def address(self) -> tuple[str, int] | None:
+        """Return the numeric address and the port, or None while the look-up is running: call again later.
 
         Raises
         ------
         OSError
             The look-up failed. The next call starts another.
         """
-        if self._numeric:
-            return self._host
+        with suppress(ValueError):
+            return str(ipaddress.IPv4Address(self._host)), self._port
         if self._thread is None:
             self._thread = threading.Thread(target=self._look_up, name=f"look up {self._host}", daemon=True)
             self._thread.start()
@@ -39,12 +37,11 @@ class Resolver:
         self._thread = None
         if isinstance(self._answer, OSError):
             raise self._answer
-        return self._answer
+        return self._answer, self._port
 
     def _look_up(self) -> None:
         try:
             self._answer = str(socket.getaddrinfo(self._host, None, socket.AF_INET)[0][4][0])
-        except OSError as error:
-            self._answer = OSError(error.errno, f"cannot look up {self._host!r}: {error.strerror or error}")
-        except UnicodeError as error:
-            self._answer = OSError(f"cannot look up {self._host!r}: {error}")
+        except (OSError, UnicodeError) as error:
+            why = getattr(error, "strerror", None) or error
+            self._answer = OSError(f"cannot look up {self._host!r}: {why}")

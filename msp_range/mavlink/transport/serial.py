@@ -1,13 +1,13 @@
 """MAVLink over a serial port: raw, 8 data bits, no parity, one stop bit, no flow control, exclusive use."""
 
-import array
 import fcntl
 import os
+import sys
 import termios
 from contextlib import suppress
+from io import FileIO
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
 from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S, FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import SerialUrl
 
@@ -17,67 +17,51 @@ UARTS = ("/dev/serial0", "/dev/serial1", "/dev/ttyAMA", "/dev/ttyS")
 """Beginnings of the names of a computer's own serial ports, which may have to be switched on."""
 
 
-class Serial(StreamTransport):
+class Serial(StreamTransport[FileIO]):
     """``serial``: a device file, which may vanish (unplugged) and return under the same name."""
 
     def __init__(self, url: SerialUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
-        self._path = url.path
-        self._speed: int = getattr(termios, f"B{url.baud}")
-        self._most_queued_bytes = int(url.baud / BITS_PER_BYTE * FRAME_DEADLINE_S)
-        self._file: int | None = None
-        self._try_open()
+        self._url = url
+        super().__init__(url, clock)
 
     def _open(self) -> bool:
         # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.
         try:
-            self._file = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            self._handle = FileIO(os.open(self._url.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK), "r+")
         except FileNotFoundError as error:
-            hint = "; on a Raspberry Pi: enable_uart=1 in config.txt" if self._path.startswith(UARTS) else ""
+            hint = "; on a Raspberry Pi: enable_uart=1 in config.txt" if self._url.path.startswith(UARTS) else ""
             raise OSError(error.errno, f"there is no such port{hint}") from None
         try:
-            _make_exclusive(self._file)
-            _make_raw(self._file, self._speed)
+            _make_exclusive(self._handle)
+            _make_raw(self._handle, getattr(termios, f"B{self._url.baud}"))
         except termios.error as error:  # not an OSError, though it has the same two arguments
             raise OSError(*error.args) from None
         self._stream = FrameStream(self._write, self._clock, self.stats)
         return True
 
     def _write(self, unwritten: bytes) -> int:
-        assert self._file is not None
+        assert self._handle is not None
         # The kernel buffers up to 4 kB, which is 4 s at 9600 baud: buffered bytes must be sent in time.
-        if queued_bytes(self._file) > self._most_queued_bytes:
+        if queued_bytes(self._handle) > int(self._url.baud / BITS_PER_BYTE * FRAME_DEADLINE_S):
             return 0
-        return os.write(self._file, unwritten)
-
-    def _read(self) -> bytes:
-        assert self._file is not None
-        return os.read(self._file, RECEIVE_BOUND_BYTES)
-
-    def _fileno(self) -> int:
-        assert self._file is not None
-        return self._file
+        return os.write(self._handle.fileno(), unwritten)
 
     def _release(self) -> None:
-        if self._file is not None:
+        if self._handle is not None:
             with suppress(OSError, termios.error):
-                if self._stream is not None and self._stream.blocked:
+                if self._stream is not None and self._stream.blocked_since_s is not None:
                     # Closing would wait for the device to take its bytes, up to 30 s.
-                    termios.tcflush(self._file, termios.TCOFLUSH)
-                fcntl.ioctl(self._file, termios.TIOCNXCL)
-            os.close(self._file)
-            self._file = None
+                    termios.tcflush(self._handle, termios.TCOFLUSH)
+                fcntl.ioctl(self._handle, termios.TIOCNXCL)
         super()._release()
 
 
-def queued_bytes(file: int) -> int:
+def queued_bytes(file: FileIO) -> int:
     """Bytes that the kernel has buffered; 0 if the driver does not report them."""
-    count = array.array("i", [0])
-    fcntl.ioctl(file, termios.TIOCOUTQ, count)
-    return count[0]
+    return int.from_bytes(fcntl.ioctl(file, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
 
 
-def _make_exclusive(file: int) -> None:
+def _make_exclusive(file: FileIO) -> None:
     try:
         # This is the lock of pyserial and most terminal programs, and the only one that root respects.
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -86,7 +70,7 @@ def _make_exclusive(file: int) -> None:
     fcntl.ioctl(file, termios.TIOCEXCL)
 
 
-def _make_raw(file: int, speed: int) -> None:
+def _make_raw(file: FileIO, speed: int) -> None:
     control = termios.tcgetattr(file)[6]
     # With VMIN 0 'nothing has arrived' and 'the device is gone' would look the same.
     control[termios.VMIN] = 1

@@ -5,12 +5,12 @@ anything else, and a frame that has not been started within its deadline is drop
 range, not all of them.
 """
 
-from abc import abstractmethod
+import os
 from collections import deque
 from collections.abc import Callable, Sequence
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import Reconnecting, TransportStats
+from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Handle, Reconnecting, TransportStats
 
 #: A frame that has not been started this long after ``send`` is dropped.
 FRAME_DEADLINE_S = 0.25
@@ -31,6 +31,11 @@ class FrameStream:
         Counters of frames.
     stuck_after_s
         Time without progress after which the stream counts as broken [s].
+
+    Attributes
+    ----------
+    blocked_since_s
+        When a write was incomplete and none has made progress after it [s]; None: the last write was complete.
     """
 
     def __init__(
@@ -44,19 +49,14 @@ class FrameStream:
         self._clock = clock
         self._stats = stats
         self._stuck_after_s = stuck_after_s
+        # What is unwritten of each frame, and its deadline [s].
         self._waiting: deque[tuple[bytes, float]] = deque()
-        self._rest = b""
-        self._blocked_since_s: float | None = None
-
-    @property
-    def blocked(self) -> bool:
-        """True if the last write was incomplete."""
-        return self._blocked_since_s is not None
+        self.blocked_since_s: float | None = None
 
     @property
     def is_empty(self) -> bool:
         """True if no frame waits."""
-        return not self._waiting and not self._rest
+        return not self._waiting
 
     def send(self, frame: bytes) -> bool:
         """Write ``frame``, or keep it until its deadline; False if too many are waiting.
@@ -83,65 +83,45 @@ class FrameStream:
         OSError
             The stream is broken; TimeoutError if it accepted nothing for too long.
         """
-        if self.is_empty:
-            return
         now_s = self._clock.now()
-        while self._waiting or self._rest:
-            if not self._rest and now_s > self._waiting[0][1]:
+        while self._waiting:
+            unwritten, deadline_s = self._waiting[0]
+            if now_s > deadline_s:
                 self._waiting.popleft()
                 self._stats.dropped_frames += 1
                 continue
-            unwritten = self._rest or self._waiting[0][0]
             try:
                 written = self._write(unwritten)
             except BlockingIOError:
                 written = 0
-            if written == len(unwritten):
-                self._take_up(b"")
-                self._stats.sent_frames += 1
-                continue
             if written:
-                self._take_up(unwritten[written:])
-            self._note_blocked(now_s)
-            return
-
-    def _take_up(self, rest: bytes) -> None:
-        """Record that all but ``rest`` of the first frame has been written."""
-        if not self._rest:
+                self.blocked_since_s = None
+                # The rest of a frame follows, however late.
+                self._waiting[0] = unwritten[written:], float("inf")
+            if written < len(unwritten):
+                if self.blocked_since_s is None:
+                    self.blocked_since_s = now_s
+                elif now_s - self.blocked_since_s > self._stuck_after_s:
+                    raise TimeoutError(f"the peer has accepted nothing for {self._stuck_after_s:.0f} s")
+                return
             self._waiting.popleft()
-        self._rest = rest
-        self._blocked_since_s = None
-
-    def _note_blocked(self, now_s: float) -> None:
-        if self._blocked_since_s is None:
-            self._blocked_since_s = now_s
-        elif now_s - self._blocked_since_s > self._stuck_after_s:
-            raise TimeoutError(f"the peer has accepted nothing for {self._stuck_after_s:.0f} s")
+            self._stats.sent_frames += 1
 
     def abandon(self) -> None:
         """Count incomplete frames as dropped, because the stream is closed."""
-        self._stats.dropped_frames += len(self._waiting) + bool(self._rest)
+        self._stats.dropped_frames += len(self._waiting)
         self._waiting.clear()
-        self._rest = b""
 
 
-class StreamTransport(Reconnecting):
+class StreamTransport(Reconnecting[Handle]):
     """A transport with one byte stream, which exists from ``_open`` to ``_release``."""
 
     _stream: FrameStream | None = None
 
-    @abstractmethod
-    def _read(self) -> bytes:
-        """What has arrived; ``b""`` for the end of the stream, BlockingIOError for nothing."""
-
-    @abstractmethod
-    def _fileno(self) -> int:
-        """The open stream's file."""
-
     @property
     def files(self) -> Sequence[int]:
         """The stream; none while frames wait, which `receive` writes."""
-        return () if self._stream is None or not self._stream.is_empty else (self._fileno(),)
+        return () if self._stream is None or not self._stream.is_empty else super().files
 
     @property
     def connected(self) -> bool:
@@ -165,11 +145,11 @@ class StreamTransport(Reconnecting):
         """Return what has arrived; connect, and write waiting frames."""
         if self._stream is None:
             self._try_open()
-        if self._stream is None:
+        if self._stream is None or self._handle is None:
             return b""
         try:
             self._stream.flush()
-            received = self._read()
+            received = os.read(self._handle.fileno(), RECEIVE_BOUND_BYTES)
             if not received:
                 raise ConnectionError("the other side has closed the link")
         except BlockingIOError:
@@ -183,3 +163,4 @@ class StreamTransport(Reconnecting):
         if self._stream is not None:
             self._stream.abandon()
             self._stream = None
+        super()._release()

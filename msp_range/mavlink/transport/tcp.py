@@ -32,54 +32,37 @@ def _prepare(tcp: socket.socket) -> None:
     tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(STUCK_AFTER_S * 1000))
 
 
-class TcpOut(StreamTransport):
+class TcpOut(StreamTransport[socket.socket]):
     """``tcp``: a client of one server."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
-        self._port = url.port
-        self._resolver = Resolver(url.host)
-        self._socket: socket.socket | None = None
+        self._resolver = Resolver(url)
         self._address = ("", 0)
         self._give_up_at_s = 0.0
-        self._try_open()
+        super().__init__(url, clock)
 
     def _open(self) -> bool:
-        if self._socket is None:
-            host = self._resolver.address()
-            if host is None:
+        if self._handle is None:
+            address = self._resolver.address()
+            if address is None:
                 return False
-            self._address = (host, self._port)
+            self._address = address
             self._give_up_at_s = self._clock.now() + CONNECT_DEADLINE_S
-            self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-            _prepare(self._socket)
+            self._handle = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            _prepare(self._handle)
         # Called again during the attempt, connect returns its state.
-        error = self._socket.connect_ex(self._address)
+        error = self._handle.connect_ex(self._address)
         if error in (errno.EINPROGRESS, errno.EALREADY):
             if self._clock.now() > self._give_up_at_s:
                 raise TimeoutError(f"no answer within {CONNECT_DEADLINE_S:.0f} s")
             return False
-        if error not in (0, errno.EISCONN):
-            raise OSError(error, os.strerror(error))
-        if self._socket.getsockname() == self._socket.getpeername():
+        if error in (0, errno.EISCONN):
+            if self._handle.getsockname() != self._handle.getpeername():
+                self._stream = FrameStream(self._handle.send, self._clock, self.stats, STUCK_AFTER_S)
+                return True
             # A free port on this computer can be given to the socket itself, and it is then connected to itself.
-            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
-        self._stream = FrameStream(self._socket.send, self._clock, self.stats, STUCK_AFTER_S)
-        return True
-
-    def _read(self) -> bytes:
-        assert self._socket is not None
-        return self._socket.recv(RECEIVE_BOUND_BYTES)
-
-    def _fileno(self) -> int:
-        assert self._socket is not None
-        return self._socket.fileno()
-
-    def _release(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-        super()._release()
+            error = errno.ECONNREFUSED
+        raise OSError(error, os.strerror(error))
 
 
 class _Client(Peer):
@@ -91,7 +74,7 @@ class _Client(Peer):
         self.stream = stream
 
 
-class TcpIn(Reconnecting):
+class TcpIn(Reconnecting[socket.socket]):
     """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received.
 
     A client that sends no valid frame for 10 s is dropped. If the maximum number is reached, a new client
@@ -99,12 +82,9 @@ class TcpIn(Reconnecting):
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
-        self._port = url.port
-        self._resolver = Resolver(url.host)
-        self._listener: socket.socket | None = None
+        self._resolver = Resolver(url)
         self._clients: list[_Client] = []
-        self._try_open()
+        super().__init__(url, clock)
 
     @property
     def connected(self) -> bool:
@@ -114,9 +94,9 @@ class TcpIn(Reconnecting):
     @property
     def files(self) -> Sequence[int]:
         """All sockets; none while frames wait, which `receive` writes."""
-        if self._listener is None or not all(client.stream.is_empty for client in self._clients):
+        if not all(client.stream.is_empty for client in self._clients):
             return ()
-        return (self._listener.fileno(), *(client.tcp.fileno() for client in self._clients))
+        return (*super().files, *(client.tcp.fileno() for client in self._clients))
 
     def send(self, frame: bytes) -> bool:
         """Send a frame to every client, now or within 0.25 s; False if no client can get it."""
@@ -127,15 +107,14 @@ class TcpIn(Reconnecting):
             try:
                 taken = client.stream.send(frame) or taken
             except OSError as error:
-                self._part(client, error)
+                self._drop(client, error)
         return taken
 
     def receive(self) -> bytes:
         """Return the complete frames that have arrived; accept clients, and write waiting frames."""
-        if self._listener is None:
-            self._try_open()
-        if self._listener is not None:
-            self._accept(self._listener)
+        listener = self._opened()
+        if listener is not None:
+            self._accept(listener)
         now_s = self._clock.now()
         received: list[bytes] = []
         for client in self._clients.copy():
@@ -149,26 +128,24 @@ class TcpIn(Reconnecting):
                 if client.is_silent(now_s):
                     raise TimeoutError(f"a client has sent no MAVLink for {PEER_SILENT_S:.0f} s")
             except OSError as error:
-                self._part(client, error)
+                self._drop(client, error)
         return b"".join(received)
 
     def _open(self) -> bool:
-        host = self._resolver.address()
-        if host is None:
+        address = self._resolver.address()
+        if address is None:
             return False
-        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._listener.setblocking(False)
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self._listener.bind((host, self._port))
-        self._listener.listen()
+        self._handle = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._handle.setblocking(False)
+        self._handle.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._handle.bind(address)
+        self._handle.listen()
         return True
 
     def _release(self) -> None:
         for client in self._clients.copy():
             self._drop(client)
-        if self._listener is not None:
-            self._listener.close()
-            self._listener = None
+        super()._release()
 
     def _accept(self, listener: socket.socket) -> None:
         for _ in range(MOST_CLIENTS):
@@ -186,11 +163,9 @@ class TcpIn(Reconnecting):
             self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S), now_s))
             self.last_error = None
 
-    def _part(self, client: _Client, error: OSError) -> None:
-        self._drop(client)
-        self._remember(error)
-
-    def _drop(self, client: _Client) -> None:
+    def _drop(self, client: _Client, error: OSError | None = None) -> None:
         client.tcp.close()
         client.stream.abandon()
         self._clients.remove(client)
+        if error is not None:
+            self._remember(error)

@@ -6,7 +6,6 @@ UDP has no connections. A frame counts as sent when the operating system has acc
 import errno
 import socket
 from abc import abstractmethod
-from collections.abc import Sequence
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
@@ -28,118 +27,84 @@ socket's buffer, which holds some 250, and the autopilot's own datagrams are los
 _NO_ROOM = (errno.EAGAIN, errno.ENOBUFS)
 
 
-class _Udp(Reconnecting):
+class _Udp(Reconnecting[socket.socket]):
     """Common part of both kinds of UDP link: one socket, and the received datagrams."""
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        super().__init__(str(url), clock)
-        self._port = url.port
-        self._resolver = Resolver(url.host)
-        self._socket: socket.socket | None = None
-        self._try_open()
-
-    @property
-    def files(self) -> Sequence[int]:
-        """The socket."""
-        return () if self._socket is None else (self._socket.fileno(),)
+        self._resolver = Resolver(url)
+        self._refused_at_s = float("-inf")
+        super().__init__(url, clock)
 
     def receive(self) -> bytes:
         """Return the datagrams that have arrived, joined."""
-        if self._socket is None:
-            self._try_open()
         received: list[bytes] = []
         count = 0
+        self._opened()
         for _ in range(_MOST_DATAGRAMS):
-            if self._socket is None or count >= RECEIVE_BOUND_BYTES:
+            if self._handle is None or count >= RECEIVE_BOUND_BYTES:
                 break
             try:
-                datagram, peer = self._socket.recvfrom(RECEIVE_BOUND_BYTES)
+                datagram, peer = self._handle.recvfrom(RECEIVE_BOUND_BYTES)
             except BlockingIOError:
                 break
+            except ConnectionRefusedError:
+                self._was_refused()
             except OSError as error:
-                self._receive_failed(error)
+                self._lost(error)
             else:
                 count += len(datagram)
                 received.append(self._accept(datagram, peer))
         return b"".join(received)
 
-    def _receive_failed(self, error: OSError) -> None:
-        self._lost(error)
+    def _was_refused(self) -> None:
+        self.stats.refused += 1
+        self._refused_at_s = self._clock.now()
 
     def _accept(self, datagram: bytes, address: tuple[str, int]) -> bytes:
         """The part of a datagram that is passed to the link."""
         return datagram
 
     def _open(self) -> bool:
-        host = self._resolver.address()
-        if host is None:
+        address = self._resolver.address()
+        if address is None:
             return False
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self._attach(self._socket, (host, self._port))
+        self._handle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._handle.setblocking(False)
+        self._attach(self._handle, address)
         return True
 
     @abstractmethod
     def _attach(self, udp: socket.socket, address: tuple[str, int]) -> None:
         """Connect or bind the new socket."""
 
-    def _release(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
 
 class UdpOut(_Udp):
     """``udpout``: a connected socket, so that sending is one cheap system call and a missing peer is detected."""
 
-    def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        self._refused_at_s = float("-inf")
-        super().__init__(url, clock)
-
     @property
     def connected(self) -> bool:
         """True if there is a route and no refusal within the last 1.5 s."""
-        return self._socket is not None and self._clock.now() - self._refused_at_s > REFUSED_FOR_S
+        return self._handle is not None and self._clock.now() - self._refused_at_s > REFUSED_FOR_S
 
     def send(self, frame: bytes) -> bool:
         """Send one datagram; False without a route or if the operating system's buffer is full."""
-        if self._socket is None:
-            self._try_open()
-        udp = self._socket
-        if udp is None:
-            self.stats.dropped_frames += 1
-            return False
-        try:
-            udp.send(frame)
-        except OSError as error:
-            return self._send_again(udp, frame, error)
-        self.stats.sent_frames += 1
-        return True
-
-    def _send_again(self, udp: socket.socket, frame: bytes, error: OSError) -> bool:
-        if error.errno == errno.ECONNREFUSED:
-            # The refusal answers an earlier frame, and this one has not been sent.
-            self._was_refused()
+        udp = self._opened()
+        # A refusal answers an earlier frame, and this one has not been sent: once more.
+        for _ in range(2):
+            if udp is None:
+                break
             try:
                 udp.send(frame)
                 self.stats.sent_frames += 1
                 return True
-            except OSError as second_error:
-                error = second_error
+            except ConnectionRefusedError:
+                self._was_refused()
+            except OSError as error:
+                if error.errno not in _NO_ROOM:
+                    self._lost(error)
+                break
         self.stats.dropped_frames += 1
-        if error.errno not in (*_NO_ROOM, errno.ECONNREFUSED):
-            self._lost(error)
         return False
-
-    def _receive_failed(self, error: OSError) -> None:
-        if error.errno == errno.ECONNREFUSED:
-            self._was_refused()
-        else:
-            self._lost(error)
-
-    def _was_refused(self) -> None:
-        self.stats.refused += 1
-        self._refused_at_s = self._clock.now()
 
     def _attach(self, udp: socket.socket, address: tuple[str, int]) -> None:
         udp.connect(address)
@@ -160,17 +125,17 @@ class UdpIn(_Udp):
     def connected(self) -> bool:
         """True if there is a peer."""
         self._forget_silent_peers()
-        return self._socket is not None and bool(self._peers)
+        return self._handle is not None and bool(self._peers)
 
     def send(self, frame: bytes) -> bool:
         """Send one datagram to each peer; False if none was sent."""
         self._forget_silent_peers()
         sent = 0
         for address in self._peers:
-            if self._socket is None:
+            if self._handle is None:
                 break
             try:
-                self._socket.sendto(frame, address)
+                self._handle.sendto(frame, address)
                 sent += 1
             except OSError as error:  # one peer's network may be down while another's is up
                 if error.errno not in _NO_ROOM:

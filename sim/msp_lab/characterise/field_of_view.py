@@ -16,12 +16,12 @@ from msp_lab.characterise.estimates import half_of_mean, share, student
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
+from msp_lab.characterise.sonar import PARAMETERS, STEP_DEG, extended_beam, fit_sonar, leave_one_out
 from msp_range.acoustics.beam import BreakawayTable
-from msp_range.acoustics.slant import slant_range
-from msp_range.acoustics.sonar import PARAMETERS, STEP_DEG, extended_beam, fit_sonar, leave_one_out
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
+from msp_sim.acoustics.slant import slant_range
 
 RELIABLE_SHARE = 0.8
 """Smallest share of readings of the wall at a reliable angle. Echoes end within about one step of 1.8 deg, so that any
@@ -91,7 +91,7 @@ def sonar_through(
     radians = [sonar.half_angle_rad(range_m) for range_m in table.ranges_m]
     fitted = [None if each is None else math.degrees(each) for each in radians]
     beam = extended_beam(table, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
-    known_to_cm = min(sensor.maximum_cm, 100.0 * beam.known_to_m)
+    known_to_cm = round(100.0 * beam.ranges_m[-1], 6)
     found = tuple(SonarRow(*row, *angles) for row, *angles in zip(rows, fitted, left_out, strict=True))
     return SonarFit(
         source_level_db=sonar.source_level_db,

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from pydantic_core import to_jsonable_python
 
 from msp_lab.characterise.analysis import provenance
+from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.reading_model.fit_result import MIN_WEIGHT
@@ -29,6 +30,7 @@ _SECTIONS = (
     ("oblique_reading",),
     ("timing", "frequency_hz"),
     ("breakaway",),
+    ("predicted_breakaway",),
     ("heard_on_axis_cm",),
     ("calibration",),
     ("reading_model",),
@@ -50,13 +52,16 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
     content = sensor.model_dump(mode="json") | to_jsonable_python(changes)
     if "breakaway" in changes and content["heard_on_axis_cm"] is not None:
         content["heard_on_axis_cm"] = max(content["heard_on_axis_cm"], content["breakaway"][-1]["range_cm"])
-    # The means over a flight were those of the starting model.
-    content |= {"in_flight": None, "evidence": [*content["evidence"], provenance(findings)]}
+    # The means over a flight and the predicted angles were those of the starting model.
+    content |= {"in_flight": None, "predicted_breakaway": None}
+    content["evidence"] = [*content["evidence"], provenance(findings)]
     try:
-        return SensorModel.model_validate(_rounded(content))
+        model = SensorModel.model_validate(_rounded(content))
     except ValidationError as error:
         problems = "; ".join(each["msg"] for each in error.errors())
         raise ConfigError(f"what was found does not go with the rest of the sensor model: {problems}") from None
+    predicted = predict_breakaway(model) if model.medium == "sound" else None
+    return model.model_copy(update={"predicted_breakaway": predicted})
 
 
 def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> None:
@@ -100,7 +105,7 @@ def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, A
     for names in _SECTIONS:
         why = kept.get(names[0], "")
         words = [f"Kept from {start}{f': {why}' if why else ''}."]
-        if names[0] in (*changes, "evidence"):
+        if names[0] in (*changes, "predicted_breakaway", "evidence"):
             words = fitted[names[0]]
         lines += [f"# {line}" for each in words for line in _WRAPPER.wrap(each)]
         lines += [_yaml(name, content[name]) for name in names]
@@ -123,6 +128,7 @@ def _why_kept(sensor: SensorModel, findings: Findings) -> dict[str, str]:
 def _how_fitted(findings: Findings) -> dict[str, list[str]]:
     """How fields of the new model were found, where they can be."""
     found = {
+        "predicted_breakaway": ["Beyond these angles, for sound: by the sonar equation that is fitted to them."],
         "evidence": ["What this file was made from, the newest last."],
         "resolution_cm": ["Step of the readings."],
         "heard_on_axis_cm": ["Fitted: longest range of the maximum range experiment that was read reliably."],

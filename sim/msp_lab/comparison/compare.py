@@ -10,8 +10,8 @@ from typing import Literal
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import peaks_found, with_subject
 from msp_lab.characterise.page.text import half_interval
+from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.comparison.report import REPORT
-from msp_range.acoustics.sonar import STEP_DEG
 from msp_sim.page.text import plus, sentence
 
 ROUNDING_CM = 0.5

@@ -17,7 +17,7 @@ NEAREST_POINT = Effect(
     sentence="If its perpendicular lies outside the beam, a rough surface gives an echo from the edge of the beam.",
     finding="tilt beyond the breakaway angle moves readings by {share:%} of what the edge of the beam gives",
     physics="z / cos(incidence - half angle) beyond the beam's half angle at that range, z within it",
-    source="geometry of a cone; msp_range.acoustics.slant.nearest_range_in_beam; needs roughness of about 8 mm",
+    source="geometry of a cone; msp_sim.acoustics.slant.nearest_range_in_beam; needs roughness of about 8 mm",
     parameters=(
         Parameter("share", "1", "strength; 1 is the effect of the equation", -1.5, 1.5),
         Parameter(

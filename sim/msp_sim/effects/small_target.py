@@ -21,7 +21,7 @@ SMALL_TARGET = Effect(
         "beyond z = 2 A / lambda a square plate of area A gives an echo 20 log(z lambda / 2 A) dB weaker than a wall; "
         "log odds of a missed echo grow linearly with that"
     ),
-    source="msp_range.acoustics.spreading (plate_cross_section_m2, plate_spreading); the growth is an assumption",
+    source="msp_sim.acoustics.spreading (plate_cross_section_m2, plate_spreading); the growth is an assumption",
     parameters=(Parameter("log_odds_per_10db", "1", "growth of the log odds per 10 dB", 0.0, 50.0),),
     requires=("true_range_cm", "target_size_cm"),
     channels=("missed",),

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.acoustics.absorption import db_per_m
 from msp_range.acoustics.air import ZERO_CELSIUS_K
-from msp_range.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.absorption import db_per_m
+from msp_sim.acoustics.atmosphere import Atmosphere
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
 HALF_POWER_DEG = 18.0
@@ -45,7 +45,7 @@ THRESHOLD_WALK = Effect(
         "exponential rise, with a delay proportional to the loss in dB; "
         "loss for a wall: 20 log z, absorption by the air of the reading, and 6 dB (incidence / 18 deg)^2. Zero at 1 m"
     ),
-    source="time walk of leading-edge discriminators; levels: msp_range.acoustics",
+    source="time walk of leading-edge discriminators; levels: msp_sim.acoustics",
     parameters=(
         Parameter(
             "walk_cm_per_10db", "cm", "additional range for each 10 dB that the echo is weaker than at 1 m", 0.0, 5.0

@@ -18,7 +18,6 @@ from msp_range.clock import Clock
 from msp_range.geometry import Vector, rotate_back, rotation_matrix
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
-from msp_range.mavlink.frames import pack_values
 from msp_range.mavlink.transport import Transport, TransportStats, Wrapped
 from msp_range.yaml_file import Section
 from msp_sim.world.profiles import NotNegative, Positive
@@ -174,7 +173,6 @@ class LoopbackAutopilot:
         self._reboots_at_s = sorted(plan.reboots_at_s)
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
-        self._sequence = 0
         self._refused = () if plan.sends_motion else _MOTION
         self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
@@ -329,8 +327,8 @@ class LoopbackAutopilot:
 
     def _put(self, kind: Any, *values: float) -> None:
         """Send a message, from its class and all of its fields."""
-        self._outgoing += pack_values(kind, values, 1, dialect.MAV_COMP_ID_AUTOPILOT1, self._sequence)
-        self._sequence = (self._sequence + 1) % 256
+        self._outgoing += kind(*values).pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
 
 
 def _message_id(frame: bytes) -> int:

@@ -15,7 +15,7 @@ from msp_lab.characterise.page.errors import share_bars, with_reach
 from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
 from msp_lab.characterise.page.text import half_interval
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_range.acoustics.sonar import STEP_DEG, Sonar
+from msp_lab.characterise.sonar import STEP_DEG, Sonar
 from msp_range.arrays import Array, Flags
 from msp_sim.page.style import (
     BARS,

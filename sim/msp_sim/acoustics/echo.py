@@ -7,11 +7,11 @@ as the sensor's own threshold: breakaway angles cannot distinguish a loud source
 import math
 from dataclasses import dataclass
 
-from msp_range.acoustics.absorption import absorption_db_per_m
-from msp_range.acoustics.atmosphere import Atmosphere
-from msp_range.acoustics.materials import reflection_coefficient
-from msp_range.acoustics.piston import directivity_db
-from msp_range.acoustics.spreading import small_target_spreading, wall_spreading
+from msp_sim.acoustics.absorption import absorption_db_per_m
+from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.materials import reflection_coefficient
+from msp_sim.acoustics.piston import directivity_db
+from msp_sim.acoustics.spreading import small_target_spreading, wall_spreading
 
 
 @dataclass(frozen=True)

@@ -1,19 +1,19 @@
 """The sonar equation of a sensor: the largest angle at which it detects a wall, at ranges that were not measured.
 
 A table of breakaway angles (report 4.3.3) enters, its three parameters are fitted, half angles beyond the table leave.
-An echo is detected if its level (`msp_range.acoustics.echo`) is above the detection threshold.
+An echo is detected if its level (`msp_sim.acoustics.echo`) is above the detection threshold.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
-from msp_range.acoustics.atmosphere import Atmosphere
+from scipy.optimize import least_squares
+
 from msp_range.acoustics.beam import NARROWEST_HALF_ANGLE_DEG, BreakawayTable
-from msp_range.acoustics.echo import WALL, Target, echo_level_db
-from msp_range.acoustics.least_squares import least_squares
-from msp_range.acoustics.piston import main_lobe_x
+from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.acoustics.echo import WALL, Target, echo_level_db
+from msp_sim.acoustics.piston import main_lobe_x
 
 STEP_DEG = 1.8
 """Step of the report's motor [deg]: the uncertainty of a breakaway angle, and so the largest error of an accepted
@@ -159,7 +159,9 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     # A piston that is 12 dB down (two-way), x = 2.2, at the widest angle of the table.
     diameter_m = 2.2 * wavelength_m / (math.pi * math.sin(math.radians(table.half_angles_deg[0])))
     start = [3.0, math.log(diameter_m), 5.0]
-    return sonar_of(least_squares(misses_deg, start, [0.0, -math.inf, 0.0]))
+    exact = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15)
+    lower = [0.0, -math.inf, 0.0]
+    return sonar_of(least_squares(misses_deg, start, "3-point", (lower, math.inf), x_scale="jac", **exact).x.tolist())
 
 
 def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> list[float | None]:
@@ -191,16 +193,15 @@ def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float |
     return predicted
 
 
-@lru_cache(maxsize=16)
 def extended_beam(
     table: BreakawayTable, maximum_m: float, frequency_hz: float, on_axis_m: float | None = None
 ) -> BreakawayTable:
     """A measured table, extended by the sonar equation that is fitted to it.
 
     The measured rows are unchanged. Beyond them the angle is the equation's, but never increases with range: a gain
-    that exceeds the losses would widen the beam, which has not been observed. If the equation predicts no echo or
-    cannot be fitted (too few rows, or an error of more than a step), the last angle is held, and `known_to_m` is the
-    range from which it is only assumed.
+    that exceeds the losses would widen the beam, which has not been observed. The table ends where the equation
+    predicts no echo, and with the measured rows if it cannot be fitted (too few rows, or an error of more than a step):
+    beyond that its last angle is only assumed.
 
     Parameters
     ----------
@@ -218,18 +219,14 @@ def extended_beam(
     """
     ranges_m, angles_deg = list(table.ranges_m), list(table.half_angles_deg)
     sonar = _trusted_fit(table, frequency_hz, on_axis_m)
-    known_to_m = ranges_m[-1]
-    while sonar is not None and known_to_m < maximum_m:
-        range_m = min(known_to_m + STEP_M, maximum_m)
+    while sonar is not None and ranges_m[-1] < maximum_m:
+        range_m = min(ranges_m[-1] + STEP_M, maximum_m)
         angle_rad = sonar.half_angle_rad(range_m)
         if angle_rad is None:
             break
-        known_to_m = range_m
         ranges_m.append(range_m)
         angles_deg.append(min(angles_deg[-1], max(math.degrees(angle_rad), NARROWEST_HALF_ANGLE_DEG)))
-    return BreakawayTable(
-        tuple(ranges_m), tuple(angles_deg), known_to_m=known_to_m if known_to_m < maximum_m else math.inf
-    )
+    return BreakawayTable(tuple(ranges_m), tuple(angles_deg))
 
 
 def _trusted_fit(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None) -> Sonar | None:

@@ -1,7 +1,7 @@
 """Decrease of an echo with range: for a small target, a wall, and a plate between the two.
 
 The functions give the echo's intensity at the sensor divided by the power of an isotropic source of the same level.
-`msp_range.acoustics.echo` converts it to decibels and adds absorption, directivity and reflection.
+`msp_sim.acoustics.echo` converts it to decibels and adds absorption, directivity and reflection.
 The report's eq 2 and 5 have 16 pi R^4, which is (4 pi R^2)^2 with a pi lost, and use it for walls too (erratum 2).
 """
 

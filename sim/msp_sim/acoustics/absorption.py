@@ -3,11 +3,11 @@
 Frequency and air enter, decibels per metre leave. The report's eq 2 has it as alpha.
 """
 
-import math
+import numpy as np
 
 from msp_range.acoustics.air import STANDARD_PRESSURE_PA
-from msp_range.acoustics.atmosphere import Atmosphere
 from msp_range.numbers import Numbers
+from msp_sim.acoustics.atmosphere import Atmosphere
 
 REFERENCE_K = 293.15
 """T_0 of the standard, 20 deg C [K]."""
@@ -54,23 +54,20 @@ def absorption_db_per_m(frequency_hz: float, air: Atmosphere) -> float:
     """
     if not frequency_hz > 0.0:
         raise ValueError(f"found a frequency of {frequency_hz:g} Hz, expected more than 0")
-    return db_per_m(frequency_hz, air.absolute_k, air.humidity_percent, air.pressure_pa)
+    return float(db_per_m(frequency_hz, air.absolute_k, air.humidity_percent, air.pressure_pa))
 
 
 def db_per_m(frequency_hz: float, absolute_k: Numbers, humidity_percent: Numbers, pressure_pa: float) -> Numbers:
-    """The same of numbers, or of arrays of them; all in SI but for the humidity [%], and none is checked.
-
-    Powers stand for exponentials and roots, so that arrays can enter without numpy, which the bridge does not load.
-    """
+    """The same of numbers, or of arrays of them; all in SI but for the humidity [%], and none is checked."""
     warmth = absolute_k / REFERENCE_K
     pressure = pressure_pa / STANDARD_PRESSURE_PA
     saturation = 10.0 ** (4.6151 - 6.8346 * (TRIPLE_POINT_K / absolute_k) ** 1.261)
     vapour_percent = humidity_percent / pressure * saturation
     oxygen_hz = pressure * (24.0 + 4.04e4 * vapour_percent * (0.02 + vapour_percent) / (0.391 + vapour_percent))
-    sharing = math.e ** (-4.170 * (warmth ** (-1 / 3) - 1.0))
+    sharing = np.exp(-4.170 * (warmth ** (-1 / 3) - 1.0))
     nitrogen_hz = pressure * warmth**-0.5 * (9.0 + 280.0 * vapour_percent * sharing)
     classical = 1.84e-11 / pressure * warmth**0.5
-    oxygen = 0.01275 * math.e ** (-2239.1 / absolute_k) * oxygen_hz / (oxygen_hz**2 + frequency_hz**2)
-    nitrogen = 0.1068 * math.e ** (-3352.0 / absolute_k) * nitrogen_hz / (nitrogen_hz**2 + frequency_hz**2)
+    oxygen = 0.01275 * np.exp(-2239.1 / absolute_k) * oxygen_hz / (oxygen_hz**2 + frequency_hz**2)
+    nitrogen = 0.1068 * np.exp(-3352.0 / absolute_k) * nitrogen_hz / (nitrogen_hz**2 + frequency_hz**2)
     found: Numbers = 8.686 * frequency_hz**2 * (classical + warmth**-2.5 * (oxygen + nitrogen))
     return found

@@ -1,0 +1,106 @@
+"""The table of the beam beyond the measured angles: predicted before flight, and written into a sensor model file.
+
+A `SensorModel` enters, its `predicted_breakaway` leaves; in the text of a file everything else stays as it is.
+"""
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from msp_lab.characterise.sonar import extended_beam
+from msp_range.acoustics.beam import BreakawayTable
+from msp_range.commission.edit import save
+from msp_range.reading_model.sensor_model import BreakawayPoint, PredictedBreakaway, SensorModel, load_sensor_model
+from msp_range.yaml_file import ConfigError, read_config
+from msp_range.yaml_loader import load_yaml
+
+DIGITS = 7
+"""Digits of an angle after the point [deg]: the field of view in DISTANCE_SENSOR, a number in single precision, is then
+that of the unrounded angle to its last bit. Fewer change more of its bits, more change nothing."""
+
+
+def predict_breakaway(sensor: SensorModel) -> PredictedBreakaway:
+    """Predict the half angles of an ultrasonic sensor beyond the measured ones, by `extended_beam`.
+
+    Rows that only repeat the last angle are left out: it is held anyway. No rows: the sonar equation cannot be fitted
+    to the measured angles, or predicts no narrower one.
+    """
+    measured = BreakawayTable(
+        tuple(point.range_cm / 100.0 for point in sensor.breakaway),
+        tuple(point.half_angle_deg for point in sensor.breakaway),
+    )
+    on_axis_m = None if sensor.heard_on_axis_cm is None else sensor.heard_on_axis_cm / 100.0
+    beam = extended_beam(measured, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
+    last = beam.half_angles_deg.index(beam.half_angles_deg[-1])
+    added = slice(len(measured.ranges_m), last + 1)
+    rows = (
+        BreakawayPoint(range_cm=round(100.0 * range_m, 6), half_angle_deg=round(angle_deg, DIGITS))
+        for range_m, angle_deg in zip(beam.ranges_m[added], beam.half_angles_deg[added], strict=True)
+    )
+    return PredictedBreakaway(inputs=sensor.beam_inputs, rows=tuple(rows))
+
+
+def with_prediction(text: str, predicted: PredictedBreakaway) -> str:
+    """The text of a sensor model file with this prediction, in place of an older one or behind the measured angles.
+
+    Raises
+    ------
+    ConfigError
+        The file is written in a way in which it has to be changed by hand.
+    """
+    block = [
+        "predicted_breakaway:  # beyond the measured angles, by msp-lab beam",
+        f'  inputs: "{predicted.inputs}"',
+        "  rows:" if predicted.rows else "  rows: []",
+        *[f"    - {{range_cm: {at.range_cm:.10g}, half_angle_deg: {at.half_angle_deg:.10g}}}" for at in predicted.rows],
+    ]
+    lines = text.split("\n")
+    measured, older = _lines_of("breakaway", lines), _lines_of("predicted_breakaway", lines)
+    place = older or slice(measured.stop, measured.stop) if measured else slice(0)
+    changed = "\n".join([*lines[: place.start], *block, *lines[place.stop :]])
+    try:
+        is_whole = load_yaml(changed) == {**load_yaml(text), "predicted_breakaway": predicted.model_dump(mode="json")}
+    except yaml.YAMLError:
+        is_whole = False
+    if not is_whole:
+        raise ConfigError("\n".join(["this file has to be changed by hand; it lacks:", *block]))
+    return changed
+
+
+def predict_in_file(path: Path) -> tuple[PredictedBreakaway, Path | None]:
+    """Write the prediction into a sensor model file.
+
+    Returns
+    -------
+    PredictedBreakaway
+        What was predicted.
+    Path or None
+        Where the file as it was is kept; None if it had this prediction already.
+
+    Raises
+    ------
+    ConfigError
+        The file cannot be used or written, or its sensor does not range with sound.
+    """
+    sensor = load_sensor_model(path)
+    if sensor.medium != "sound":
+        raise ConfigError(f"{path}: ranges with {sensor.medium}; only the beam of a sensor of sound is predicted")
+    predicted = predict_breakaway(sensor)
+    if sensor.predicted_breakaway == predicted:
+        return predicted, None
+    try:
+        text = with_prediction(read_config(path), predicted)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return predicted, save(path, text)
+
+
+def _lines_of(key: str, lines: Sequence[str]) -> slice | None:
+    """A key at the left edge, with all that is indented below it."""
+    for start, line in enumerate(lines):
+        if line.startswith(f"{key}:"):
+            indented = itertools.takewhile(lambda line: line[:1] in (" ", "-"), lines[start + 1 :])
+            return slice(start, start + 1 + sum(1 for _ in indented))
+    return None
