@@ -152,9 +152,12 @@ class Belief:
         return [mode for mode in self._modes if mode.sees is surface and mode.seen_s >= since_s]
 
     def best_of(
-        self, mode: SensorMode, range_m: float, densities: Mapping[Surface, float]
+        self, mode: SensorMode, range_m: float | None, densities: Mapping[Surface, float]
     ) -> tuple[Surface | None, float]:
-        """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known."""
+        """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known.
+
+        Without its range [m], as of a fault code, it says nothing of noise.
+        """
         best, most = None, mode.outlier * PER_M
         total = most
         for surface, density in densities.items():
@@ -162,7 +165,7 @@ class Belief:
             total += likely
             if likely > most:
                 best, most = surface, likely
-        if self.surfaces:
+        if self.surfaces and range_m is not None:
             mode.weigh_noise(range_m, total)
         return best, most / total
 

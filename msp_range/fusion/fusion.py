@@ -288,7 +288,7 @@ class Fusion:
                     density = 0.5 / gate_m  # Of so slow a polling any reading within the gate is as likely.
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
-        found, share = belief.best_of(mode, look.range_m, densities)
+        found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
         answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
         if parent is not None and not answers and self._is_fixed(parent, look, seen):
             return FIXED
