@@ -108,8 +108,11 @@ class Settling:
             if self._start is None and time_s - self._since_s < SWITCHED_ON_S:
                 all_c = [*[past_c for _, past_c in values], value_c]
                 largest_c = max([after_c - before_c for before_c, after_c in pairwise(all_c)], key=abs)
-                if abs(value_c - all_c[0] - largest_c) > SWITCHED_ON_C + noises_c:
-                    self._start = values[0]
+                least_c = SWITCHED_ON_C + noises_c
+                if abs(value_c - all_c[0] - largest_c) > least_c:
+                    self._start = next(
+                        (past for past in reversed(values) if abs(value_c - past[1]) > least_c), values[0]
+                    )
             if self._start is not None:
                 self._begun_s = self._begin_s(self._start[0])
         if self._start is not None:
