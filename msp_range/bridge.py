@@ -65,7 +65,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
-from msp_range.mavlink.streams import Streams, quality_of
+from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
 from msp_range.reading import Reading, Status
 from msp_range.recording.stages import stages_of
@@ -402,8 +402,7 @@ class Bridge:
     def _send_fused(self, fusion: Fusion, outcome: Outcome, air: Air, now_s: float, boot_ms: int) -> None:
         """Send the fused distance, and what is below the sensor that is not ground."""
         reading, rejected = outcome.reading, outcome.rejected
-        quality = quality_of(fusion.fit, fusion.is_tied)
-        if self._streams.send_fused(now_s, boot_ms, outcome, air, quality):
+        if self._streams.send_fused(now_s, boot_ms, outcome, air, fusion.confidence):
             self._output.on_usable(FUSED, now_s)
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)

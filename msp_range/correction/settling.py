@@ -10,6 +10,7 @@ fitted for several tau, which count by how well they fit.
 import math
 import operator
 from collections import deque
+from itertools import pairwise
 from statistics import median
 
 SLOWEST_S = 120.0
@@ -21,6 +22,10 @@ ORDINARY_C = 2.5
 thermometer. With less, shadows count; with more, settling is recognised later: the slowest thermometer in air that is
 35 C colder after 10 s, in air that is 10 C colder after 36 s, and below 3 C, where the lag is within the thermometer's
 own 95 %, never."""
+SWITCHED_ON_S, SWITCHED_ON_C = 20.0, 1.0
+"""In the first seconds [s] so little is settling [deg C], without the largest step, as of a take-off out of warm air: a
+vehicle is switched on where it has just been carried to. Longer reports shadows, shorter lets a vehicle that takes off
+at once fly with a distance that is 6 % off."""
 ORDINARY_NOISES = 6.0
 """The same in standard deviations of the thermometer's noise, in addition. The difference of two values has 1.4, and
 that of the extremes of `MEMORY_S` five; with less, noise of 0.5 C counts as settling."""
@@ -81,7 +86,7 @@ class Settling:
         self.lag_c = self.ahead_c = self.std_c = 0.0
         self._values = deque([(time_s, value_c)])
         self._start: tuple[float, float] | None = None  # Time [s] and value [deg C] before it began to settle.
-        self._begun_s = time_s
+        self._since_s = self._begun_s = time_s
         self._noise_c, self._noises = FIRST_NOISE_C, 1
 
     def update(self, time_s: float, value_c: float) -> None:
@@ -96,9 +101,18 @@ class Settling:
             self._noise_c += (second_c / PER_NOISE - self._noise_c) / self._noises
         while len(values) > 1 and values[0][0] < time_s - MEMORY_S:
             values.popleft()
-        ordinary_c = ORDINARY_C + ORDINARY_NOISES * self._noise_c
         if self._start is None:
-            self._start = next((past for past in reversed(values) if abs(value_c - past[1]) > ordinary_c), None)
+            noises_c = ORDINARY_NOISES * self._noise_c
+            changed = (past for past in reversed(values) if abs(value_c - past[1]) > ORDINARY_C + noises_c)
+            self._start = next(changed, None)
+            if self._start is None and time_s - self._since_s < SWITCHED_ON_S:
+                all_c = [*[past_c for _, past_c in values], value_c]
+                largest_c = max([after_c - before_c for before_c, after_c in pairwise(all_c)], key=abs)
+                least_c = SWITCHED_ON_C + noises_c
+                if abs(value_c - all_c[0] - largest_c) > least_c:
+                    self._start = next(
+                        (past for past in reversed(values) if abs(value_c - past[1]) > least_c), values[0]
+                    )
             if self._start is not None:
                 self._begun_s = self._begin_s(self._start[0])
         if self._start is not None:

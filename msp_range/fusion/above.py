@@ -6,22 +6,9 @@ ground was last seen, or, where no ground was ever seen, where all sensors have 
 lean away from the ground get no echo at any height: then it must have climbed so far for sure.
 """
 
+from msp_range.fusion.modes import ABOVE_CODES, ABOVE_MARGIN_M, ABOVE_RANGES, ABOVE_SIGMAS, ABOVE_TURNS
 from msp_range.fusion.vertical import Climb, Known, VerticalMotion
 
-TURNS = 3
-"""Readings in a row of every working sensor that must be without an echo where no ground is known. Fewer take a soft
-landing place for the sky, more are late after a restart in cruise."""
-RANGES = 2
-"""So many readings in a row with a range end it, however many sensors had no echo before: of eight that ping half a
-second apart most still had none when a descent has gone on for four seconds. One is often an outlier; more are late."""
-CODES = 5
-"""After so many readings in a row of 253 or 255, which may as well be 'no echo', they no longer stand for it. Of
-readings without an echo a quarter are such codes, so that one message in a thousand is left out by chance; fewer leave
-out more, more keep 'above the maximum' for longer in a descent in which all sensors have that fault."""
-MARGIN_M = 0.3
-"""A climb that ends this far below the maximum counts as one to it [m]: sensors lose the ground a little sooner."""
-CLIMB_SIGMAS = 3.0
-"""A climb by the barometer may be longer than it says by so many standard deviations."""
 ACCELERATION_M_S2, FASTEST_M_S = 2.0, 5.0
 """How fast a vehicle without a barometer may have begun to climb [m/s^2], and the fastest that it may climb [m/s].
 Larger says 'above the maximum' sooner over ground without an echo, smaller is silent longer after a climb through the
@@ -72,15 +59,15 @@ class AboveMaximum:
         """Whether the vehicle is above the maximum: most working sensors have no echo, and it may have got there."""
         counts = self._no_echo.values()
         silent = sum([count > 0 for count in counts])
-        if not silent or 2 * silent <= len(counts) or self._ranges >= RANGES or self._codes >= CODES:
+        if not silent or 2 * silent <= len(counts) or self._ranges >= ABOVE_RANGES or self._codes >= ABOVE_CODES:
             return False
         if self._last is None:
-            if min(counts) < TURNS or self._leans:
+            if min(counts) < ABOVE_TURNS or self._leans:
                 return False
             self._last = Known(now_s, self.maximum_m, self.maximum_m, 0.0, self._motion.mark(now_s))
         climb = self._motion.climbed(self._last.mark, now_s)
         if self._leans and climb is not None:
-            lowest_m = self._last.range_m + climb.height_m - CLIMB_SIGMAS * climb.std_m
+            lowest_m = self._last.range_m + climb.height_m - ABOVE_SIGMAS * climb.std_m
             self._was_above = lowest_m >= self.maximum_m
         elif not self._leans:
             self._was_above = self._reachable(self._last, climb, now_s)
@@ -89,10 +76,10 @@ class AboveMaximum:
     def _reachable(self, last: Known, climb: Climb | None, now_s: float) -> bool:
         elapsed_s = now_s - last.time_s
         if climb is not None:
-            highest_m = climb.height_m + CLIMB_SIGMAS * climb.std_m
+            highest_m = climb.height_m + ABOVE_SIGMAS * climb.std_m
         else:
             rate_m_s = min(max(last.climb_m_s, 0.0), FASTEST_M_S)
             speeding_s = min((FASTEST_M_S - rate_m_s) / ACCELERATION_M_S2, elapsed_s)
             highest_m = rate_m_s * speeding_s + 0.5 * ACCELERATION_M_S2 * speeding_s**2
             highest_m += FASTEST_M_S * (elapsed_s - speeding_s)
-        return last.range_m + highest_m >= self.maximum_m - MARGIN_M
+        return last.range_m + highest_m >= self.maximum_m - ABOVE_MARGIN_M

@@ -3,7 +3,7 @@
 Each surface has a filter of its height. A reading belongs to the surface that explains it best, or begins a new one.
 How probable each surface is as the ground follows from the evidence that it is there, from its prior where it was first
 seen, from how the other sensors would have to be explained, and from how it responds to the vehicle's motion. All
-priors are in `msp_range.fusion.modes`.
+priors and thresholds are in `msp_range.fusion.modes`.
 """
 
 import copy
@@ -12,24 +12,36 @@ from collections.abc import Mapping, Sequence
 
 from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.modes import (
+    ANSWERED,
     APART_M,
     APART_MOST,
+    BLIND_M_S,
+    BLIND_NEAR_M,
     COMMON,
     COMMON_LOW,
-    GARBLED,
+    EVIDENCE_LEAST,
+    EVIDENCE_MOST,
+    HIT,
+    HIT_MOST,
     LOW_M,
+    MISS,
     MOST,
     MOVES,
-    OUTLIER,
+    P_OUTLIER,
     PER_M,
     RETURNS_M,
+    SAME_M,
     SAME_RAW,
     SAME_RAW_MOST,
     SHARED,
     START,
     STAYS,
+    SURE,
+    SURFACES,
+    UNANSWERED,
     UNSEEN,
     SensorMode,
+    all_noise,
     ground_prior,
     object_prior,
 )
@@ -38,25 +50,10 @@ from msp_range.fusion.response import MotionResponse
 from msp_range.fusion.vertical import Known, Rate, VerticalMotion
 from msp_range.fusion.windows import Windows
 
-SURFACES = 4
-"""So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
-EVIDENCE_MOST, EVIDENCE_LEAST, HIT, HIT_MOST, MISS = 15.0, -6.0, 3.5, 7.5, 3.0
-"""Log likelihood that a surface is there, over readings of nothing: at most, so that some outliers in a row begin to
-count; at least; by one reading that is of it at most; and less by each that is of nothing known [nats]."""
-SURE = 0.8
-"""A distance goes out where its surface is the ground with this probability."""
-SAME_M = 0.10
-"""Surfaces as near as this are one [m]: an autopilot does the same with either."""
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
 """What a new surface leaves uncertain of the height [m] and of its rate [m/s]: the first reading may be of a flank."""
 SURE_STD_M_S, START_CLIMB_STD_M_S = 0.3, 3.0
 """The barometer's rate is used at the start below this deviation [m/s]; else a vehicle may climb by the second."""
-UNANSWERED, ANSWERED = -3.0, 2.0
-"""Below the first log odds a surface is not thought to move with the measured acceleration any more; above the second
-one that was low when it was first seen, as before a take-off, is no payload."""
-BLIND_M_S, NEAR_M = 2.0, 0.5
-"""How fast the ground's height is lost where no barometer says how the vehicle climbs [m/s]; and where no accelerometer
-does, a surface that begins as near to the ground as the second may be the ground of a vehicle that climbs so [m]."""
 
 
 class Surface:
@@ -72,8 +69,6 @@ class Surface:
         Log likelihood ratio of its readings over readings of nothing.
     response
         Whether it answers to the vehicle's motion.
-    garbled_m
-        How much higher the vehicle would be if the answers had been garbled on the bus [m].
     """
 
     def __init__(self, ground: GroundFilter, prior: float, common: float, response: MotionResponse) -> None:
@@ -85,17 +80,11 @@ class Surface:
         self.seen_s = self.kept_s = float("-inf")
         self.raw: int | None = None
         self.same = 0.0
-        self.garbled_m: Sequence[float] = ()
 
     @property
     def travel_m(self) -> float:
         """How far the vehicle has climbed, from any level [m]."""
         return self.filter.height_m - self.steps_m
-
-    def is_garbled(self, other: "Surface") -> bool:
-        """Whether this may be another surface by answers that are garbled on the bus."""
-        higher_m = other.filter.height_m - self.filter.height_m
-        return any(abs(each - higher_m) < RETURNS_M for each in self.garbled_m)
 
 
 class Belief:
@@ -132,7 +121,7 @@ class Belief:
         self._time_s = float("-inf")
         self._is_measured = False
         self.ground: Surface | None = None
-        self.sure = 0.0
+        self.sure = self.noise = 0.0
         self.is_doubted = False
 
     def predict(self, time_s: float) -> None:
@@ -162,8 +151,13 @@ class Belief:
         """The sensors whose newest range is of a surface, and not older."""
         return [mode for mode in self._modes if mode.sees is surface and mode.seen_s >= since_s]
 
-    def best_of(self, mode: SensorMode, densities: Mapping[Surface, float]) -> tuple[Surface | None, float]:
-        """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known."""
+    def best_of(
+        self, mode: SensorMode, range_m: float | None, densities: Mapping[Surface, float]
+    ) -> tuple[Surface | None, float]:
+        """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known.
+
+        Without its range [m], as of a fault code, it says nothing of noise.
+        """
         best, most = None, mode.outlier * PER_M
         total = most
         for surface, density in densities.items():
@@ -171,6 +165,8 @@ class Belief:
             total += likely
             if likely > most:
                 best, most = surface, likely
+        if self.surfaces and range_m is not None:
+            mode.weigh_noise(range_m, total)
         return best, most / total
 
     @property
@@ -198,7 +194,7 @@ class Belief:
         mode.count_outlier(False)
         if surface.evidence <= 0.0 and surface is not self.proven:
             self._appraise(surface)  # Its first reading may have been of something else.
-        gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(OUTLIER / mode.outlier), HIT_MOST)
+        gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
         if surface is self.proven and surface.response.log_odds > ANSWERED:
@@ -212,15 +208,7 @@ class Belief:
             if other is not surface and abs(other.filter.height_m - surface.filter.height_m) < SAME_M:
                 self._merge(surface, other)
 
-    def start(
-        self,
-        mode: SensorMode,
-        height_m: float,
-        variance_m2: float,
-        view: View,
-        raw: int | None,
-        garbled_m: Sequence[float],
-    ) -> Surface:
+    def start(self, mode: SensorMode, height_m: float, variance_m2: float, view: View, raw: int | None) -> Surface:
         """A reading is of nothing known: perhaps of a new surface."""
         if self.surfaces:
             mode.count_outlier(True)
@@ -236,12 +224,14 @@ class Belief:
         else:
             ground = copy.copy(parent.filter)
             off_m = height_m - ground.height_m
-            may_climb = not self._is_measured and abs(off_m) < NEAR_M
+            may_climb = not self._is_measured and abs(off_m) < BLIND_NEAR_M
             ground.shift(off_m, STEP_STD_M**2, (BLIND_M_S if may_climb else STEP_CLIMB_STD_M_S) ** 2)
         new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
+        if parent is not None:
+            new.response.inherit(parent.response)
         self._appraise(new)
         new.raw = None if self.expected() is None else raw
-        new.seen_s, new.garbled_m = self._time_s, garbled_m
+        new.seen_s = self._time_s
         new.steps_m = height_m - (parent.travel_m if parent is not None else 0.0)
         if len(self.surfaces) >= SURFACES:
             self._drop(min([each for each in self.surfaces if each is not self.proven], key=lambda each: each.evidence))
@@ -283,21 +273,19 @@ class Belief:
         for each, count in counts.items():
             if not count and each is not self.proven:
                 scores[each] += UNSEEN
-            for of in self.surfaces:
-                if of.is_garbled(each):
-                    scores[each] += max(_log_sum(0.0, of.evidence + math.log(GARBLED)) - other[of], 0.0)
         nothing = total
         if self.proven is not None:
             nothing += fixed[self.proven] - other[self.proven]
             scores[self.proven] -= self._stuck(self.proven, voters)
         best = max(scores, key=lambda each: scores[each], default=None)
+        self.noise = all_noise([mode.noise for mode in voters]) if voters else 0.0
         if best is None:
             self.ground, self.sure, self.is_doubted = None, 0.0, False
             return
         most = scores[best]
         weights = {each: math.exp(score - most) for each, score in scores.items()}
         total = sum(weights.values()) + math.exp(min(nothing - most, 50.0))
-        self.ground, self.sure = best, weights[best] / total
+        self.ground, self.sure = best, weights[best] / total * (1 - self.noise)
         most_seen = max(counts, key=lambda each: counts[each])
         self.is_doubted = (
             self._known is not None
@@ -308,7 +296,7 @@ class Belief:
         if self.sure < SURE and self.proven is not None and counts[self.proven]:
             # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
             self.ground = self.proven
-            self.sure = sum([weight for each, weight in weights.items() if counts[each]]) / total
+            self.sure = sum([weight for each, weight in weights.items() if counts[each]]) / total * (1 - self.noise)
             return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
         if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
@@ -346,9 +334,6 @@ class Belief:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
-        if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
-            # What did not answer to the motion may be here now.
-            surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)
 
     def _update_same(self, surface: Surface, raw: int | None) -> None:
         if surface.raw is None or raw is None or not self._is_measured:

@@ -6,19 +6,39 @@ the ground, is decided in `msp_range.fusion.belief`.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 
 from msp_range.filters.chain import UNCONFIRMED
 from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import Attitude
-from msp_range.fusion.belief import SURE, Belief, Surface
+from msp_range.fusion.belief import Belief, Surface
 from msp_range.fusion.ground_filter import Ground, GroundFilter
 from msp_range.fusion.look import Look, Seen
-from msp_range.fusion.modes import GARBLED as P_GARBLED
-from msp_range.fusion.modes import OUTLIER as P_OUTLIER
-from msp_range.fusion.modes import P_AGAIN, PER_M, SensorMode, normal_per_m
+from msp_range.fusion.modes import (
+    AGAIN_M,
+    AGAIN_S,
+    DOUBTFUL_M,
+    DOUBTFUL_PER_M,
+    GARBLED_STD_M,
+    GATE_M,
+    GATE_M_S2,
+    GATE_SIGMAS,
+    GATE_WIDEST_M,
+    ODD_GAP_S,
+    OTHERS_IN_A_ROW,
+    P_AGAIN,
+    P_GARBLED,
+    P_OUTLIER,
+    PER_M,
+    STILL_M_S,
+    STILL_SIGMAS,
+    SURE,
+    SensorMode,
+    normal_per_m,
+)
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, spans_plane
-from msp_range.fusion.odd import LONGEST_GAP_S, OddSensor
+from msp_range.fusion.odd import OddSensor
 from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.response import LEVEL_RISE
 from msp_range.fusion.vertical import Known, VerticalMotion
@@ -27,19 +47,6 @@ from msp_range.geometry import Matrix, Vector
 from msp_range.health import Condition
 from msp_range.reading import Reading, Status
 
-GATE_SIGMAS = 3.0
-"""So many standard deviations of a reading are not outside of the gate: a lidar's at 30 m is off by a decimetre. Fewer
-split the ground of such a sensor into several surfaces."""
-GATE_M, GATE_M_S2, GATE_WIDEST_M = 0.25, 1.0, 1.0
-"""A reading farther off than this is not of the ground, however little is known of the vehicle's motion: with readings
-0.1 s apart [m], for an acceleration of twice the second where they are farther apart [m/s^2], and at most [m]. Wider
-takes an outlier for the ground after a manoeuvre, narrower loses the ground in one."""
-DOUBTFUL_PER_M, DOUBTFUL_M = 0.3, 0.10
-"""The same of a reading that is also a fault code, or one that a sensor keeps repeating [1/m, m]: neither may pass for
-ground that is merely near it."""
-STILL_M_S, STILL_SIGMAS = 0.2, 2.0
-"""A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
-many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
 ROUGH_READINGS = 30.0
 """The roughness of the ground is a mean over so many readings."""
 ROUGHEST_M = 0.08
@@ -53,19 +60,15 @@ FIT_CAP, FIT_OUTLIER = 25.0, 12.0
 """A reading counts in it by no more than the first, one of five standard deviations; an outlier of a sensor that
 otherwise sees the ground by the second. What is not used is not in the estimate, but where it is much of what these
 sensors say, what is used was chosen from it. Larger doubts the ground for longer after one outlier."""
+CONFIDENCE_READINGS = 20
+"""The confidence in a distance falls with the share of so many readings that contradict it, by `FIT_OUTLIER` or more:
+one outlier makes it 95 %, three within two seconds of four sensors 85 %. With ten ArduSub, which drops less than 90 %,
+would drop distances for two outliers."""
 FIT_TOLERATED = 1.5
 """Up to this mean square the stated variance stands, beyond it the variance grows with it. Ten readings of a filter
 that is right exceed it in one of ten turns; larger believes a noisy sensor's small variance for longer."""
-OTHERS_IN_A_ROW = 2
-"""After so many ranges in a row that are not of the ground nothing is sent until one is: the ground may have a step, or
-the vehicle a motion that the filter has not seen."""
 STALE_S = 0.25
 """A ranging that is over this long after its time says nothing of now [s]: the program or the bus stood still."""
-GARBLED_STD_M = 0.05
-"""How far a garbled answer is trusted to be that of the ground, standard deviation [m]: it may be a code by itself."""
-AGAIN_S, AGAIN_M = 10.0, 0.25
-"""On a bus that has garbled an answer within this time [s] others are likely garbled; and no answer that is farther
-from the ground than this is [m]."""
 
 
 class Fusion:
@@ -114,6 +117,7 @@ class Fusion:
         self._others = 0
         self._shared_m2 = self._nearest = 0.0
         self._fit = 1.0
+        self._agree = deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS)
         self._tilted = False
         self.level_height_m: float | None = None
         self.down: Vector | None = None
@@ -142,11 +146,9 @@ class Fusion:
         return self._fit
 
     @property
-    def is_tied(self) -> bool:
-        """Whether the newest readings of as many sensors are off the ground as on it, or of more."""
-        since_s = self._time_s - self._windows.fresh_s
-        newest = [mode.sees is self._belief.ground for mode in self._modes.values() if mode.seen_s >= since_s]
-        return 2 * sum(newest) <= len(newest)
+    def confidence(self) -> float:
+        """Probability of the ground, times the share of the last readings that do not contradict it."""
+        return self._belief.sure * sum(self._agree) / CONFIDENCE_READINGS
 
     @property
     def is_disputed(self) -> bool:
@@ -154,13 +156,15 @@ class Fusion:
         return self._belief.is_disputed
 
     def conditions(self) -> list[Condition]:
-        """Answers that come a ping late, and a change that is no likely ground, for `msp_range.health.Health.set`."""
+        """Answers a ping late, readings of nothing, and a change to no likely ground: for `msp_range.health`."""
         late = "Range: answers are those of the ping before" if self._is_late else None
+        scatter = "Range: readings scatter, as in dust" if self._belief.noise > 0.5 else None
         power = "switch the sensors' power off and on; check that pings are acknowledged"
         doubted = "Range: sudden change, maybe an object or fault" if self._belief.is_doubted else None
         look = "look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground"
         return [
             Condition("late answers", late, "Range: answers are in time again", remedy=power),
+            Condition("scatter", scatter, "Range: readings are of the ground again", remedy=look),
             Condition("sudden change", doubted, "Range: ground is certain again", remedy=look),
         ]
 
@@ -263,7 +267,7 @@ class Fusion:
         """Give a reading to the surface that it is of; None, or why it is of none."""
         belief, mode, reading = self._belief, look.mode, look.reading
         ground, parent, suspect = belief.ground, belief.proven, reading.suspect
-        if ground is not None and self.down is not None and self._windows.gap_s < LONGEST_GAP_S and not suspect:
+        if ground is not None and self.down is not None and self._windows.gap_s < ODD_GAP_S and not suspect:
             self._odd.update(ground.filter, look, self._time_s)
         seen = look.over(None if parent is None else parent.filter)
         if seen is None:
@@ -284,7 +288,7 @@ class Fusion:
                     density = 0.5 / gate_m  # Of so slow a polling any reading within the gate is as likely.
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
-        found, share = belief.best_of(mode, densities)
+        found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
         answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
         if parent is not None and not answers and self._is_fixed(parent, look, seen):
             return FIXED
@@ -298,7 +302,7 @@ class Fusion:
             mode.see(None, self._time_s)
             return REPEATED
         raw = None if mode.repeated else reading.raw
-        new = belief.start(mode, seen.height_m, look.variance_m2, seen.view, raw, look.garbled_m(seen))
+        new = belief.start(mode, seen.height_m, look.variance_m2, seen.view, raw)
         mode.see(new, self._time_s)
         return UNCONFIRMED
 
@@ -390,7 +394,9 @@ class Fusion:
         longer_m = [abs(word * look.by_raw_m - look.range_m) for word in words]
         mode.is_ground_in_doubt = min(longer_m, default=math.inf) < AGAIN_M
         if mode.readings < 2:
-            self._fit += (FIT_OUTLIER - self._fit) / FIT_READINGS
+            self._update_fit(FIT_OUTLIER)
+        elif mode.sees is not None:
+            self._agree.append(True)  # Something is below this sensor, which says nothing against the ground.
         return OUTLIER if mode.object_m is None else OBJECT
 
     def _is_seen(self, ground: Surface) -> bool:
@@ -405,7 +411,12 @@ class Fusion:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""
         change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
         self._rough_m2 = min(max(self._rough_m2 + change_m2, 0.0), ROUGHEST_M**2)
+        self._update_fit(square)
+
+    def _update_fit(self, square: float) -> None:
+        """Update with a reading's squared deviation from the ground over its variance."""
         self._fit += (min(square, FIT_CAP) - self._fit) / FIT_READINGS
+        self._agree.append(square < FIT_OUTLIER)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""

@@ -1,12 +1,25 @@
-"""What a downward sensor can be looking at, and how probable that is before it is read: all priors are here.
+"""What a downward sensor can be looking at, and how probable that is before it is read: all that decides modes is here.
 
 A sensor sees one of a few surfaces, or nothing that is known. A surface is the ground, an object or a hole below some
 sensors, or a fault with a common cause: something fixed to the vehicle, one constant, answers of the ping before. The
 modes of one sensor are a chain: it stays with what it has seen before unless a reading is far likelier otherwise.
+
+    what it is           begins                                           ends
+    ground               `SURE`, seen by more than half of the sensors    another surface is so
+    object or hole       `OBJECT_READINGS` of `OF_THE_LAST`               `GROUND_READINGS` in a row
+    outlier              `P_OUTLIER` is likelier than each surface        a reading of a surface
+    garbled              `P_GARBLED` is likelier than an outlier          any other reading
+    stuck                `STUCK_READINGS` alike, others by `STUCK_M`      `ANEW_READINGS`, or one within `ANEW_M`
+    fixed to the vehicle log odds of `DECIDED`                            `ANEW_READINGS` off by `FIXED_M`
+    a ping late          log odds of `LATE`                               even odds
+    noise, of all        `P_NOISE_ALL`, by `noise_density`                  readings of surfaces
+    odd                  likelier by `ODD`, the others fit (`ODD_FITS`)   likelier by less
+    above the maximum    `ABOVE_TURNS` without an echo, or a climb to it  `ABOVE_RANGES` or `ABOVE_CODES` in a row
 """
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from msp_range.fusion.ground_filter import SQRT_TWO_PI
@@ -16,20 +29,51 @@ from msp_range.fusion.vertical import Mark, VerticalMotion
 if TYPE_CHECKING:
     from msp_range.fusion.belief import Surface
 
+# What one reading is of.
 PER_M = 0.13
 """Density of a range that nothing is known of: even over the range of the sensors [1/m]. All priors and likelihoods
 are relative to it."""
 STAYS, MOVES = 0.9, 0.05
 """Of a sensor that is read: it sees what it saw before, or a certain other surface that is known; what is left are
 missed echoes and outliers. Not varied: they count by their logarithm, against densities of 0.1 to 20 per metre."""
-OUTLIER = 0.015
+P_OUTLIER = 0.015
 """Of a reading that it is of nothing known: the share of the MB1242's model (short and random). Twice as many lost the
 ground in a climb at 4.5 m/s^2 without an accelerometer."""
 OUTLIERS, OUTLIER_READINGS = 0.5, 6.0
 """A sensor that gives outliers goes on with that, as in dust: the probability is this share of theirs, over so many
 readings."""
-GARBLED, P_AGAIN = 0.02, 0.5
+P_NOISE, P_NOISE_ALL = 0.003, 1e-4
+"""That one sensor begins to give readings of nothing, as one that fails does; and that all do, as in dust."""
+SCATTERED = 0.95
+"""Of the readings of a sensor that sees nothing for certain: the others are of the ground. With 0.8 nothing is sent in
+dust that leaves half of the readings to the ground; with all, one reading of it ends the dust."""
+DUST_WIDEST_M, DUST_NARROWEST_M, DUST_FROM_M = 2.5, 0.5, 0.2
+"""Dust answers from anywhere between the last and a distance between the other two [m]."""
+NOISE_LEAST, NOISE_MOST = -4.0, 8.0
+"""Log likelihood, over surfaces, that readings of a sensor are noise: at least, so that it is found, and at most,
+so that it ends with some. Not varied."""
+GATE_M, GATE_M_S2, GATE_WIDEST_M = 0.25, 1.0, 1.0
+"""A reading farther off than this is not of the ground, however little is known of the vehicle's motion: with readings
+0.1 s apart [m], for an acceleration of twice the second where they are farther apart [m/s^2], and at most [m]. Wider
+takes an outlier for the ground after a manoeuvre, narrower loses the ground in one."""
+GATE_SIGMAS = 3.0
+"""So many standard deviations of a reading are not outside of the gate: a lidar's at 30 m is off by a decimetre. Fewer
+split the ground of such a sensor into several surfaces."""
+DOUBTFUL_PER_M, DOUBTFUL_M = 0.3, 0.10
+"""The least density and the gate of a reading that is also a fault code [1/m, m]: it may not pass for ground that is
+merely near it."""
+STILL_M_S, STILL_SIGMAS = 0.2, 2.0
+"""A fault code counts as ground while the vehicle climbs or sinks no faster than this by its barometer [m/s], to so
+many standard deviations: one that climbs past it while all sensors have the code must get away from it."""
+P_GARBLED, P_AGAIN = 0.02, 0.5
 """That the bus garbles an answer, once it is one that garbling would explain; and that it does so again."""
+AGAIN_S, AGAIN_M = 10.0, 0.25
+"""On a bus that has garbled an answer within this time [s] others are likely garbled; and no answer that is farther
+from the ground than this is [m]."""
+GARBLED_STD_M = 0.05
+"""How far a garbled answer is trusted to be that of the ground, standard deviation [m]: it may be a code by itself."""
+
+# How probable a surface is as the ground, and as something else.
 STEP = 0.002
 """That the ground has a step between two readings: one in 50 s of flight over uneven ground. More believe faults of all
 sensors, fewer are silent after steps of more than 2 m. Not varied."""
@@ -60,10 +104,47 @@ RETURNS_M = 0.15
 """How far from where it should be the ground is found again [m]: by a slope between two places. Not varied."""
 START = -3.4
 """Log prior of the first surface that is seen: a second reading that agrees makes it sure, three if others do not."""
+BLIND_M_S, BLIND_NEAR_M = 2.0, 0.5
+"""How fast the ground's height is lost where no barometer says how the vehicle climbs [m/s]; and where no accelerometer
+does, a surface that begins as near to the ground as the second may be the ground of a vehicle that climbs so [m]."""
 
+# What is known of the ground, and sent.
+EVIDENCE_MOST, EVIDENCE_LEAST, HIT, HIT_MOST, MISS = 15.0, -6.0, 3.5, 7.5, 3.0
+"""Log likelihood that a surface is there, over readings of nothing: at most, so that some outliers in a row begin to
+count; at least; by one reading that is of it at most; and less by each that is of nothing known [nats]."""
+SURE = 0.8
+"""A distance goes out where its surface is the ground with this probability."""
+OTHERS_IN_A_ROW = 2
+"""After so many ranges in a row that are not of the ground nothing is sent until one is: the ground may have a step, or
+the vehicle a motion that the filter has not seen."""
+SURFACES = 4
+"""So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
+SAME_M = 0.10
+"""Surfaces as near as this are one [m]: an autopilot does the same with either."""
 APART_M, APART_MOST = 0.12, 8.0
 """Objects keep their height over the ground to within the first [m]; how much surfaces that move apart say at most
 against the one of sensors that only repeat themselves [nats]."""
+
+# What does not answer to the vehicle's motion, see `msp_range.fusion.response`.
+ODDS_LAST_S, DOUBT_LASTS_S = 6.0, 60.0
+"""Time constant with which the odds fall back to even [s]: shorter forgets before slow movements have decided, longer
+adds up noise. The second where the surface is in doubt and has never answered to a movement."""
+FOLLOWS, DECIDED = 4.0, -12.0
+"""Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
+sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
+LATE, LATE_S = -13.0, 0.2
+"""At the first log odds the answers are those of the ping before: in healthy flights of the hostile families they stay
+above -13, the lowest where a thermometer flaps or pressure below the rotors passes for an acceleration. With turns
+shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on they are late until
+the odds are even."""
+DECIDED_APART = -4.0
+"""So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
+late look alike. More decides later."""
+UNANSWERED, ANSWERED = -3.0, 2.0
+"""Below the first log odds a surface is not thought to move with the measured acceleration any more; above the second
+one that was low when it was first seen, as before a take-off, is no payload."""
+
+# What repeats itself.
 STUCK_READINGS, REPEATED_READINGS = 3, 5
 """The same answer so many times in a row may be stuck while the others move; so many are evidence for nothing new."""
 STUCK_M = 0.15
@@ -73,6 +154,19 @@ STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 3.0
 ANEW_READINGS, ANEW_M, FIXED_M = 3, 0.05, 0.08
 """A stuck sensor answers anew after so many other answers, or one as near as the second [m]; what is fixed to the
 vehicle moves by less than the third [m]."""
+
+# Which sensor does not fit into the plane of the others, see `msp_range.fusion.odd`.
+ODD_GAP_S = 0.3
+"""With readings farther apart no sensor is odd: the vehicle moves them by more than the noise [s]. 0.1 m^2/s^3 make
+3 cm."""
+ODD, ODD_APART = 9.0, 5.0
+"""How much likelier the plane without one sensor must be than that of all, and than without any other one [nats]: a
+sensor of four on a rectangle of half a metre is then odd at some 22 cm. Less isolates one over a kerb."""
+ODD_FITS = 4.5
+"""The plane of the others must cost no more [nats]: three standard deviations of the slope. More takes a box below two
+sensors for one that is odd on a steep slope."""
+
+# Objects and holes.
 OBJECT_M = 0.12
 """Less than this above or below the ground is not reported as an object [m]."""
 NEAR_M = 0.08
@@ -80,6 +174,22 @@ NEAR_M = 0.08
 OBJECT_READINGS, OF_THE_LAST, GROUND_READINGS = 3, 4, 2
 """So many of a sensor's last readings of one object begin the report of it, and so many of the ground in a row end it.
 Two of three would find it a reading sooner, and ten times a day where there is none."""
+
+# Above the maximum, see `msp_range.fusion.above`.
+ABOVE_TURNS = 3
+"""Above the maximum, where no ground is known: so many readings in a row of every working sensor are without an echo.
+Fewer take a soft landing place for the sky, more are late after a restart in cruise."""
+ABOVE_RANGES = 2
+"""So many readings in a row with a range end it, however many sensors had no echo before: of eight that ping half a
+second apart most still had none when a descent has gone on for four seconds. One is often an outlier; more are late."""
+ABOVE_CODES = 5
+"""After so many readings in a row of 253 or 255, which may as well be 'no echo', they no longer stand for it. Of
+readings without an echo a quarter are such codes, so that one message in a thousand is left out by chance; fewer leave
+out more, more keep 'above the maximum' for longer in a descent in which all sensors have that fault."""
+ABOVE_MARGIN_M = 0.3
+"""A climb that ends this far below the maximum counts as one to it [m]: sensors lose the ground a little sooner."""
+ABOVE_SIGMAS = 3.0
+"""A climb by the barometer may be longer than it says by so many standard deviations."""
 
 
 def normal_per_m(off_m: float, std_m: float) -> float:
@@ -94,6 +204,22 @@ def ground_prior(off_m: float, std_m: float, height_m: float) -> float:
     if height_m < LOW_M:
         steps *= LOW
     return math.log(max((returns + steps) / PER_M, 1e-9))
+
+
+def noise_density(range_m: float) -> float:
+    """Density of a range in dust, or of one that is of nothing [1/m]."""
+    if range_m >= DUST_WIDEST_M:
+        return OUTLIERS * PER_M
+    width_m, least_m = DUST_WIDEST_M - DUST_FROM_M, max(range_m, DUST_NARROWEST_M) - DUST_FROM_M
+    return math.log(width_m / least_m) / (DUST_WIDEST_M - DUST_NARROWEST_M)
+
+
+def all_noise(log_odds: Sequence[float]) -> float:
+    """How probable it is that the readings of all sensors are noise, by the log likelihood of each over surfaces."""
+    odds = [math.exp(each) for each in log_odds]
+    each_alone = math.prod([P_NOISE * each for each in odds])
+    every = math.prod(odds) * P_NOISE_ALL + each_alone
+    return every / (every + math.prod([1 + P_NOISE * each for each in odds]) - each_alone)
 
 
 def object_prior(off_m: float) -> float:
@@ -124,6 +250,7 @@ class SensorMode:
         self.readings = 0
         self.share = 1.0
         self._outliers = 0.0
+        self.noise = NOISE_LEAST
         self.seen_s = self.read_s = float("-inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
@@ -142,11 +269,16 @@ class SensorMode:
     @property
     def outlier(self) -> float:
         """How probable it is that a reading is of nothing known."""
-        return max(OUTLIER, OUTLIERS * self._outliers)
+        return max(P_OUTLIER, OUTLIERS * self._outliers)
 
     def count_outlier(self, is_outlier: bool) -> None:
         """A reading was of something known, or not."""
         self._outliers += (is_outlier - self._outliers) / OUTLIER_READINGS
+
+    def weigh_noise(self, range_m: float, density: float) -> None:
+        """Update how likely its readings are noise with one, by its density over all surfaces [1/m]."""
+        gain = math.log(1 - SCATTERED + SCATTERED * noise_density(range_m) / density)
+        self.noise = min(max(self.noise + gain, NOISE_LEAST), NOISE_MOST)
 
     @property
     def repeated(self) -> bool:

@@ -12,24 +12,16 @@ from typing import NamedTuple
 
 from msp_range.fusion.ground_filter import SLOPE_STD, GroundFilter
 from msp_range.fusion.look import Look
-from msp_range.fusion.modes import SensorMode
+from msp_range.fusion.modes import ODD, ODD_APART, ODD_FITS, SensorMode
 
 FEWEST = 4
 """With fewer sensors any slope explains each of them."""
 NOISE_M = 0.03
 """Standard deviation of what a sensor sees lately, about the plane [m]: its mean noise and the ground's roughness.
 Larger isolates a sensor that drifts later, smaller isolates sensors over rough ground."""
-LONGEST_GAP_S = 0.3
-"""With readings farther apart the vehicle moves them by more than the noise [s]: 0.1 m^2/s^3 make 3 cm."""
-ODD, APART = 9.0, 5.0
-"""How much likelier the plane without one sensor must be than that of all, and than without any other one [nats]: a
-sensor of four on a rectangle of half a metre is then odd at some 22 cm. Less isolates one over a kerb."""
 LEVEL_SHARE, JUMP_M = 0.3, 0.25
 """Share of a reading in what its sensor sees lately, the last second of four; but one that is farther off than the
 second is something else [m]."""
-FITS = 4.5
-"""The plane of the others must cost no more [nats]: three standard deviations of the slope. More takes a box below two
-sensors for one that is odd on a steep slope."""
 
 
 class LevelHeight(NamedTuple):
@@ -74,7 +66,7 @@ def odd_one(seen: Sequence[LevelHeight]) -> tuple[int, GroundPlane] | None:
         return None
     without = [plane_of([*seen[:i], *seen[i + 1 :]]) for i in range(len(seen))]
     costs = sorted(plane.cost for plane in without)
-    if costs[0] > FITS or of_all - costs[0] < ODD or costs[1] - costs[0] < APART:
+    if costs[0] > ODD_FITS or of_all - costs[0] < ODD or costs[1] - costs[0] < ODD_APART:
         return None
     odd = next(i for i, plane in enumerate(without) if plane.cost == costs[0])
     return odd, without[odd]

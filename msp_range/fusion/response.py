@@ -17,6 +17,7 @@ the vehicle. A vehicle at rest or at a steady rate favours none of the three.
 
 import math
 
+from msp_range.fusion.modes import DECIDED, DECIDED_APART, DOUBT_LASTS_S, FOLLOWS, LATE, LATE_S, ODDS_LAST_S
 from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
 
 NOISE_M2_S3 = 0.005
@@ -55,15 +56,6 @@ rate are added up [s]. A larger speed finds what is fixed later in flight, a sma
 LEVEL_RISE = 0.03
 """Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
 vehicle follows."""
-LASTS_S, DOUBT_LASTS_S = 6.0, 60.0
-"""Time constant with which the odds fall back to even [s]: shorter forgets before slow movements have decided, longer
-adds up noise. The second where the surface is in doubt and has never answered to a movement."""
-FOLLOWS, DECIDED = 4.0, -12.0
-"""Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
-sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
-APART = -4.0
-"""So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
-late look alike. More decides later."""
 
 _START = (0.01, 0.0, 0.0, 0.25, 0.0, B_STD_M_S2**2)
 """Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
@@ -102,6 +94,8 @@ class MotionResponse:
         self._states = ((0.0, 0.0, 0.0),) * 3
         # Log odds of the first over each of the other two.
         self._fixed = self._late = 0.0
+        self._apart = 0.0  # Of the third over the second.
+        self.is_late = False
         self._answered = 0.0
 
     @property
@@ -115,12 +109,11 @@ class MotionResponse:
     @property
     def is_fixed(self) -> bool:
         """Whether the ground is fixed to the vehicle."""
-        return self._fixed <= DECIDED and self._fixed - self._late <= APART
+        return self._fixed <= DECIDED and self._apart <= DECIDED_APART
 
-    @property
-    def is_late(self) -> bool:
-        """Whether the sensors answer with the ranges of their pings before."""
-        return self._late <= DECIDED and self._late - self._fixed <= APART
+    def inherit(self, other: "MotionResponse") -> None:
+        """Answers that came late on another surface do on this one."""
+        self._late, self.is_late = min(other._late, 0.0), other.is_late
 
     def sees(self, since_s: float) -> set[str]:
         """The sensors of which a reading has been taken since a time [s]."""
@@ -197,15 +190,21 @@ class MotionResponse:
         least = -STRONGEST
         if may_slope:
             least = max(least, -SLOPING_PER_S * t * (1 + (self._change_m_s / SLOPE_M_S) ** 2))
-        fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else LASTS_S))
+        fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else ODDS_LAST_S))
 
-        def updated(log_odds: float, evidence: float) -> float:
+        def updated(log_odds: float, fades: float, evidence: float) -> float:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
 
-        self._fixed = updated(self._fixed, 0.5 * (fixed - follows + NOISE_SHARE * share))
+        self._fixed = updated(self._fixed, fades, 0.5 * (fixed - follows + NOISE_SHARE * share))
         answers = min(max(0.5 * (fixed - follows + REST_SHARE * share), least), STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
-        self._late = updated(self._late, 0.5 * (late - follows))
+        self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
+        self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows))
+        if self._turn_s < LATE_S:
+            self._late = 0.0
+        if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):
+            self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)
         if climb is not None and abs(climb.m_s - self._states[1][1]) > HILL_M_S:
             self._fixed -= HILL_PER_S * t
+            self._apart -= HILL_PER_S * t

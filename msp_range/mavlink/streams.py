@@ -7,6 +7,7 @@ Fused messages are sent at once, those of single streams spaced out after them: 
 so of several in one burst only the last is seen.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,18 +16,10 @@ from msp_range.acoustics.beam import BreakawayTable
 from msp_range.filters.base import Estimate
 from msp_range.filters.chain import UNEXPECTED, Filtered
 from msp_range.fusion import Fused, Outcome
-from msp_range.fusion.fusion import FIT_OUTLIER, FIT_READINGS, FIT_TOLERATED
-from msp_range.mavlink.distance_sensor import QUALITY_BEST, QUALITY_LOWEST, Stream, distance_sensor
+from msp_range.fusion.fusion import CONFIDENCE_READINGS
+from msp_range.mavlink.distance_sensor import QUALITY_BEST, Stream, distance_sensor
 from msp_range.reading import Reading, Status
 
-DOUBT_FIT, DOUBT_QUALITY = 3.0, 90
-"""Quality at this mean square of the normalised innovations; ArduSub drops a distance of less than 90 (RNGFND_SQ_MIN).
-One outlier among good readings takes the mean square to 2.1, a second one soon after it to 3.1. In 350 flights of the
-fault campaign (seed 5) it was over 3 in 1.7 % of the time, with two thirds of the errors over 25 cm (4 s in all). Over
-4 was one third of them; at 2 ArduSub would drop distances for single outliers."""
-TIED_QUALITY = 50
-"""Quality at most while the newest readings of as many sensors are off the ground as on it: either may be right.
-Anything below 90 and above 1 makes ArduSub wait for the end of that."""
 SPACING_S = 0.020
 """Time from a message to the next one of a single stream [s]: more delays the last of several streams."""
 
@@ -66,34 +59,6 @@ class Outbox:
             self.send_now(now_s, self._waiting.pop(next(iter(self._waiting))))
 
 
-def quality_of(fit: float, is_tied: bool = False) -> int:
-    """``signal_quality`` of a distance: 100 where its error is as stated, less where readings contradict it.
-
-    100 - 10 (fit - 1.5) / (3 - 1.5) from a fit of 1.5 on, up to which the filter's variance stands. Sensors that are
-    silent or get no echo change nothing.
-
-    Parameters
-    ----------
-    fit
-        Mean square of the last innovations over their variance (`Fusion.fit`).
-    is_tied
-        Whether as many sensors see something else (`Fusion.is_tied`).
-
-    Returns
-    -------
-    int
-        100 to 2.
-
-    Examples
-    --------
-    >>> [quality_of(fit) for fit in (1.0, 2.1, 3.0, 4.0, 25.0)], quality_of(1.0, is_tied=True)
-    ([100, 96, 90, 83, 2], 50)
-    """
-    excess = max(fit - FIT_TOLERATED, 0.0) / (DOUBT_FIT - FIT_TOLERATED)
-    quality = max(round(QUALITY_BEST - (QUALITY_BEST - DOUBT_QUALITY) * excess), QUALITY_LOWEST)
-    return min(quality, TIED_QUALITY) if is_tied else quality
-
-
 class Streams:
     """The DISTANCE_SENSOR streams of a vehicle.
 
@@ -112,7 +77,7 @@ class Streams:
 
     def __init__(self, beams: Mapping[str, BreakawayTable], send: Callable[[Any], object]) -> None:
         self._beams = beams
-        self._fits = dict.fromkeys(beams, 1.0)
+        self._agree = {name: deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS) for name in beams}
         self.outbox = Outbox(send)
 
     def set_streams(self, singles: Mapping[str, Stream], fused: Stream | None, objects: Mapping[str, Stream]) -> None:
@@ -129,7 +94,7 @@ class Streams:
         """
         self._singles, self._fused, self._objects = singles, fused, objects
 
-    def send_fused(self, now_s: float, boot_ms: int, outcome: Outcome, air: Air, quality: int) -> bool:
+    def send_fused(self, now_s: float, boot_ms: int, outcome: Outcome, air: Air, confidence: float) -> bool:
         """Send the fused stream's message for a downward sensor's reading; False if there is nothing usable.
 
         Parameters
@@ -142,13 +107,13 @@ class Streams:
             The fusion's result.
         air
             The air temperature used for compensation; its uncertainty is added to the variance.
-        quality
-            Of a distance; see `quality_of`.
+        confidence
+            In a distance (`Fusion.confidence`).
         """
         if self._fused is None or (outcome.fused is None and not outcome.above_maximum):
             return False
         self.outbox.send_now(
-            now_s, self._message(self._fused, boot_ms, outcome.reading.sensor, outcome.fused, air, quality)
+            now_s, self._message(self._fused, boot_ms, outcome.reading.sensor, outcome.fused, air, confidence)
         )
         return True
 
@@ -165,13 +130,11 @@ class Streams:
         sensor, estimate = reading.sensor, filtered.estimate
         stream = self._singles[sensor]
         if filtered.rejected in (None, UNEXPECTED):
-            # A filter does not say how far off a reading was that it used: by as much as stated, then.
-            square = 1.0 if filtered.rejected is None else FIT_OUTLIER
-            self._fits[sensor] += (square - self._fits[sensor]) / FIT_READINGS
+            self._agree[sensor].append(filtered.rejected is None)
         if estimate is None and reading.status is not Status.NO_ECHO:
             return False
-        quality = quality_of(self._fits[sensor])
-        self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, sensor, estimate, air, quality))
+        confidence = sum(self._agree[sensor]) / CONFIDENCE_READINGS
+        self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, sensor, estimate, air, confidence))
         return True
 
     def send_object(self, now_s: float, boot_ms: int, reading: Reading, air: Air) -> None:
@@ -181,7 +144,7 @@ class Streams:
             return
         variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
         estimate = Estimate(reading.range_m, variance_m2)
-        self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, reading.sensor, estimate, air, QUALITY_BEST))
+        self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, reading.sensor, estimate, air, 1.0))
 
     def _message(
         self,
@@ -190,10 +153,10 @@ class Streams:
         sensor: str,
         estimate: Estimate | Fused | None,
         air: Air,
-        quality: int,
+        confidence: float,
     ) -> Any:
         """A stream's message: a distance, or without an estimate 'no echo'."""
-        beam = self._beams[sensor]
+        beam, quality = self._beams[sensor], round(QUALITY_BEST * confidence)
         if estimate is None:
             view_rad = beam.field_of_view_rad(stream.max_distance_cm / 100)
             return distance_sensor(stream, boot_ms, None, float("inf"), view_rad, quality)

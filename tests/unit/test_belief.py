@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion
+from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
 from msp_range.fusion.modes import ground_prior, object_prior
 from msp_range.fusion.vertical import VerticalMotion
-from msp_range.reading import Status
+from msp_range.reading import Reading, Status
 from tests.unit.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
 
 
@@ -23,6 +23,12 @@ def sent_m(range_m: Callable[[str, float], float], until_s: float = 20.0) -> dic
         if (fused := take(fusion, reading(NAMES[i % 4], time_s, seen_m))) is not None:
             sent[time_s] = fused.range_m
     return sent
+
+
+def dust(seed: int) -> Callable[[str, float], float]:
+    """The range over ground 2 m below [m]; from 5 s on six of seven answers are at random."""
+    draw = np.random.default_rng(seed)
+    return lambda name, time_s: draw.uniform(0.2, 7.0) if time_s > 5.0 and draw.random() < 0.85 else 2.0
 
 
 @pytest.mark.parametrize("rise_m", [0.3, 1.0, 2.0, -1.0])
@@ -42,6 +48,66 @@ def test_what_gets_into_the_beams_high_up_is_no_ground(wrong: str) -> None:
     assert all(abs(range_m - 5.0) < 0.1 for range_m in sent.values())
 
 
+def test_a_level_that_three_of_four_see_is_the_ground_and_no_object_below_each() -> None:
+    sent = sent_m(lambda name, time_s: 1.5 if name in "bcd" and time_s > 7.0 else 4.0)
+    after = [range_m for time_s, range_m in sent.items() if time_s > 8.0]
+    assert len(after) > 110
+    assert all(abs(range_m - 1.5) < 0.1 for range_m in after)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_answers_at_random_hardly_any_is_sent(seed: int) -> None:
+    """As in thick dust, or with a bus that makes them up: two that agree by chance are soon contradicted."""
+    draw = np.random.default_rng(seed)
+    sent = sent_m(lambda name, time_s: draw.uniform(0.2, 7.0) if time_s > 6.0 else 2.0, 26.0)
+    assert sum(time_s > 7.0 for time_s in sent) < 0.04 * 190
+
+
+def test_a_strap_that_two_of_five_have_always_seen_is_no_ground_when_the_others_fail() -> None:
+    """It was as good a first ground as any before the others were read; then it was a step away from theirs."""
+    order = "deabc"
+    places = {name: (0.2 * i, 0.1 * (i % 2), 0.0) for i, name in enumerate(order)}
+    fusion = Fusion(
+        {name: DownwardSensor(place, DOWN, "slant") for name, place in places.items()}, AttitudeTrack(), WINDOWS
+    )
+    draw = np.random.default_rng(1)
+    for i in range(200):
+        name, time_s = order[i % 5], i * SLOT_S
+        seen = reading(name, time_s, (0.4 if name in "de" else 3.0) + draw.normal(scale=0.01))
+        if name in "abc" and time_s > 8.0:
+            seen = Reading(time_s, name, Status.NO_ANSWER)
+        fused = take(fusion, seen)
+        assert fused is None or abs(fused.range_m - 3.0) < 0.1 or time_s < 0.5
+
+
+def test_in_dust_what_few_answers_say_is_not_taken_for_the_ground() -> None:
+    """A sensor that has given answers at random will give more of them."""
+    sent = [sent_m(dust(seed)) for seed in range(8)]
+    off_m = [abs(range_m - 2.0) for each in sent for time_s, range_m in each.items() if time_s > 5.0]
+    assert len(off_m) > 40
+    assert sum(each_m > 0.2 for each_m in off_m) < 0.1 * len(off_m)
+
+
+@pytest.mark.parametrize("slot_s", [0.1, 0.5, 0.8])
+def test_two_readings_that_agree_are_a_first_ground_however_slow_the_polling_is(slot_s: float) -> None:
+    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
+    fusion = Fusion(sensors, AttitudeTrack(), Windows(4 * slot_s, slot_s))
+    assert take(fusion, reading("a", 0.0, 3.0)) is None
+    assert take(fusion, reading("b", slot_s, 3.02)) is not None
+
+
+def test_a_sensor_with_more_noise_than_an_ultrasonic_one_has_one_ground() -> None:
+    """A lidar at 30 m."""
+    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack(), WINDOWS, maximum_m=60.0)
+    draw = np.random.default_rng(2)
+    sent = 0
+    for i in range(300):
+        seen_m = 30.0 + draw.normal(scale=0.15)
+        seen = Reading(i * SLOT_S, "a", Status.OK, seen_m, 0.15, round(100 * seen_m))
+        sent += take(fusion, seen) is not None
+    assert sent > 285
+
+
 class Moving:
     """Four sensors below a vehicle that climbs by a profile, with an accelerometer and a barometer.
 
@@ -51,11 +117,19 @@ class Moving:
         What a sensor reads at a time and a height [m].
     climbs
         Beginnings of climbs of 1 m in 2 s, with 1 m/s^2 up and down [s].
+    climb_m
+        As many times that; they are descents where it is negative.
     """
 
-    def __init__(self, range_m: Callable[[str, float, float], float], climbs: Sequence[float] = ()) -> None:
-        self._climbs = climbs
-        motion, draw = VerticalMotion(), np.random.default_rng(1)
+    def __init__(
+        self,
+        range_m: Callable[[str, float, float], float],
+        climbs: Sequence[float] = (),
+        climb_m: float = 1.0,
+        seed: int = 1,
+    ) -> None:
+        self._climbs, self._climb_m = climbs, climb_m
+        motion, draw = VerticalMotion(), np.random.default_rng(seed)
         sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
         fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
         self.sent: dict[float, float] = {}
@@ -79,7 +153,7 @@ class Moving:
             t = min(max(time_s - from_s, 0.0), 2.0)
             height_m += t * t / 2 if t < 1.0 else 1.0 - (2.0 - t) ** 2 / 2
             up_m_s2 += (1.0 if t < 1.0 else -1.0) if 0.0 < t < 2.0 else 0.0
-        return height_m, up_m_s2
+        return self._climb_m * height_m, self._climb_m * up_m_s2
 
 
 def test_the_ground_returns_where_the_barometer_says() -> None:
@@ -103,6 +177,19 @@ def test_it_returns_where_the_vehicle_has_climbed_meanwhile(base_m: float) -> No
     assert all(abs(range_m - base_m - 2.0) < 0.15 for range_m in after.values())
 
 
+def test_it_returns_near_the_ground_where_the_vehicle_has_sunk_meanwhile() -> None:
+    """From 2.5 to 0.5 m: without the barometer's descent that would be something in the beams."""
+    spoilt = np.random.default_rng(5)
+
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        return spoilt.uniform(2.0, 7.0) if 6.0 < time_s < 12.0 else 2.5 + height_m
+
+    flight = Moving(range_m, climbs=(7.0, 9.0), climb_m=-1.0)
+    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.7}
+    assert len(after) > 65
+    assert all(abs(range_m - 0.5) < 0.1 for range_m in after.values())
+
+
 def test_a_ground_that_is_near_after_a_jump_is_sent_when_it_answers_to_a_climb() -> None:
     flight = Moving(lambda name, time_s, height_m: (4.0 if time_s < 6.0 else 0.5) + height_m, climbs=(10.0,))
     assert not [time_s for time_s in flight.sent if 6.5 < time_s < 10.0]
@@ -111,10 +198,13 @@ def test_a_ground_that_is_near_after_a_jump_is_sent_when_it_answers_to_a_climb()
     assert all(abs(range_m - 1.5) < 0.15 for range_m in after.values())
 
 
-def test_what_does_not_answer_to_a_climb_is_part_of_the_vehicle() -> None:
-    flight = Moving(lambda name, time_s, height_m: 4.0 if time_s < 6.0 else 0.5, climbs=(10.0, 13.0))
-    assert not [time_s for time_s in flight.sent if time_s > 6.5]
-    assert flight.statuses[16.0] is Status.FIXED
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("climb_m", [1.0, 4.0])
+def test_what_does_not_answer_to_a_climb_is_part_of_the_vehicle(climb_m: float, seed: int) -> None:
+    """Nor in a hard one, in which its readings would be taken for those of many surfaces."""
+    flight = Moving(lambda name, time_s, height_m: 3.0 if time_s < 7.0 else 0.5, (10.0, 13.0), climb_m, seed)
+    assert not [time_s for time_s in flight.sent if time_s > 7.5]
+    assert Status.FIXED in flight.statuses.values()
 
 
 def test_priors_fall_with_the_size_of_a_step() -> None:

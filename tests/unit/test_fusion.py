@@ -155,6 +155,25 @@ def test_one_sensor_that_drifts_moves_it_by_less_than_16_cm(drifts: str, speed_m
     assert [name for name in NAMES if fusion.object_m(name) is not None] == [drifts]
 
 
+@pytest.mark.parametrize("drifts", "ac")
+def test_once_a_sensor_that_drifts_is_isolated_the_distance_is_that_of_the_others(drifts: str) -> None:
+    """At once: the slope that the sensor has made up goes with it."""
+    track = AttitudeTrack()
+    fusion = four(attitude=track)
+    draw = np.random.default_rng(1)
+    off_m = {}
+    for i in range(300):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        track.update(Angles(time_s, 0.0, 0.0, 0.0))
+        drift_m = -0.03 * max(time_s - 5.0, 0.0) if name == drifts else 0.0
+        fused = take(fusion, reading(name, time_s, 5.0 + drift_m + draw.normal(scale=SIGMA_M)))
+        if fused is not None:
+            off_m[time_s] = abs(fused.range_m - 5.0)
+    worst_s = max(off_m, key=lambda time_s: off_m[time_s])
+    assert off_m[worst_s] > 0.04
+    assert max(each_m for time_s, each_m in off_m.items() if time_s > worst_s + 0.35) < 0.025
+
+
 def test_a_single_outlier_does_not_move_it_and_is_no_object() -> None:
     fusion = four()
     noise_m = noise(80)
@@ -387,6 +406,20 @@ def test_stuck_sensors_do_not_hold_the_ground_and_are_faults(stuck: str, speed_m
     assert healthy.status is Status.OK
 
 
+def test_of_two_sensors_the_one_that_is_stuck_does_not_silence_the_other() -> None:
+    """A second after the other one has begun to move away from it."""
+    fusion = Fusion({name: DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant") for name in "ab"}, AttitudeTrack(), WINDOWS)
+    draw = np.random.default_rng(4)
+    for i in range(160):
+        t = min(max(i * SLOT_S - 8.0, 0.0), 2.0)
+        truth_m = 1.4 + (t * t / 2 if t < 1.0 else 1.0 - (2.0 - t) ** 2 / 2)
+        seen_m = 1.4 if i % 2 and i > 60 else round(truth_m + draw.normal(scale=SIGMA_M), 2)
+        fused = take(fusion, reading("ab"[i % 2], i * SLOT_S, seen_m, raw=round(100 * seen_m)))
+        if i > 91:
+            assert fused is not None, i * SLOT_S
+            assert fused.range_m == pytest.approx(truth_m, abs=0.12)
+
+
 def test_a_sensor_that_repeats_itself_over_calm_ground_is_not_stuck() -> None:
     fusion = four()
     for i in range(200):
@@ -522,6 +555,15 @@ def test_two_readings_in_a_row_that_leave_the_ground_stop_the_stream_at_once() -
     fly(fusion, lambda name, time_s: 0.25, 8)
     assert take(fusion, reading("a", 0.8, 0.70)) is not None
     assert take(fusion, reading("b", 0.9, 0.90)) is None
+
+
+def test_at_the_sensors_minimum_the_stated_deviation_covers_a_vehicle_on_the_ground() -> None:
+    """They report 20 cm at any less: the landing gear may hold them 5 cm above the ground."""
+    fusion = four()
+    for i in range(40):
+        at_minimum = Reading(i * SLOT_S, NAMES[i % 4], Status.AT_MINIMUM, 0.20, SIGMA_M, 20)
+        fused = take(fusion, at_minimum)
+    assert 0.15 < 2 * math.sqrt(known(fused).variance_m2) < 0.3
 
 
 def test_a_landing_that_bounces_is_no_part_of_the_vehicle() -> None:

@@ -15,6 +15,7 @@ DOWN: Vector = (0.0, 0.0, 1.0)
 SLOT_S = 0.1
 JUMP_S, END_S = 8.0, 16.0
 DOUBTED = "Range: sudden change, maybe an object or fault"
+SCATTERED = "Range: readings scatter, as in dust"
 OfTime = Callable[[str, float], float]
 
 
@@ -37,6 +38,7 @@ class Hover:
         self.fusion = Fusion(sensors, AttitudeTrack(), Windows(SLOT_S * len(names), SLOT_S), motion)
         self.sent: list[tuple[float, float]] = []
         self.doubted_s: list[float] = []
+        self.scattered_s: list[float] = []
         draw = random.Random(seed)
         for i in range(round(END_S / SLOT_S)):
             time_s, name = i * SLOT_S, names[i % len(names)]
@@ -49,8 +51,11 @@ class Hover:
             out = self.fusion.update(Reading(time_s, name, Status.OK, raw / 100, noise_m, raw), time_s + 0.03)
             if out.fused is not None:
                 self.sent.append((time_s, out.fused.range_m))
-            if DOUBTED in [each.text for each in self.fusion.conditions()]:
+            texts = [each.text for each in self.fusion.conditions()]
+            if DOUBTED in texts:
                 self.doubted_s.append(time_s)
+            if SCATTERED in texts:
+                self.scattered_s.append(time_s)
 
     def sent_m(self, from_s: float, to_s: float = END_S) -> list[float]:
         """Distances that are sent in a time [m]."""
@@ -102,7 +107,51 @@ def test_edges_are_sent_without_a_text(names: str, from_m: float, to_m: float, s
     assert all(abs(distance_m - to_m) < 0.1 for distance_m in flight.sent_m(JUMP_S + 1.5))
 
 
+@pytest.mark.parametrize("names", ["ab", "a"])
+def test_a_ground_that_no_sensor_sees_any_more_does_not_silence_the_one_that_they_see(names: str) -> None:
+    """Over a kerb, near the ground: what is left behind is as probable as what is seen."""
+    flight = Hover(lambda name, time_s: 0.64 if time_s < JUMP_S else 0.34, names)
+    assert len(flight.sent_m(JUMP_S, JUMP_S + 2.0)) >= 16
+    assert all(abs(distance_m - 0.34) < 0.1 for distance_m in flight.sent_m(JUMP_S + 0.5))
+
+
 def test_a_step_in_the_way_of_a_doubted_one_is_compared_with_the_ground_before_both() -> None:
     """From 5 m to 0.6 and 0.4 m: the second step is small, and no ground either."""
     flight = Hover(lambda name, time_s: 5.0 if time_s < JUMP_S else 0.6 if time_s < JUMP_S + 3.0 else 0.3)
     assert not flight.sent_m(JUMP_S + 0.5)
+
+
+class Dust:
+    """A share of the readings of some sensors is spread between 20 cm and a distance."""
+
+    def __init__(self, share: float, widest_m: float = 0.8, names: str = "abcd", from_m: float = 3.0) -> None:
+        self._share, self._widest_m, self._names, self._from_m = share, widest_m, names, from_m
+        self._draw = random.Random(5)
+
+    def __call__(self, name: str, time_s: float) -> float:
+        if time_s >= JUMP_S and name in self._names and self._draw.random() < self._share:
+            return self._draw.uniform(0.2, self._widest_m)
+        return self._from_m
+
+
+@pytest.mark.parametrize("names", ["abcd", "abc"])
+@pytest.mark.parametrize("widest_m", [0.8, 2.5])
+def test_in_dust_nothing_is_sent_and_it_is_reported(names: str, widest_m: float) -> None:
+    flight = Hover(Dust(0.9, widest_m), names)
+    assert JUMP_S < flight.scattered_s[0] < JUMP_S + 2.5
+    assert not flight.sent_m(JUMP_S + 2.5)
+
+
+@pytest.mark.parametrize("dust", [Dust(0.2), Dust(0.9, names="a"), Dust(0.9, names="ab")])
+def test_in_some_dust_and_with_two_sensors_that_see_nothing_the_ground_goes_on(dust: Dust) -> None:
+    flight = Hover(dust)
+    assert all(abs(distance_m - 3.0) < 0.1 for distance_m in flight.sent_m(1.0))
+    assert len(flight.sent_m(JUMP_S)) > 50
+    assert not flight.scattered_s
+
+
+def test_when_dust_has_settled_the_ground_is_sent_again() -> None:
+    dust = Dust(0.9)
+    flight = Hover(lambda name, time_s: dust(name, time_s) if time_s < JUMP_S + 3.0 else 3.0)
+    assert len(flight.sent_m(JUMP_S + 5.0)) > 25
+    assert flight.scattered_s[-1] < JUMP_S + 5.0

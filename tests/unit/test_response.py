@@ -116,9 +116,63 @@ def test_answers_that_follow_a_turn_late_are_late(seed: int) -> None:
     assert 5.0 < late_s < 7.5
 
 
+@pytest.mark.parametrize("speed_m_s", [-6.0, 4.0])
+def test_a_rate_that_a_surface_had_when_it_was_first_seen_says_nothing(speed_m_s: float) -> None:
+    """As at a start of the bridge in a climb: it has no acceleration that the accelerometer would show."""
+    draw = random.Random(1)
+    motion = VerticalMotion()
+    response = MotionResponse(motion, TURN_S)
+    for i in range(200):
+        time_s = i * 0.025
+        motion.on_acceleration(time_s, draw.gauss(0.0, 0.3))
+        motion.on_pressure_height(time_s, speed_m_s * time_s + draw.gauss(0.0, 0.15))
+        if i % 4 == 0:
+            seen_m = 40.0 + speed_m_s * time_s + draw.gauss(0.0, 0.02)
+            response.update(NAMES[i // 4 % 4], time_s, seen_m, speed_m_s, 0.02**2, False)
+            assert abs(response.log_odds) < 3.0
+
+
 def test_without_an_accelerometer_nothing_is_decided() -> None:
     response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
         response.update("a", 0.1 * i, 0.4, 0.0, 1e-4, False)
     assert not response.is_fixed
     assert not response.is_late
+
+
+def test_late_answers_stay_late_at_rest_and_on_another_surface_until_they_are_in_time() -> None:
+    climbs = [ramp(5.0, 1.5, 10.0), ramp(25.0, 1.5, 30.0)]
+
+    def height_m(time_s: float) -> float:
+        return sum([climb(time_s) for climb in climbs])
+
+    draw, motion, verdicts = random.Random(1), VerticalMotion(), {}
+    response = MotionResponse(motion, TURN_S)
+    for i in range(400):
+        read_s = 0.1 * i
+        for k in range(3):
+            time_s = read_s - 0.08 + 0.04 * k
+            up_m_s2 = (height_m(time_s + 0.02) - 2 * height_m(time_s) + height_m(time_s - 0.02)) / 0.02**2
+            motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        if i == 120:
+            old, response = response, MotionResponse(motion, TURN_S)
+            response.inherit(old)
+        seen_m = 0.3 + height_m(read_s - (TURN_S if read_s < 20.0 else 0.0)) + draw.gauss(0.0, 0.01)
+        response.update(NAMES[i % 4], read_s, seen_m, 0.0, 1e-4, False)
+        verdicts[i] = response.is_late
+    assert not verdicts[49]
+    assert all(verdicts[i] for i in range(100, 249))
+    assert not verdicts[330]
+
+
+def test_a_turn_as_short_as_an_accelerometers_delay_decides_nothing() -> None:
+    climb = ramp(5.0, 1.5, 10.0)
+    motion, draw = VerticalMotion(), random.Random(1)
+    response = MotionResponse(motion, 0.1)
+    for i in range(1500):
+        read_s = 0.02 * i
+        up_m_s2 = (climb(read_s + 0.02) - 2 * climb(read_s) + climb(read_s - 0.02)) / 0.02**2
+        motion.on_acceleration(read_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        if i % 5 == 0:
+            response.update("a", read_s, 0.3 + climb(read_s - 0.1) + draw.gauss(0.0, 0.01), 0.0, 1e-4, False)
+        assert not response.is_late

@@ -83,6 +83,18 @@ def test_a_quick_thermometer_is_soon_known_well_again() -> None:
     assert all(lag_c == 0.0 for time_s, lag_c in found if time_s > STEP_S + 40.0)
 
 
+@pytest.mark.parametrize(("time_constant_s", "noise_c"), [(10.0, 0.5), (20.0, 0.2)])
+def test_a_quick_thermometer_with_noise_is_not_taken_for_a_slow_one(time_constant_s: float, noise_c: float) -> None:
+    """A change that seems to begin before it does looks slow: the correction would be many degrees too large."""
+
+    def shown_c(time_s: float) -> float:
+        return 30.0 - 10.0 * math.exp(-max(time_s - STEP_S, 0.0) / time_constant_s)
+
+    found = settled(measured(shown_c, noise_c, 0.0625), STEP_S + 2 * time_constant_s + 20.0)
+    off_c = [30.0 - shown_c(time_s) - ahead_c for time_s, _, ahead_c, _ in found if shown_c(time_s) > 23.0]
+    assert sum(map(abs, off_c)) < 3.0 * len(off_c)
+
+
 ORDINARY: dict[str, OfTime] = {
     "sun and shade": lambda time_s: 19.0 + 2.0 * (int(time_s) // 40 % 2),
     "sinking from 1000 m at 3 m/s": lambda time_s: 13.5 + 0.0065 * min(3.0 * time_s, 1000.0),
@@ -112,3 +124,20 @@ def test_values_come_as_often_as_they_like(period_s: float) -> None:
     found = lags(shown_c, 150.0, period_s)
     value_s, lag_c = found[-1]
     assert lag_c == pytest.approx(-35.0 * math.exp(-(value_s - STEP_S) / 120.0), rel=0.4)
+
+
+@pytest.mark.parametrize(("change_c", "time_constant_s"), [(-35.0, 60.0), (-35.0, SLOWEST_S), (30.0, 90.0)])
+def test_one_that_is_switched_on_in_other_air_is_noticed_within_seconds(
+    change_c: float, time_constant_s: float
+) -> None:
+    """Later a change by so little may be a shadow."""
+
+    def shown_c(time_s: float) -> float:
+        return 20.0 + change_c * (1 - math.exp(-max(time_s, 0.0) / time_constant_s))
+
+    at_start = next(time_s for time_s, lag_c in lags(measured(shown_c, 0.1, 0.05), 60.0) if lag_c)
+    later = next(
+        time_s for time_s, lag_c in lags(measured(lambda time_s: shown_c(time_s - STEP_S), 0.1, 0.05), 90.0) if lag_c
+    )
+    assert at_start <= 8.0
+    assert at_start < later - STEP_S
