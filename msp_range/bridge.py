@@ -148,28 +148,19 @@ class _Channel:
 
 
 class Step(NamedTuple):
-    """What one reading became; for those who watch the bridge.
-
-    Attributes
-    ----------
-    ranging
-        As it came from the sensor.
-    air
-        The air that the range was corrected for; of the source `NO_AIR` where it is a range of light.
-    corrected
-        After the temperature correction.
-    filtered
-        The outcome of the sensor's filters. A sensor without a stream of its own has none: then there is no estimate,
-        and a reason where the fusion did not use the reading.
-    fused
-        The fused distance along the vehicle's down axis after this reading, where there is one.
-    """
+    """What one reading became; for those who watch the bridge."""
 
     ranging: Ranging
+    """The reading as it came from the sensor."""
     air: Air
+    """The air that the range was corrected for; of the source `NO_AIR` where it is a range of light."""
     corrected: Reading
+    """The reading after the temperature correction."""
     filtered: Filtered
+    """The outcome of the sensor's filters. A sensor without a stream of its own has none: then there is no estimate,
+    and a reason where the fusion did not use the reading."""
     fused: Fused | None
+    """The fused distance along the vehicle's down axis after this reading, where there is one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,27 +41,18 @@ class Status(Enum):
 
 
 class Decoded(NamedTuple):
-    """A decoded answer.
-
-    Attributes
-    ----------
-    status
-        Status of the reading.
-    range_m
-        Distance [m] as the sensor reports it, uncorrected; None unless ``status.has_range``.
-    raw
-        The answer as a number; None if there was none.
-    suspect
-        The value is a valid range, but also a known fault code.
-    earliest_s
-        Shortest time from a ping to this answer [s]; one that comes sooner is not the answer to that ping.
-    """
+    """A decoded answer."""
 
     status: Status
+    """Status of the reading."""
     range_m: float | None
+    """Distance [m] as the sensor reports it, uncorrected; None unless ``status.has_range``."""
     raw: int | None
+    """The answer as a number; None if there was none."""
     suspect: bool = False
+    """The value is a valid range, but also a known fault code."""
     earliest_s: float = 0.0
+    """Shortest time from a ping to this answer [s]; one that comes sooner is not the answer to that ping."""
 
     def arrived_after(self, since_ping_s: float) -> "Decoded":
         """The answer, if it can have come within this time after its ping [s]; otherwise an impossible one.
@@ -74,34 +65,23 @@ class Decoded(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One measurement of one sensor.
-
-    Attributes
-    ----------
-    time_s
-        Time of the echo on the bridge's clock [s]: ping plus half the time of flight; time of the ping if
-        there was no echo.
-    sensor
-        Name of the sensor in the airframe file.
-    status
-        Status of the answer.
-    range_m
-        Distance along the beam [m]; None unless ``status.has_range``.
-    std_m
-        Standard deviation of ``range_m`` [m]; None if unknown.
-    raw
-        The sensor's raw 16-bit answer; None without an answer.
-    suspect
-        True if the answer is a valid range and also a known fault code of this kind of sensor.
-    """
+    """One measurement of one sensor."""
 
     time_s: float
+    """Time of the echo on the bridge's clock [s]: ping plus half the time of flight; time of the ping if there was no
+    echo."""
     sensor: str
+    """Name of the sensor in the airframe file."""
     status: Status
+    """Status of the answer."""
     range_m: float | None = None
+    """Distance along the beam [m]; None unless ``status.has_range``."""
     std_m: float | None = None
+    """Standard deviation of ``range_m`` [m]; None if unknown."""
     raw: int | None = None
+    """The sensor's raw 16-bit answer; None without an answer."""
     suspect: bool = False
+    """True if the answer is a valid range and also a known fault code of this kind of sensor."""
 
     def __post_init__(self) -> None:
         if (self.range_m is not None) != self.status.has_range:

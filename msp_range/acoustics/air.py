@@ -44,24 +44,16 @@ _SPEED_SQUARED_PER_K = HEAT_CAPACITY_RATIO * GAS_CONSTANT_J_PER_MOL_K / MOLAR_MA
 
 
 class Air(NamedTuple):
-    """Temperature and humidity of the air between sensors and ground, with their uncertainty.
-
-    Attributes
-    ----------
-    temperature_c
-        Its mean temperature along the beam [deg C].
-    std_c
-        Standard deviation of the error of ``sonic_c`` [deg C].
-    source
-        Origin of the temperature: a temperature source's name, `FIXED` or `HELD`.
-    humidity_percent
-        Its relative humidity [%]; 0 where none is measured.
-    """
+    """Temperature and humidity of the air between sensors and ground, with their uncertainty."""
 
     temperature_c: float
+    """Mean temperature along the beam [deg C]."""
     std_c: float
+    """Standard deviation of the error of ``sonic_c`` [deg C]."""
     source: str
+    """Origin of the temperature: a temperature source's name, `FIXED` or `HELD`."""
     humidity_percent: float = 0.0
+    """Relative humidity [%]; 0 where none is measured."""
 
     @property
     def sonic_c(self) -> float:

@@ -44,27 +44,18 @@ class Beam(Protocol):
 
 @dataclass(frozen=True)
 class Axis:
-    """Where a sensor looks.
-
-    Attributes
-    ----------
-    boresight
-        The likeliest axis: unit vector, forward, right, down; None where no tilt gave enough echoes.
-    half_width_deg
-        Half of the 95 % interval, as an angle from it [deg].
-    excluded
-        Whether the axis of the airframe file is excluded.
-    from_file_deg
-        Angle between both [deg].
-    floor_share
-        Share of the pings that got an echo of the floor.
-    """
+    """Where a sensor looks."""
 
     boresight: tuple[float, float, float] | None
+    """The likeliest axis: unit vector, forward, right, down; None where no tilt gave enough echoes."""
     half_width_deg: float
+    """Half of the 95 % interval, as an angle from the likeliest axis [deg]."""
     excluded: bool
+    """Whether the axis of the airframe file is excluded."""
     from_file_deg: float
+    """Angle between it and the axis of the airframe file [deg]."""
     floor_share: float
+    """Share of the pings that got an echo of the floor."""
 
 
 def _grid() -> Array:

@@ -65,27 +65,18 @@ class Measured:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the sensors sit.
-
-    Attributes
-    ----------
-    position_m
-        Measured place of each sensor that sees the floor, forward, right and down [m], by name.
-    elsewhere
-        Sensors whose readings are not of the floor.
-    lag
-        How much later than the readings the attitudes are [s].
-    std_m
-        Standard deviation of a single reading about the fit, by name [m].
-    height
-        Height of the reference point over the floor at some times: rows of (time [s], height [m]).
-    """
+    """Where the sensors sit."""
 
     position_m: Mapping[str, tuple[Measured, ...]]
+    """Measured place of each sensor that sees the floor, forward, right and down [m], by name."""
     elsewhere: tuple[str, ...]
+    """Sensors whose readings are not of the floor."""
     lag: Measured
+    """How much later than the readings the attitudes are [s]."""
     std_m: Mapping[str, Measured]
+    """Standard deviation of a single reading about the fit, by name [m]."""
     height: Array
+    """Height of the reference point over the floor at some times: rows of (time [s], height [m])."""
 
     def height_at(self, time_s: Array) -> Array:
         """Height of the reference point over the floor, shape (n,) [m]; NaN outside of the motion."""

@@ -12,47 +12,31 @@ from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
 
 @dataclass(frozen=True)
 class Proposal:
-    """A change of the airframe file.
-
-    Attributes
-    ----------
-    text
-        What was measured, with its interval, what the file has, and what is proposed.
-    edits
-        The change.
-    files
-        Files to be made next to the airframe file first: name, text.
-    """
+    """A change of the airframe file."""
 
     text: str
+    """What was measured, with its interval, what the file has, and what is proposed."""
     edits: tuple[Edit, ...]
+    """The change."""
     files: tuple[tuple[str, str], ...] = ()
+    """Files to be made next to the airframe file first: name, text."""
 
 
 @dataclass
 class StepOutcome:
-    """Outcome of one step.
-
-    Attributes
-    ----------
-    findings
-        What is right, wrong or unknown.
-    proposals
-        Changes of the airframe file that would make it right.
-    measured
-        Numbers for the state file and for other steps.
-    complete
-        False where something has to be measured again.
-    again
-        Compares the same measurements with another airframe, such as one with the changes; None where a step measured
-        nothing that depends on the file.
-    """
+    """Outcome of one step."""
 
     findings: list[Finding] = field(default_factory=list)
+    """What is right, wrong or unknown."""
     proposals: list[Proposal] = field(default_factory=list)
+    """Changes of the airframe file that would make it right."""
     measured: dict[str, Any] = field(default_factory=dict)
+    """Numbers for the state file and for other steps."""
     complete: bool = True
+    """False where something has to be measured again."""
     again: "Callable[[Airframe], StepOutcome] | None" = None
+    """Compares the same measurements with another airframe, such as one with the changes; None where a step measured
+    nothing that depends on the file."""
 
     def right(self, step: str, text: str) -> None:
         """Add that all is as it should be."""

@@ -20,31 +20,21 @@ and a hand turns a vehicle by some 20 degrees in this time."""
 
 @dataclass(frozen=True)
 class SensorReadings:
-    """The readings of one sensor in the order of their times.
-
-    Attributes
-    ----------
-    time_s
-        Time of each echo, or of the ping where there was none, shape (n,) [s].
-    range_m
-        Distance after the correction for the air's temperature, shape (n,) [m]; NaN where there is none.
-    status
-        What each answer means, n words; ``suspect`` for a distance that is also the damaged form of 'no echo'.
-    rejected
-        Why each was not used, n words; None where it was.
-    latency_s
-        Shortest time from an echo to its answer [s]; NaN where there was none.
-    air_c, air_source
-        Temperature of the last correction [deg C], and its source; None for a sensor that needs none.
-    """
+    """The readings of one sensor in the order of their times."""
 
     time_s: Array
+    """Time of each echo, or of the ping where there was none, shape (n,) [s]."""
     range_m: Array
+    """Distance after the correction for the air's temperature, shape (n,) [m]; NaN where there is none."""
     status: tuple[str, ...]
+    """What each answer means, n words; ``suspect`` for a distance that is also the damaged form of 'no echo'."""
     rejected: tuple[str | None, ...]
+    """Why each was not used, n words; None where it was."""
     latency_s: float
+    """Shortest time from an echo to its answer [s]; NaN where there was none."""
     air_c: float | None
     air_source: str | None
+    """Temperature of the last correction [deg C], and its source; None for a sensor that needs none."""
 
     @property
     def is_distance(self) -> Flags:
@@ -54,21 +44,14 @@ class SensorReadings:
 
 @dataclass(frozen=True)
 class Samples:
-    """What was received in some seconds.
-
-    Attributes
-    ----------
-    readings
-        By the sensor's name; sensors without a reading are left out.
-    attitude
-        Rows of (time [s], roll [rad], pitch [rad]), shape (m, 3).
-    fused
-        Rows of (time [s], fused distance [m], height [m]), shape (k, 3).
-    """
+    """What was received in some seconds."""
 
     readings: Mapping[str, SensorReadings]
+    """Readings by the sensor's name; sensors without a reading are left out."""
     attitude: Array
+    """Rows of (time [s], roll [rad], pitch [rad]), shape (m, 3)."""
     fused: Array
+    """Rows of (time [s], fused distance [m], height [m]), shape (k, 3)."""
 
     def down_at(self, time_s: Array, lag_s: float = 0.0) -> Array:
         """The direction of straight down in the body's axes (FRD) at some times, shape (n, 3).

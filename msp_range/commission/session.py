@@ -19,35 +19,24 @@ from msp_range.yaml_file import ConfigError
 
 @dataclass
 class Session:
-    """One vehicle and one person.
-
-    Attributes
-    ----------
-    path
-        The airframe file.
-    computer, clock
-        Whose files doctor looks at; times.
-    operator
-        The person.
-    make_bus, make_transport
-        Open what the airframe file names.
-    recording
-        A recorded flight for the last steps; None: the newest one in the airframe's folder.
-    port
-        Number of the autopilot's port, as in `msp-range params`.
-    measured
-        What the steps so far have measured, by step.
-    """
+    """One vehicle and one person."""
 
     path: Path
+    """The airframe file."""
     computer: Computer
     clock: Clock
+    """The computer whose files doctor looks at, and the clock."""
     operator: Person
+    """The person."""
     make_bus: Callable[[int | str], KernelBus] = KernelBus
     make_transport: Callable[[str, Clock], Transport] = open_transport
+    """Open the bus and the transport that the airframe file names."""
     recording: Path | None = None
+    """A recorded flight for the last steps; None: the newest one in the airframe's folder."""
     port: int = 2
+    """Number of the autopilot's port, as in `msp-range params`."""
     measured: dict[str, dict[str, object]] = field(default_factory=dict)
+    """What the steps so far have measured, by step."""
 
     def airframe(self) -> Airframe:
         """The airframe as its file is now."""

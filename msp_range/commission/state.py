@@ -64,18 +64,12 @@ def hash_of(step: str, airframe: Airframe) -> str:
 
 @dataclass
 class PassedSteps:
-    """The passed steps of one airframe file.
-
-    Attributes
-    ----------
-    path
-        Where it is kept.
-    steps
-        By the step's name: ``passed`` (UTC), ``hash`` and ``measured``.
-    """
+    """The passed steps of one airframe file."""
 
     path: Path
+    """Where they are kept."""
     steps: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """What is kept of each step, by its name: ``passed`` (UTC), ``hash`` and ``measured``."""
 
     @classmethod
     def of(cls, airframe_file: Path) -> "PassedSteps":

@@ -39,18 +39,12 @@ class Stand:
 
 @dataclass(frozen=True)
 class Levels:
-    """What the heights show.
-
-    Attributes
-    ----------
-    down_m
-        How far below the reference point each sensor is, by name [m].
-    scale
-        True distance divided by the corrected one; None with one height only.
-    """
+    """What the heights show."""
 
     down_m: Mapping[str, Measured]
+    """How far below the reference point each sensor is, by name [m]."""
     scale: Measured | None
+    """True distance divided by the corrected one; None with one height only."""
 
     def air_c(self, assumed_c: float) -> Measured | None:
         """The air's temperature, if the distances were corrected for another one [deg C]; None if it is not known."""

@@ -58,24 +58,16 @@ def free_bytes(path: Path) -> int:
 
 @dataclass(frozen=True)
 class Computer:
-    """Facts of a computer.
-
-    Attributes
-    ----------
-    root
-        Its root folder.
-    user
-        Who is to use its devices.
-    utc_s
-        Its date [s since 1970].
-    free_bytes
-        Space that is left on the disk of an existing path of this program.
-    """
+    """Facts of a computer."""
 
     root: Path
+    """Its root folder."""
     user: User
+    """Who is to use its devices."""
     utc_s: Callable[[], float]
+    """Its date [s since 1970]."""
     free_bytes: Callable[[Path], int] = free_bytes
+    """Space that is left on the disk of an existing path of this program."""
 
     def at(self, path: str | Path) -> Path:
         """Where this program finds a path of the computer."""

@@ -14,24 +14,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """Outcome of one step.
-
-    Attributes
-    ----------
-    step
-        What was looked at, in a few words.
-    verdict
-        The outcome.
-    text
-        What was seen.
-    remedy
-        What to do; None where nothing is to be done.
-    """
+    """Outcome of one step."""
 
     step: str
+    """What was looked at, in a few words."""
     verdict: Verdict
+    """The outcome."""
     text: str
+    """What was seen."""
     remedy: str | None = None
+    """What to do; None where nothing is to be done."""
 
 
 def right(step: str, text: str) -> Finding:

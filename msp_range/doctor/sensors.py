@@ -47,21 +47,14 @@ class TimedPing(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """What the sensors answered.
-
-    Attributes
-    ----------
-    findings
-        One for each step.
-    ranges_m
-        Median distance of the sensors that have one, by name [m].
-    latency_s
-        Shortest time from an echo to its answer [s]; None where there was none. A busy computer adds to the others.
-    """
+    """What the sensors answered."""
 
     findings: list[Finding]
+    """A finding for each step."""
     ranges_m: dict[str, float]
+    """Median distance of the sensors that have one, by name [m]."""
     latency_s: float | None
+    """Shortest time from an echo to its answer [s]; None where there was none. A busy computer adds to the others."""
 
 
 def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:

@@ -65,29 +65,22 @@ MAX_ITERATIONS = 60
 class RangeLikelihood:
     """The part of a reading model (`msp_range.reading_model.kernel`) that the filter uses, in metres, for readings with
     a range: codes for no echo are rejected before, and the shares are relative to the other three kinds.
-
-    Attributes
-    ----------
-    hit, short, random
-        Shares of hits, short and random readings.
-    short_rate_per_m
-        Rate with which the density of short readings decreases with range [1/m].
-    minimum_m, maximum_m
-        The sensor's limits [m].
-    variance_m2
-        Variance of a hit [m^2], rounding included.
-    bias_m2
-        Variance of the rounding error of the mean of many readings at one range [m^2], which averaging does not reduce.
     """
 
     hit: float
     short: float
     random: float
+    """Shares of hits, short and random readings."""
     short_rate_per_m: float
+    """Rate with which the density of short readings decreases with range [1/m]."""
     minimum_m: float
     maximum_m: float
+    """The sensor's limits [m]."""
     variance_m2: float
+    """Variance of a hit [m^2], rounding included."""
     bias_m2: float
+    """Variance of the rounding error of the mean of many readings at one range [m^2], which averaging does not
+    reduce."""
 
     @classmethod
     def of(
@@ -159,21 +152,14 @@ def rounding_bias_m2(std_m: float, step_m: float) -> float:
 
 
 class Posterior(NamedTuple):
-    """The estimate after a step, one per stream.
-
-    Attributes
-    ----------
-    range_m
-        Median of the range [m].
-    variance_m2
-        Variance about the median [m^2].
-    converged
-        Whether a level is known and the reading probably came from the surface, so that the range can be given out.
-    """
+    """The estimate after a step, one per stream."""
 
     range_m: Array
+    """Median of the range [m]."""
     variance_m2: Array
+    """Variance about the median [m^2]."""
     converged: Flags
+    """Whether a level is known and the reading probably came from the surface, so that the range can be given out."""
 
 
 class RunHistories:

@@ -39,47 +39,32 @@ Track = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class FittedParameter:
-    """One parameter.
-
-    Attributes
-    ----------
-    name
-        Name in the airframe file.
-    before, value
-        Previous value, and the most likely value.
-    low, high
-        95 % interval from the curvature of the likelihood; 0 or infinite if the readings set no limit.
-    """
+    """One parameter."""
 
     name: str
+    """Name in the airframe file."""
     before: float
     value: float
+    """Previous value, and the most likely value."""
     low: float
     high: float
+    """95 % interval from the curvature of the likelihood; 0 or infinite if the readings set no limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tuned:
-    """The outcome.
-
-    Attributes
-    ----------
-    parameters
-        The filter with the fitted values.
-    fitted
-        Q, then R.
-    innovations, outliers
-        Numbers of innovations counted, and of readings removed as outliers.
-    before, after
-        Log likelihood with the given and with the fitted values; only their difference is meaningful.
-    """
+    """The outcome."""
 
     parameters: KalmanParameters
+    """The filter with the fitted values."""
     fitted: tuple[FittedParameter, FittedParameter]
+    """The fitted values: Q, then R."""
     innovations: int
     outliers: int
+    """Numbers of innovations counted, and of readings removed as outliers."""
     before: float
     after: float
+    """Log likelihood with the given and with the fitted values; only their difference is meaningful."""
 
 
 def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: float) -> Tuned:

@@ -49,23 +49,16 @@ _Motion = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class Ground(NamedTuple):
-    """Where the ground is, and the covariance of the errors.
-
-    Attributes
-    ----------
-    height_m, climb_m_s
-        Height of the reference point above the plane of the ground, straight up, and how fast it grows [m, m/s].
-    rise_north, rise_east
-        Rise of the ground per metre; forward and right where the attitude is not known.
-    covariance
-        4 x 4, in that order, SI units.
-    """
+    """Where the ground is, and the covariance of the errors."""
 
     height_m: float
     climb_m_s: float
+    """Height of the reference point above the plane of the ground, straight up, and how fast it grows [m, m/s]."""
     rise_north: float
     rise_east: float
+    """Rise of the ground per metre; forward and right where the attitude is not known."""
     covariance: tuple[tuple[float, ...], ...]
+    """Covariance of the errors of height, climb and both rises, in that order, 4 x 4, SI units."""
 
 
 class GroundFilter:

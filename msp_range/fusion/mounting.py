@@ -30,52 +30,35 @@ how the vehicle sways, larger learns none below a small vehicle."""
 
 
 class View(NamedTuple):
-    """What a sensor should read, and what changes that.
-
-    Attributes
-    ----------
-    expected_m
-        Range over this ground [m].
-    by_height, by_north, by_east
-        Its derivatives: by the height [m/m], and over level ground by the two rises [m].
-    shared_variance_m2
-        Of the height, where it is not known which of the two it reads: ((slant - nearest) / 2)^2, else 0 [m^2]. It
-        is the same error in every reading and does not average out.
-    nearest
-        Share of the range to the nearest point in it: 0, 0.5 or 1.
-    """
+    """What a sensor should read, and what changes that."""
 
     expected_m: float
+    """Range over this ground [m]."""
     by_height: float
     by_north: float
     by_east: float
+    """Derivatives of that range: by the height [m/m], and over level ground by the two rises [m]."""
     shared_variance_m2: float
+    """Variance of the height, where it is not known which of the two it reads: ((slant - nearest) / 2)^2, else 0 [m^2].
+    It is the same error in every reading and does not average out."""
     nearest: float = 0.0
+    """Share of the range to the nearest point in it: 0, 0.5 or 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class DownwardSensor:
-    """Where a sensor that looks down sits and what it reads at an angle.
-
-    Attributes
-    ----------
-    position_m
-        From the fused distance's reference point, body FRD [m].
-    boresight
-        Unit vector along which it looks, body FRD.
-    oblique
-        What it reads over flat ground at an angle.
-    garbled_from
-        Answers that bytes lost or mixed up on the bus would make of the given one, by its driver.
-    facing
-        Cosine of the largest angle from straight down at which level ground at its maximum gives it an echo.
-    """
+    """Where a sensor that looks down sits and what it reads at an angle."""
 
     position_m: Vector
+    """Position from the fused distance's reference point, body FRD [m]."""
     boresight: Vector
+    """Unit vector along which it looks, body FRD."""
     oblique: Oblique
+    """What it reads over flat ground at an angle."""
     garbled_from: Callable[[int], tuple[int, ...]] = lambda raw: ()
+    """Answers that bytes lost or mixed up on the bus would make of the given one, by its driver."""
     facing: float = -1.0
+    """Cosine of the largest angle from straight down at which level ground at its maximum gives it an echo."""
 
     def view(self, rotation: Matrix, height_m: float, rise_north: float, rise_east: float) -> View | None:
         """What it should read with the reference point ``height_m`` over the ground; None where it looks past it."""

@@ -12,26 +12,19 @@ on a vehicle that leans."""
 
 
 class Fused(NamedTuple):
-    """The distance for the autopilot and what it comes from.
-
-    Attributes
-    ----------
-    range_m, variance_m2
-        From the reference point along the body's down axis to the plane of the ground [m], and the variance of its
-        error [m^2].
-    height_m, climb_m_s, rise_north, rise_east
-        As in `msp_range.fusion.ground_filter.Ground`.
-    probability
-        That this surface is the ground.
-    """
+    """The distance for the autopilot and what it comes from."""
 
     range_m: float
     variance_m2: float
+    """Distance from the reference point along the body's down axis to the plane of the ground [m], and the variance of
+    its error [m^2]."""
     height_m: float
     climb_m_s: float
     rise_north: float
     rise_east: float
+    """As in `msp_range.fusion.ground_filter.Ground`."""
     probability: float
+    """Probability that this surface is the ground."""
 
     def record(self, time_s: float) -> dict[str, float]:
         """The message of a recording's ``/fused``."""
@@ -39,21 +32,13 @@ class Fused(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What one reading means for the fused stream.
-
-    Attributes
-    ----------
-    reading
-        The reading; without its range where the sensor turned out to be stuck or its answer garbled.
-    fused
-        The distance now; None where nothing is known well enough.
-    above_maximum
-        Whether the vehicle is above what its sensors can measure; then there is no distance.
-    rejected
-        Why the reading was not used for the ground; None where it was.
-    """
+    """What one reading means for the fused stream."""
 
     reading: Reading
+    """The reading; without its range where the sensor turned out to be stuck or its answer garbled."""
     fused: Fused | None
+    """The distance now; None where nothing is known well enough."""
     above_maximum: bool
+    """Whether the vehicle is above what its sensors can measure; then there is no distance."""
     rejected: str | None
+    """Why the reading was not used for the ground; None where it was."""

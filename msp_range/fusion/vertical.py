@@ -57,23 +57,16 @@ class Mark(NamedTuple):
 
 
 class Known(NamedTuple):
-    """The ground when it was last seen, and where the vehicle was.
-
-    Attributes
-    ----------
-    time_s
-        When [s].
-    range_m, height_m, climb_m_s
-        How far away along the vehicle's down axis and straight down [m], and how fast that grew [m/s].
-    mark
-        The height by the barometer; None where it reported nothing.
-    """
+    """The ground when it was last seen, and where the vehicle was."""
 
     time_s: float
+    """Time at which it was seen [s]."""
     range_m: float
     height_m: float
     climb_m_s: float
+    """How far away the ground was along the vehicle's down axis and straight down [m], and how fast that grew [m/s]."""
     mark: Mark | None
+    """The height by the barometer; None where it reported nothing."""
 
 
 class Climb(NamedTuple):

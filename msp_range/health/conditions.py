@@ -44,33 +44,22 @@ _WORDS = {
 
 
 class Condition(NamedTuple):
-    """Something that is wrong while it lasts.
-
-    Attributes
-    ----------
-    key
-        Which condition it is.
-    text
-        What is wrong, for the pilot; None: nothing.
-    over
-        What to report at its end.
-    severity
-        How bad it is.
-    renews
-        Whether another text while it lasts is reported too.
-    remedy
-        What to do about it.
-    is_reported
-        Whether the pilot is to read it; else it only counts for the verdict.
-    """
+    """Something that is wrong while it lasts."""
 
     key: str
+    """Which condition it is."""
     text: str | None
+    """What is wrong, for the pilot; None: nothing."""
     over: str
+    """What to report at its end."""
     severity: Severity = Severity.WARNING
+    """How bad it is."""
     renews: bool = False
+    """Whether another text while it lasts is reported too."""
     remedy: str = EXPLAINED
+    """What to do about it."""
     is_reported: bool = True
+    """Whether the pilot is to read it; else it only counts for the verdict."""
 
 
 class _SensorHealth:

@@ -12,36 +12,25 @@ WEIGHTS_M = 3.0
 
 
 class Expected(NamedTuple):
-    """What a sensor's model says of its readings, as plain numbers.
-
-    Attributes
-    ----------
-    short, missed, random
-        Shares of the readings.
-    missed_growth_per_m
-        Growth of the log odds of a missed echo with range, from 3 m on [1/m].
-    correlation
-        Of the errors of two readings a turn apart.
-    spread
-        Deviation of the readings in flight over the one that they come with.
-    minimum_m, maximum_m
-        Limits of the ranges [m].
-    boresight
-        Unit vector along which it looks, body FRD.
-    facing_cosine
-        Of the largest angle between it and straight down at which level ground gives an echo for sure.
-    """
+    """What a sensor's model says of its readings, as plain numbers."""
 
     short: float
     missed: float
     random: float
+    """Shares of short, missed and random readings."""
     missed_growth_per_m: float
+    """Growth of the log odds of a missed echo with range, from 3 m on [1/m]."""
     correlation: float
+    """Correlation of the errors of two readings a turn apart."""
     spread: float
+    """Deviation of the readings in flight over the one that they come with."""
     minimum_m: float
     maximum_m: float
+    """Limits of the ranges [m]."""
     boresight: Vector = (0.0, 0.0, 1.0)
+    """Unit vector along which it looks, body FRD."""
     facing_cosine: float = 0.0
+    """Cosine of the largest angle between it and straight down at which level ground gives an echo for sure."""
 
 
 def missed_share(expected: Expected, range_m: float) -> float:

@@ -13,13 +13,6 @@ MOST_TIMES = 99.0
 class SensorFinding(NamedTuple):
     """What a sensor does otherwise than its model.
 
-    Attributes
-    ----------
-    sensor, kind
-        Which sensor, and which alternative.
-    size
-        Times as often, or deviation over the model's; of a shift the distance [m], positive for too long.
-
     Examples
     --------
     >>> SensorFinding("front_left", "short", 5.2).text
@@ -28,7 +21,10 @@ class SensorFinding(NamedTuple):
 
     sensor: str
     kind: Kind
+    """Which sensor, and which alternative."""
     size: float
+    """How many times as often, or the deviation over the model's; for a shift its distance [m], positive for too
+    long."""
 
     @property
     def text(self) -> str:

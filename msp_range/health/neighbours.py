@@ -38,56 +38,37 @@ class GroundUse(Enum):
 
 
 class Sighting(NamedTuple):
-    """One reading of the window.
-
-    Attributes
-    ----------
-    time_s
-        Of the echo [s].
-    sensor
-        Its name.
-    common_m
-        Height of the reference point over level ground by this reading alone, without the sensor's own offset from the
-        others [m]; None where it is not of the ground, so that it is no reference for others.
-    std_m
-        Standard deviation of the reading [m]; 0 without a range.
-    seen
-        What it was for the fused ground.
-    height_m
-        As ``common_m``, with the offset, of every reading with a range.
-    raw
-        The sensor's answer.
-    climb_m_s
-        How fast the vehicle climbs by all sensors [m/s].
-    down
-        Straight down, a unit vector in body FRD; None where the attitude is not known.
-    """
+    """One reading of the window."""
 
     time_s: float
+    """Time of the echo [s]."""
     sensor: str
+    """Index of the sensor."""
     common_m: float | None
+    """Height of the reference point over level ground by this reading alone, without the sensor's own offset from the
+    others [m]; None where it is not of the ground, so that it is no reference for others."""
     std_m: float
+    """Standard deviation of the reading [m]; 0 without a range."""
     seen: GroundUse
+    """What it was for the fused ground."""
     height_m: float | None
+    """As ``common_m``, with the offset, of every reading with a range."""
     raw: int | None
+    """The sensor's answer."""
     climb_m_s: float
+    """How fast the vehicle climbs by all sensors [m/s]."""
     down: Vector | None
+    """Straight down, a unit vector in body FRD; None where the attitude is not known."""
 
 
 class ReferenceHeight(NamedTuple):
-    """The height by the others.
-
-    Attributes
-    ----------
-    height_m, variance_m2
-        At the reading's time [m], and the variance of its error by the readings' own deviation [m^2].
-    climb_m_s
-        How fast it grows [m/s].
-    """
+    """The height by the others."""
 
     height_m: float
     variance_m2: float
+    """Height at the reading's time [m], and the variance of its error by the readings' own deviation [m^2]."""
     climb_m_s: float
+    """How fast it grows [m/s]."""
 
 
 def reference(window: Sequence[Sighting], middle: int, scale: float) -> ReferenceHeight | None:

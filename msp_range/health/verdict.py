@@ -34,22 +34,16 @@ class BridgeState(StrEnum):
 
 
 class BridgeFinding(NamedTuple):
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    what, text, remedy, severity, is_reported
-        Those of its condition.
-    cause
-        ``what`` of the finding that it follows from; None: it follows from none.
-    """
+    """One thing that is wrong."""
 
     what: str
     text: str
     remedy: str
     severity: Severity
     is_reported: bool
+    """As in its condition."""
     cause: str | None
+    """``what`` of the finding that it follows from; None: it follows from none."""
 
 
 class BridgeVerdict(NamedTuple):

@@ -24,28 +24,19 @@ _Message = dialect.MAVLink_distance_sensor_message
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """The constant fields of a stream's messages.
-
-    Attributes
-    ----------
-    id
-        The message's ``id``.
-    orientation
-        Orientation of the stream.
-    min_distance_cm, max_distance_cm
-        Just below the shortest distance that the stream can report, and the longest one [cm].
-    no_echo_cm
-        ``current_distance`` for no echo [cm].
-    type
-        MAV_DISTANCE_SENSOR.
-    """
+    """The constant fields of a stream's messages."""
 
     id: int
+    """The message's ``id``."""
     orientation: Orientation
+    """Orientation of the stream."""
     min_distance_cm: int
     max_distance_cm: int
+    """Just below the shortest distance that the stream can report, and the longest one [cm]."""
     no_echo_cm: int
+    """``current_distance`` for no echo [cm]."""
     type: int
+    """MAV_DISTANCE_SENSOR."""
 
 
 def make_stream(

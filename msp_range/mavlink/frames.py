@@ -31,20 +31,14 @@ SIGNED = 0x01
 
 
 class Frame(NamedTuple):
-    """A frame with a valid checksum.
-
-    Attributes
-    ----------
-    message_id, system, component
-        Message id, and the ids of its sender.
-    data
-        All its bytes.
-    """
+    """A frame with a valid checksum."""
 
     message_id: int
     system: int
     component: int
+    """Message id, and the ids of its sender."""
     data: bytes
+    """All its bytes."""
 
     @property
     def is_autopilot_heartbeat(self) -> bool:

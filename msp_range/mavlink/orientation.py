@@ -42,18 +42,12 @@ _AXES = {
 
 @dataclass(frozen=True, slots=True)
 class Orientation:
-    """Orientation fields of DISTANCE_SENSOR.
-
-    Attributes
-    ----------
-    value
-        MAV_SENSOR_ORIENTATION.
-    quaternion
-        (w, x, y, z) of the mounting if ``value`` is CUSTOM, otherwise zeros, which mean 'not given'.
-    """
+    """Orientation fields of DISTANCE_SENSOR."""
 
     value: int
+    """MAV_SENSOR_ORIENTATION."""
     quaternion: Quaternion
+    """(w, x, y, z) of the mounting if ``value`` is CUSTOM, otherwise zeros, which mean 'not given'."""
 
     @property
     def name(self) -> str:

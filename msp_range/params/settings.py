@@ -59,24 +59,16 @@ arming (AP_RangeFinder.cpp; docs/flying.md has what was seen)."""
 
 @dataclass(frozen=True)
 class Firmware:
-    """What decides names and units of parameters.
-
-    Attributes
-    ----------
-    autopilot
-        ArduPilot or PX4.
-    vehicle
-        ArduPilot's kind of vehicle; without meaning for PX4.
-    centimetres
-        ArduPilot before 4.7: limits of range finders have other names and are in centimetres.
-    any_id
-        ArduPilot before 4.8: `ADDRESS` does nothing to distances by MAVLink.
-    """
+    """What decides names and units of parameters."""
 
     autopilot: Autopilot
+    """ArduPilot or PX4."""
     vehicle: Vehicle = "copter"
+    """ArduPilot's kind of vehicle; without meaning for PX4."""
     centimetres: bool = False
+    """ArduPilot before 4.7: limits of range finders have other names and are in centimetres."""
     any_id: bool = False
+    """ArduPilot before 4.8: `ADDRESS` does nothing to distances by MAVLink."""
 
     def __str__(self) -> str:
         if self.autopilot == "px4":
@@ -86,25 +78,17 @@ class Firmware:
 
 @dataclass(frozen=True)
 class Setting:
-    """One parameter.
-
-    Attributes
-    ----------
-    name, value
-        As the autopilot has them.
-    reason
-        Why this value, in one sentence.
-    source
-        Where the value comes from: a key of the airframe file, a document.
-    as_good
-        Another value that does the same.
-    """
+    """One parameter."""
 
     name: str
     value: float
+    """Name and value as the autopilot has them."""
     reason: str
+    """Why this value, in one sentence."""
     source: str
+    """Where the value comes from: a key of the airframe file, a document."""
     as_good: float | None = None
+    """Another value that does the same."""
 
 
 def settings(airframe: Airframe, firmware: Firmware, port: int) -> list[Setting]:

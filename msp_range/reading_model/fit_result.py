@@ -106,33 +106,23 @@ class FitError(ValueError):
 
 @dataclass(frozen=True)
 class FitResult:
-    """A fitted mixture.
-
-    Attributes
-    ----------
-    grid
-        What the sensor can report.
-    parameters
-        As in a sensor model file.
-    estimates, standard_errors
-        By name. The error is NaN for parameters at a bound or not identified.
-    at_bound
-        Names of parameters at a bound, such as a weight of 0.
-    not_identified
-        Names of parameters that the readings do not determine, such as lambda without short readings.
-    log_likelihood, readings, rows
-        Sum of log probabilities; number of readings, and of distinct rows among them.
-    """
+    """A fitted mixture."""
 
     grid: ReadingGrid
+    """What the sensor can report."""
     parameters: MixtureParameters
+    """Parameters as in a sensor model file."""
     estimates: dict[str, float]
     standard_errors: dict[str, float]
+    """Estimates and their standard errors, by name; the error is NaN for parameters at a bound or not identified."""
     at_bound: tuple[str, ...]
+    """Names of parameters at a bound, such as a weight of 0."""
     not_identified: tuple[str, ...]
+    """Names of parameters that the readings do not determine, such as lambda without short readings."""
     log_likelihood: float
     readings: int
     rows: int
+    """Sum of log probabilities; number of readings, and of distinct rows among them."""
     _likelihood: Likelihood = field(repr=False, compare=False)
     _optimum: Optimum = field(repr=False, compare=False)
     _moving: tuple[int, ...] = field(repr=False, compare=False)

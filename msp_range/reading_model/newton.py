@@ -35,41 +35,28 @@ class NotConvergedError(ArithmeticError):
 
 @dataclass(frozen=True)
 class Optimum:
-    """A maximum within bounds.
-
-    Attributes
-    ----------
-    theta, value, gradient, hessian
-        Where and what it is.
-    inside
-        Numbers of the parameters that moved and are not held by a bound.
-    """
+    """A maximum within bounds."""
 
     theta: Array
     value: float
     gradient: Array
     hessian: Array
+    """Where it is, and value, gradient and Hessian there."""
     inside: tuple[int, ...]
+    """Numbers of the parameters that moved and are not held by a bound."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Where parameters may be, shape (k,) each.
-
-    Attributes
-    ----------
-    lower, upper
-        The bounds themselves.
-    stride
-        Longest step of one iteration.
-    relative
-        Whether half of the parameter itself is allowed where that is longer.
-    """
+    """Where parameters may be, shape (k,) each."""
 
     lower: Array
     upper: Array
+    """Lowest and highest value of each parameter."""
     stride: Array
+    """Longest step of one iteration."""
     relative: Flags
+    """Whether half of the parameter itself is allowed where that is longer."""
 
     def longest(self, theta: Array) -> Array:
         """Longest step of each parameter from here."""

@@ -21,22 +21,15 @@ FEWEST_IN_BIN = 5
 
 @dataclass(frozen=True)
 class GoodnessOfFit:
-    """How uniform the transformed readings are.
-
-    Attributes
-    ----------
-    pit_histogram
-        Number of readings in each of the equal bins from 0 to 1.
-    chi_square_p_value
-        Of the histogram, for readings that the parameters were fitted to: they fit better than they should, by at most
-        as many degrees of freedom as were fitted. The smaller of the p-values that the true one lies between.
-    note
-        What the p-value means.
-    """
+    """How uniform the transformed readings are."""
 
     pit_histogram: tuple[int, ...]
+    """Number of readings in each of the equal bins from 0 to 1."""
     chi_square_p_value: float
+    """p-value of the histogram, for readings that the parameters were fitted to: they fit better than they should, by
+    at most as many degrees of freedom as were fitted. The smaller of the p-values that the true one lies between."""
     note: str
+    """What the p-value means."""
 
 
 def pit_values(

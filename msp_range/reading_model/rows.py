@@ -40,26 +40,20 @@ def among(some: Array, rows: Indices, size: int) -> Array:
 
 @dataclass(frozen=True)
 class MixtureRows:
-    """Distribution of n readings: hit, short, missed and random readings by their weights, as `ReadingModel` has them.
-
-    Attributes
-    ----------
-    centre_cm, sigma_cm
-        Of the hits, (n,), or one sigma for all; a centre of NaN gives no echo.
-    log_weights
-        Logarithms of the weights of hit, short, missed, random, but for a common summand: numbers or arrays.
-    rate_per_m, saturated_fraction, minimum_cm, maximum_cm, step_cm
-        As in the sensor model; readings are whole multiples of the step.
-    """
+    """Distribution of n readings: hit, short, missed and random readings by their weights, as `ReadingModel` has
+    them."""
 
     centre_cm: Array
     sigma_cm: Any
+    """Centre and sigma of the hits, (n,), or one sigma for all; a centre of NaN gives no echo."""
     log_weights: tuple[Any, Any, Any, Any]
+    """Logarithms of the weights of hit, short, missed, random, but for a common summand: numbers or arrays."""
     rate_per_m: float
     saturated_fraction: float
     minimum_cm: float
     maximum_cm: float
     step_cm: float
+    """As in the sensor model; readings are whole multiples of the step."""
 
     def __len__(self) -> int:
         return self.centre_cm.size

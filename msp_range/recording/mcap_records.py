@@ -95,30 +95,20 @@ Record: TypeAlias = Header | Schema | Channel | RawMessage | Metadata | Attachme
 
 @dataclass
 class Losses:
-    """What of a file could not be used; its text is for a person.
-
-    Attributes
-    ----------
-    chunks
-        Chunks whose checksum was wrong, or that could not be unpacked.
-    seconds
-        How long those were, by their own account [s].
-    records
-        Other records that were damaged, too large or of an unknown kind.
-    messages
-        Messages of a damaged topic, or that are not what their topic holds.
-    skipped_bytes
-        Bytes between two records that belong to none.
-    tail_bytes
-        Bytes behind the last whole record, where the end of the file is missing.
-    """
+    """What of a file could not be used; its text is for a person."""
 
     chunks: int = 0
+    """Chunks whose checksum was wrong, or that could not be unpacked."""
     seconds: float = 0.0
+    """How long those chunks were, by their own account [s]."""
     records: int = 0
+    """Other records that were damaged, too large or of an unknown kind."""
     messages: int = 0
+    """Messages of a damaged topic, or that are not what their topic holds."""
     skipped_bytes: int = 0
+    """Bytes between two records that belong to none."""
     tail_bytes: int = 0
+    """Bytes behind the last whole record, where the end of the file is missing."""
 
     def __bool__(self) -> bool:
         return self != Losses()

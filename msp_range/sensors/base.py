@@ -48,39 +48,25 @@ class RangeSensor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FoundDevice:
-    """A device that acknowledged.
-
-    Attributes
-    ----------
-    address
-        7-bit address.
-    ranged
-        True if it behaved like its driver's kind of sensor and its answer can be a range.
-    answer
-        Its answer in words.
-    """
+    """A device that acknowledged."""
 
     address: int
+    """7-bit address."""
     ranged: bool
+    """True if it behaved like its driver's kind of sensor and its answer can be a range."""
     answer: str
+    """Its answer in words."""
 
 
 class RecordedPing(NamedTuple):
-    """A recorded ping and its answer.
-
-    Attributes
-    ----------
-    ping_s
-        Time of the ping [s].
-    word
-        The sensor's 16-bit answer; None if there was none.
-    ready_s
-        Time from the ping until the sensor answers again [s]. Zero without an answer: the ping was not acknowledged.
-    """
+    """A recorded ping and its answer."""
 
     ping_s: float
+    """Time of the ping [s]."""
     word: int | None
+    """The sensor's 16-bit answer; None if there was none."""
     ready_s: float
+    """Time from the ping until the sensor answers again [s]. Zero without an answer: the ping was not acknowledged."""
 
     @property
     def acknowledged(self) -> bool:
@@ -89,15 +75,10 @@ class RecordedPing(NamedTuple):
 
 
 class Playback(Protocol):
-    """The behaviour of one sensor in a replay of its recorded answers; made by its driver.
-
-    Attributes
-    ----------
-    first_raw
-        Its answer before its first ping.
-    """
+    """The behaviour of one sensor in a replay of its recorded answers; made by its driver."""
 
     first_raw: int
+    """Its answer before its first ping."""
 
     def starts(self, data: bytes, ranging: bool) -> bool | None:
         """Whether writing ``data`` starts a measurement, depending on whether one is running; None: not
@@ -116,26 +97,18 @@ class Driver(ABC):
         The bus.
     address
         Its 7-bit address.
-
-    Attributes
-    ----------
-    part
-        The part's name with its article, for messages.
-    default_address
-        7-bit address when delivered.
-    keeps_address
-        Whether a changed address is kept without power.
-    busy_s
-        Time for which it may not acknowledge while it measures [s]; 0 if it always acknowledges.
-    stretches_clock
-        Whether it holds the bus clock low while it is not ready; not every computer waits for that.
     """
 
     part: ClassVar[str]
+    """The part's name with its article, for messages."""
     default_address: ClassVar[int]
+    """7-bit address when delivered."""
     keeps_address: ClassVar[bool]
+    """Whether a changed address is kept without power."""
     busy_s: ClassVar[float]
+    """Time for which it may not acknowledge while it measures [s]; 0 if it always acknowledges."""
     stretches_clock: ClassVar[bool] = False
+    """Whether it holds the bus clock low while it is not ready; not every computer waits for that."""
 
     def __init__(self, bus: Bus, address: int) -> None:
         self._bus = bus

@@ -32,22 +32,15 @@ REOPEN_INTERVAL_S = 1.0
 
 
 class Ranging(NamedTuple):
-    """A ping and its result.
-
-    Attributes
-    ----------
-    reading
-        The result.
-    ping_s, answered_s
-        Times of the ping and of the last attempt to read, on the bridge's clock [s].
-    error
-        The last transfer's error if there was no answer.
-    """
+    """A ping and its result."""
 
     reading: Reading
+    """The result."""
     ping_s: float
     answered_s: float
+    """Times of the ping and of the last attempt to read, on the bridge's clock [s]."""
     error: BusError | None = None
+    """The last transfer's error if there was no answer."""
 
 
 class _Pending:
@@ -82,18 +75,12 @@ _next_try_s = attrgetter("next_try_s")
 
 
 class _Duration(NamedTuple):
-    """How long a sensor measures, by its last answer [s].
-
-    Attributes
-    ----------
-    earliest_s
-        Shortest time in which that answer can come, see `Decoded.earliest_s`: it grows with the range.
-    extra_s
-        What the sensor takes on top of that, at any range.
-    """
+    """How long a sensor measures, by its last answer [s]."""
 
     earliest_s: float
+    """Shortest time in which that answer can come, see `Decoded.earliest_s`: it grows with the range."""
     extra_s: float
+    """What the sensor takes on top of that, at any range."""
 
     @property
     def total_s(self) -> float:

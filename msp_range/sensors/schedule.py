@@ -27,21 +27,14 @@ acknowledges its ping takes a turn from the others each time, one in twenty at 1
 
 @dataclass(frozen=True, slots=True)
 class AnswerTiming:
-    """Times at which a sensor can be read, relative to its ping [s].
-
-    Attributes
-    ----------
-    first_answer_s
-        Earliest possible answer.
-    deadline_s
-        Last attempt to read.
-    echo_s_per_m
-        Two-way time of flight that the sensor assumes per metre of range [s/m].
-    """
+    """Times at which a sensor can be read, relative to its ping [s]."""
 
     first_answer_s: float
+    """Earliest possible answer."""
     deadline_s: float
+    """Last attempt to read."""
     echo_s_per_m: float = 5.8e-3
+    """Two-way time of flight that the sensor assumes per metre of range [s/m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,20 +53,14 @@ class PolledSensor:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """The time between pings.
-
-    Attributes
-    ----------
-    ping_interval_s
-        Time from one group's ping to the next one's [s], in which the echoes die away.
-    near_below_m, near_interval_s
-        While every sensor's last answer is a range below ``near_below_m``, pings follow after ``near_interval_s``;
-        None: never.
-    """
+    """The time between pings."""
 
     ping_interval_s: float = 0.100
+    """Time from one group's ping to the next one's [s], in which the echoes die away."""
     near_below_m: float | None = None
     near_interval_s: float | None = None
+    """While every sensor's last answer is a range below ``near_below_m``, pings follow after ``near_interval_s``; None:
+    never."""
 
 
 class Schedule(Protocol):

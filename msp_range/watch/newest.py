@@ -14,31 +14,21 @@ TEXTS_KEPT = 50
 
 @dataclass
 class Newest:
-    """What was received last.
-
-    Attributes
-    ----------
-    airframe, status
-        Messages of ``/airframe`` and ``/status``; empty before the first.
-    readings
-        The last record of each sensor.
-    fused
-        The last fused distance, and its time [s].
-    received
-        The last message of ``/autopilot`` of each kind.
-    texts
-        (time [s], message) of the last reports to the pilot, the oldest first.
-    time_s
-        Of the last packet [s].
-    """
+    """What was received last."""
 
     airframe: dict[str, Any] = field(default_factory=dict)
     status: dict[str, Any] = field(default_factory=dict)
+    """Messages of ``/airframe`` and ``/status``; empty before the first."""
     readings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """The last record of each sensor."""
     fused: tuple[float, dict[str, Any]] | None = None
+    """The last fused distance, and its time [s]."""
     received: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """The last message of ``/autopilot`` of each kind."""
     texts: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TEXTS_KEPT))
+    """(time [s], message) of the last reports to the pilot, the oldest first."""
     time_s: float = 0.0
+    """Time of the last packet [s]."""
 
     @property
     def state(self) -> str:

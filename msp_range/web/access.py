@@ -23,15 +23,10 @@ TOKEN_BYTES = 16
 
 @dataclass(frozen=True)
 class Access:
-    """What a request must have.
-
-    Attributes
-    ----------
-    token
-        Must be in the address as ``?token=``; None: not needed.
-    """
+    """What a request must have."""
 
     token: str | None
+    """Token that must be in the address as ``?token=``; None: not needed."""
 
     def refusal(self, target: str | None, host: str | None, origin: str | None) -> tuple[HTTPStatus, str] | None:
         """Why a request is refused; None where it is not.

@@ -27,24 +27,16 @@ FARTHEST = 4.0
 
 @dataclass(frozen=True)
 class Autocorrelation:
-    """Of residuals, by lag.
-
-    Attributes
-    ----------
-    apart
-        Median time between the two readings of a pair [s], or their distance in readings, (k,).
-    in_seconds
-        Which of both.
-    value
-        Correlation, (k,).
-    band
-        What 95 % of independent residuals stay within, (k,).
-    """
+    """Of residuals, by lag."""
 
     apart: Array
+    """Median time between the two readings of a pair [s], or their distance in readings, (k,)."""
     in_seconds: bool
+    """Whether ``apart`` is in seconds."""
     value: Array
+    """Correlation, (k,)."""
     band: Array
+    """What 95 % of independent residuals stay within, (k,)."""
 
 
 def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Autocorrelation:

@@ -34,21 +34,14 @@ BLANK_IS_NONE = frozenset(
 
 @dataclass(frozen=True)
 class KnownRows:
-    """Readings of which the columns that are known in most of them are known.
-
-    Attributes
-    ----------
-    rows
-        Which, (n,).
-    columns
-        Columns with blank cells that are known in all of them.
-    unasked
-        Columns with so many blank cells that nothing is asked of them.
-    """
+    """Readings of which the columns that are known in most of them are known."""
 
     rows: Flags
+    """Which readings these are, (n,)."""
     columns: tuple[str, ...] = ()
+    """Columns with blank cells that are known in all of them."""
     unasked: tuple[str, ...] = ()
+    """Columns with so many blank cells that nothing is asked of them."""
 
     @classmethod
     def of(cls, model: Model, contexts: Mapping[str, Any]) -> "KnownRows":

@@ -45,22 +45,15 @@ BETWEEN_RUNS = frozenset({"run_offsets"})
 
 @dataclass(frozen=True)
 class CandidateEffect:
-    """An effect with its shape held, of which one number is searched.
-
-    Attributes
-    ----------
-    effect, of
-        Of the catalogue, and the sensor, run or target that it is of.
-    shape
-        Values of its shape's parameters.
-    parameter
-        The number that is neutral while the effect is absent.
-    """
+    """An effect with its shape held, of which one number is searched."""
 
     effect: Effect
     of: str | None
+    """Effect of the catalogue, and the sensor, run or target that it is of."""
     shape: tuple[tuple[str, float], ...]
+    """Values of its shape's parameters."""
     parameter: Parameter
+    """The number that is neutral while the effect is absent."""
 
     @property
     def key(self) -> Key:
@@ -130,18 +123,12 @@ class CandidateEffect:
 
 @dataclass(frozen=True)
 class SelectedTerm:
-    """An effect or a curve that was taken into the model.
-
-    Attributes
-    ----------
-    active
-        With its values.
-    candidate
-        That it came from; None for a curve.
-    """
+    """An effect or a curve that was taken into the model."""
 
     active: Term
+    """The effect or curve with its values."""
     candidate: CandidateEffect | None
+    """The candidate that it came from; None for a curve."""
 
     @property
     def key(self) -> Key:

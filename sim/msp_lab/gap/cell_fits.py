@@ -30,23 +30,16 @@ PAIRS = tuple(combinations_with_replacement(range(len(CHANNELS)), 2))
 
 @dataclass(frozen=True)
 class CellFits:
-    """The five numbers of each of K cells, and what they gain.
-
-    Attributes
-    ----------
-    counts
-        Readings in each cell, (K,).
-    values, errors
-        (K, 5): bias [cm], logarithms of spread and odds; standard errors by units.
-    gain_nats, noise_nats
-        In log-likelihood, and how much of it is random variation, both sums over a cell, (K,).
-    """
+    """The five numbers of each of K cells, and what they gain."""
 
     counts: Indices
+    """Readings in each cell, (K,)."""
     values: Array
     errors: Array
+    """Values and their standard errors by units, (K, 5): bias [cm], logarithms of spread and odds."""
     gain_nats: Array
     noise_nats: Array
+    """Gain in log-likelihood, and how much of it is random variation, both sums over a cell, (K,)."""
 
     @property
     def nats(self) -> float:

@@ -22,24 +22,16 @@ NOT_CONTEXT = frozenset({"reading_cm"})
 
 @dataclass(frozen=True)
 class Partition:
-    """A partition of n readings.
-
-    Attributes
-    ----------
-    variables
-        Context columns that it is made of; none: all readings in one cell.
-    labels
-        Name of each of the K cells.
-    cell
-        Cell of each reading, (n,).
-    centres
-        Median of the variable in each cell, where there is one and it is a number; for drawing.
-    """
+    """A partition of n readings."""
 
     variables: tuple[str, ...]
+    """Context columns that it is made of; none: all readings in one cell."""
     labels: tuple[str, ...]
+    """Name of each of the K cells."""
     cell: Indices
+    """Cell of each reading, (n,)."""
     centres: Array | None = None
+    """Median of the variable in each cell, where there is one and it is a number; for drawing."""
 
     @property
     def counts(self) -> Indices:
@@ -53,21 +45,14 @@ class Partition:
 
 @dataclass(frozen=True)
 class Stack:
-    """The cells of several partitions of the same readings, one after another.
-
-    Attributes
-    ----------
-    parts
-        The partitions.
-    counts
-        Readings of each of all K cells, (K,).
-    members
-        (K, n): which readings are in which cell.
-    """
+    """The cells of several partitions of the same readings, one after another."""
 
     parts: tuple[Partition, ...]
+    """The partitions."""
     counts: Indices
+    """Readings of each of all K cells, (K,)."""
     members: csr_matrix
+    """Which readings are in which cell, (K, n)."""
 
     @classmethod
     def of(cls, parts: Sequence[Partition]) -> "Stack":

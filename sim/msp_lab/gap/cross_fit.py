@@ -23,21 +23,14 @@ from msp_range.arrays import Array, Flags, Indices
 
 @dataclass(frozen=True)
 class Parts:
-    """The readings that are refitted, part by part.
-
-    Attributes
-    ----------
-    problem
-        With these readings.
-    splits
-        Of their runs.
-    prepared
-        Readings of a part, as far as they have been asked for.
-    """
+    """The readings that are refitted, part by part."""
 
     problem: Problem
+    """The problem with these readings."""
     splits: Splits
+    """Splits of their runs."""
     prepared: dict[tuple[int, int, bool], Prepared] = field(default_factory=dict)
+    """Readings of a part, as far as they have been asked for."""
 
     @property
     def ways(self) -> list[tuple[int, int]]:
@@ -61,26 +54,19 @@ class Parts:
 
 @dataclass(frozen=True)
 class CrossScore:
-    """What a fit without one part says of that part's readings.
-
-    Attributes
-    ----------
-    log_p
-        Of each reading, (n,), by the fit of all runs where the other one is near; of what was fitted it means nothing.
-    by_run
-        Log-likelihood of each run of the part, (runs,); 0 for the others.
-    base
-        Numbers of the base that were fitted.
-    slope, information
-        Of the log-likelihood of each run by the base's numbers, (runs, 8) and (runs, 8, 8); 0 for the others, and for
-        numbers that cannot move.
-    """
+    """What a fit without one part says of that part's readings."""
 
     log_p: Array
+    """Log probability of each reading, (n,), by the fit of all runs where the other one is near; of what was fitted it
+    means nothing."""
     by_run: Array
+    """Log-likelihood of each run of the part, (runs,); 0 for the others."""
     base: Array
+    """Numbers of the base that were fitted."""
     slope: Array
     information: Array
+    """Slope and information of the log-likelihood of each run by the base's numbers, (runs, 8) and (runs, 8, 8); 0 for
+    the others, and for numbers that cannot move."""
 
 
 def recalibrated(parts: Sequence[CrossScore], runs: Flags) -> float:
@@ -100,21 +86,14 @@ def recalibrated(parts: Sequence[CrossScore], runs: Flags) -> float:
 
 @dataclass(frozen=True)
 class SumsByRun:
-    """A fit of all readings with its log-likelihood, scores and information summed by run.
-
-    Attributes
-    ----------
-    fit
-        Of all readings.
-    unit
-        Their runs.
-    runs
-        How many there are.
-    """
+    """A fit of all readings with its log-likelihood, scores and information summed by run."""
 
     fit: JointFit
+    """The fit of all readings."""
     unit: Indices
+    """Number of each reading's run."""
     runs: int
+    """How many runs there are."""
 
     @cached_property
     def free(self) -> Indices:

@@ -28,32 +28,22 @@ STEP_HALF = 1e-4
 
 @dataclass(frozen=True)
 class CandidateCurve:
-    """A curve that may be added.
-
-    Attributes
-    ----------
-    channel, variables, knots
-        What it changes, over which columns, with which knots.
-    gain
-        About how much it adds to the log-likelihood [nat].
-    degrees
-        Degrees of freedom.
-    log_p
-        log of the probability of as much where nothing is missing, not corrected for the number of curves.
-    search_nats
-        What the search over periods gains by random variation [nat].
-    start
-        Values at which its refit starts; empty: 0 at each knot.
-    """
+    """A curve that may be added."""
 
     channel: CurveChannel
     variables: tuple[str, ...]
     knots: tuple[Knots, ...]
+    """What it changes, over which columns, with which knots."""
     gain: float
+    """About how much it adds to the log-likelihood [nat]."""
     degrees: int
+    """Degrees of freedom."""
     log_p: float
+    """Log of the probability of as much where nothing is missing, not corrected for the number of curves."""
     search_nats: float = 0.0
+    """What the search over periods gains by random variation [nat]."""
     start: tuple[float, ...] = ()
+    """Values at which its refit starts; empty: 0 at each knot."""
 
     @property
     def cost_nats(self) -> float:
@@ -134,23 +124,16 @@ Asked: TypeAlias = tuple[Variables, tuple[tuple[Any, ...], ...]]
 
 @dataclass(frozen=True)
 class CurveWeights:
-    """Curves that can be asked for, and the weights of their knots for each reading.
-
-    Attributes
-    ----------
-    curves
-        Variables and knots of each.
-    forms
-        Of each curve, its knots' weights at all knots of its columns, about their mean over the readings of which the
-        columns are known, (knots of its columns, its knots): that they are known is no dependence on them.
-    columns, pairs
-        Weights of all knots, over one column and over two.
-    """
+    """Curves that can be asked for, and the weights of their knots for each reading."""
 
     curves: tuple[Asked, ...]
+    """Variables and knots of each."""
     forms: tuple[Array, ...]
+    """For each curve its knots' weights at all knots of its columns, about their mean over the readings of which the
+    columns are known, (knots of its columns, its knots): that they are known is no dependence on them."""
     columns: KnotsOfColumns
     pairs: KnotsOfPairs
+    """Weights of all knots, over one column and over two."""
 
 
 def curves_of(contexts: Mapping[str, Any], unit: Indices | None = None) -> CurveWeights:
@@ -261,25 +244,17 @@ def scan(
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums of a channel's scores at all knots, by the variables that they are over.
-
-    Attributes
-    ----------
-    totals
-        Of the scores, and of their products with what is fitted, (knots, 1 + numbers).
-    squares
-        Of their products two by two, as they vary where nothing is missing, (knots, knots).
-    by_unit
-        Of the scores over runs, (runs, knots); empty where readings are the unit of evidence.
-    expected
-        Of an odds' scores, of what the fit expects of their products with the odds' own number, over its deviation,
-        (knots,); empty for other channels.
-    """
+    """Sums of a channel's scores at all knots, by the variables that they are over."""
 
     totals: Mapping[Variables, Array]
+    """Sums of the scores, and of their products with what is fitted, (knots, 1 + numbers)."""
     squares: Mapping[Variables, Array]
+    """Sums of their products two by two, as they vary where nothing is missing, (knots, knots)."""
     by_unit: Mapping[Variables, Array]
+    """Sums of the scores over runs, (runs, knots); empty where readings are the unit of evidence."""
     expected: Mapping[Variables, Array]
+    """For an odds' scores, what the fit expects of their products with the odds' own number, over its deviation,
+    (knots,); empty for other channels."""
 
     @classmethod
     def of(

@@ -21,18 +21,12 @@ Variables: TypeAlias = tuple[str, ...]
 
 @dataclass(frozen=True)
 class ColumnWeights:
-    """Weights of all knots over one column, of which a reading has two at most.
-
-    Attributes
-    ----------
-    knots
-        Numbers or words, in order.
-    matrix
-        Their weights for each reading, (knots, n); 0 where the column is unknown.
-    """
+    """Weights of all knots over one column, of which a reading has two at most."""
 
     knots: Column
+    """Numbers or words, in order."""
     matrix: csr_matrix
+    """Weights of the knots for each reading, (knots, n); 0 where the column is unknown."""
 
     @classmethod
     def of(cls, column: Column, asked: Iterable[tuple[Any, ...]]) -> "ColumnWeights":
@@ -76,17 +70,12 @@ class KnotsOfPairs:
 
     They have single precision, as a sum takes as long as it takes to read them: sums of 20,000 are then off by less
     than a thousandth of their standard error.
-
-    Attributes
-    ----------
-    place
-        Which of the weights are a column's.
-    weights
-        (n, knots of all columns).
     """
 
     place: dict[str, slice]
+    """Which of the weights belong to each column."""
     weights: NDArray[np.float32]
+    """Weights of the knots of all columns, (n, knots of all columns)."""
 
     @classmethod
     def of(cls, columns: Mapping[str, ColumnWeights], readings: int) -> "KnotsOfPairs":

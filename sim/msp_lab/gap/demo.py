@@ -39,25 +39,19 @@ gentle flights rotor noise would look like a larger spread, and prop wash like m
 
 @dataclass(frozen=True)
 class HiddenNumber:
-    """One number of a hidden effect, and what was found of it.
-
-    Attributes
-    ----------
-    effect, parameter, unit
-        Names.
-    hidden
-        The true value.
-    found, low, high
-        Value and 95 % interval; None: the effect was not named.
-    """
+    """One number of a hidden effect, and what was found of it."""
 
     effect: str
     parameter: str
+    """Names of the effect and of its parameter."""
     hidden: float
+    """The true value."""
     found: float | None = None
     low: float | None = None
     high: float | None = None
+    """Value and 95 % interval; None: the effect was not named."""
     unit: str = "1"
+    """Name of the parameter's unit."""
 
     @property
     def holds(self) -> bool:

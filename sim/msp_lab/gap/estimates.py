@@ -40,22 +40,15 @@ RIPPLE_DRAWN, RIPPLE_POINTS = 3, 61
 
 @dataclass(frozen=True)
 class FinalFit:
-    """The fit of all runs, with the half widths of its 95 % intervals.
-
-    Attributes
-    ----------
-    readings, fit
-        What was fitted.
-    widened
-        Covariance of its numbers times the square of `width`.
-    width
-        Standard errors on each side of a value.
-    """
+    """The fit of all runs, with the half widths of its 95 % intervals."""
 
     readings: Prepared
     fit: JointFit
+    """What was fitted."""
     widened: Array
+    """Covariance of its numbers times the square of `width`."""
     width: float
+    """Standard errors on each side of a value."""
 
     @classmethod
     def of(cls, readings: Prepared, fit: JointFit, unit: Indices, by_run: bool) -> "FinalFit":

@@ -30,18 +30,12 @@ RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
 
 @dataclass(frozen=True)
 class _Offsets:
-    """Normal offsets of the runs, of the best deviation.
-
-    Attributes
-    ----------
-    nats
-        What they add to the log-likelihood if they are integrated out, at least 0 [nat].
-    slope_removed
-        Of each run with readings its mean slope, as far as an offset accounts for it, (runs,); 0 for the others.
-    """
+    """Normal offsets of the runs, of the best deviation."""
 
     nats: float
+    """What they add to the log-likelihood if they are integrated out, at least 0 [nat]."""
     slope_removed: Array
+    """Mean slope of each run with readings, as far as an offset accounts for it, (runs,); 0 for the others."""
 
 
 def _offsets(fit: JointFit, unit: Indices) -> _Offsets:

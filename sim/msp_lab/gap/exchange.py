@@ -21,21 +21,14 @@ TAILS = "heavy_tails"
 
 @dataclass(frozen=True)
 class AlternativeTerm:
-    """Another effect in a term's place.
-
-    Attributes
-    ----------
-    active
-        With its own fitted values.
-    loss_nats
-        How much less it gains, on the readings that are refitted [nat].
-    correlation
-        Of both effects' scores.
-    """
+    """Another effect in a term's place."""
 
     active: Term
+    """The effect with its own fitted values."""
     loss_nats: float
+    """How much less it gains, on the readings that are refitted [nat]."""
     correlation: float
+    """Correlation of both effects' scores."""
 
 
 def eliminate(problem: Problem, state: State, needed_nats: float) -> State:

@@ -15,64 +15,43 @@ LastStep: TypeAlias = Literal["compare", "name", "add", "show"]
 
 @dataclass(frozen=True)
 class Measure:
-    """One measure of the gap, on held-out readings.
-
-    Attributes
-    ----------
-    before, after
-        With the given model, and with what was added.
-    noise_floor
-        What 95 of 100 tables that the extended model itself draws stay below: a gap that is not there.
-    low, high
-        95 % interval of `after`; its errors are those of whole runs.
-    """
+    """One measure of the gap, on held-out readings."""
 
     before: float | None
     after: float | None = None
+    """Value with the given model, and with what was added."""
     noise_floor: float | None = None
+    """What 95 of 100 tables that the extended model itself draws stay below: a gap that is not there."""
     low: float | None = None
     high: float | None = None
+    """95 % interval of `after`; its errors are those of whole runs."""
 
 
 @dataclass(frozen=True)
 class OddsMeasures:
-    """How far the odds of each class of outlier are off: 1 is right, 2 is twice or half as often as in the model.
-
-    Attributes
-    ----------
-    short, missed, random
-        Nearer than the surface; no echo; anything else that is no hit.
-    code
-        Readings that are no distance: outside of the sensor's limits, 255 for a missed echo, undeclared point masses.
-    """
+    """How far the odds of each class of outlier are off: 1 is right, 2 is twice or half as often as in the model."""
 
     short: Measure
     missed: Measure
     random: Measure
+    """Readings nearer than the surface; without an echo; anything else that is no hit."""
     code: Measure
+    """Readings that are no distance: outside of the sensor's limits, 255 for a missed echo, undeclared point masses."""
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The gap in its four measures.
-
-    Attributes
-    ----------
-    nats_per_reading
-        What a model that is free in each slice of context would gain per reading, less what it gains by random
-        variation [nat].
-    bias_cm
-        Root mean square over the slices of the bias of the hits, less what random variation adds [cm].
-    spread_ratio
-        By which factor the spread of the hits is off, root mean square over the slices of its logarithm.
-    odds
-        Of the outliers.
-    """
+    """The gap in its four measures."""
 
     nats_per_reading: Measure
+    """What a model that is free in each slice of context would gain per reading, less what it gains by random variation
+    [nat]."""
     bias_cm: Measure
+    """Root mean square over the slices of the bias of the hits, less what random variation adds [cm]."""
     spread_ratio: Measure
+    """By which factor the spread of the hits is off, root mean square over the slices of its logarithm."""
     odds: OddsMeasures
+    """How far the odds of the outliers are off."""
 
     @property
     def measures(self) -> Mapping[str, Measure]:
@@ -99,110 +78,75 @@ class FittedValue:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another name for the same gap.
-
-    Attributes
-    ----------
-    name
-        Effect of the catalogue.
-    loss_nats
-        By how much its best fit is worse, in log-likelihood of the readings that are refitted [nat].
-    correlation
-        Of both effects' scores.
-    of
-        The sensor, run or target that it is of.
-    """
+    """Another name for the same gap."""
 
     name: str
+    """Effect of the catalogue."""
     loss_nats: float
+    """By how much its best fit is worse, in log-likelihood of the readings that are refitted [nat]."""
     correlation: float | None = None
+    """Correlation of both effects' scores."""
     of: str | None = None
+    """The sensor, run or target that it is of."""
 
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """An effect that is missing from the model.
-
-    Attributes
-    ----------
-    name, of
-        As in a model file; `of` is the sensor, run or target that it is of.
-    verdict
-        named: no other effect of the catalogue does as well; indistinguishable: the alternatives do;
-        suggested: it is no finding, for the reason in `doubt`.
-    parameters
-        By name, from all runs.
-    gain_nats
-        Gain in log score per reading, each reading scored by a fit that it had no part in [nat].
-    z
-        That gain over its standard error by runs.
-    splits_agree
-        In which share of the splits of the runs it holds: each part scores better for it by a fit of the others.
-    alternatives
-        Other names that these data cannot tell from it.
-    experiment
-        What would tell them apart, or what would show it alone.
-    doubt
-        Why it is only suggested.
-    plain
-        What was found, in words for a pilot.
-    next_step
-        What to do next.
-    in_model
-        Whether the given model has it too: the parameters are what comes on top.
-    """
+    """An effect that is missing from the model."""
 
     name: str
+    """Name as in a model file."""
     verdict: Kind
+    """named: no other effect of the catalogue does as well; indistinguishable: the alternatives do; suggested: it is no
+    finding, for the reason in `doubt`."""
     parameters: Mapping[str, FittedValue]
+    """Parameters by name, from all runs."""
     gain_nats: float | None
+    """Gain in log score per reading, each reading scored by a fit that it had no part in [nat]."""
     z: float | None
+    """That gain over its standard error by runs."""
     alternatives: tuple[Alternative, ...] = ()
+    """Other names that these data cannot tell from it."""
     experiment: str = ""
+    """What would tell them apart, or what would show it alone."""
     of: str | None = None
+    """The sensor, run or target that it is of."""
     doubt: str = ""
+    """Why it is only suggested."""
     plain: str = ""
+    """What was found, in words for a pilot."""
     next_step: str = ""
+    """What to do next."""
     splits_agree: float | None = None
+    """In which share of the splits of the runs it holds: each part scores better for it by a fit of the others."""
     in_model: bool = False
+    """Whether the given model has it too: the parameters are what comes on top."""
 
 
 @dataclass(frozen=True)
 class UnknownEffect:
-    """Something that no effect of the catalogue explains.
-
-    Attributes
-    ----------
-    channel
-        What it changes: bias, spread, short, missed or random.
-    variables
-        Context columns that it depends on.
-    formula
-        Short, in the variables.
-    gain_nats, splits_agree
-        As of a `FoundEffect`.
-    curve
-        Points of its curve, for drawing: value of the variable, effect, ends of its band.
-    likely_causes
-        Effects of the catalogue that depend on the same, and the one column that each of them lacks.
-    plain
-        What was found, in words for a pilot.
-    next_step
-        What to do next.
-    period
-        Of a ripple, in the unit of its variable; None: it is a curve.
-    """
+    """Something that no effect of the catalogue explains."""
 
     channel: str
+    """What it changes: bias, spread, short, missed or random."""
     variables: tuple[str, ...]
+    """Context columns that it depends on."""
     formula: str
+    """A short formula in the variables."""
     gain_nats: float | None
+    """As of a `FoundEffect` [nat]."""
     curve: tuple[tuple[float, float, float, float], ...] = ()
+    """Points of its curve, for drawing: value of the variable, effect, ends of its band."""
     likely_causes: tuple[tuple[str, str], ...] = ()
+    """Effects of the catalogue that depend on the same, and the one column that each of them lacks."""
     plain: str = ""
+    """What was found, in words for a pilot."""
     next_step: str = ""
+    """What to do next."""
     period: float | None = None
+    """Period of a ripple, in the unit of its variable; None: it is a curve."""
     splits_agree: float | None = None
+    """As of a `FoundEffect`."""
 
 
 @dataclass(frozen=True)
@@ -220,41 +164,27 @@ class CalibrationFinding:
 
 @dataclass(frozen=True)
 class PossibleCause:
-    """An effect that a number of the base may have absorbed, because a column did not vary.
-
-    Attributes
-    ----------
-    number
-        Of the base, as in `CalibrationFinding.name`.
-    effect, column
-        Effect of the catalogue, and the column that would show it.
-    recorded
-        The column is there and hardly varies; otherwise it is not recorded.
-    experiment
-        That shows the effect alone.
-    """
+    """An effect that a number of the base may have absorbed, because a column did not vary."""
 
     number: str
+    """Number of the base, as in `CalibrationFinding.name`."""
     effect: str
     column: str
+    """Effect of the catalogue, and the column that would show it."""
     recorded: bool
+    """The column is there and hardly varies; otherwise it is not recorded."""
     experiment: str
+    """An experiment that shows the effect alone."""
 
 
 @dataclass(frozen=True)
 class ReadingAge:
-    """How old a reading is where it is late and also repeated.
-
-    Attributes
-    ----------
-    latency_s
-        Age of a new value [s].
-    mean_hold_s
-        Mean time since the value was new [s].
-    """
+    """How old a reading is where it is late and also repeated."""
 
     latency_s: float
+    """Age of a new value [s]."""
     mean_hold_s: float
+    """Mean time since the value was new [s]."""
 
     @property
     def total_s(self) -> float:
@@ -273,33 +203,14 @@ class NotTestable:
 
 @dataclass(frozen=True)
 class Slice:
-    """A part of the readings, by context.
-
-    Attributes
-    ----------
-    where
-        In words, such as ``true_range_cm 120 to 180``.
-    variables
-        Context columns that it is made of.
-    readings
-        How many.
-    bias_cm, log_spread, log_odds_short, log_odds_missed, log_odds_random
-        How the readings differ from the model.
-    bias_se_cm, log_spread_se, ...
-        Standard errors, by runs where readings depend.
-    nats
-        What a free model would gain per reading here, less random variation [nat].
-    channel
-        The measure that differs most.
-    z, p_value
-        Of that; the p-value is corrected for the number of slices and measures.
-    after
-        The same numbers with the extended model, by name, as far as they were taken.
-    """
+    """A part of the readings, by context."""
 
     where: str
+    """Its context in words, such as ``true_range_cm 120 to 180``."""
     variables: tuple[str, ...]
+    """Context columns that it is made of."""
     readings: int
+    """How many readings it has."""
     bias_cm: float | None
     bias_se_cm: float | None
     log_spread: float | None
@@ -310,11 +221,16 @@ class Slice:
     log_odds_missed_se: float | None
     log_odds_random: float | None
     log_odds_random_se: float | None
+    """How the readings differ from the model, and standard errors, by runs where readings depend."""
     nats: float | None
+    """What a free model would gain per reading here, less random variation [nat]."""
     channel: str
+    """The measure that differs most."""
     z: float | None
     p_value: float | None
+    """Z and p-value of that measure; the p-value is corrected for the number of slices and measures."""
     after: Mapping[str, float | None] = field(default_factory=dict)
+    """The same numbers with the extended model, by name, as far as they were taken."""
 
 
 def error_name(number: str) -> str:
@@ -324,21 +240,14 @@ def error_name(number: str) -> str:
 
 @dataclass(frozen=True)
 class PathStep:
-    """A step of the selection path: the gap on the held-out readings after one more change.
-
-    Attributes
-    ----------
-    added
-        What was added last; empty: the given model.
-    nats_per_reading
-        As in `Gap`, after this step.
-    log_score
-        Mean log probability of a held-out reading [nat].
-    """
+    """A step of the selection path: the gap on the held-out readings after one more change."""
 
     added: str
+    """What was added last; empty: the given model."""
     nats_per_reading: float | None
+    """As in `Gap`, after this step."""
     log_score: float | None
+    """Mean log probability of a held-out reading [nat]."""
 
 
 @dataclass(frozen=True)
@@ -365,68 +274,49 @@ class Settings:
 
 @dataclass(frozen=True)
 class GapFindings:
-    """The content of ``gap.json``.
-
-    Attributes
-    ----------
-    verdict
-        None until it is known.
-    sentence
-        The findings in one sentence for a pilot.
-    summary
-        At most five lines with numbers, the last of which says what to do next.
-    causes
-        What calibration may have absorbed.
-    age
-        Of a reading that is late and also repeated; None where it is not both.
-    rows, runs
-        Readings that were compared, and in how many runs.
-    gap, effects, unknown, calibration, not_testable, slices
-        What was found.
-    detectable
-        The smallest effects that these data would have shown, in words.
-    seconds
-        How long it took.
-    selection_path
-        The gap after each step from the given model to the extended one.
-    training_runs, held_out_runs
-        Halves of the runs: the gap is measured on the held-out ones, what is left of it with a fit of the others.
-    splits
-        How many splits of the runs validate what is named.
-    p_value
-        Of the hypothesis that nothing is missing.
-    sources, settings, messages, date
-        Which data, how, what was noticed about them, and when.
-    model_sha256, version
-        Hash of the given model's file, and the version of this program.
-    """
+    """The content of ``gap.json``."""
 
     verdict: Verdict | None
+    """None until it is known."""
     rows: int
     runs: int
+    """Readings that were compared, and in how many runs."""
     gap: Gap | None = None
     effects: tuple[FoundEffect, ...] = ()
     unknown: tuple[UnknownEffect, ...] = ()
     calibration: tuple[CalibrationFinding, ...] = ()
     not_testable: tuple[NotTestable, ...] = ()
     slices: tuple[Slice, ...] = ()
+    """What was found."""
     seconds: float = 0.0
+    """How long it took."""
     sentence: str = ""
+    """The findings in one sentence for a pilot."""
     summary: tuple[str, ...] = ()
+    """At most five lines with numbers, the last of which says what to do next."""
     causes: tuple[PossibleCause, ...] = ()
+    """What calibration may have absorbed."""
     age: ReadingAge | None = None
+    """Age of a reading that is late and also repeated; None where it is not both."""
     detectable: str = ""
+    """The smallest effects that these data would have shown, in words."""
     selection_path: tuple[PathStep, ...] = ()
+    """The gap after each step from the given model to the extended one."""
     training_runs: tuple[str, ...] = ()
     held_out_runs: tuple[str, ...] = ()
+    """Halves of the runs: the gap is measured on the held-out ones, what is left of it with a fit of the others."""
     splits: int = 0
+    """How many splits of the runs validate what is named."""
     p_value: float | None = None
+    """p-value of the hypothesis that nothing is missing."""
     sources: tuple[ReadingsFile, ...] = ()
     settings: Settings = Settings("")
     messages: tuple[str, ...] = ()
     date: str = ""
+    """Which data, how, what was noticed about them, and when."""
     model_sha256: str = ""
     version: str = ""
+    """Hash of the given model's file, and the version of this program."""
 
     @property
     def confirmed(self) -> tuple[FoundEffect, ...]:

@@ -36,27 +36,18 @@ SAME_CM = 1e-6
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings that can be compared with a model.
-
-    Attributes
-    ----------
-    data
-        Rows with a reading and a true range; they have the columns `run` and `previous_reading_cm`.
-    sources
-        The files.
-    calibration
-        What belongs to the model's grid and codes.
-    messages
-        What was left out or noticed, a sentence each.
-    step_cm
-        The readings are compared in this step; None: in that of the model.
-    """
+    """Readings that can be compared with a model."""
 
     data: MeasuredData
+    """Rows with a reading and a true range; they have the columns `run` and `previous_reading_cm`."""
     sources: tuple[ReadingsFile, ...]
+    """The files."""
     calibration: tuple[CalibrationFinding, ...] = ()
+    """What belongs to the model's grid and codes."""
     messages: tuple[str, ...] = ()
+    """What was left out or noticed, a sentence each."""
     step_cm: float | None = None
+    """The readings are compared in this step; None: in that of the model."""
 
     def in_step(self, model: Model) -> Model:
         """The model in the step of the readings."""
@@ -113,37 +104,25 @@ def read_readings(
 
 @dataclass(frozen=True)
 class Comparison:
-    """Readings and the model that they are compared with.
-
-    Attributes
-    ----------
-    model
-        The given model in the step of the readings, without kinds of reading at a share of 0.
-    data
-        All columns of all readings, by name.
-    splits
-        Of the runs.
-    held_out
-        The held-out readings that are measured on; the model can give all of them.
-    partitions
-        Slices of those.
-    impossible
-        Share of the held-out readings that the model cannot give.
-    settings, readings
-        What was asked for, and the readings as they were read.
-    messages
-        What was noticed.
-    """
+    """Readings and the model that they are compared with."""
 
     model: Model
+    """The given model in the step of the readings, without kinds of reading at a share of 0."""
     data: Mapping[str, Column]
+    """All columns of all readings, by name."""
     splits: Splits
+    """Splits of the runs."""
     held_out: HeldOutReadings
+    """The held-out readings that are measured on; the model can give all of them."""
     partitions: list[Partition]
+    """Slices of the held-out readings."""
     impossible: float
+    """Share of the held-out readings that the model cannot give."""
     settings: Settings
     readings: Readings
+    """What was asked for, and the readings as they were read."""
     messages: tuple[str, ...]
+    """What was noticed."""
 
     @classmethod
     def of(cls, readings: Readings, model: Model, settings: Settings) -> "Comparison":

@@ -23,21 +23,14 @@ from msp_sim.model.streams import RandomStreams
 
 @dataclass(frozen=True)
 class HeldOutReadings:
-    """Held-out readings, on which models are measured.
-
-    Attributes
-    ----------
-    reading_cm
-        (n,) multiples of the model's resolution, no NaN.
-    contexts
-        Columns of length n.
-    unit
-        Readings of the same number depend on each other: run or block, (n,).
-    """
+    """Held-out readings, on which models are measured."""
 
     reading_cm: Array
+    """Readings, (n,), multiples of the model's resolution, no NaN."""
     contexts: Mapping[str, Column]
+    """Columns of length n."""
     unit: Indices
+    """Readings of the same number depend on each other: run or block, (n,)."""
 
     def __len__(self) -> int:
         return self.reading_cm.size
@@ -66,39 +59,26 @@ class Interval:
 
 @dataclass(frozen=True)
 class Measures:
-    """What readings show of a model.
-
-    Attributes
-    ----------
-    readings
-        The readings.
-    rows
-        Their distributions by the model.
-    stack
-        The cells of all partitions.
-    scores
-        Derivatives of each reading's log probability by the five numbers, (n, 5).
-    step
-        Free fits of all cells by one step from the model.
-    fits
-        Free fits of the partitions that differ most, by their variables.
-    numbers
-        The measures by name, as in `findings.Gap`; each is that of the partition in which it is largest.
-    noise_floor
-        Of each measure.
-    log_score
-        Mean log probability of a reading [nat].
-    """
+    """What readings show of a model."""
 
     readings: HeldOutReadings
+    """The readings."""
     rows: ModelRows
+    """Distributions of the readings by the model."""
     stack: Stack
+    """The cells of all partitions."""
     scores: Array
+    """Derivatives of each reading's log probability by the five numbers, (n, 5)."""
     step: CellFits
+    """Free fits of all cells by one step from the model."""
     fits: Mapping[tuple[str, ...], CellFits]
+    """Free fits of the partitions that differ most, by their variables."""
     numbers: Mapping[str, Interval]
+    """The measures by name, as in `findings.Gap`; each is that of the partition in which it is largest."""
     noise_floor: Mapping[str, float]
+    """Noise floor of each measure."""
     log_score: float
+    """Mean log probability of a reading [nat]."""
 
 
 CHANNEL_OF = {
@@ -117,19 +97,13 @@ BOOTSTRAPS_PER_REPLICATE = 2
 
 @dataclass(frozen=True)
 class Replicates:
-    """What tables show that a model itself draws at the same contexts (parametric bootstrap).
-
-    Attributes
-    ----------
-    information
-        Of each cell's five numbers (K, 5, 5), the partitions' cells one after another.
-    noise_floor
-        What most replicates stay below, by measure; where readings depend on each other, at least what the score sums
-        of whole units show by random variation.
-    """
+    """What tables show that a model itself draws at the same contexts (parametric bootstrap)."""
 
     information: Array
+    """Information on each cell's five numbers (K, 5, 5), the partitions' cells one after another."""
     noise_floor: Mapping[str, float]
+    """What most replicates stay below, by measure; where readings depend on each other, at least what the score sums of
+    whole units show by random variation."""
 
 
 def replicates(

@@ -41,58 +41,39 @@ class ModelStep:
 
 @dataclass(frozen=True)
 class ExtendedModels:
-    """The given model with what is missing from it.
-
-    Attributes
-    ----------
-    training_fit
-        With the values of the training runs, for the gap that is left on the held-out runs.
-    final_fit
-        With the values of all runs.
-    path
-        The given model, the calibrated one, and one more for each term.
-    """
+    """The given model with what is missing from it."""
 
     training_fit: Model
+    """The model with the values of the training runs, for the gap that is left on the held-out runs."""
     final_fit: Model
+    """The model with the values of all runs."""
     path: tuple[ModelStep, ...]
+    """The given model, the calibrated one, and one more for each term."""
 
 
 @dataclass(frozen=True)
 class NamedModel:
-    """What is missing from a model, and the models with it.
-
-    Attributes
-    ----------
-    models
-        With the terms that were found.
-    effects, unknown, calibration, not_testable
-        What was found.
-    unit
-        Of evidence.
-    p_value
-        Of the hypothesis that nothing is missing.
-    detectable
-        The smallest effects that would have been found, in words.
-    gain
-        Of all terms together, on the held-out runs.
-    dropped
-        Terms on which the splits do not agree, and why.
-    messages
-        What a reader has to know.
-    """
+    """What is missing from a model, and the models with it."""
 
     models: ExtendedModels
+    """The given model with the terms that were found."""
     effects: tuple[FoundEffect, ...]
     unknown: tuple[UnknownEffect, ...]
     calibration: tuple[CalibrationFinding, ...]
     not_testable: tuple[NotTestable, ...]
+    """What was found."""
     unit: Literal["reading", "run"]
+    """Unit of evidence."""
     p_value: float
+    """p-value of the hypothesis that nothing is missing."""
     detectable: str
+    """The smallest effects that would have been found, in words."""
     gain: Gain
+    """Gain of all terms together, on the held-out runs."""
     dropped: tuple[tuple[str, str], ...] = ()
+    """Terms on which the splits do not agree, and why."""
     messages: tuple[str, ...] = ()
+    """What a reader has to know."""
 
 
 def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tuple[GapFindings, ExtendedModels]:

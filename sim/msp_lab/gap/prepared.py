@@ -32,27 +32,18 @@ LEAST_SHARE = 1e-6
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings in their scene, with the given model's distribution ready.
-
-    Attributes
-    ----------
-    model
-        The given model, with its effects.
-    scene
-        Contexts.
-    rows
-        The given model's distribution of each reading.
-    reading_cm
-        Readings, multiples of the model's resolution.
-    spacing_s
-        The time to which the correlation of the hits' errors refers [s]; None: it is not fitted.
-    """
+    """Readings in their scene, with the given model's distribution ready."""
 
     model: Model
+    """The given model, with its effects."""
     scene: Scene
+    """Contexts of the readings."""
     rows: ModelRows
+    """The given model's distribution of each reading."""
     reading_cm: Array
+    """Readings, multiples of the model's resolution."""
     spacing_s: float | None = None
+    """The time to which the correlation of the hits' errors refers [s]; None: it is not fitted."""
 
     @classmethod
     def of(
@@ -182,29 +173,21 @@ def _correlated(history: History, more: float) -> History:
 
 @dataclass(frozen=True)
 class ChannelSlopes:
-    """Derivatives of each reading's log probability at one distribution.
-
-    Attributes
-    ----------
-    log_p
-        (n,).
-    by
-        (n, 8) in the order of `BASE`: the first five are the channels, by what is the same for all readings.
-    shares
-        (n, 3): of short, missed and random readings, before components and faults of the code.
-    rows
-        The distribution of each reading after those before it.
-    own_centre, carry
-        Derivative by the centre of the reading's own hit, and what it carries over from the hit before; None where
-        readings are independent.
-    """
+    """Derivatives of each reading's log probability at one distribution."""
 
     log_p: Array
+    """Log probability of each reading, (n,)."""
     by: Array
+    """Derivatives, (n, 8) in the order of `BASE`: the first five are by the channels, by what is the same for all
+    readings."""
     shares: Array
+    """Shares of short, missed and random readings, (n, 3), before components and faults of the code."""
     rows: ModelRows
+    """The distribution of each reading after those before it."""
     own_centre: Array
     carry: Carry | None
+    """Derivative by the centre of the reading's own hit, and what it carries over from the hit before; None where
+    readings are independent."""
 
     def score(self, channel: int, template: Array) -> Array:
         """Derivative of each reading's log probability by a number that moves a channel by a template, (n,).
@@ -248,22 +231,16 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
 
 @dataclass(frozen=True)
 class ReadingsAtFit:
-    """All readings at a fit, of which a part at a time fits into a processor's cache.
-
-    Attributes
-    ----------
-    model, base, effects
-        The fit.
-    contexts, reading_cm, spacing_s
-        As in `Prepared`.
-    """
+    """All readings at a fit, of which a part at a time fits into a processor's cache."""
 
     model: Model
     base: Array
     effects: Sequence[Term]
+    """What was fitted."""
     contexts: Mapping[str, Any]
     reading_cm: Array
     spacing_s: float | None = None
+    """As in `Prepared`."""
 
     def parts(self) -> Iterator[tuple[slice, Prepared, ChannelSlopes]]:
         """Which readings, prepared, and their slopes."""

@@ -50,46 +50,31 @@ def forward_only(report: Progress) -> Progress:
 
 @dataclass(frozen=True)
 class Problem:
-    """The readings with all that the steps of naming ask of them; it never changes.
-
-    Attributes
-    ----------
-    model
-        The given model.
-    contexts, unit
-        Of a sample of at most `rules.READINGS` readings; unit is the number of each one's run.
-    readings
-        These readings, prepared.
-    moved_cm
-        Computes how far each one's true range is from that of the reading before it, of all readings [cm], (n,).
-    base
-        The base alone, refitted.
-    candidates
-        Effects that these contexts can show.
-    untestable
-        Effects that they cannot, with the columns that are missing.
-    alpha
-        Probability of any false name.
-    rng
-        Source of the replicates and of the screen's null.
-    report
-        Reports progress.
-    kept
-        Fits of some of a state's terms: elimination, exchange and validation ask for the same ones.
-    """
+    """The readings with all that the steps of naming ask of them; it never changes."""
 
     model: Model
+    """The given model."""
     contexts: Mapping[str, Any]
     unit: Indices
+    """Contexts of a sample of at most `rules.READINGS` readings, and the number of each one's run."""
     readings: Prepared
+    """These readings, prepared."""
     moved_cm: Callable[[], Array]
+    """Computes how far each one's true range is from that of the reading before it, of all readings [cm], (n,)."""
     base: JointFit
+    """The base alone, refitted."""
     candidates: tuple[CandidateEffect, ...]
+    """Effects that these contexts can show."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
+    """Effects that they cannot, with the columns that are missing."""
     alpha: float
+    """Probability of any false name."""
     rng: np.random.Generator
+    """Source of the replicates and of the screen's null."""
     report: Progress
+    """Reports progress."""
     kept: dict[Any, JointFit] = field(default_factory=dict)
+    """Fits of some of a state's terms: elimination, exchange and validation ask for the same ones."""
 
     @classmethod
     def of(
@@ -213,27 +198,18 @@ class Problem:
 
 @dataclass(frozen=True)
 class State:
-    """A joint fit with its terms, as one step of naming hands it to the next.
-
-    Attributes
-    ----------
-    fit
-        Of base and terms.
-    terms
-        In order of their acceptance; their values are those of the fit.
-    information
-        Per reading, at the fit at which it was last computed.
-    by_run
-        Whether readings depend on each other, so that the unit of evidence is the run.
-    history
-        What each step did, in words.
-    """
+    """A joint fit with its terms, as one step of naming hands it to the next."""
 
     fit: JointFit
+    """The fit of base and terms."""
     terms: tuple[SelectedTerm, ...]
+    """In order of their acceptance; their values are those of the fit."""
     information: Array
+    """Information per reading, at the fit at which it was last computed."""
     by_run: bool
+    """Whether readings depend on each other, so that the unit of evidence is the run."""
     history: tuple[str, ...] = ()
+    """What each step did, in words."""
 
     def having(self, fit: JointFit, terms: Sequence[SelectedTerm]) -> "State":
         """The state with another fit; its terms get the values of the fit."""
@@ -300,19 +276,13 @@ def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:
 
 @dataclass(frozen=True)
 class CandidateFit:
-    """A state refitted with one more candidate, the last of its terms.
-
-    Attributes
-    ----------
-    gain_nats
-        Evidence, less the cost of the search.
-    term, fit
-        The new term, and the joint fit with it.
-    """
+    """A state refitted with one more candidate, the last of its terms."""
 
     gain_nats: float
+    """Evidence, less the cost of the search."""
     term: SelectedTerm
     fit: JointFit
+    """The new term, and the joint fit with it."""
 
 
 def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[CandidateFit]:

@@ -33,31 +33,21 @@ FIRST_CORRELATION = 0.2
 
 @dataclass(frozen=True)
 class JointFit:
-    """A joint fit of base and effects.
-
-    Attributes
-    ----------
-    base
-        Change of the base's numbers, in the order of `BASE`.
-    effects
-        With their values.
-    log_likelihood
-        Sum over the readings, less what the priors take [nat].
-    names, values
-        Of the numbers that were free: ``base.offset_cm``, or ``k.parameter`` of the k-th effect.
-    here
-        Slopes by channel at the fit.
-    slopes
-        Computes the slopes by the numbers at the fit: most fits are compared by their likelihood alone.
-    """
+    """A joint fit of base and effects."""
 
     base: Array
+    """Change of the base's numbers, in the order of `BASE`."""
     effects: tuple[Term, ...]
+    """Effects with their values."""
     log_likelihood: float
+    """Sum over the readings, less what the priors take [nat]."""
     names: tuple[str, ...]
     values: Array
+    """Names and values of the numbers that were free: ``base.offset_cm``, or ``k.parameter`` of the k-th effect."""
     here: ChannelSlopes
+    """Slopes by channel at the fit."""
     slopes: Callable[[], "NumberSlopes"]
+    """Computes the slopes by the numbers at the fit: most fits are compared by their likelihood alone."""
 
     @cached_property
     def at(self) -> "NumberSlopes":

@@ -49,27 +49,18 @@ def share_between(values: Array, unit: Indices) -> float:
 
 @dataclass(frozen=True)
 class Dependence:
-    """How far readings of a run depend on each other.
-
-    Attributes
-    ----------
-    lag_correlation
-        Of the residual with the one before it, inside runs, about each run's mean.
-    between_run_share
-        Variance between runs beyond what independent readings show, as a share of the residuals' variance.
-    effective_readings
-        How many independent readings would say as much about a constant.
-    p_between
-        p-value of the variance between runs.
-    lag_z
-        The lag correlation in its standard errors.
-    """
+    """How far readings of a run depend on each other."""
 
     lag_correlation: float
+    """Correlation of the residual with the one before it, inside runs, about each run's mean."""
     between_run_share: float
+    """Variance between runs beyond what independent readings show, as a share of the residuals' variance."""
     effective_readings: float
+    """How many independent readings would say as much about a constant."""
     p_between: float
+    """p-value of the variance between runs."""
     lag_z: float
+    """The lag correlation in its standard errors."""
 
     @property
     def dependent(self) -> bool:

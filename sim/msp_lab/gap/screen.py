@@ -30,24 +30,16 @@ BLOCK_ROWS = 100
 
 @dataclass(frozen=True)
 class ScoreSums:
-    """Scores of base and candidates over the readings.
-
-    Attributes
-    ----------
-    by_unit
-        (units, 8 + candidates).
-    products
-        (8 + candidates, 8 + candidates): of the scores with each other, over single readings.
-    rows
-        Readings.
-    profile
-        Of some candidates the largest gain of a reading's probability (`profile.largest_gains`).
-    """
+    """Scores of base and candidates over the readings."""
 
     by_unit: Array
+    """Sums of the scores over each unit of evidence, (units, 8 + candidates)."""
     products: Array
+    """Sums of products of the scores with each other, over single readings, (8 + candidates, 8 + candidates)."""
     rows: int
+    """Number of readings."""
     profile: Callable[[Indices], Gains]
+    """Computes the largest gain of a reading's probability for some candidates (`profile.largest_gains`)."""
 
 
 def score_sums(
@@ -132,31 +124,21 @@ def information_of(
 
 @dataclass(frozen=True)
 class Screen:
-    """A z for each candidate.
-
-    Attributes
-    ----------
-    z
-        (candidates,); 0 where base and accepted terms leave nothing.
-    gain
-        Half the square of z [nat].
-    deviation
-        Standard error of each candidate's number if it were fitted alone.
-    largest, critical
-        The largest |z|, and the value that it passes with probability alpha where nothing is missing.
-    p_value
-        Of the largest of those that are no numbers of the base.
-    best
-        Numbers at which a candidate gains most, of those that were asked; NaN for the others.
-    """
+    """A z for each candidate."""
 
     z: Array
+    """Each candidate's z, (candidates,); 0 where base and accepted terms leave nothing."""
     gain: Array
+    """Half the square of z [nat]."""
     deviation: Array
+    """Standard error of each candidate's number if it were fitted alone."""
     largest: float
     critical: float
+    """The largest |z|, and the value that it passes with probability alpha where nothing is missing."""
     p_value: float
+    """p-value of the largest of those that are no numbers of the base."""
     best: Array
+    """Numbers at which a candidate gains most, of those that were asked; NaN for the others."""
 
     @property
     def needed_nats(self) -> float:

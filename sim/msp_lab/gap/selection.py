@@ -30,33 +30,22 @@ from msp_lab.gap.screen import Screen
 
 @dataclass(frozen=True)
 class Selection:
-    """The end of the search.
-
-    Attributes
-    ----------
-    base
-        The state before any term.
-    state
-        With all selected terms.
-    first
-        The first screen.
-    alternatives
-        Of each term, by its key.
-    needed_nats
-        What a term has to gain.
-    run_offset_cm
-        Standard deviation of offsets between runs that the model lacks [cm].
-    is_full
-        The search ended since as many terms were found as may be.
-    """
+    """The end of the search."""
 
     base: State
+    """The state before any term."""
     state: State
+    """The state with all selected terms."""
     first: Screen
+    """The first screen."""
     alternatives: dict[Key, tuple[AlternativeTerm, ...]]
+    """Alternatives to each term, by its key."""
     needed_nats: float
+    """What a term has to gain."""
     run_offset_cm: float = 0.0
+    """Standard deviation of offsets between runs that the model lacks [cm]."""
     is_full: bool = False
+    """The search ended since as many terms were found as may be."""
 
 
 def select(problem: Problem, max_terms: int) -> Selection:

@@ -27,25 +27,17 @@ SUMMARY = "sensors.json"
 
 @dataclass(frozen=True)
 class SensorGap:
-    """What was found at one sensor.
-
-    Attributes
-    ----------
-    sensor
-        Its name.
-    findings
-        Of its own comparison.
-    without
-        Sensors that were no reference for it, since something was named at them before.
-    doubted
-        The sensor that differs most from the rest. It was part of this one's reference, or without it something else is
-        named: what is named here may be that one's.
-    """
+    """What was found at one sensor."""
 
     sensor: str
+    """Name of the sensor."""
     findings: GapFindings
+    """Findings of its own comparison."""
     without: tuple[str, ...] = ()
+    """Sensors that were no reference for it, since something was named at them before."""
     doubted: str | None = None
+    """The sensor that differs most from the rest. It was part of this one's reference, or without it something else is
+    named: what is named here may be that one's."""
 
     @property
     def named(self) -> tuple[str, ...]:

@@ -50,33 +50,23 @@ class Common:
 
 @dataclass(frozen=True)
 class SeparateGap:
-    """A row of the table.
-
-    Attributes
-    ----------
-    name
-        Name of the log or sensor.
-    readings, verdict
-        How many were compared, and the verdict; 0 and empty where they could not be.
-    named
-        Effects that were named, separated by commas.
-    before_nats, after_nats, noise_floor_nats
-        Gap per reading with the given model, with what was added, and what random variation gives.
-    sentence
-        The finding in a sentence.
-    error
-        Why it could not be compared; empty: it was.
-    """
+    """A row of the table."""
 
     name: str
+    """Name of the log or sensor."""
     readings: int = 0
     verdict: str = ""
+    """How many were compared, and the verdict; 0 and empty where they could not be."""
     named: str = ""
+    """Effects that were named, separated by commas."""
     before_nats: float | None = None
     after_nats: float | None = None
     noise_floor_nats: float | None = None
+    """Gap per reading with the given model, with what was added, and what random variation gives."""
     sentence: str = ""
+    """The finding in a sentence."""
     error: str = ""
+    """Why it could not be compared; empty: it was."""
 
 
 def jobs_of(paths: Sequence[Path], each: Each, settings: Settings, out: Path) -> list[Job]:

@@ -21,30 +21,20 @@ NO_STRATA = frozenset({"time_s", "reading_cm", "previous_reading_cm", "run"})
 
 @dataclass(frozen=True)
 class Splits:
-    """Splits of the runs into parts, and the half on which the gap is measured.
-
-    Attributes
-    ----------
-    runs
-        Name of each reading's run, or of its block where runs are few, (n,).
-    names
-        Of the runs, (runs,), sorted.
-    part
-        Number of each run's part, (splits, runs).
-    measured
-        Whether the gap is measured on a run, (runs,).
-    messages
-        What a reader has to know about them.
-    of_blocks
-        Blocks of readings stand in for runs.
-    """
+    """Splits of the runs into parts, and the half on which the gap is measured."""
 
     runs: Texts
+    """Name of each reading's run, or of its block where runs are few, (n,)."""
     names: Texts
+    """Names of the runs, (runs,), sorted."""
     part: Indices
+    """Number of each run's part, (splits, runs)."""
     measured: Flags
+    """Whether the gap is measured on a run, (runs,)."""
     messages: tuple[str, ...] = ()
+    """What a reader has to know about them."""
     of_blocks: bool = False
+    """Blocks of readings stand in for runs."""
 
     def __len__(self) -> int:
         return int(self.part.shape[0])

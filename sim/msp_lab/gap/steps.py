@@ -42,21 +42,14 @@ DRAWN = (
 
 @dataclass(frozen=True)
 class Steps:
-    """The workflow in a folder.
-
-    Attributes
-    ----------
-    folder
-        Where everything is written.
-    clock
-        For the date and how long it takes.
-    report
-        Reports what is being done.
-    """
+    """The workflow in a folder."""
 
     folder: Path
+    """Where everything is written."""
     clock: Clock
+    """For the date and how long it takes."""
     report: Progress
+    """Reports what is being done."""
 
     def all(
         self,

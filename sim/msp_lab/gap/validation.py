@@ -22,23 +22,16 @@ from msp_range.arrays import Array, Column, Flags, Indices
 
 @dataclass(frozen=True)
 class Gain:
-    """A gain in log score.
-
-    Attributes
-    ----------
-    nats_per_reading, se
-        Gain, and its standard error over runs.
-    p_value
-        Of no gain, one-sided.
-    runs, readings
-        How many.
-    """
+    """A gain in log score."""
 
     nats_per_reading: float
     se: float
+    """Gain, and its standard error over runs."""
     p_value: float
+    """p-value of no gain, one-sided."""
     runs: int
     readings: int
+    """Numbers of runs and of readings."""
 
     @property
     def nats(self) -> float:
@@ -91,24 +84,16 @@ class Dropped(NamedTuple):
 
 @dataclass(frozen=True)
 class Validated:
-    """Terms that hold in nearly all splits.
-
-    Attributes
-    ----------
-    state
-        With these terms alone.
-    gains
-        Of each on the part that it was not fitted on, the mean of the splits, by its key.
-    agree
-        In which share of the splits each of them holds.
-    dropped
-        The others.
-    """
+    """Terms that hold in nearly all splits."""
 
     state: State
+    """The state with these terms alone."""
     gains: dict[Key, Gain]
+    """Gain of each term on the part that it was not fitted on, the mean of the splits, by its key."""
     agree: dict[Key, float]
+    """In which share of the splits each of them holds."""
     dropped: tuple[Dropped, ...] = ()
+    """The other terms."""
 
 
 @dataclass(frozen=True)

@@ -150,12 +150,6 @@ class RangeFinder(ABC):
         7-bit address, as it is now.
     pings : int
         Range commands accepted so far.
-    minimum_cm, no_echo_cm : int
-        Shortest reading, and the one of no echo [cm].
-    default_timing : Timing
-        Of its kind.
-    no_echo_codes : frozenset
-        Readings that may as well say that there was no echo [cm]: errors of the ranging leave them alone.
     fault_kinds : frozenset
         Those of `FAULT_KINDS` that this kind of sensor can show.
 
@@ -167,8 +161,11 @@ class RangeFinder(ABC):
 
     minimum_cm: int
     no_echo_cm: int
+    """Shortest reading, and the one of no echo [cm]."""
     default_timing: DeviceTiming
+    """Timing of its kind."""
     no_echo_codes: frozenset[int] = frozenset()
+    """Readings that may as well say that there was no echo [cm]: errors of the ranging leave them alone."""
     fault_kinds = frozenset(FAULT_KINDS)
 
     def __init__(

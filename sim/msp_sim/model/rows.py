@@ -78,23 +78,20 @@ class ModelRows(MixtureRows):
     ----------
     sigma_cm
         Standard deviation of the hits of all runs together, shape (n,).
-    added, faults, run_offsets
-        Contributions of the effects; faults in the order in which they are applied.
-    history
-        Which reading came before which, if the noise is correlated. Then a reading's probability is that after the
-        readings before it: with e_j the error of the last hit j and c their correlation, its hit is normal about
-        centre_i + c (sigma_i / sigma_j) e_j with the deviation sigma_i sqrt(1 - c^2).
-    reference_cm2
-        Variance of the error of each reading's true range [cm^2], (n,) or a number; part of ``sigma_cm``. A normal
-        error of the reference widens the hits, and what is counted from them, exactly; the end of short readings,
-        which lies below the hits, is not blurred.
     """
 
     added: tuple[AddedComponent, ...] = ()
     faults: tuple[AppliedFault, ...] = ()
     run_offsets: tuple[RunOffset, ...] = ()
+    """Contributions of the effects; faults in the order in which they are applied."""
     history: History | None = None
+    """Which reading came before which, if the noise is correlated. Then a reading's probability is that after the
+    readings before it: with e_j the error of the last hit j and c their correlation, its hit is normal about centre_i +
+    c (sigma_i / sigma_j) e_j with the deviation sigma_i sqrt(1 - c^2)."""
     reference_cm2: Any = 0.0
+    """Variance of the error of each reading's true range [cm^2], (n,) or a number; part of ``sigma_cm``. A normal error
+    of the reference widens the hits, and what is counted from them, exactly; the end of short readings, which lies
+    below the hits, is not blurred."""
 
     @property
     def between_cm2(self) -> Any:
