@@ -314,6 +314,8 @@ class Belief:
         return min(max([(each / APART_M) ** 2 / 2 for each in moved_m], default=0.0), APART_MOST)
 
     def _prove(self, ground: Surface) -> None:
+        if self.proven is not None and self.proven.response.expects(ground.filter.height_m):
+            ground.response = self.proven.response  # The same answers, which did not move as the ground would.
         self.proven = ground
         for each in self.surfaces:
             off_m = each.filter.height_m - ground.filter.height_m
@@ -334,6 +336,9 @@ class Belief:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
+        if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
+            # What did not answer to the motion may be here now.
+            surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)
 
     def _update_same(self, surface: Surface, raw: int | None) -> None:
         if surface.raw is None or raw is None or not self._is_measured:

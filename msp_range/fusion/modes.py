@@ -49,9 +49,9 @@ SCATTERED = 0.95
 dust that leaves half of the readings to the ground; with all, one reading of it ends the dust."""
 DUST_WIDEST_M, DUST_NARROWEST_M, DUST_FROM_M = 2.5, 0.5, 0.2
 """Dust answers from anywhere between the last and a distance between the other two [m]."""
-NOISE_LEAST, NOISE_MOST = -4.0, 8.0
-"""Log likelihood, over surfaces, that readings of a sensor are noise: at least, so that it is found, and at most,
-so that it ends with some. Not varied."""
+NOISE_LEAST, NOISE_MOST, NOISE_STRONGEST = -4.0, 10.0, 4.0
+"""Log likelihood, over surfaces, that a sensor's readings are noise: at least, so that it is found; at most, so that it
+ends; and by one reading at most [nats]. With 6 for the last, two outliers in a row silence a single sensor."""
 GATE_M, GATE_M_S2, GATE_WIDEST_M = 0.25, 1.0, 1.0
 """A reading farther off than this is not of the ground, however little is known of the vehicle's motion: with readings
 0.1 s apart [m], for an acceleration of twice the second where they are farther apart [m/s^2], and at most [m]. Wider
@@ -217,9 +217,9 @@ def noise_density(range_m: float) -> float:
 def all_noise(log_odds: Sequence[float]) -> float:
     """How probable it is that the readings of all sensors are noise, by the log likelihood of each over surfaces."""
     odds = [math.exp(each) for each in log_odds]
-    each_alone = math.prod([P_NOISE * each for each in odds])
-    every = math.prod(odds) * P_NOISE_ALL + each_alone
-    return every / (every + math.prod([1 + P_NOISE * each for each in odds]) - each_alone)
+    every = math.prod(odds) * P_NOISE_ALL
+    some = math.prod([1 + P_NOISE * each for each in odds]) - math.prod([P_NOISE * each for each in odds])
+    return every / (every + some)
 
 
 def object_prior(off_m: float) -> float:
@@ -278,7 +278,7 @@ class SensorMode:
     def weigh_noise(self, range_m: float, density: float) -> None:
         """Update how likely its readings are noise with one, by its density over all surfaces [1/m]."""
         gain = math.log(1 - SCATTERED + SCATTERED * noise_density(range_m) / density)
-        self.noise = min(max(self.noise + gain, NOISE_LEAST), NOISE_MOST)
+        self.noise = min(max(self.noise + min(gain, NOISE_STRONGEST), NOISE_LEAST), NOISE_MOST)
 
     @property
     def repeated(self) -> bool:

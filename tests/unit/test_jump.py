@@ -155,3 +155,9 @@ def test_when_dust_has_settled_the_ground_is_sent_again() -> None:
     flight = Hover(lambda name, time_s: dust(name, time_s) if time_s < JUMP_S + 3.0 else 3.0)
     assert len(flight.sent_m(JUMP_S + 5.0)) > 25
     assert flight.scattered_s[-1] < JUMP_S + 5.0
+
+
+def test_two_outliers_of_a_single_sensor_are_no_dust() -> None:
+    flight = Hover(lambda name, time_s: 0.5 if JUMP_S <= time_s < JUMP_S + 1.5 * SLOT_S else 2.0, "a")
+    assert not flight.scattered_s
+    assert len(flight.sent_m(JUMP_S + 1.0)) > 65
