@@ -6,6 +6,7 @@ flights.jsonl.
 
 import json
 import math
+from bisect import bisect
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as mavlink
 
 from evaluation.faults.families import FAMILIES, Family
-from evaluation.faults.judge import Conditions, Received, judge
+from evaluation.faults.judge import PROBABILITIES, Conditions, Event, Received, judge
 from evaluation.faults.observer import GRAVITY_M_S2, Messages, decide
 from evaluation.faults.plans import Plan, draw_plan, group_of, row_of, turn_of
 from evaluation.faults.truth import Truth
@@ -37,7 +38,6 @@ HOSTILE_WRONG_M, HOSTILE_WRONG_SHARE = 0.2, 0.05
 groups keep 50 cm, so that their figures stay comparable with earlier ones."""
 ON_THE_GROUND_M = 0.195
 """The vehicle stands with 20 cm below the reference point, the sensors' minimum [m]."""
-
 MOST_LEAN_RAD = math.radians(75.0)
 """Attitudes beyond this are faults of the message."""
 
@@ -84,6 +84,7 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         "crashed": crashed,
         "verdict": asdict(verdict) | {"wrong": verdict.wrong, "silences": verdict.silences},
         "decidable_s": decided,
+        "probable": log.probable(verdict.wrong),
     }
     if out is not None:
         _write(out, plan, line, received, truth, simulation)
@@ -116,6 +117,17 @@ class _BridgeLog:
         """The link with a listener."""
         self._link = _Listening(transport, self._clock)
         return self._link
+
+    def probable(self, wrong: Sequence[Event]) -> list[tuple[int, int]]:
+        """Fused distances, and those of them during a wrong one, by `PROBABILITIES`."""
+        counts = [[0, 0] for _ in PROBABILITIES]
+        for step in self.steps:
+            if step.fused is not None:
+                time_s = step.corrected.time_s - self._start_s
+                count = counts[bisect(PROBABILITIES, step.fused.probability) - 1]
+                count[0] += 1
+                count[1] += any(0.0 <= time_s - event.from_s <= event.for_s for event in wrong)
+        return [(all_, off) for all_, off in counts]
 
     def messages(self, simulation: Simulation) -> Messages:
         """All that came from sensors, autopilot and thermometer, by the time of the flight."""

@@ -24,6 +24,7 @@ from evaluation.faults.report import (
     goals_table,
     groups_table,
     markdown,
+    probability_table,
     shown,
     worst_table,
 )
@@ -71,7 +72,7 @@ def main(given: argparse.Namespace) -> None:
     console = Console()
     console = console if console.is_terminal else Console(width=WIDTH)
     tables = [families_table(lines), edges_table(lines)] if first else [groups_table(lines), goals_table(lines)]
-    tables += [coverage_table(lines), worst_table(lines)]
+    tables += [coverage_table(lines), probability_table(lines), worst_table(lines)]
     for table in tables:
         console.print(shown(table))
     (given.out / "tables.md").write_text("\n".join(map(markdown, tables)), encoding="utf-8")

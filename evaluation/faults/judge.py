@@ -62,6 +62,8 @@ GRID_S = 0.025
 EDGE_GRID_S = 0.1
 """Time between two looks for an edge below [s]: an edge lasts 2 s at least."""
 COVARIANCE_UNKNOWN, QUALITY_INVALID = 255, 1
+PROBABILITIES = (0.8, 0.9, 0.99, 0.999, 0.9999)
+"""Lower limits by which the recorded probability is compared with how often a distance is wrong."""
 LEANS_RAD, LEANS = math.radians(5.0), ("below 5 deg", "above 5 deg")
 """From this lean on the coverage has a row of its own."""
 QUALITY_SURE = 90

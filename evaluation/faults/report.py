@@ -6,6 +6,7 @@ Lines of flights.jsonl enter; tables leave, as lists of cells with the headings 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import stdev
 from typing import Any
 
@@ -14,7 +15,7 @@ from rich import box
 from rich.table import Table
 
 from evaluation.faults.families import FAMILIES
-from evaluation.faults.judge import LEANS, REPORT_WRONG_S
+from evaluation.faults.judge import LEANS, PROBABILITIES, REPORT_WRONG_S
 from evaluation.faults.plans import ROWS_BY_TURN, SHARES, SOURCES, TURNS
 from evaluation.faults.truth import MOTIONS
 
@@ -243,6 +244,16 @@ def _covered_s(line: Line, word: str) -> tuple[float, float]:
         if not word or word in key.split(", ")
     ]
     return sum(covered_s for covered_s, _ in some), sum(valid_s for _, valid_s in some)
+
+
+def probability_table(lines: Sequence[Line]) -> Cells:
+    """How often a fused distance is wrong, by the probability that was recorded with it."""
+    table = [["recorded probability", "distances", "of these wrong, %"]]
+    for i, (low, high) in enumerate(pairwise([*PROBABILITIES, 1.0])):
+        all_, wrong = (sum(line["probable"][i][k] for line in lines) for k in (0, 1))
+        if all_:
+            table.append([f"{low:g} to {high:g}", str(all_), f"{100.0 * wrong / all_:.2f}"])
+    return table
 
 
 def goals_table(lines: Sequence[Line]) -> Cells:

@@ -205,8 +205,9 @@ class Belief:
         """A reading has been of a surface, as new as it was."""
         surface.seen_s = self._time_s
         for other in list(self.surfaces):
-            if other is not surface and abs(other.filter.height_m - surface.filter.height_m) < SAME_M:
-                self._merge(surface, other)
+            is_apart = abs(other.filter.height_m - surface.filter.height_m) >= SAME_M
+            if other is not surface and other in self.surfaces and not is_apart:
+                surface = self._merge(surface, other)
 
     def start(self, mode: SensorMode, height_m: float, variance_m2: float, view: View, raw: int | None) -> Surface:
         """A reading is of nothing known: perhaps of a new surface."""
@@ -296,7 +297,8 @@ class Belief:
         if self.sure < SURE and self.proven is not None and counts[self.proven]:
             # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
             self.ground = self.proven
-            self.sure = sum([weight for each, weight in weights.items() if counts[each]]) / total * (1 - self.noise)
+            self.sure = (weights[best] + (weights[self.proven] if best is not self.proven else 0.0)) / total
+            self.sure *= 1 - self.noise
             return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
         if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
@@ -315,7 +317,9 @@ class Belief:
 
     def _prove(self, ground: Surface) -> None:
         if self.proven is not None and self.proven.response.expects(ground.filter.height_m):
-            ground.response = self.proven.response  # The same answers, which did not move as the ground would.
+            # The same answers, which did not move as the ground would.
+            ground.response = self.proven.response
+            self.proven.response = MotionResponse(self._motion, self._windows.turn_s)
         self.proven = ground
         for each in self.surfaces:
             off_m = each.filter.height_m - ground.filter.height_m
@@ -325,9 +329,10 @@ class Belief:
         ground.response.is_in_doubt = ground.common > math.log(COMMON)
 
     def forget(self, surface: Surface) -> None:
-        """A surface is fixed to the vehicle: where the ground is was not known since it appeared."""
+        """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""
+        if surface is self.proven:
+            self._known = None
         self._drop(surface)
-        self._known = None
 
     def _appraise(self, surface: Surface) -> None:
         """How probable a new surface is as the ground and as a fault, by where the ground should be."""
@@ -348,14 +353,15 @@ class Belief:
         else:
             surface.same, surface.raw = 0.0, None
 
-    def _merge(self, surface: Surface, other: Surface) -> None:
-        """Two surfaces are one by now: the one that is known for longer stays."""
+    def _merge(self, surface: Surface, other: Surface) -> Surface:
+        """Two surfaces are one by now: the first stays, unless the other one is the ground."""
         gone, stays = (surface, other) if other is self.proven else (other, surface)
         for mode in self._modes:
             if mode.sees is gone:
                 mode.sees = stays if gone.evidence > 0.0 else None
         stays.seen_s = max(stays.seen_s, gone.seen_s)
         self._drop(gone)
+        return stays
 
     def _drop(self, surface: Surface) -> None:
         self.surfaces.remove(surface)

@@ -204,9 +204,10 @@ class Fusion:
         mode.read_s, mode.works = time_s, not reading.status.is_fault
         if reading.range_m is None:
             rejected: str | None = reading.status.value
-            if time_s - mode.seen_s > self._windows.memory_s:
+            if time_s - mode.ranged_s > self._windows.memory_s:
                 mode.object_m = None
         else:
+            mode.ranged_s = time_s
             std_m = 0.01 if reading.std_m is None else reading.std_m
             look = Look(mode, reading, reading.range_m, std_m * std_m if math.isfinite(std_m) else 1.0, rotation)
             rejected = self._on_range(look)

@@ -49,6 +49,8 @@ SCATTERED = 0.95
 dust that leaves half of the readings to the ground; with all, one reading of it ends the dust."""
 DUST_WIDEST_M, DUST_NARROWEST_M, DUST_FROM_M = 2.5, 0.5, 0.2
 """Dust answers from anywhere between the last and a distance between the other two [m]."""
+FAR_PER_M = 0.065
+"""Density of noise that is farther: half of that of a range that nothing is known of [1/m]. Not varied."""
 NOISE_LEAST, NOISE_MOST, NOISE_STRONGEST = -4.0, 10.0, 4.0
 """Log likelihood, over surfaces, that a sensor's readings are noise: at least, so that it is found; at most, so that it
 ends; and by one reading at most [nats]. With 6 for the last, two outliers in a row silence a single sensor."""
@@ -208,10 +210,8 @@ def ground_prior(off_m: float, std_m: float, height_m: float) -> float:
 
 def noise_density(range_m: float) -> float:
     """Density of a range in dust, or of one that is of nothing [1/m]."""
-    if range_m >= DUST_WIDEST_M:
-        return OUTLIERS * PER_M
     width_m, least_m = DUST_WIDEST_M - DUST_FROM_M, max(range_m, DUST_NARROWEST_M) - DUST_FROM_M
-    return math.log(width_m / least_m) / (DUST_WIDEST_M - DUST_NARROWEST_M)
+    return max(math.log(width_m / least_m) / (DUST_WIDEST_M - DUST_NARROWEST_M), FAR_PER_M)
 
 
 def all_noise(log_odds: Sequence[float]) -> float:
@@ -236,8 +236,8 @@ class SensorMode:
         The surface that its last reading was of, and how many in a row; None: of nothing known.
     share
         How probable that is.
-    seen_s, read_s
-        When it had a range, and when it was read [s].
+    seen_s, read_s, ranged_s
+        When it had a range that counts, when it was read, and when it had any range [s].
     works
         Whether its last reading was none of a fault.
     object_m
@@ -251,7 +251,7 @@ class SensorMode:
         self.share = 1.0
         self._outliers = 0.0
         self.noise = NOISE_LEAST
-        self.seen_s = self.read_s = float("-inf")
+        self.seen_s = self.read_s = self.ranged_s = float("-inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
         self.object_m: float | None = None
@@ -341,7 +341,7 @@ class SensorMode:
                 return False
             self._raw, self._times, self._stuck, self._since_m = raw, 0, False, None
             self._mark = motion.mark(time_s)
-        self._range_m, self._others = range_m, 0
+        self._range_m, self._others = self._range_m if range_m is None else range_m, 0
         self._times += 1
         if self._since_m is None:
             self._since_m = travel_m

@@ -3,7 +3,7 @@
 A strap, a payload or ice in the beams gives the same range whatever the vehicle does; so do sensors that are stuck
 together. A hill that the vehicle follows gives the same range, too, and the barometer tells the two apart only where no
 hill rises so fast. What does is the response to single movements: over ground a range changes with the vehicle's
-acceleration. Readings that made up the ground enter, a verdict leaves.
+acceleration. Readings of one surface enter, a verdict leaves.
 
 Three predictions of each reading are compared, by Kalman filters of the height h [m], its rate w [m/s] and a slow
 acceleration b [m/s^2] that differ in one thing only:
@@ -62,7 +62,7 @@ _START = (0.01, 0.0, 0.0, 0.25, 0.0, B_STD_M_S2**2)
 
 
 class MotionResponse:
-    """The response of all readings that make up the ground.
+    """The response of the readings of one surface.
 
     Parameters
     ----------
@@ -75,28 +75,29 @@ class MotionResponse:
     ----------
     is_in_doubt
         Whether what is seen is more often part of the vehicle than ground: then its odds last longer.
+    is_late
+        Whether the sensors answer with the ranges of their pings before.
     """
 
     def __init__(self, motion: VerticalMotion, turn_s: float) -> None:
         self._motion = motion
         self._turn_s = turn_s
-        self.is_in_doubt = False
-        self.clear()
+        self.is_in_doubt = self.is_late = False
+        self._taken_s: dict[str, float] = {}
+        # Log odds of the first over each of the other two.
+        self._fixed = self._late = 0.0
+        self._apart = 0.0  # Of the third over the second.
+        self._answered = 0.0
+        self._begin()
 
-    def clear(self) -> None:
-        """Begin anew."""
+    def _begin(self) -> None:
+        """Begin to predict; what has been shown stays."""
         self._time_s: float | None = None
         self._change_m_s = self._noise_m2 = 0.0
         self._covariance = _START
         self._own_m: dict[str, float] = {}
-        self._taken_s: dict[str, float] = {}
         # Height, rate and slow acceleration over ground, over something fixed, and over ground by the ping before.
         self._states = ((0.0, 0.0, 0.0),) * 3
-        # Log odds of the first over each of the other two.
-        self._fixed = self._late = 0.0
-        self._apart = 0.0  # Of the third over the second.
-        self.is_late = False
-        self._answered = 0.0
 
     @property
     def log_odds(self) -> float:
@@ -108,7 +109,7 @@ class MotionResponse:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether the ground is fixed to the vehicle."""
+        """Whether the surface is fixed to the vehicle."""
         return self._fixed <= DECIDED and self._apart <= DECIDED_APART
 
     def inherit(self, other: "MotionResponse") -> None:
@@ -120,7 +121,7 @@ class MotionResponse:
         return {name for name, time_s in self._taken_s.items() if time_s >= since_s}
 
     def expects(self, height_m: float) -> bool:
-        """Whether a reading of this height is near what one of the three predicted last, though of no ground [m]."""
+        """Whether a reading of this height is near where one of the three was at the last one [m]."""
         return self._time_s is not None and min(abs(height_m - h) for h, _, _ in self._states) < NEAR_M
 
     def update(
@@ -146,7 +147,7 @@ class MotionResponse:
         up_m_s2 = self._motion.acceleration(before_s, time_s)
         earlier_m_s2 = self._motion.acceleration(before_s - self._turn_s, time_s - self._turn_s)
         if up_m_s2 is None or earlier_m_s2 is None:
-            self.clear()
+            self._begin()
             return
         fades = math.exp(-t / B_LASTS_S)
         predicted = [

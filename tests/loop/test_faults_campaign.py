@@ -31,6 +31,7 @@ from evaluation.faults.report import (
     goals_table,
     groups_table,
     markdown,
+    probability_table,
     worst_table,
 )
 
@@ -133,6 +134,17 @@ def test_the_tables_of_the_families_can_be_made(hostile: list[dict[str, Any]]) -
     assert {row.split(" | ")[0].removeprefix("| ") for row in families[2:]} >= {*FAMILIES, "fixed: all four", "all"}
     assert len({row.count("|") for row in families}) == 1
     assert [row[0] for row in edges_table(hostile)[1:]] == ["edge: healthy", "boxes"]
+
+
+def test_recorded_probabilities_are_counted(hostile: list[dict[str, Any]]) -> None:
+    """Those of wrong distances are wrong; a flight without one has none."""
+    table = probability_table(hostile)[1:]
+    assert sum(int(row[1]) for row in table) > 1000
+    assert table[-1][0] == "0.9999 to 1"
+    wrong = [line for line in hostile if line["verdict"]["wrong"]]
+    right = [line for line in hostile if not line["verdict"]["wrong"]]
+    assert all(sum(off for _, off in line["probable"]) > 0 for line in wrong)
+    assert all(off == 0 for line in right for _, off in line["probable"])
 
 
 def test_coverage_is_counted_where_nothing_is_wrong(hostile: list[dict[str, Any]]) -> None:
