@@ -12,7 +12,7 @@ modes of one sensor are a chain: it stays with what it has seen before unless a 
     stuck                `STUCK_READINGS` alike, others by `STUCK_M`      `ANEW_READINGS`, or one within `ANEW_M`
     fixed to the vehicle log odds of `DECIDED`                            `ANEW_READINGS` off by `FIXED_M`
     a ping late          log odds of `LATE`                               even odds
-    noise, of all        `P_NOISE_ALL`, by `noise_density`                  readings of surfaces
+    noise, of all        `P_NOISE_ALL`, by `noise_density`                readings of surfaces
     odd                  likelier by `ODD`, the others fit (`ODD_FITS`)   likelier by less
     above the maximum    `ABOVE_TURNS` without an echo, or a climb to it  `ABOVE_RANGES` or `ABOVE_CODES` in a row
 """
@@ -113,7 +113,8 @@ does, a surface that begins as near to the ground as the second may be the groun
 # What is known of the ground, and sent.
 EVIDENCE_MOST, EVIDENCE_LEAST, HIT, HIT_MOST, MISS = 15.0, -6.0, 3.5, 7.5, 3.0
 """Log likelihood that a surface is there, over readings of nothing: at most, so that some outliers in a row begin to
-count; at least; by one reading that is of it at most; and less by each that is of nothing known [nats]."""
+count; at least; by a reading that is of it, beyond its density (of the 4.2 that an outlier costs), and at most; and
+less by each that is of nothing known [nats]."""
 SURE = 0.8
 """A distance goes out where its surface is the ground with this probability."""
 OTHERS_IN_A_ROW = 2
@@ -130,7 +131,8 @@ against the one of sensors that only repeat themselves [nats]."""
 # What does not answer to the vehicle's motion, see `msp_range.fusion.response`.
 ODDS_LAST_S, DOUBT_LASTS_S = 6.0, 60.0
 """Time constant with which the odds fall back to even [s]: shorter forgets before slow movements have decided, longer
-adds up noise. The second where the surface is in doubt and has never answered to a movement."""
+adds up noise. The second of late answers, a fault that lasts, and where the surface is in doubt and has never answered
+to a movement."""
 FOLLOWS, DECIDED = 4.0, -12.0
 """Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
 sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""

@@ -2,8 +2,8 @@
 
 The airframe's polling order enters, durations leave. Each is a number of turns (from a sensor's reading to its next
 one) or of gaps (from any downward sensor's reading to the next one's), so that one sensor at 20 Hz and eight sensors at
-2 s each keep the same number of readings in view. None is shorter than with four sensors 100 ms apart, for which the
-votes were designed: more readings in the same time only make them surer.
+2 s each keep the same number of readings in view. None is shorter than with four sensors 100 ms apart, for which
+the times were chosen: more readings in the same time only make them surer.
 """
 
 SHORTEST_TURN_S, SHORTEST_GAP_S = 0.4, 0.1
