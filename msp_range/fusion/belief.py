@@ -297,8 +297,8 @@ class Belief:
         if self.sure < SURE and self.proven is not None and counts[self.proven]:
             # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
             self.ground = self.proven
-            self.sure = (weights[best] + (weights[self.proven] if best is not self.proven else 0.0)) / total
-            self.sure *= 1 - self.noise
+            others = [weights[each] for each in weights if counts[each] and each is not self.proven]
+            self.sure = (weights[self.proven] + max(others, default=0.0)) / total * (1 - self.noise)
             return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
         if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):

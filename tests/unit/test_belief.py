@@ -212,3 +212,19 @@ def test_priors_fall_with_the_size_of_a_step() -> None:
     assert priors == sorted(priors, reverse=True)
     assert ground_prior(1.0, 0.02, 0.5) < ground_prior(1.0, 0.02, 1.5)
     assert object_prior(0.5) > object_prior(3.0) == pytest.approx(math.log(0.03), abs=0.2)
+
+
+@pytest.mark.parametrize("drop_m", [0.5, 1.2])
+@pytest.mark.parametrize("dead", ["a", "d"])
+def test_an_edge_silences_three_sensors_of_four_for_no_second_turn(dead: str, drop_m: float) -> None:
+    """The front ones, a and b, pass it a second before the others."""
+    fusion, draw, sent = four(), np.random.default_rng(1), []
+    for i in range(160):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        passed_s = 8.0 if name in "ab" else 9.0
+        seen = reading(name, time_s, 3.0 + drop_m * (time_s > passed_s) + draw.normal(scale=SIGMA_M))
+        if name == dead:
+            seen = Reading(time_s, name, Status.NO_ANSWER)
+        if take(fusion, seen) is not None:
+            sent.append(time_s)
+    assert max(late - early for early, late in pairwise(sent)) < 0.65
