@@ -18,6 +18,7 @@ from msp_range.fusion.modes import (
     BLIND_M_S,
     BLIND_NEAR_M,
     COMMON,
+    COMMON_AGAIN,
     COMMON_LOW,
     EVIDENCE_LEAST,
     EVIDENCE_MOST,
@@ -198,7 +199,9 @@ class Belief:
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
         if surface is self.proven and surface.response.log_odds > ANSWERED:
-            surface.common, surface.response.is_in_doubt = math.log(COMMON), False
+            surface.common, surface.response.is_in_doubt = _common(surface), False
+        elif surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
+            surface.response.is_in_doubt = True
         self.seen(surface)
 
     def seen(self, surface: Surface) -> None:
@@ -341,6 +344,8 @@ class Belief:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
+        if surface.filter.height_m < LOW_M and any(mode.is_fixed for mode in self._modes):
+            surface.common = max(surface.common, math.log(COMMON_AGAIN))
         if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
             # What did not answer to the motion may be here now.
             surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)

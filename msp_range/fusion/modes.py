@@ -95,6 +95,9 @@ COMMON, COMMON_LOW = 1e-5, 160.0
 """That all sensors, or some, have one fault between two readings: one in 10,000 s, which is more than a vehicle has,
 but silence costs less than a wrong distance; nearer than `LOW_M` so many times more, as payload and gear. The same
 decides how long what does not answer to the motion is sent: with the first it takes 10 nats."""
+COMMON_AGAIN = 0.3
+"""That what is nearer than `LOW_M` is part of the vehicle where another sensor sees such a part. Not varied: it is sent
+once it has answered to a movement."""
 SAME_RAW, SAME_RAW_MOST = 3.0, 6.0
 """What each answer that is the same as all before on a new surface adds to its prior as a fault, and at most [nats]:
 sensors with a centimetre's noise answer the same in one of four readings, and one constant is the commonest fault of

@@ -228,3 +228,21 @@ def test_an_edge_silences_three_sensors_of_four_for_no_second_turn(dead: str, dr
         if take(fusion, seen) is not None:
             sent.append(time_s)
     assert max(late - early for early, late in pairwise(sent)) < 0.65
+
+
+def test_a_strap_that_the_ground_was_nearer_than_before_the_take_off_is_not_sent_for_long() -> None:
+    """Up to 0.57 m the readings follow the climb, and then no more."""
+    climbing = Moving(lambda name, time_s, height_m: min(0.2 + height_m, 0.57), [5.0, 9.0])
+    assert not [time_s for time_s in climbing.sent if time_s > 9.5]
+    at_rest = Moving(lambda name, time_s, height_m: 0.57)
+    assert len([time_s for time_s in at_rest.sent if time_s > 9.5]) > 90
+
+
+def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_the_vehicle() -> None:
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        """The strap below a has moved after the others' was found to be fixed."""
+        return 0.35 if name == "a" and time_s > 12.0 else 0.45
+
+    strap = Moving(range_m, [3.0, 6.0, 9.0])
+    assert Status.FIXED in strap.statuses.values()
+    assert not [time_s for time_s in strap.sent if time_s > 12.0]
