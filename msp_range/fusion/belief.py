@@ -190,8 +190,8 @@ class Belief:
                 best, most = surface, sees
         return None if best is None else best.travel_m
 
-    def hit(self, mode: SensorMode, surface: Surface, density: float, raw: int | None) -> None:
-        """A reading is of a surface."""
+    def hit(self, mode: SensorMode, surface: Surface, density: float, raw: int | None, least: bool) -> None:
+        """A reading is of a surface; ``least``: it stands for this range or less, as on the ground."""
         mode.count_outlier(False)
         if surface.evidence <= 0.0 and surface is not self.proven:
             self._appraise(surface)  # Its first reading may have been of something else.
@@ -199,8 +199,9 @@ class Belief:
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
         if surface is self.proven and surface.response.log_odds > ANSWERED:
-            surface.common, surface.response.is_in_doubt = _common(surface), False
-        elif surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
+            surface.common = math.log(COMMON) if least else _common(surface)
+            surface.response.is_in_doubt = False
+        elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
             surface.response.is_in_doubt = True
         self.seen(surface)
 

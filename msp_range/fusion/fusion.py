@@ -323,7 +323,8 @@ class Fusion:
             self._shared_m2, self._nearest = seen.view.shared_variance_m2, seen.view.nearest
             if look.reading.status is Status.AT_MINIMUM:
                 self._shared_m2 += NEARER_M * NEARER_M / 3  # Evenly distributed from there on.
-        self._belief.hit(look.mode, surface, density, look.reading.raw)
+        least = look.reading.status is Status.AT_MINIMUM
+        self._belief.hit(look.mode, surface, density, look.reading.raw, least)
         return None
 
     def _spans_plane(self, surface: Surface) -> bool:
