@@ -22,7 +22,7 @@ ORDINARY_C = 2.5
 thermometer. With less, shadows count; with more, settling is recognised later: the slowest thermometer in air that is
 35 C colder after 10 s, in air that is 10 C colder after 36 s, and below 3 C, where the lag is within the thermometer's
 own 95 %, never."""
-SWITCHED_ON_S, SWITCHED_ON_C = 20.0, 1.0
+SWITCHED_ON_S, SWITCHED_ON_C = 10.0, 1.0
 """In the first seconds [s] so little is settling [deg C], without the largest step, as of a take-off out of warm air: a
 vehicle is switched on where it has just been carried to. Longer reports shadows, shorter lets a vehicle that takes off
 at once fly with a distance that is 6 % off."""

@@ -76,7 +76,7 @@ class BreakawayPoint(Section):
 class PredictedBreakaway(Section):
     """Half angles beyond the measured ones, which ``msp-lab beam`` computes before flight."""
 
-    inputs: str = Field(pattern="^[0-9a-f]{8}$")
+    inputs: str = Field(pattern="^crc32-[0-9a-f]{8}$")
     """Hash of the file's own numbers that they were computed from: breakaway, heard_on_axis_cm, maximum_cm and
     frequency_hz. The rows are used only while the file still has these numbers."""
 
@@ -344,7 +344,7 @@ class SensorModel(Section):
         """Hash of the numbers that `predicted_breakaway` is computed from, each to six digits, as files are written."""
         rows = [number for point in self.breakaway for number in (point.range_cm, point.half_angle_deg)]
         numbers = [self.heard_on_axis_cm or 0.0, self.maximum_cm, self.frequency_hz, *rows]
-        return f"{zlib.crc32(' '.join(f'{number:.6g}' for number in numbers).encode()):08x}"
+        return f"crc32-{zlib.crc32(' '.join(f'{number:.6g}' for number in numbers).encode()):08x}"
 
 
 def load_sensor_model(path: Path | str) -> SensorModel:

@@ -145,9 +145,9 @@ def test_a_table_that_widens_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("inputs", ["12345678", '"1234567"', '"xyzxyzxy"'])
-def test_a_hash_is_eight_digits_in_quotes(tmp_path: Path, inputs: str) -> None:
+def test_a_hash_has_its_name_and_eight_digits(tmp_path: Path, inputs: str) -> None:
     with pytest.raises(ConfigError, match=r"predicted_breakaway\.inputs: found"):
-        load_sensor_model(write(tmp_path, ('"54c3c91d"', inputs)))
+        load_sensor_model(write(tmp_path, ('"crc32-54c3c91d"', inputs)))
 
 
 def test_layouts_of_files() -> None:
