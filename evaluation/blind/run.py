@@ -2,7 +2,7 @@
 
 Cases enter; a folder of bases, tables and answers leaves. The tools under test are called as a user calls them, by
 their commands, in processes that have them loaded. Answers lie in a folder of their own, which no command is given.
-What is there is not made again, so that a campaign can be stopped at any time and gone on with.
+What is there is not made again, so that an interrupted campaign can be resumed.
 """
 
 import csv

@@ -3,7 +3,7 @@
 Each surface has a filter of its height. A reading belongs to the surface that explains it best, or begins a new one.
 How probable each surface is as the ground follows from the evidence that it is there, from its prior where it was first
 seen, from how the other sensors would have to be explained, and from how it responds to the vehicle's motion. All
-priors and thresholds are in `msp_range.fusion.modes`.
+priors, and the thresholds of modes, are in `msp_range.fusion.modes`.
 """
 
 import copy
@@ -105,7 +105,10 @@ class Belief:
     ground
         The surface that is most probably the ground; None: none is known.
     sure
-        The probability of that.
+        The probability of that, and that not all readings are noise. At a tie: that the ground so far, or the likeliest
+        other surface, is the ground below the vehicle.
+    noise
+        The probability that the readings of all sensors are noise.
     is_doubted
         Whether a ground was known, and what most sensors see now is more probably a fault.
     proven
@@ -157,7 +160,7 @@ class Belief:
     ) -> tuple[Surface | None, float]:
         """The surface that a reading is of, by its density under each [1/m], and how probable; None: nothing known.
 
-        Without its range [m], as of a fault code, it says nothing of noise.
+        Updates how likely the sensor's readings are noise, but not without its range [m], as of a fault code.
         """
         best, most = None, mode.outlier * PER_M
         total = most
@@ -169,6 +172,11 @@ class Belief:
         if self.surfaces and range_m is not None:
             mode.weigh_noise(range_m, total)
         return best, most / total
+
+    @property
+    def is_scattered(self) -> bool:
+        """Whether the readings of all sensors are more probably noise than not."""
+        return self.noise > 0.5
 
     @property
     def is_disputed(self) -> bool:

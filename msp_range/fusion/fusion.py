@@ -158,7 +158,7 @@ class Fusion:
     def conditions(self) -> list[Condition]:
         """Answers a ping late, readings of nothing, and a change to no likely ground: for `msp_range.health`."""
         late = "Range: answers are those of the ping before" if self._is_late else None
-        scatter = "Range: readings scatter, as in dust" if self._belief.noise > 0.5 else None
+        scatter = "Range: readings scatter, as in dust" if self._belief.is_scattered else None
         power = "switch the sensors' power off and on; check that pings are acknowledged"
         doubted = "Range: sudden change, maybe an object or fault" if self._belief.is_doubted else None
         look = "look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground"
@@ -291,7 +291,7 @@ class Fusion:
                     seen_over[surface], densities[surface] = at, density
         found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
         answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
-        if parent is not None and not answers and self._is_fixed(parent, look, seen):
+        if parent is not None and not answers and self._is_fixed(parent, look, seen, self._spans_plane(parent)):
             return FIXED
         if found is not None:
             mode.see(found, self._time_s, share)
@@ -315,16 +315,16 @@ class Fusion:
             self._belief.seen(surface)
             return None
         variance_m2 = look.variance_m2 + self._rough_m2
-        square = surface.filter.update(seen.view, seen.innovation_m, variance_m2, self._spans_plane(surface))
-        if self._is_fixed(surface, look, seen):
+        shows_slope = self._spans_plane(surface)
+        square = surface.filter.update(seen.view, seen.innovation_m, variance_m2, shows_slope)
+        if self._is_fixed(surface, look, seen, shows_slope):
             return FIXED
         if surface is self._belief.ground:
             self._scatter(square, variance_m2)
             self._shared_m2, self._nearest = seen.view.shared_variance_m2, seen.view.nearest
-            if look.reading.status is Status.AT_MINIMUM:
+            if look.is_least:
                 self._shared_m2 += NEARER_M * NEARER_M / 3  # Evenly distributed from there on.
-        least = look.reading.status is Status.AT_MINIMUM
-        self._belief.hit(look.mode, surface, density, look.reading.raw, least)
+        self._belief.hit(look.mode, surface, density, look.reading.raw, look.is_least)
         return None
 
     def _spans_plane(self, surface: Surface) -> bool:
@@ -336,12 +336,12 @@ class Fusion:
         others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
         return sum([not each.repeated for each in others]) >= 2
 
-    def _is_fixed(self, surface: Surface, look: Look, seen: Seen) -> bool:
+    def _is_fixed(self, surface: Surface, look: Look, seen: Seen, shows_slope: bool) -> bool:
         """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
         known, since_s = surface.filter, self._time_s - self._windows.fresh_s
-        may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not self._spans_plane(surface)
+        may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not shows_slope
         noise_m2 = look.variance_m2 / seen.view.by_height**2
-        if look.reading.status is Status.AT_MINIMUM:
+        if look.is_least:
             noise_m2 += NEARER_M * NEARER_M
         surface.response.update(look.reading.sensor, self._time_s, seen.height_m, known.climb_m_s, noise_m2, may_slope)
         if not surface.response.is_fixed:

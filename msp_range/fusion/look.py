@@ -6,7 +6,7 @@ from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.modes import SensorMode
 from msp_range.fusion.mounting import View
 from msp_range.geometry import Matrix
-from msp_range.reading import Reading
+from msp_range.reading import Reading, Status
 
 
 class Seen(NamedTuple):
@@ -34,6 +34,11 @@ class Look(NamedTuple):
             return None
         innovation_m = self.range_m - view.expected_m
         return Seen(view, innovation_m, plane[0] + innovation_m / view.by_height)
+
+    @property
+    def is_least(self) -> bool:
+        """Whether the answer stands for this range or less, as on the ground."""
+        return self.reading.status is Status.AT_MINIMUM
 
     @property
     def by_raw_m(self) -> float:

@@ -1,4 +1,4 @@
-"""Campaigns collected by the real code from emulated sensors: complete, gone on with, read again, and with faults."""
+"""Campaigns collected by the real code from emulated sensors: complete, resumed, read again, and with faults."""
 
 import csv
 import io

@@ -229,7 +229,7 @@ def test_the_plan_can_be_looked_at_without_a_bench(tmp_path: Path) -> None:
 
 
 def test_a_bench_of_emulated_sensors_is_no_bench(tmp_path: Path) -> None:
-    """What the simulator collected is not gone on with on real sensors."""
+    """What the simulator collected is not resumed on real sensors."""
     Collected(campaign(tmp_path), tmp_path / "out").go()
     result = CliRunner().invoke(app, ["collect", str(written(tmp_path)), "--out", str(tmp_path / "out")])
     assert result.exit_code == 3

@@ -51,7 +51,7 @@ def campaign(folder: Path, *conditions: dict[str, Any], **changed: Any) -> Campa
 
 
 class Collected:
-    """A campaign on the simulator, to be gone on with as often as a test likes."""
+    """A campaign on the simulator, which a test may resume as often as it likes."""
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
-from msp_range.fusion.modes import ground_prior, object_prior
+from msp_range.fusion.modes import SensorMode, ground_prior, noise_density, object_prior
 from msp_range.fusion.vertical import VerticalMotion
 from msp_range.reading import Reading, Status
 from tests.unit.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
@@ -246,3 +246,47 @@ def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_th
     strap = Moving(range_m, [3.0, 6.0, 9.0])
     assert Status.FIXED in strap.statuses.values()
     assert not [time_s for time_s in strap.sent if time_s > 12.0]
+
+
+def test_a_fault_code_does_not_end_an_object() -> None:
+    """Sensor a sees a box; one answer of it may be a code, and the next one has no echo."""
+    fusion = four()
+    for i in range(60):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        take(fusion, reading(name, time_s, 2.4 if name == "a" else 3.0))
+    assert fusion.object_m("a") == pytest.approx(0.6, abs=0.05)
+    take(fusion, reading("a", 6.0, 2.55, raw=255, suspect=True))
+    take(fusion, reading("a", 6.1, None))
+    assert fusion.object_m("a") == pytest.approx(0.6, abs=0.05)
+    take(fusion, reading("a", 6.1 + WINDOWS.memory_s + 0.1, None))
+    assert fusion.object_m("a") is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sensors_see_surfaces_that_are_followed(seed: int) -> None:
+    """Also after several of them have become one, as over ground that comes together again."""
+    fusion, draw = four(), np.random.default_rng(seed)
+    for i in range(800):
+        apart_m = 0.4 * abs(math.sin(i / 40.0))
+        level = draw.choice([0.0, apart_m, -apart_m, 2 * apart_m], p=[0.4, 0.2, 0.2, 0.2])
+        take(fusion, reading(NAMES[i % 4], i * SLOT_S, 3.0 + level + draw.normal(scale=SIGMA_M)))
+        belief = fusion._belief
+        assert all(mode.sees is None or mode.sees in belief.surfaces for mode in fusion._modes.values())
+        assert belief.proven is None or belief.proven in belief.surfaces
+
+
+def test_a_sensor_that_missed_its_last_echo_of_a_strap_is_held_too() -> None:
+    mode = SensorMode(DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant"))
+    motion = VerticalMotion()
+    for i in range(3):
+        assert not mode.is_stuck(45 + i, 0.45, None, motion, 0.4 * i, False)
+    assert not mode.is_stuck(765, None, None, motion, 1.2, False)
+    mode.hold()
+    assert mode.is_fixed
+
+
+def test_noise_is_less_likely_the_farther_it_is_and_has_no_gap() -> None:
+    densities = [noise_density(0.2 + 0.01 * i) for i in range(700)]
+    assert all(far <= near for near, far in pairwise(densities))
+    assert densities[-1] > 0.05
+    assert densities[0] > 0.9

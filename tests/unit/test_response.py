@@ -176,3 +176,19 @@ def test_a_turn_as_short_as_an_accelerometers_delay_decides_nothing() -> None:
         if i % 5 == 0:
             response.update("a", read_s, 0.3 + climb(read_s - 0.1) + draw.gauss(0.0, 0.01), 0.0, 1e-4, False)
         assert not response.is_late
+
+
+def test_a_gap_in_the_accelerations_forgets_nothing_that_was_shown() -> None:
+    climb = ramp(5.0, 1.5, 10.0)
+    motion, draw = VerticalMotion(), random.Random(1)
+    response = MotionResponse(motion, TURN_S)
+    for i in range(200):
+        read_s = 0.1 * i
+        if not 12.0 < read_s < 13.0:
+            for k in range(3):
+                time_s = read_s - 0.08 + 0.04 * k
+                up_m_s2 = (climb(time_s + 0.02) - 2 * climb(time_s) + climb(time_s - 0.02)) / 0.02**2
+                motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        response.update(NAMES[i % 4], read_s, 0.3 + climb(read_s - TURN_S) + draw.gauss(0.0, 0.01), 0.0, 1e-4, False)
+        if read_s > 11.0:
+            assert response.is_late
