@@ -43,7 +43,7 @@ class Sighting(NamedTuple):
     time_s: float
     """Time of the echo [s]."""
     sensor: str
-    """Index of the sensor."""
+    """Name of the sensor."""
     common_m: float | None
     """Height of the reference point over level ground by this reading alone, without the sensor's own offset from the
     others [m]; None where it is not of the ground, so that it is no reference for others."""

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from msp_sim.acoustics.absorption import absorption_db_per_m
@@ -86,6 +86,7 @@ def test_a_porous_ground_lies_between_air_and_rock() -> None:
 
 
 @given(ranges_m, st.floats(-0.5, 0.5))
+@example(1.0, 5e-324)
 def test_the_echo_is_what_its_intensity_says(range_m: float, angle_rad: float) -> None:
     """Report eq 5, corrected, multiplied out as intensities."""
     water = Target(1.48e6)

@@ -48,7 +48,8 @@ def directivity_db(off_axis_rad: float, diameter_m: float, wavelength_m: float) 
 
 def level_db(x: float) -> float:
     """20 log10 |2 J1(x) / x| [dB] of x = (pi D / lambda) sin(theta); 0 at 0."""
-    ratio = min(abs(2.0 * float(j1(x)) / x), 1.0) if x else 1.0
+    # Below 1e-8 it is 1 - x^2 / 8 = 1 to all digits, and J1 of the smallest numbers is 0.
+    ratio = min(abs(2.0 * float(j1(x)) / x), 1.0) if abs(x) > 1e-8 else 1.0
     return 20.0 * math.log10(ratio) if ratio > 0.0 else -math.inf
 
 

@@ -1,0 +1,26 @@
+"""Flights of the campaign's hostile families that showed what a rule of the fusion is for."""
+
+import pytest
+
+from evaluation.faults.campaign import fly_plan
+from evaluation.faults.plans import draw_plan
+
+
+@pytest.mark.parametrize(
+    ("seed", "index", "most_wrong_s", "most_silent_s"),
+    [
+        pytest.param(501, 1_000_204, 0.0, 0.0, id="a landing that bounces is not silent"),
+        pytest.param(501, 1_000_156, 0.0, 0.5, id="an edge below three sensors of four"),
+        pytest.param(501, 1_000_460, 2.0, None, id="what did not answer on one surface may be another one now"),
+        pytest.param(501, 1_000_040, 1.7, None, id="answers that become another ground keep what they have shown"),
+        pytest.param(812, 1_000_390, 5.0, None, id="a strap that the ground was nearer than before the take-off"),
+        pytest.param(812, 1_000_240, 5.0, None, id="near parts of the vehicle below one sensor after another"),
+        pytest.param(501, 1_000_273, 1.0, None, id="dust in which surfaces of chance were the ground"),
+        pytest.param(501, 1_000_173, 8.0, None, id="late answers over a hover between two movements"),
+    ],
+)
+def test_a_hostile_flight(seed: int, index: int, most_wrong_s: float, most_silent_s: float | None) -> None:
+    verdict = fly_plan(draw_plan(seed, index))["verdict"]
+    assert sum(event.for_s for event in verdict["wrong"]) <= most_wrong_s
+    if most_silent_s is not None:
+        assert sum(event.for_s for event in verdict["silences"]) <= most_silent_s
