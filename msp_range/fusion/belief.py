@@ -15,6 +15,7 @@ from msp_range.fusion.modes import (
     ANSWERED,
     APART_M,
     APART_MOST,
+    AWAY_M,
     BLIND_M_S,
     BLIND_NEAR_M,
     COMMON,
@@ -208,7 +209,8 @@ class Belief:
         gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
-        if surface is self.proven and surface.response.log_odds > ANSWERED:
+        answers = surface.response.log_odds > ANSWERED or surface.filter.height_m > AWAY_M
+        if surface is self.proven and answers:
             surface.common = math.log(COMMON) if least else _common(surface)
             surface.response.is_in_doubt = self._was_fixed = False
         elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:

@@ -151,9 +151,10 @@ taken off before its accelerations were known. Smaller is silent in gusts over t
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
-UNANSWERED, ANSWERED = -3.0, 5.0
-"""Below the first log odds a surface is not thought to move with the measured acceleration any more; above the second
-one that was low when it was first seen, as before a take-off, is no payload."""
+UNANSWERED, ANSWERED, AWAY_M = -3.0, 5.0, 0.8
+"""Below the first log odds a surface is not thought to move with the measured acceleration any more. Above the second,
+more than one reading can show, one that was low when it was first seen, as before a take-off, is no payload; nor is one
+that is farther away by now than the third [m]."""
 
 # What repeats itself.
 STUCK_READINGS, REPEATED_READINGS = 3, 5
