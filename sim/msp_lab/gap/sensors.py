@@ -13,7 +13,7 @@ from pathlib import Path
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.steps import Steps
 from msp_lab.gap.summary import found_parts
-from msp_lab.readings.column_map import load_map
+from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import PREVIOUS, load_readings
 from msp_lab.readings.others import MIN_OTHERS
 from msp_range.recording.csv_form import write_csv
@@ -139,7 +139,7 @@ def _with_reference(
 ) -> tuple[Path, list[str], tuple[str, ...]]:
     """A table of all readings with the other sensors as reference, the sensors, and what was noticed."""
     model = load_model(settings.model)
-    column_map = load_map(settings.map) if settings.map else None
+    column_map = load_maps(settings.map)
     loaded = load_readings(
         paths, model.sensor, column_map, run_column=settings.run_column, truth="others", without=without
     )
