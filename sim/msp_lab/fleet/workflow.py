@@ -54,13 +54,9 @@ def find_in_fleet(
     """
     run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
-    units, scores, left_out = [], [], []
-    for unit, each in zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True):
-        if each.value is not None:
-            units.append(unit)
-            scores.append(each.value)
-        else:
-            left_out.append(LeftOut(unit.vehicle, unit.sensor, each.error or ""))
+    outcomes = list(zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True))
+    left_out = [LeftOut(unit.vehicle, unit.sensor, each.error) for unit, each in outcomes if each.error is not None]
+    units = [unit for unit, each in outcomes if each.error is None]
     vehicles = len({unit.vehicle for unit in units})
     if vehicles < MIN_VEHICLES:
         reasons = "; ".join(f"{each.vehicle} {each.sensor}: {each.why}" for each in left_out[:3])
@@ -68,7 +64,7 @@ def find_in_fleet(
             f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
-    search = Search(units, scores, fdr, run)
+    search = Search(units, [each.value for _, each in outcomes if each.value is not None], fdr, run)
     search.search()
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
     effects = sorted(_joined([_effect(search, each) for each in search.found]), key=lambda each: order[each.kind])
