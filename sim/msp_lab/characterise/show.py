@@ -7,28 +7,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.answers import Kind, conclusions, summarise
+from msp_lab.characterise.page.answers import conclusions_table, summarise
 from msp_lab.characterise.page.text import interval
 from msp_lab.characterise.sensors import TABLE, OfSensor
 from msp_range.terminal import console, plain_table
-
-STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}
 
 
 def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
     console.print(summarise(findings))
     rows = sum(each.readings for each in findings.points)
-    columns = [Column(heading, overflow="fold") for heading in ("what", "found (95 % interval)", "verdict")]
-    title = f"{findings.sensor}: {rows} readings at {len(findings.points)} points"
-    table = Table(*columns, title=title, title_justify="left")
-    for each in conclusions(findings):
-        table.add_row(each.subject, each.answer, Text(each.mark, style=STYLES[each.kind]))
-    console.print(table)
+    console.print(f"{findings.sensor}: {rows} readings at {len(findings.points)} points")
+    console.print(conclusions_table(findings))
     for line in _numbers(findings):
         console.print(line, soft_wrap=True)
     for why in dict.fromkeys(findings.absent.values()):
@@ -41,12 +33,13 @@ def show_findings(findings: Findings, console: Console) -> None:
 def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
     """Print the models of several sensors, and those that could not be made."""
     out = console()
-    table = plain_table("", "readings", "sigma [cm]", "short", "missed", "random")
+    header = ("", "readings", "sigma [cm]", "short", "missed", "random")
+    rows = []
     for each in found:
         numbers = (each.sigma_cm, each.short, each.missed, each.random)
         shown = ("-" if number is None else f"{number:.3g}" for number in numbers)
-        table.add_row(each.sensor, f"{each.readings:,}", *shown)
-    out.print(table)
+        rows.append((each.sensor, f"{each.readings:,}", *shown))
+    out.print(plain_table(header, rows))
     for each in found:
         if each.error:
             out.print(f"{each.sensor}: no model: {each.error}", style="red")
