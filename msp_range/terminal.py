@@ -4,7 +4,8 @@ rich interprets ``[red]`` as a style and ``:warning:`` as an emoji, and terminal
 vehicles, sensors, runs and files must not be interpreted.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Self
 
 from rich import box
@@ -88,6 +89,15 @@ class Bar:
     def __exit__(self, *_: object) -> None:
         if self.is_shown:
             self._progress.stop()
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Hide the bar while something is printed."""
+        self.__exit__()
+        try:
+            yield
+        finally:
+            self.__enter__()
 
     def show(self, description: str, completed: float) -> None:
         """Show what is being done, and how much of it is complete."""

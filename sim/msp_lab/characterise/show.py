@@ -3,14 +3,14 @@
 Findings enter, the table of the page leaves as lines; the page has the rest.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import conclusions_table, summarise
-from msp_lab.characterise.page.text import interval
+from msp_lab.characterise.page.tables import mixture_table
 from msp_lab.characterise.sensors import TABLE, OfSensor
 from msp_range.terminal import console, plain_table
 
@@ -21,8 +21,9 @@ def show_findings(findings: Findings, console: Console) -> None:
     rows = sum(each.readings for each in findings.points)
     console.print(f"{findings.sensor}: {rows} readings at {len(findings.points)} points")
     console.print(conclusions_table(findings))
-    for line in _numbers(findings):
-        console.print(line, soft_wrap=True)
+    if findings.mixture is not None:
+        console.print(mixture_table(findings))
+        console.print(findings.mixture.conditional, soft_wrap=True)
     for why in dict.fromkeys(findings.absent.values()):
         names = ", ".join(name for name, each in findings.absent.items() if each == why)
         console.print(f"not in these data: {names}: {why}", style="dim")
@@ -46,18 +47,3 @@ def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
     if died:
         out.print(f"{died} worker processes died; their sensors were computed again")
     out.print(f"in {folder}: a sensor model for each, and {TABLE}", soft_wrap=True)
-
-
-def _numbers(findings: Findings) -> Iterator[str]:
-    """Numbers that the page has with its pictures."""
-    base, calibration, mixture = findings.baseline, findings.calibration, findings.mixture
-    if base is not None:
-        yield f"missed echoes: {interval(base.missed)}"
-    if calibration is not None and calibration.offset is not None and calibration.scale is not None:
-        yield f"straight line: offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
-    if mixture is not None:
-        shown = ", ".join(
-            f"{each.name} {each.fitted.value:.3g}{' (at its bound)' if each.at_bound else ''}"
-            for each in mixture.parameters
-        )
-        yield f"mixture: {shown}; {mixture.conditional}"

@@ -47,6 +47,11 @@ class ProgressBar(Bar):
             self._console.print(f"{100.0 * share:3.0f} %  {what}")
         self._last = what
 
+    def print_findings(self, findings: GapFindings) -> None:
+        """Print the findings above the bar."""
+        with self.paused():
+            print_findings(findings)
+
 
 def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     """What was hidden, and what was found of it."""
@@ -97,8 +102,8 @@ def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Pa
     out.print(f"in {folder}: a folder for each sensor, and sensors.json", soft_wrap=True)
 
 
-def print_findings(findings: GapFindings, folder: Path) -> None:
-    """The sentence for a pilot, the lines with numbers, the table of what was found, and where the rest is."""
+def print_findings(findings: GapFindings) -> None:
+    """The sentence for a pilot, the lines with numbers, and the table of what was found."""
     out = console()
     out.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
     for line in findings.summary:
@@ -119,9 +124,13 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
             f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
             style="dim",
         )
+
+
+def print_files(findings: GapFindings, folder: Path) -> None:
+    """How much was compared, and where the rest is."""
     runs = counted(findings.runs, "run")
     files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
-    out.print(
+    console().print(
         f"{findings.rows:,} readings, {runs}, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
         soft_wrap=True,
     )

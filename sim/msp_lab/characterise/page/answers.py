@@ -75,10 +75,14 @@ def _accuracy(findings: Findings) -> Iterator[Row]:
     base, calibration = findings.baseline, findings.calibration
     if base is not None:
         answer = f"largest error of a hit {plus(base.largest_hit_error_cm)} cm; mean {interval(base.bias)}; "
-        yield "Accuracy, nothing varied", MEASURED, f"{answer}standard deviation {interval(base.spread)}"
+        answer += f"standard deviation {interval(base.spread)}; missed echoes {interval(base.missed)}"
+        yield "Accuracy, nothing varied", MEASURED, answer
     if calibration is not None:
         none = Mark("none shown to help", "no") if calibration.held_out else Mark("cannot tell")
         yield "Calibration", none if calibration.form == "none" else Mark("kept", "yes"), sentence(calibration.reason)
+        if calibration.offset is not None and calibration.scale is not None:
+            answer = f"offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
+            yield "Straight line", MEASURED, answer
         if calibration.set_up_offset is not None:
             yield "Between set-ups", MEASURED, interval(calibration.set_up_offset)
 

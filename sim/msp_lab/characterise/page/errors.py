@@ -34,6 +34,8 @@ from msp_sim.page.style import (
 
 MOST_RANGES = 45
 """With more ranges than this they are taken as continuous and binned."""
+MOST_TICKS, MOST_COUNTS = 16, 30
+"""Ranges that have room for a tick each with their counts in full, and for a count of 0."""
 LINEAR_CM = 5.0
 """Errors within this are to scale where the axis has to be compressed, because there are six times as large ones [cm]:
 what calibration and air explain is within 3 cm, and would be too small to see."""
@@ -112,7 +114,7 @@ def draw_errors(
         if marked is not None:
             row.plot(marked.range_cm, marked.error_cm, label=marked.label, **MARKED)
         if len(panels) > 1:
-            row.set_title(each.label, pad=24.0)
+            row.set_title(each.label)
     figure.supylabel("reading − true range [cm]", fontsize=9.0)
     rows[-1].set_xlabel("true range [cm]")
     return figure
@@ -144,18 +146,12 @@ def share_bars(axes: Axes, left: ArrayLike, reading_cm: ArrayLike, width: ArrayL
 
 def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     """Draw each range's errors as a histogram on its side with its middle; counts of what it leaves out are above."""
-    low, high, linear_cm = scale
     edges = edges_between(ranges_cm.tolist())
     room_cm = float(np.min(np.diff(edges))) * 0.82
     thinnest_cm = 0.008 * (edges[-1] - edges[0])
-    counted = {"missed ": each.missed, f"over ±{linear_cm:g} cm ": np.abs(each.error_cm) > linear_cm}
-    counted = {words: flags for words, flags in counted.items() if words == "missed " or np.any(flags)}
     bars, far, middles = [], [], []
     for range_cm in np.unique(each.true_range_cm).tolist():
-        here = each.true_range_cm == range_cm
-        for line, flags in enumerate(counted.values()):
-            _count_above(row, range_cm, int(np.sum(flags & here)), int(np.sum(here)), ranges_cm.size, line)
-        errors = each.error_cm[here & ~each.missed]
+        errors = each.error_cm[(each.true_range_cm == range_cm) & ~each.missed]
         if not errors.size:
             continue
         middles.append((range_cm, *_middle_of(errors, scale)))
@@ -163,8 +159,8 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
         centre_cm = float(np.quantile(errors, 0.5, method="nearest"))
         steps, counts = np.unique(np.rint(errors - centre_cm), return_counts=True)
         for error_cm, count in zip(centre_cm + steps, counts, strict=True):
-            if abs(error_cm) > linear_cm or not low < error_cm < high:
-                far.append((range_cm, min(max(error_cm, low), high)))
+            if abs(error_cm) > scale.linear_cm or not scale.low < error_cm < scale.high:
+                far.append((range_cm, np.clip(error_cm, scale.low, scale.high)))
             else:
                 bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
     if bars:
@@ -173,13 +169,33 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     if far:
         row.plot(*np.array(far).T, "_", color=OURS, clip_on=False, label="readings farther off")
     _middles(row, middles, "")
-    for line, words in enumerate(counted):
-        _write_above(row, words, 0.0, "axes fraction", line, ha="right", fontsize=6.5, color=GREY)
+    _count_above(row, each, ranges_cm, scale)
     row.set_xlim(edges[0], edges[-1])
-    if ranges_cm.size <= 16:
-        row.set_xticks(ranges_cm)
-        row.xaxis.set_major_formatter("{x:g}")
+    if ranges_cm.size <= MOST_TICKS:
+        row.set_xticks(ranges_cm, [f"{range_cm:g}" for range_cm in ranges_cm])
     row.grid(axis="x", visible=False)
+
+
+def _count_above(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
+    """Write over each range how many of its readings are missed, and where there are any, how many are far off."""
+    counted = {"missed": each.missed, f"over ±{scale.linear_cm:g} cm": np.abs(each.error_cm) > scale.linear_cm}
+    counted = {words: flags for words, flags in counted.items() if words == "missed" or np.any(flags)}
+    at = np.searchsorted(ranges_cm, each.true_range_cm)
+    counts = np.array([np.bincount(at, flags, ranges_cm.size) for flags in counted.values()]).astype(int)[::-1]
+    there = np.bincount(at, minlength=ranges_cm.size)
+    of = [f"/{count}" if ranges_cm.size <= MOST_TICKS else "" for count in there]
+    shown = np.any(counts, axis=0) | ((there > 0) & (ranges_cm.size <= MOST_COUNTS))
+    words = [
+        "\n".join(f"{n}{all_of}" if n else "0" for n in column) for column, all_of in zip(counts.T, of, strict=True)
+    ]
+    above = row.secondary_xaxis("top")
+    above.set_xticks(ranges_cm[shown], np.array(words)[shown], fontsize=6.5)
+    above.tick_params(length=0)
+    above.spines["top"].set_visible(False)
+    for text, any_of in zip(above.get_xticklabels(), np.any(counts, axis=0)[shown], strict=True):
+        text.set_color(REFERENCE if any_of else GREY)
+    look: dict[str, Any] = {"xycoords": "axes fraction", "ha": "right", "va": "bottom", "fontsize": 6.5, "color": GREY}
+    label(row, "\n".join(reversed(counted)), (0.0, 1.0), (-4, 4), **look)
 
 
 def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
@@ -217,15 +233,3 @@ def _middles(row: Axes, middles: Sequence[tuple[float, float, float]], where: st
     if middles:
         x, y, halves = np.array(middles).T
         row.errorbar(x, y, yerr=halves, label=f"mean{where} near the median, 95 % interval", **DOTS | look)
-
-
-def _count_above(row: Axes, range_cm: float, count: int, of: int, ranges: int, line: int) -> None:
-    """Write a count over the axes at a range, on the first or second line."""
-    if count or ranges <= 30:
-        words = f"{count}/{of}" if count and ranges <= 16 else str(count)
-        look = {"fontsize": 6.5 if ranges <= 16 else 5.5, "color": REFERENCE if count else GREY}
-        _write_above(row, words, range_cm, row.get_xaxis_transform(), line, ha="center", **look)
-
-
-def _write_above(row: Axes, words: str, x: float, coordinates: Any, line: int, **look: Any) -> None:
-    label(row, words, (x, 1.0), (0, 2 + 9 * line), xycoords=coordinates, va="bottom", annotation_clip=False, **look)

@@ -38,8 +38,6 @@ from msp_sim.page.text import sentence
 
 MAX_SWEEPS = 8
 """Pictures of the field of view that the page has at most; a bench has four ranges, a flight may have hundreds."""
-STEP_OF_TICKS_DEG = 2.0 * STEP_DEG
-"""Ticks of many angles are this far apart, if these are steps of the motor."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -126,21 +124,13 @@ def _draw_sweep(
         for axes in (top, bottom):
             for sign in (-1, 1):
                 axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":", label=words)
-    bottom.set_xticks(_ticks(angle_deg))
+    # Of many angles every other one.
+    bottom.set_xticks(angle_deg[:: 1 + (angle_deg.size > 15)])
     bottom.xaxis.set_major_formatter("{x:g}")
     bottom.set_xlim(edges[0], edges[-1])
     top.grid(axis="x", visible=False)
     bottom.grid(axis="x", visible=False)
     return figure
-
-
-def _ticks(angle_deg: Array) -> Array:
-    """The angles, or of many of them every other one."""
-    if angle_deg.size <= 15:
-        return angle_deg
-    off_deg = np.rint(angle_deg / STEP_OF_TICKS_DEG) * STEP_OF_TICKS_DEG - angle_deg
-    fewer = angle_deg[np.abs(off_deg) < 0.05] if np.any(angle_deg % 1.0) else angle_deg[::2]
-    return fewer if fewer.size else angle_deg
 
 
 def _draw_shares(

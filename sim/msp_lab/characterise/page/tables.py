@@ -112,6 +112,7 @@ def mixture_table(findings: Findings) -> PageTable:
             )
             for each in (mixture.parameters if mixture else ())
         ),
+        align="llr",
         caption=" ".join([fitted, *map(sentence, mixture.notes if mixture else ())]),
     )
 
