@@ -4,12 +4,11 @@ is known."""
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import cycle, pairwise
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
 
 from msp_range.arrays import Array
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
@@ -43,7 +42,7 @@ def draw(flight: FlightResult, path: Path, title: str) -> None:
         _draw_rejected(below[0], tracks, reasons)
     if is_truth_known:
         _draw_errors(below[-1], tracks, fused)
-    for first_s, last_s in _edges(flight.fused):
+    for first_s, last_s in _edges(fused):
         for axes in panels:
             axes.axvspan(first_s, last_s, label="sensors over different ground", **shaded())
     panels[-1].set_xlabel("time [s]")
@@ -114,30 +113,24 @@ def _what_happened(flight: FlightResult) -> str:
     """The flight in a few words: how many readings were used, silences, and reports to the pilot."""
     whys = [why for track in flight.tracks.values() for why in track.why]
     parts = [f"{sum(why in USED for why in whys)} of {len(whys)} readings used"]
-    gaps_s = [late - early for early, late in pairwise(flight.fused.time_s) if late - early > GAP_S]
-    if gaps_s:
-        parts.append(f"{sum(gaps_s):.1f} s without a distance")
+    gaps_s = np.diff(flight.fused.time_s)
+    silent_s = float(np.sum(gaps_s[gaps_s > GAP_S]))
+    if silent_s:
+        parts.append(f"{silent_s:.1f} s without a distance")
     bad = sum(severity in ("error", "warning") for _, severity, _ in flight.texts)
     if bad:
         parts.append(f"{bad} warning{'s' if bad > 1 else ''} to the pilot")
     return ", ".join(parts)
 
 
-def _edges(fused: SensorTrack) -> list[tuple[float, float]]:
+def _edges(fused: _Arrays) -> list[tuple[float, float]]:
     """Spans of time in which the sensors are over different ground [s]."""
-    spans: list[tuple[float, float]] = []
-    for time_s, why in zip(fused.time_s, fused.why, strict=True):
-        if why != "edge":
-            continue
-        if spans and time_s - spans[-1][1] < GAP_S:
-            spans[-1] = (spans[-1][0], time_s)
-        else:
-            spans.append((time_s, time_s))
-    return spans
+    at_s = fused.time_s[fused.why == "edge"]
+    spans = np.split(at_s, np.flatnonzero(np.diff(at_s) >= GAP_S) + 1)
+    return [(float(span[0]), float(span[-1])) for span in spans if span.size]
 
 
-def _interrupted(time_s: ArrayLike, values: Array) -> tuple[Array, Array]:
+def _interrupted(time_s: Array, values: Array) -> tuple[Array, Array]:
     """A line's points, with a gap where there is none for longer than `GAP_S`."""
-    at_s = np.asarray(time_s, dtype=float)
-    gaps = np.flatnonzero(np.diff(at_s) > GAP_S) + 1
-    return np.insert(at_s, gaps, at_s[gaps]), np.insert(values, gaps, np.nan)
+    gaps = np.flatnonzero(np.diff(time_s) > GAP_S) + 1
+    return np.insert(time_s, gaps, time_s[gaps]), np.insert(values, gaps, np.nan)

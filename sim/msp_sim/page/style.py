@@ -82,7 +82,6 @@ _LETTER_IN, _HANDLE_IN = 0.064, 0.6
 """Approximate width of a letter, and of the symbol in front of a label, in a legend [in]; for its number of columns."""
 
 _STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
@@ -90,12 +89,10 @@ _STYLE: dict[Any, Any] = {
     "axes.labelsize": 9.0,
     "axes.labelcolor": INK,
     "axes.edgecolor": GREY,
-    "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
-    "axes.unicode_minus": True,
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
     "xtick.color": INK,
@@ -105,12 +102,10 @@ _STYLE: dict[Any, Any] = {
     "xtick.major.size": 3.0,
     "ytick.major.size": 3.0,
     "legend.fontsize": 8.0,
-    "legend.frameon": True,
     "legend.framealpha": 0.9,
     "legend.edgecolor": "none",
     "legend.borderpad": 0.3,
     "legend.handlelength": 1.8,
-    "lines.linewidth": 1.5,
     "errorbar.capsize": 2.5,
     "lines.markersize": 5.0,
     "path.simplify_threshold": 0.5,
