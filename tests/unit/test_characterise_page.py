@@ -217,14 +217,6 @@ def test_the_comparison_has_both_numbers_and_says_where_they_agree(compared: tup
 
 
 @pytest.mark.slow
-def test_a_figure_without_readings_says_so(compared: tuple[Path, Page]) -> None:
-    folder, page = compared
-    assert names_of(folder)
-    assert set(names_of(folder)) <= page.anchors
-    assert "Figure 4.19: range error, vibration: not drawn. No readings of vibration are in the data." in page.text
-
-
-@pytest.mark.slow
 def test_table_5_1_has_both_sides_and_says_that_the_first_row_was_not_compensated(compared: tuple[Path, Page]) -> None:
     _, page = compared
     table = page.text[page.text.index("Table 5.1: mean range error") :]
