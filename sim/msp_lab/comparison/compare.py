@@ -10,7 +10,7 @@ from msp_lab.characterise.page.answers import peaks_found, with_subject
 from msp_lab.characterise.page.text import half_interval
 from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.comparison.report import REPORT
-from msp_sim.page.table import Mark, PageTable
+from msp_sim.page.table import PageTable, VerdictMark
 from msp_sim.page.text import plus, sentence
 
 ROUNDING_CM = 0.5
@@ -19,7 +19,7 @@ ROUNDING_DEG = 0.05
 """Angles agree within one step of the report's motor (1.8 deg) and the rounding of their numbers."""
 HOT_BOX = "1 to 2 cm, which it explains by a gradient; its 30 % of eq 7 would be 4.4 % (errata 4 and 11)"
 
-Row = tuple[str, Mark | str, str, str]
+Row = tuple[str, VerdictMark | str, str, str]
 """Subject, whether both agree (nothing: not decided), the finding, and the report's statement."""
 
 
@@ -50,7 +50,7 @@ def _lines(findings: Findings) -> Iterator[Row]:
             subject, found = f"Breakaway angle at {angle.range_cm:g} cm (4.3.3)", half_interval(angle.half_angle)
             report_deg = REPORT.half_angle_deg.get(round(angle.range_cm, 1))
             if report_deg is None:
-                yield subject, Mark("not in the report"), found, "–"
+                yield subject, VerdictMark("not in the report"), found, "–"
             else:
                 agrees = abs(angle.half_angle.value - report_deg) <= STEP_DEG + ROUNDING_DEG
                 yield _line(subject, found, f"{report_deg:g}°", agrees)
@@ -64,4 +64,4 @@ def _lines(findings: Findings) -> Iterator[Row]:
 
 
 def _line(subject: str, found: str, report: str, agrees: bool) -> Row:
-    return subject, Mark("agrees", "no") if agrees else Mark("differs", "yes"), found, report
+    return subject, VerdictMark("agrees", "no") if agrees else VerdictMark("differs", "yes"), found, report

@@ -14,7 +14,7 @@ MARK_STYLES: dict[MarkKind, str] = {"yes": "yellow", "no": "green", "open": "dim
 
 
 @dataclass(frozen=True)
-class Mark:
+class VerdictMark:
     """A cell with a verdict of a word or two: coloured on the terminal, framed on the page."""
 
     words: str
@@ -33,7 +33,7 @@ class PageTable:
     title: str
     header: tuple[str, ...]
     """A word or two for each column, with units."""
-    rows: tuple[tuple[str | Mark, ...], ...]
+    rows: tuple[tuple[str | VerdictMark, ...], ...]
     """Rows of cells, each as long as the header."""
     caption: str = ""
     """A remark below the table, on the page only."""
@@ -42,7 +42,7 @@ class PageTable:
 
     def __rich__(self) -> Table:
         rows = (
-            [Text(cell.words, MARK_STYLES[cell.kind]) if isinstance(cell, Mark) else cell for cell in row]
+            [Text(cell.words, MARK_STYLES[cell.kind]) if isinstance(cell, VerdictMark) else cell for cell in row]
             for row in self.rows
         )
         return plain_table(self.header, rows, self.align, self.title)

@@ -9,7 +9,7 @@ from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import NAMES, Findings, Form, MaximumRange, Question, Verdict
 from msp_lab.characterise.page.text import half_interval, interval
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_sim.page.table import Mark, MarkKind, PageTable
+from msp_sim.page.table import MarkKind, PageTable, VerdictMark
 from msp_sim.page.text import counted, minus, p_text, plus, sentence
 
 _AIR = {"none": "no shift seen", "uniform": "all the way", "gradient": "gradient", "confined": "in the box only"}
@@ -21,10 +21,10 @@ _CALIBRATION: dict[Form, str] = {
 }
 
 
-Row = tuple[str, Mark, str]
+Row = tuple[str, VerdictMark, str]
 """A line of the table: what was asked, a verdict of a word or two, and the answer."""
 
-MEASURED = Mark("measured")
+MEASURED = VerdictMark("measured")
 
 
 def summarise(findings: Findings) -> str:
@@ -78,8 +78,12 @@ def _accuracy(findings: Findings) -> Iterator[Row]:
         answer += f"standard deviation {interval(base.spread)}; missed echoes {interval(base.missed)}"
         yield "Accuracy, nothing varied", MEASURED, answer
     if calibration is not None:
-        none = Mark("none shown to help", "no") if calibration.held_out else Mark("cannot tell")
-        yield "Calibration", none if calibration.form == "none" else Mark("kept", "yes"), sentence(calibration.reason)
+        none = VerdictMark("none shown to help", "no") if calibration.held_out else VerdictMark("cannot tell")
+        yield (
+            "Calibration",
+            none if calibration.form == "none" else VerdictMark("kept", "yes"),
+            sentence(calibration.reason),
+        )
         if calibration.offset is not None and calibration.scale is not None:
             answer = f"offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
             yield "Straight line", MEASURED, answer
@@ -101,8 +105,8 @@ def _maximum_range(findings: Findings) -> Iterator[Row]:
         yield f"Maximum range, {found.true_range_cm:g} cm", mark, answer
 
 
-def _mark(is_good: bool, good: str, bad: str) -> Mark:
-    return Mark(good, "no") if is_good else Mark(bad, "yes")
+def _mark(is_good: bool, good: str, bad: str) -> VerdictMark:
+    return VerdictMark(good, "no") if is_good else VerdictMark(bad, "yes")
 
 
 def _beam(findings: Findings) -> Iterator[Row]:
@@ -116,7 +120,7 @@ def _beam(findings: Findings) -> Iterator[Row]:
         answer = f"misses the measured angles by at most {worst_deg:.1f}°; {minus(sonar.note)}"
         yield "Sonar equation", _mark(sonar.within_a_step, "within a step", "does not fit"), answer
     slant = view.oblique
-    mark = Mark(slant.verdict, "open" if slant.verdict == "unknown" else "no")
+    mark = VerdictMark(slant.verdict, "open" if slant.verdict == "unknown" else "no")
     yield "Reading of a tilted sensor", mark, slant.reason
 
 
@@ -130,7 +134,7 @@ def with_subject(questions: Sequence[Question]) -> Iterator[tuple[str, Question]
 
 def _questions(findings: Findings) -> Iterator[Row]:
     for subject, question in with_subject(findings.questions):
-        yield subject, Mark(question.verdict, _MARKS[question.verdict]), _sizes(question)
+        yield subject, VerdictMark(question.verdict, _MARKS[question.verdict]), _sizes(question)
 
 
 def _sizes(question: Question) -> str:
@@ -154,7 +158,7 @@ def _air(findings: Findings) -> Iterator[Row]:
         shifts = [row.shift.value for row in box.rows]
         yield (
             f"Air of {box.box_c:.0f} °C at the sensor",
-            Mark(_AIR[box.best], "open" if box.best == "none" else "yes"),
+            VerdictMark(_AIR[box.best], "open" if box.best == "none" else "yes"),
             f"mean errors move by {plus(min(shifts))} to {plus(max(shifts))} cm: they call for a correction of "
             f"{interval(box.per_cent)} of range, {box.compared} the {plus(box.uniform_per_cent)} % of such air "
             f"all over; {interval(box.depth)} of it explain them",
@@ -178,7 +182,7 @@ def _mixture(findings: Findings) -> Iterator[Row]:
     )
     shown += f"; σ {interval(fitted['sigma_cm'])}" if "sigma_cm" in fitted else ""
     if found.pit_p_value is None:
-        yield "Kinds of readings", Mark("too few to test"), shown
+        yield "Kinds of readings", VerdictMark("too few to test"), shown
     else:
         answer = f"{shown}; of the fit, p: {p_text(found.pit_p_value)}"
         yield "Kinds of readings", _mark(found.pit_p_value >= 0.05, "fits", "does not fit"), answer
