@@ -145,10 +145,12 @@ def _residuals(wanted: Sequence[Subject], both: BeforeAfter) -> Drawn:
 
 def _pit(both: BeforeAfter) -> Drawn:
     """Histograms of the randomised probability integral transform: flat where the model is right."""
-    figure, columns = both.panels(2.9, y="readings more than expected [%]")
+    figure, columns = both.panels(2.9)
     for (axes,), model, colour, _ in columns:
-        draw_pit_bars(axes, np.histogram(places(model, both.readings, both.rng), PIT_BINS, (0.0, 1.0))[0], colour)
+        draw_pit_bars(axes, np.histogram(places(model, both.readings, both.rng), PIT_BINS, (0.0, 1.0))[0], colour, 0.0)
         axes.set_xlabel("place among the expected: 0 nearest, 1 farthest")
+        axes.label_outer()
+    axes.set_ylim(0.0, max(1.6, axes.get_ylim()[1]))
     return figure, (
         "Where each reading lies among those that the model expects there, from the nearest to the farthest. Flat "
         "where the model is right. A slope: readings are too far or too near. A U: they scatter more than that. "

@@ -224,16 +224,16 @@ def line_at_zero(axes: Axes) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.9)
 
 
-def draw_pit_bars(axes: Axes, counts: ArrayLike, colour: str = OURS) -> None:
-    """Draw how many more readings than expected are in each bin of a probability integral transform [%]."""
+def draw_pit_bars(axes: Axes, counts: ArrayLike, colour: str = OURS, base: float = 1.0) -> None:
+    """Draw bars of the readings in each bin of a probability integral transform, as a factor of the expected number."""
     counts = np.asarray(counts, dtype=float)
     expected = counts.mean()
-    half = 196.0 * math.sqrt((1.0 - 1.0 / counts.size) / expected)
-    axes.axhspan(-half, half, label="random variation (95 %)", **shaded())
+    half = 1.96 * math.sqrt((1.0 - 1.0 / counts.size) / expected)
+    axes.axhspan(1.0 - half, 1.0 + half, label="random variation (95 %)", **shaded())
     edges = np.linspace(0.0, 1.0, counts.size + 1)
-    axes.stairs(100.0 * (counts / expected - 1.0), edges, fill=True, color=colour, alpha=0.75)
-    line_at_zero(axes)
-    axes.yaxis.set_major_formatter(signed)
+    axes.stairs(counts / expected, edges, baseline=base, fill=True, color=colour, alpha=0.75)
+    axes.axhline(1.0, color=GREY, linewidth=0.9)
+    axes.set_ylabel("readings, relative to expected")
     axes.set_xlim(0.0, 1.0)
     axes.margins(y=0.15)
     axes.grid(visible=False, axis="x")

@@ -318,7 +318,7 @@ def _pit(rows: PictureData) -> Drawn:
     if found.pit_p_value is None:
         raise Absent("There are too few readings for a goodness of fit.")
     words = "probability that the fitted model gives to a smaller reading (randomised within a centimetre)"
-    figure, axes = new_axes(3.2, words, "readings more than expected [%]")
+    figure, axes = new_axes(3.2, words)
     draw_pit_bars(axes, found.pit_counts)
     note(axes, f"p of uniform: {p_text(found.pit_p_value)}")
     return figure, (
