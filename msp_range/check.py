@@ -11,7 +11,7 @@ from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.plausible import doubts
-from msp_range.terminal import PlainConsole
+from msp_range.terminal import PlainConsole, plain_table
 
 WIDTH, HEIGHT = 33, 9
 """Of the drawing [characters]: it fits next to nothing else on 80 columns, and a character is twice as high as wide."""
@@ -45,19 +45,20 @@ def lines(airframe: Airframe) -> Iterator[str]:
 
 def _table(airframe: Airframe) -> Table:
     title = f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}"
-    table = Table("sensor", "id", "address", "orientation", "sent", "in fused", title=title)
+    header = ("sensor", "id", "address", "orientation", "sent", "in fused")
     downward = {sensor.name for sensor in airframe.downward}
-    for sensor in airframe.sensors:
-        orientation = sensor.orientation
-        table.add_row(
+    rows = [
+        (
             sensor.name,
             str(sensor.id),
             f"0x{sensor.address:02x}",
-            f"{orientation.value} {orientation.name}",
+            f"{sensor.orientation.value} {sensor.orientation.name}",
             "yes" if sensor.name in airframe.sent_names and not airframe.send.nothing else "no",
             "yes" if sensor.name in downward else "no",
         )
-    return table
+        for sensor in airframe.sensors
+    ]
+    return plain_table(header, rows, "l", title)
 
 
 def drawing(airframe: Airframe) -> list[str]:

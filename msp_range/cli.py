@@ -345,12 +345,10 @@ def scan(
     driver: DriverOption = None,
 ) -> None:
     """List the devices that acknowledge on an I2C bus. Only reads, unless --ping is given."""
-    from rich.table import Table
-
     from msp_range.bus.smbus import KernelBus, bus_of
     from msp_range.clock import SystemClock
     from msp_range.sensors.addressing import scan as scan_bus
-    from msp_range.terminal import PlainConsole
+    from msp_range.terminal import PlainConsole, plain_table
 
     kind = None if driver is None else driver_of(driver)
     kernel_bus = KernelBus(bus_of(bus))
@@ -359,10 +357,8 @@ def scan(
     if not found:
         print(f"{kernel_bus.path}: nothing acknowledges; check power, pull-ups and the two bus wires")
         return
-    table = Table("7-bit", "8-bit", "what", title=str(kernel_bus.path))
-    for each in found:
-        table.add_row(f"0x{each.address:02x}", f"0x{each.address << 1:02X}", each.answer)
-    PlainConsole().print(table)
+    rows = [(f"0x{each.address:02x}", f"0x{each.address << 1:02X}", each.answer) for each in found]
+    PlainConsole().print(plain_table(("7-bit", "8-bit", "what"), rows, "l", str(kernel_bus.path)))
 
 
 @app.command()

@@ -221,13 +221,12 @@ def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | 
 def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:
     """Print the outcome as a table, and what of a damaged recording was left out."""
     title = f"{source}: {outcome.duration_s:.1f} s"
-    table = plain_table("sensor", "readings", "used", title=title)
-    table.add_column("rejected, why")
+    rows = []
     for name, counts in outcome.counts.items():
         why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
-        table.add_row(name, str(counts.readings), str(outcome.filtered.get(name, 0)), why)
+        rows.append((name, str(counts.readings), str(outcome.filtered.get(name, 0)), why))
     out = console()
-    out.print(table)
+    out.print(plain_table(("sensor", "readings", "used", "rejected, why"), rows, "lrrl", title))
     sent = ", ".join(f"{name} {count}" for name, count in sorted(outcome.sent.items()))
     out.print(f"fused: {outcome.fused} distances; sent: {sent}")
     if losses is not None and losses:

@@ -4,12 +4,14 @@ rich interprets ``[red]`` as a style and ``:warning:`` as an emoji, and terminal
 vehicles, sensors, runs and files must not be interpreted.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Self
 
 from rich import box
 from rich.console import Console
 from rich.progress import Progress, ProgressColumn, TextColumn
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from msp_range.input_file import printable
@@ -30,14 +32,28 @@ class PlainConsole(Console):
         return super().render_str(printable(text), **options)
 
 
-def number_columns(*headings: str) -> list[Column]:
-    """Columns of a table that hold numbers."""
-    return [Column(heading, justify="right") for heading in headings]
+def plain_table(
+    header: Sequence[str], rows: Iterable[Sequence[str | Text]] = (), align: str = "lr", title: str | None = None
+) -> Table:
+    """A table with a line below its headings only.
 
-
-def plain_table(first: str, *numbers: str, title: str | None = None) -> Table:
-    """A table of words with numbers, with a line below its headings only."""
-    return Table(Column(first, no_wrap=True), *number_columns(*numbers), title=title, box=box.SIMPLE_HEAD)
+    Parameters
+    ----------
+    header
+        Heading of each column.
+    rows
+        Cells; a row may be shorter than the header.
+    align
+        For each column ``l`` (words) or ``r`` (numbers), as in LaTeX; the last letter is that of all further columns.
+    title
+        Line above the table.
+    """
+    table = Table(title=title, box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading, side in zip(header, align.ljust(len(header), align[-1]), strict=False):
+        table.add_column(heading, justify="right" if side == "r" else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def console() -> Console:
@@ -73,6 +89,15 @@ class Bar:
     def __exit__(self, *_: object) -> None:
         if self.is_shown:
             self._progress.stop()
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Hide the bar while something is printed."""
+        self.__exit__()
+        try:
+            yield
+        finally:
+            self.__enter__()
 
     def show(self, description: str, completed: float) -> None:
         """Show what is being done, and how much of it is complete."""

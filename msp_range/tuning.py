@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from rich.table import Table
-
 from msp_range.config import Airframe, load_airframe, load_airframe_from
 from msp_range.filters.kalman import KalmanParameters
 from msp_range.filters.tune import FEWEST, Track, Tuned, tune
@@ -17,7 +15,7 @@ from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
 from msp_range.recording.topics import RANGE_PREFIX
-from msp_range.terminal import PlainConsole, number_columns
+from msp_range.terminal import PlainConsole, plain_table
 
 Model = Literal["constant", "constant_velocity"]
 
@@ -85,13 +83,13 @@ def show(tuned: Tuned) -> None:
     console.print(
         f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.outliers} outliers removed\n"
     )
-    table = Table("parameter", *number_columns("before", "fitted", "95 % interval"), box=None)
+    rows = []
     for each in tuned.fitted:
         interval = f"{each.low:.3g} to {each.high:.3g}"
         if each.low == 0.0 or each.high == float("inf"):
             interval = "not determined by these flights"
-        table.add_row(each.name, f"{each.before:.3g}", f"{each.value:.3g}", interval)
-    console.print(table)
+        rows.append((each.name, f"{each.before:.3g}", f"{each.value:.3g}", interval))
+    console.print(plain_table(("parameter", "before", "fitted", "95 % interval"), rows))
     gain = tuned.after - tuned.before
     console.print(f"log likelihood: {tuned.before:.1f} before, {tuned.after:.1f} fitted, {gain:+.1f}")
     console.print("\nfor the airframe file:\n\nfilters:")

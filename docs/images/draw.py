@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from msp_range.config import load_airframe
-from msp_sim.page.style import BLUE, GREY, INK, ORANGE, PALE, legend_below, new_figure, png, style
+from msp_sim.page.style import BLUE, GREY, INK, ORANGE, PALE, new_figure, save, style
 
 IMAGES = Path(__file__).parent
 ROOT = IMAGES.parent.parent
@@ -81,13 +81,9 @@ def draw_pallet(path: Path) -> None:
         below.set(xticks=(-0.5, 0, 0.5), xlim=(-0.85, 0.85), ylim=(-0.9, 0.9), xlabel="right [m]", ylabel="forward [m]")
         below.set_title(f"beams on the ground, {HEIGHT_M:g} m below")
         below.set_aspect("equal")
-        handles = [
-            below.plot([], [], "v", color=ORANGE, label="front sensors and beams")[0],
-            below.plot([], [], "v", color=BLUE, label="rear sensors and beams")[0],
-            below.patches[0],
-        ]
-        legend_below(figure, handles)
-        path.write_bytes(png(figure))
+        for colour, which in ((ORANGE, "front"), (BLUE, "rear")):
+            below.plot([], [], "v", color=colour, label=f"{which} sensors and beams")
+        save(figure, path)
 
 
 def _draw_vehicle(axes: Axes) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from msp_sim.page.style import BLUE, GREEN, GREY, INK, PALE, VERMILION, new_figure, png, style
+from msp_sim.page.style import BLUE, GREEN, GREY, INK, PALE, VERMILION, new_figure, save, style
 
 WIRES = {"3.3 V": (VERMILION, 1), "GND": (INK, 6), "SDA": (BLUE, 3), "SCL": (GREEN, 5)}
 """Colour of each wire, and its pin of the Raspberry Pi's header."""
@@ -32,7 +32,7 @@ def draw_wiring(path: Path) -> None:
         for i, address in enumerate(SENSORS):
             _sensor(axes, 2.5 + 1.85 * i, address)
         _thermometer(axes, 9.95)
-        path.write_bytes(png(figure))
+        save(figure, path)
 
 
 def _sensor(axes: Axes, left: float, address: str) -> None:

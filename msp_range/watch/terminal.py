@@ -9,12 +9,12 @@ from typing import Any
 
 from rich.console import Group
 from rich.live import Live
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 from msp_range.clock import SystemClock
 from msp_range.health import BridgeState
-from msp_range.terminal import PlainConsole, number_columns
+from msp_range.terminal import PlainConsole, plain_table
 from msp_range.watch.client import connect, packets, read_once
 from msp_range.watch.newest import Newest
 from msp_range.watch.place import sockets
@@ -96,8 +96,8 @@ def _wrong(newest: Newest) -> Iterator[tuple[str, str]]:
 
 def _sensors(newest: Newest) -> Table:
     status = newest.status
-    metres, counts = number_columns("raw m", "corrected m"), number_columns("readings", "rejected")
-    table = Table(Column("sensor", no_wrap=True), *metres, "used", *counts, width=WIDTH)
+    table = plain_table(("sensor", "raw m", "corrected m", "used", "readings", "rejected"), align="lrrlr")
+    table.width = WIDTH
     for each in newest.airframe.get("sensors", []):
         name = each["name"]
         reading = newest.readings.get(name, {})

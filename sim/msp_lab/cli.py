@@ -221,15 +221,15 @@ def characterise(
     with progress.status("reading") as status:
         made = characterised(how, of or (), status.update)
         made.write(out)
-        if report is not None:
-            status.update("drawing the report")
+    console = PlainConsole()
+    show_findings(made.findings, console)
+    if report is not None:
+        with progress.status("drawing the report"):
             pages = [made.publish(report)]
             if compare_with_report:
                 from msp_lab.comparison.write import write_comparison
 
                 pages.append(write_comparison(made.findings, made.data, made.model, report))
-    console = PlainConsole()
-    show_findings(made.findings, console)
     console.print(f"{out}: loads as a sensor model" + "".join(f"; {page}" for page in pages))
 
 

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from msp_lab.cli import app
-from msp_sim.page.page import PageTable, Picture, write_page
+from msp_sim.page.page import Picture, write_page
 from msp_sim.page.style import choose_format, files_of, new_figure, save, style
+from msp_sim.page.table import PageTable
 
 FIRST_BYTES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
@@ -39,9 +40,10 @@ def test_a_chosen_format_comes_with_the_png_and_is_the_same_each_time(name: str)
 
 
 def test_a_page_has_its_figures_and_tables_as_files_next_to_it(tmp_path: Path) -> None:
-    picture = Picture("lead", "", "", "", chosen("svg"))
+    picture = Picture("lead", "", "", chosen("svg"))
     table = PageTable("of-run 1/a", "", ("effect", "size [cm]"), (("offset, of a sensor", "1.5"),))
-    write_page(tmp_path, "<html></html>", [picture], tables=[table, None])
+    empty = PageTable("empty", "", ("effect",), ())
+    write_page(tmp_path, "msp_sim.page/page.html", [picture], [table, empty])
     assert {each.name for each in tmp_path.iterdir()} == {"report.html", "lead.png", "lead.svg", "of-run 1_a.csv"}
     with (tmp_path / "of-run 1_a.csv").open(newline="", encoding="utf-8") as file:
         assert list(csv.reader(file)) == [["effect", "size [cm]"], ["offset, of a sensor", "1.5"]]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
-from msp_sim.flight.flight_picture import _edges, _interrupted, _what_happened, draw
+from msp_sim.flight.flight_picture import _Arrays, _edges, _interrupted, _what_happened, draw
 
 
 def track(times_s: list[float], why: list[str | None]) -> SensorTrack:
@@ -16,7 +16,7 @@ def track(times_s: list[float], why: list[str | None]) -> SensorTrack:
 
 
 def test_a_line_is_interrupted_where_nothing_was_known() -> None:
-    times_s, values = _interrupted([0.0, 0.5, 3.0], np.array([1.0, 1.0, 2.0]))
+    times_s, values = _interrupted(np.array([0.0, 0.5, 3.0]), np.array([1.0, 1.0, 2.0]))
     assert times_s.tolist() == [0.0, 0.5, 3.0, 3.0]
     assert math.isnan(values[2])
 
@@ -24,7 +24,7 @@ def test_a_line_is_interrupted_where_nothing_was_known() -> None:
 def test_edges_are_spans() -> None:
     times_s = [0.1 * i for i in range(100)]
     fused = track(times_s, ["edge" if 10 <= i < 20 or 60 <= i < 62 else None for i in range(100)])
-    assert [(round(a, 1), round(b, 1)) for a, b in _edges(fused)] == [(1.0, 1.9), (6.0, 6.1)]
+    assert [(round(a, 1), round(b, 1)) for a, b in _edges(_Arrays(fused))] == [(1.0, 1.9), (6.0, 6.1)]
 
 
 @pytest.mark.slow

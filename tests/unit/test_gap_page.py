@@ -94,7 +94,7 @@ def test_a_page_says_what_a_number_means_and_what_it_could_be_instead(drawn: tup
     assert "bend (0.3 nats better in total, correlation 0.97)" in text
     assert "thermometer offset (1.2 nats worse in total, correlation 0.99)" in text
     assert "What to do next: to tell range_scale from bend: ranges in steps of 20 cm." in text
-    assert "its numbers refitted 0.4 -2.7000 +0.1000" in text
+    assert "its numbers refitted 0.4 −2.7000 +0.1000" in text
     assert "bend above 0.3 %" in text
     assert "sigma_cm Standard deviation of a hit" in text
     names = {each.name for each in folder.glob("*.png")}

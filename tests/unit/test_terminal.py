@@ -14,7 +14,7 @@ from msp_range.config import load_airframe
 from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.replay import ReplayOutcome, show
 from msp_range.terminal import PlainConsole
-from msp_sim.page.style import new_figure, png, style
+from msp_sim.page.style import files_of, new_figure, style
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 ODD = "[red]quad[/] [/red] :warning: \\[x]"
@@ -78,4 +78,4 @@ def test_a_picture_shows_a_name_that_looks_like_a_formula() -> None:
         axes.plot([1, 2], [1e-3, 1e3], label="$\\nonsense{$")
         axes.set_xticks([1, 2], ["$a_$", "b"])
         axes.legend()
-        assert png(figure).startswith(b"\x89PNG")
+        assert files_of(figure)["png"].startswith(b"\x89PNG")

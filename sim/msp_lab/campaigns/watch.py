@@ -5,10 +5,9 @@ recorded, and the fit decides what it is.
 """
 
 import math
-from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections import Counter
 from dataclasses import dataclass
-from typing import Any
+from statistics import median
 
 from msp_range.reading import Reading, Status
 
@@ -93,7 +92,7 @@ class PointWatch:
     @property
     def median_cm(self) -> float | None:
         """Median of the readings with an echo [cm]."""
-        return _median(self.counts)
+        return float(median(self.counts.elements())) if self.counts else None
 
     def warnings(self) -> list[str]:
         """Return what to check before the set-up is changed."""
@@ -118,13 +117,10 @@ class PointWatch:
         return found
 
     def _find_core(self) -> tuple[float, float]:
-        median_cm = _median(self.counts)
+        median_cm = self.median_cm
         if median_cm is None:
             return -math.inf, math.inf
-        deviations: dict[float, int] = defaultdict(int)
-        for reading_cm, count in self.counts.items():
-            deviations[abs(reading_cm - median_cm)] += count
-        spread_cm = 1.4826 * (_median(deviations) or 0.0)
+        spread_cm = 1.4826 * median(abs(reading_cm - median_cm) for reading_cm in self.counts.elements())
         reach_cm = max(CORE_LEAST_CM, CORE_SPREADS * spread_cm)
         return median_cm - reach_cm, median_cm + reach_cm
 
@@ -134,19 +130,3 @@ class PointWatch:
         median_cm = self.median_cm or 0.0
         away_cm = (reading.raw or 0) - median_cm
         return f"{abs(away_cm):g} cm {'longer' if away_cm > 0 else 'shorter'} than the others"
-
-
-def _median(counts: Mapping[Any, int]) -> float | None:
-    """Median of values with counts."""
-    total = sum(counts.values())
-    if total == 0:
-        return None
-    passed = 0
-    middle: list[float] = []
-    for value in sorted(counts):
-        passed += counts[value]
-        if 2 * passed >= total:
-            middle.append(float(value))
-        if 2 * passed > total:
-            break
-    return sum(middle) / len(middle)

@@ -3,34 +3,27 @@
 Findings enter, the table of the page leaves as lines; the page has the rest.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Column, Table
-from rich.text import Text
 
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.page.answers import Kind, conclusions, summarise
-from msp_lab.characterise.page.text import interval
+from msp_lab.characterise.page.answers import conclusions_table, summarise
+from msp_lab.characterise.page.tables import mixture_table
 from msp_lab.characterise.sensors import TABLE, OfSensor
 from msp_range.terminal import console, plain_table
-
-STYLES: dict[Kind, str] = {"yes": "yellow", "no": "green", "open": "dim"}
 
 
 def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
     console.print(summarise(findings))
     rows = sum(each.readings for each in findings.points)
-    columns = [Column(heading, overflow="fold") for heading in ("what", "found (95 % interval)", "verdict")]
-    title = f"{findings.sensor}: {rows} readings at {len(findings.points)} points"
-    table = Table(*columns, title=title, title_justify="left")
-    for each in conclusions(findings):
-        table.add_row(each.subject, each.answer, Text(each.mark, style=STYLES[each.kind]))
-    console.print(table)
-    for line in _numbers(findings):
-        console.print(line, soft_wrap=True)
+    console.print(f"{findings.sensor}: {rows} readings at {len(findings.points)} points")
+    console.print(conclusions_table(findings))
+    if findings.mixture is not None:
+        console.print(mixture_table(findings))
+        console.print(findings.mixture.conditional, soft_wrap=True)
     for why in dict.fromkeys(findings.absent.values()):
         names = ", ".join(name for name, each in findings.absent.items() if each == why)
         console.print(f"not in these data: {names}: {why}", style="dim")
@@ -41,30 +34,16 @@ def show_findings(findings: Findings, console: Console) -> None:
 def show_sensors(found: Sequence[OfSensor], died: int, folder: Path) -> None:
     """Print the models of several sensors, and those that could not be made."""
     out = console()
-    table = plain_table("", "readings", "sigma [cm]", "short", "missed", "random")
+    header = ("", "readings", "sigma [cm]", "short", "missed", "random")
+    rows = []
     for each in found:
         numbers = (each.sigma_cm, each.short, each.missed, each.random)
         shown = ("-" if number is None else f"{number:.3g}" for number in numbers)
-        table.add_row(each.sensor, f"{each.readings:,}", *shown)
-    out.print(table)
+        rows.append((each.sensor, f"{each.readings:,}", *shown))
+    out.print(plain_table(header, rows))
     for each in found:
         if each.error:
             out.print(f"{each.sensor}: no model: {each.error}", style="red")
     if died:
         out.print(f"{died} worker processes died; their sensors were computed again")
     out.print(f"in {folder}: a sensor model for each, and {TABLE}", soft_wrap=True)
-
-
-def _numbers(findings: Findings) -> Iterator[str]:
-    """Numbers that the page has with its pictures."""
-    base, calibration, mixture = findings.baseline, findings.calibration, findings.mixture
-    if base is not None:
-        yield f"missed echoes: {interval(base.missed)}"
-    if calibration is not None and calibration.offset is not None and calibration.scale is not None:
-        yield f"straight line: offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
-    if mixture is not None:
-        shown = ", ".join(
-            f"{each.name} {each.fitted.value:.3g}{' (at its bound)' if each.at_bound else ''}"
-            for each in mixture.parameters
-        )
-        yield f"mixture: {shown}; {mixture.conditional}"

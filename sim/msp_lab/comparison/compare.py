@@ -4,14 +4,13 @@ Findings enter, lines leave: the finding, the report's statement, and whether bo
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import peaks_found, with_subject
 from msp_lab.characterise.page.text import half_interval
 from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.comparison.report import REPORT
+from msp_sim.page.table import PageTable, VerdictMark
 from msp_sim.page.text import plus, sentence
 
 ROUNDING_CM = 0.5
@@ -20,21 +19,23 @@ ROUNDING_DEG = 0.05
 """Angles agree within one step of the report's motor (1.8 deg) and the rounding of their numbers."""
 HOT_BOX = "1 to 2 cm, which it explains by a gradient; its 30 % of eq 7 would be 4.4 % (errata 4 and 11)"
 
-Agreement = Literal["agrees", "differs", "not in the report"]
+Row = tuple[str, VerdictMark | str, str, str]
+"""Subject, whether both agree (nothing: not decided), the finding, and the report's statement."""
 
 
-@dataclass(frozen=True)
-class ComparisonLine:
-    """A subject, the finding, the report's statement, and whether they agree; None: not decided."""
+def comparison_table(findings: Findings) -> PageTable:
+    """All lines in the order of the report; what was not measured is left out."""
+    return PageTable(
+        "compared-lines",
+        "",
+        ("subject", "agreement", "here", "the report"),
+        tuple(_lines(findings)),
+        "In brackets 95 % intervals. Errors are reading minus truth: a positive one reads too far.",
+        align="l",
+    )
 
-    subject: str
-    found: str
-    report: str
-    agreement: Agreement | None = None
 
-
-def compare_with_report(findings: Findings) -> Iterator[ComparisonLine]:
-    """Yield all lines in the order of the report; what was not measured is left out."""
+def _lines(findings: Findings) -> Iterator[Row]:
     base, longest, view = findings.baseline, findings.maximum_range, findings.field_of_view
     if base is not None:
         agrees = abs(base.largest_hit_error_cm) <= REPORT.largest_error_cm + ROUNDING_CM
@@ -49,18 +50,18 @@ def compare_with_report(findings: Findings) -> Iterator[ComparisonLine]:
             subject, found = f"Breakaway angle at {angle.range_cm:g} cm (4.3.3)", half_interval(angle.half_angle)
             report_deg = REPORT.half_angle_deg.get(round(angle.range_cm, 1))
             if report_deg is None:
-                yield ComparisonLine(subject, found, "–", "not in the report")
+                yield subject, VerdictMark("not in the report"), found, "–"
             else:
                 agrees = abs(angle.half_angle.value - report_deg) <= STEP_DEG + ROUNDING_DEG
                 yield _line(subject, found, f"{report_deg:g}°", agrees)
-        yield ComparisonLine("Reading of a tilted sensor", view.oblique.reason, "eq 8: along the axis")
+        yield "Reading of a tilted sensor", "", view.oblique.reason, "eq 8: along the axis"
     for subject, question in with_subject(findings.questions):
         report = sentence(REPORT.answers.get(question.name, "")) if subject else ""
-        yield ComparisonLine(subject, question.answer, report)
+        yield subject, "", question.answer, report
     for box in findings.hot_boxes:
         report = HOT_BOX if box.box_c > box.room_c else "readings somewhat too far"
-        yield ComparisonLine(f"Air of {box.box_c:.0f} °C at the sensor (4.3.5)", sentence(box.answer), report)
+        yield f"Air of {box.box_c:.0f} °C at the sensor (4.3.5)", "", sentence(box.answer), report
 
 
-def _line(subject: str, found: str, report: str, agrees: bool) -> ComparisonLine:
-    return ComparisonLine(subject, found, report, "agrees" if agrees else "differs")
+def _line(subject: str, found: str, report: str, agrees: bool) -> Row:
+    return subject, VerdictMark("agrees", "no") if agrees else VerdictMark("differs", "yes"), found, report

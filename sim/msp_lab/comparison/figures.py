@@ -4,16 +4,16 @@ A figure is a picture of `msp_lab.characterise.page` under the report's title, w
 there or gets wrong.
 """
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
 from functools import partial
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, range_error
-from msp_lab.characterise.page.picture_data import Drawn, Entry, Maker, PictureData
+from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.tables import compensation_cells
 from msp_lab.comparison.report import MATERIALS, REPORT, implied_temperature_c
-from msp_sim.page.page import PageTable
+from msp_sim.page.page import Drawn, Entry
+from msp_sim.page.table import PageTable
 from msp_sim.page.text import number
 
 _TWO_CODES = "2000 readings at 500 cm, with missed ones that read 765 and 255."
@@ -40,14 +40,17 @@ _DENSITIES = (
 )
 
 
-def entries() -> Iterator[Entry]:
+Figure = tuple[str, str, Callable[[PictureData], Drawn], str]
+"""File, title, what draws it, and what the report shows there."""
+
+
+def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the figures of chapters 4 and 5 in their order."""
-    for name, title, make, remark in _figures():
-        yield name, title, partial(_with_remark, make=make, remark=remark)
+    for name, title, draw, remark in _figures():
+        yield name, title, partial(_with_remark, draw, rows, remark)
 
 
-def _figures() -> Iterator[tuple[str, str, Maker, str]]:
-    """File, title, what draws it, and what the report shows there."""
+def _figures() -> Iterator[Figure]:
     remark = f"largest error {REPORT.largest_error_cm:g} cm apart from missed readings."
     yield "figure_4_04_range_error", "Figure 4.4: range error, all ranges", range_error.baseline, remark
     for figure, what, draw, masked, remark in _LONGEST_RANGE:
@@ -85,17 +88,14 @@ def _figures() -> Iterator[tuple[str, str, Maker, str]]:
         yield name, title, partial(mixture.density, kind=kind), remark
 
 
-def _with_remark(rows: PictureData, make: Maker, remark: str) -> Drawn:
+def _with_remark(draw: Callable[[PictureData], Drawn], rows: PictureData, remark: str) -> Drawn:
     """The picture with what the report shows there in its caption."""
-    drawn = make(rows)
-    return replace(drawn, caption=f"{drawn.caption} The report: {remark}") if remark else drawn
+    figure, caption = draw(rows)
+    return figure, f"{caption} The report: {remark}" if remark else caption
 
 
-def table_5_1(findings: Findings) -> PageTable | None:
-    """Return Table 5.1 next to the report's; None without rows."""
-    rows = findings.temperature_compensation
-    if not rows:
-        return None
+def table_5_1(findings: Findings) -> PageTable:
+    """Return Table 5.1 next to the report's."""
     return PageTable(
         name="table_5_1",
         title="Table 5.1: mean range error without and with temperature compensation",
@@ -115,12 +115,12 @@ def table_5_1(findings: Findings) -> PageTable | None:
                 *(number(each, 3) for each in REPORT.mean_errors_at(row.range_cm) or (None, None)),
                 number(implied_temperature_c(row.range_cm), 1),
             )
-            for row in rows
+            for row in findings.temperature_compensation
         ),
         caption=(
             "In brackets 95 % intervals. Implied air: the one air temperature that would bring the mean error to 0, "
             "and for the report the one that takes its uncompensated number to its compensated one with a calibration "
             "at 20 °C (erratum 12). The report's row at 305 cm has the same error twice: it was not compensated."
         ),
-        words=0,
+        align="r",
     )

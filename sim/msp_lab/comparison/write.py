@@ -4,14 +4,12 @@ from pathlib import Path
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.picture_data import PictureData
-from msp_lab.characterise.page.write import drawn_or_omitted
-from msp_lab.comparison.compare import compare_with_report
+from msp_lab.comparison.compare import comparison_table
 from msp_lab.comparison.figures import entries, table_5_1
 from msp_lab.comparison.report import REPORT
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.page.page import render, write_page
-from msp_sim.page.style import style
+from msp_sim.page.page import pictures_of, write_page
 
 COMPARISON = "comparison.html"
 
@@ -24,15 +22,6 @@ def write_comparison(findings: Findings, data: MeasuredData, model: SensorModel,
     ConfigError
         The folder cannot be made or written to.
     """
-    with style():
-        figures = drawn_or_omitted(entries(), PictureData(findings, data, model, REPORT))
-    table = table_5_1(findings)
-    html = render(
-        __package__ or "msp_lab.comparison",
-        COMPARISON,
-        findings=findings,
-        lines=list(compare_with_report(findings)),
-        figures=figures,
-        table_5_1=table,
-    )
-    return write_page(folder, html, figures, COMPARISON, [table])
+    pictures = pictures_of(entries(PictureData(findings, data, model, REPORT)))
+    tables = [comparison_table(findings), table_5_1(findings)]
+    return write_page(folder, f"{__package__}/{COMPARISON}", pictures, tables, COMPARISON, findings=findings)

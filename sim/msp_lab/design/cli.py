@@ -62,9 +62,8 @@ def _design(
     with ProgressBar() as progress:
         options = Options(bench, max_minutes, power, sessions, seed, airframe)
         findings, plans = plan_sessions(gap, options, progress.clock, progress.report)
-        progress.report("writing", 1.0)
-        write_plans(plans, findings, out)
     print_plans(plans, findings, out)
+    write_plans(plans, findings, out)
 
 
 app.command("design")(_design)

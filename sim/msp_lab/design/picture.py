@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from msp_lab.design.choose import Design
 from msp_lab.gap.labels import axis_label
-from msp_sim.page.style import BLUE, GREY, VERMILION, legend_below, new_figure, style
+from msp_sim.page.style import BLUE, GREY, VERMILION, new_figure, style
 
 DOTS = 3_000
 """Readings that are drawn at most."""
@@ -44,4 +44,4 @@ def draw_session(design: Design) -> Figure:
     own.set_ylim(0.0, max(3.0 * needed, 1.0))
     own.set_xlabel(f"readings in each of {session.runs} runs")
     own.set_ylabel("expected separation\n[nats]")
-    return legend_below(figure, own.get_legend_handles_labels()[0])
+    return figure

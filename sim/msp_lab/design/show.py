@@ -9,8 +9,8 @@ from rich.text import Text
 from msp_lab.design.designing import Plan
 from msp_lab.design.files import commands, folder_of
 from msp_lab.gap.findings import GapFindings
-from msp_lab.gap.labels import and_list
 from msp_range.terminal import PlainConsole, console
+from msp_sim.page.text import and_list
 
 
 def print_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None:

@@ -17,7 +17,7 @@ from msp_lab.filter_study.scenarios import (
     report_readings,
     truth,
 )
-from msp_sim.page.style import GREY, INK, SERIES, legend_below, new_figure, save, style
+from msp_sim.page.style import GREY, INK, SERIES, new_figure, save, style
 
 FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
 FIRST_FIGURE = 7
@@ -61,7 +61,7 @@ def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array
     close.set_xlim(begin_s, begin_s + CLOSE_S)
     close.set_ylim(runs.reading_cm[0][part].min() - 5.0, runs.reading_cm[0][part].max() + 5.0)
     close.set_xlabel("time [s]")
-    return legend_below(figure)
+    return figure
 
 
 def _interesting_s(runs: ScenarioRuns) -> float:

@@ -3,9 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from msp_lab.filter_study.bands import WIDTH, Band
 from msp_lab.filter_study.changes import Changes
@@ -14,7 +12,7 @@ from msp_lab.filter_study.goals import Goal
 from msp_lab.filter_study.scenarios import NAMES
 from msp_lab.filter_study.statistics import STATISTICS
 from msp_lab.filter_study.table import Row
-from msp_range.terminal import number_columns, plain_table
+from msp_range.terminal import plain_table
 
 HEADINGS = ("RMS", "90th %", "median", "mean", "variance")
 TITLES = {"fixed": "fixed range", "steps": "set ranges", "random": "random ranges"}
@@ -37,24 +35,25 @@ def print_tables(console: Console, verdicts: Sequence[FilterResult], delays: Map
         if not rows:
             continue
         title = f"{TITLES[scenario]}: value, and band as stated [cm]"
-        table = plain_table("filter", *HEADINGS, "delay", "gap", "after", title=title)
-        for verdict in rows:
-            row, before, after = verdict.rows[scenario], verdict.before[scenario], verdict.after[scenario]
-            delay = delays[scenario].get(verdict.filter, float("nan"))
-            cells = [_cell(row, before, index) for index in range(len(STATISTICS))]
-            table.add_row(
-                verdict.filter,
-                *cells,
-                "-" if np.isnan(delay) else f"{delay:.0f}",
-                _gap(before, row),
-                "" if verdict.changes == () else _gap(after, row),
-            )
-        console.print(table)
+        header = ("filter", *HEADINGS, "delay", "gap", "after")
+        console.print(plain_table(header, [_row(each, scenario, delays[scenario]) for each in rows], title=title))
     console.print(
         f"gap: largest distance of a value from the middle of its band, in spreads; a band is {WIDTH:g} spreads to "
         "either side. ! is outside.\n"
         "delay: samples, of the filter as stated; the medians look ahead by half a window.\n",
     )
+
+
+def _row(verdict: FilterResult, scenario: str, delays: Mapping[str, float]) -> list[str]:
+    row, before, after = verdict.rows[scenario], verdict.before[scenario], verdict.after[scenario]
+    delay = delays.get(verdict.filter, float("nan"))
+    return [
+        verdict.filter,
+        *(_cell(row, before, index) for index in range(len(STATISTICS))),
+        "-" if np.isnan(delay) else f"{delay:.0f}",
+        _gap(before, row),
+        "" if verdict.changes == () else _gap(after, row),
+    ]
 
 
 def print_explanations(console: Console, reverse: bool, verdicts: Sequence[FilterResult]) -> None:
@@ -95,12 +94,9 @@ def _explanation(verdict: FilterResult) -> Iterable[str]:
 
 def print_goals(console: Console, goals: Iterable[Goal]) -> None:
     """Print the changepoint filter's figures with their goals."""
-    table = Table(
-        "figure", *number_columns("value"), "goal", "met", title="the changepoint filter", box=box.SIMPLE_HEAD
-    )
-    for goal in goals:
-        table.add_row(goal.name, goal.shown, goal.wanted, {True: "yes", False: "NO", None: ""}[goal.met])
-    console.print(table)
+    met = {True: "yes", False: "NO", None: ""}
+    rows = [(goal.name, goal.shown, goal.wanted, met[goal.met]) for goal in goals]
+    console.print(plain_table(("figure", "value", "goal", "met"), rows, "lrl", "the changepoint filter"))
 
 
 def _words(changes: Changes) -> str:

@@ -72,14 +72,18 @@ def fleet(
         findings = find_in_fleet(
             dataset, model, fdr=fdr, pattern=vehicle, seed=seed, date=date_of(SystemClock().utc()), where=where
         )
-    files = write_files(findings, out)
-    _print(findings, where.died, files)
+    console = PlainConsole(width=WIDTH)
+    _print(findings, where.died, console)
+    files = ", ".join(each.name for each in write_files(findings, out))
+    console.print(
+        f"{findings.readings:,} readings, {findings.vehicles} vehicles, {findings.sensors} sensors, "
+        f"{findings.sessions} sessions; in {out}: {files}",
+    )
 
 
-def _print(findings: "FleetFindings", died: int, files: list[Path]) -> None:
+def _print(findings: "FleetFindings", died: int, console: PlainConsole) -> None:
     from msp_lab.fleet.words import left_out_line, line_of
 
-    console = PlainConsole(width=WIDTH)
     console.print(findings.sentence, style="bold")
     found = findings.effects[: findings.found]
     for each in found:
@@ -95,7 +99,3 @@ def _print(findings: "FleetFindings", died: int, files: list[Path]) -> None:
         console.print(left_out_line(findings))
     if died:
         console.print(f"{died} worker processes died; their sensors were examined again.")
-    console.print(
-        f"{findings.readings:,} readings, {findings.vehicles} vehicles, {findings.sensors} sensors, "
-        f"{findings.sessions} sessions; in {files[0].parent}: {', '.join(each.name for each in files)}",
-    )

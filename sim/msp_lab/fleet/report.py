@@ -7,8 +7,8 @@ from msp_lab.fleet.pictures import draw_fleet
 from msp_lab.fleet.words import left_out_line, line_of
 from msp_range.input_file import making
 from msp_range.yaml_file import ConfigError
-from msp_sim.page.page import PageTable, Picture, render, write_page
-from msp_sim.page.style import files_of, style
+from msp_sim.page.page import pictures_of, write_page
+from msp_sim.page.table import PageTable
 from msp_sim.page.text import p_text
 
 NUMBERS, TABLE = "fleet.json", "fleet.csv"
@@ -28,20 +28,17 @@ def write_files(findings: FleetFindings, folder: Path) -> list[Path]:
     ConfigError
         A file cannot be written.
     """
-    with style():
-        drawn = files_of(draw_fleet(findings))
-    picture = Picture("fleet", "", CAPTION, f"Numbers of every vehicle: {findings.sentence}", drawn)
-    html = render(
-        __package__ or "msp_lab.fleet",
-        "fleet.html",
+    pictures = pictures_of([("fleet", "", lambda: (draw_fleet(findings), CAPTION))])
+    numbers = [_table(each, k) for k, each in enumerate(findings.effects, start=1) if not each.sessions]
+    page = write_page(
+        folder,
+        f"{__package__}/fleet.html",
+        pictures,
+        [_summary(findings), *numbers],
         findings=findings,
-        picture=picture,
         lines=[line_of(each, findings) for each in findings.effects[: findings.found]],
         left_out=left_out_line(findings),
-        summary=_summary(findings),
-        tables=[_table(each, k) for k, each in enumerate(findings.effects) if not each.sessions],
     )
-    page = write_page(folder, html, [picture])
     try:
         for name, text in ((NUMBERS, findings.as_json()), (TABLE, findings.as_csv())):
             with making(folder / name, replacing=True) as unfinished:
@@ -66,7 +63,7 @@ def _summary(findings: FleetFindings) -> PageTable:
     ]
     header = ("finding", "effect", "parameter", "fleet's mean (95 %)", "between vehicles", "I²", "odd ones out")
     caption = "Mean and standard deviation between the ordinary vehicles; I² is how much of the scatter that is."
-    return PageTable("summary", "What was found", header, tuple(rows), caption, words=3)
+    return PageTable("summary", "What was found", header, tuple(rows), caption, align="lllr")
 
 
 def _table(effect: FleetEffect, k: int) -> PageTable:
@@ -84,4 +81,4 @@ def _table(effect: FleetEffect, k: int) -> PageTable:
     header = ("vehicle", "sensor", "", "own readings", "with the fleet's (95 %)", "p of deviation")
     shape = "".join(f", {name} {value:g}" for name, value in effect.shape)
     title = f"{effect.name.replace('_', ' ')}: {effect.parameter}{effect.unit_label}{shape}"
-    return PageTable(f"number-{k + 1}", title, header, tuple(rows), words=3)
+    return PageTable(f"number-{k}", title, header, tuple(rows), align="lllr")

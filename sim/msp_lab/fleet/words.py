@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, UnitEstimate
 from msp_lab.fleet.terms import FleetTerm, effect_of
-from msp_lab.gap.labels import and_list
 from msp_sim.effects.plain import plain_finding
+from msp_sim.page.text import and_list, capitalised, listed
 
 MAX_NAMES = 8
 """Vehicles that a sentence names; the table has all."""
@@ -32,8 +32,7 @@ def names_of(units: Sequence[UnitEstimate], several_sensors: bool) -> str:
     for each in units:
         sensors.setdefault(each.vehicle, []).append(each.sensor)
     names = [f"{name} ({', '.join(own)})" if several_sensors else name for name, own in sensors.items()]
-    more = len(names) - MAX_NAMES
-    return ", ".join(names[:MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return listed(names, MAX_NAMES)
 
 
 def line_of(effect: FleetEffect, findings: FleetFindings) -> str:
@@ -65,8 +64,7 @@ def sentence_of(findings: FleetFindings) -> str:
     lines = [line_of(each, findings) for each in found[:MAX_SENTENCES]]
     more = len(found) - MAX_SENTENCES
     text = "; ".join(lines) + (f"; and {more} more finding{'s' * (more > 1)}" if more > 0 else "")
-    text = text[:1].upper() + text[1:]
-    return f"{text}. {100.0 * findings.fdr:.3g} % of such findings are expected to be false."
+    return f"{capitalised(text)}. {100.0 * findings.fdr:.3g} % of such findings are expected to be false."
 
 
 def left_out_line(findings: FleetFindings) -> str:

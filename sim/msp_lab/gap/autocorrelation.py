@@ -5,17 +5,14 @@ before it, as a normal deviate: where the model is right these are independent, 
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.special import ndtri
 
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.runs import reading_before
 from msp_range.arrays import Array
 from msp_sim.model.model import Model
-from msp_sim.page.style import BLUE, INK, PALE, VERMILION, legend_below, new_figure
 
 LAGS = 20
 """Readings back to which it is drawn: correlated noise and held values have decayed by then in all recordings tried."""
@@ -68,31 +65,3 @@ def places(model: Model, readings: HeldOutReadings, rng: np.random.Generator) ->
         given, _ = rows.given(reading)
         found[part] = np.exp(given.log_below(reading)) + rng.random(reading.size) * np.exp(given.log_prob(reading))
     return np.clip(found, 0.0, 1.0)
-
-
-def draw_autocorrelation(before: Autocorrelation, after: Autocorrelation, added: str) -> Figure:
-    """Both over the time between two readings."""
-    figure = new_figure(2.9)
-    left, right = figure.subplots(1, 2, sharey=True)
-    for axes, each, colour, label, title in (
-        (left, before, VERMILION, "measured, before", "before: given model"),
-        (right, after, BLUE, "measured, after", f"after: {added}"),
-    ):
-        axes.fill_between(each.apart, -each.band, each.band, color=PALE, zorder=0, label="independent errors (95 %)")
-        axes.vlines(each.apart, 0.0, each.value, color=colour, linewidth=1.5)
-        axes.plot(each.apart, each.value, "o", color=colour, label=label)
-        axes.axhline(0.0, color=INK, linewidth=0.8)
-        axes.set_xlim(left=0.0)
-        axes.set_title(title)
-        axes.set_xlabel("time between two readings [s]" if each.in_seconds else "readings between")
-    left.set_ylabel("correlation of the errors")
-    low, high = left.get_ylim()
-    left.set_ylim(min(low, -0.2), max(high, 0.5))
-    legend_below(figure, labelled(figure))
-    return figure
-
-
-def labelled(figure: Figure) -> list[Any]:
-    """What a figure's legend lists: of all axes, one of each label."""
-    drawn = [each for axes in figure.axes for each in axes.get_legend_handles_labels()[0]]
-    return list({str(each.get_label()): each for each in drawn}.values())

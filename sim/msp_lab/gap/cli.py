@@ -152,10 +152,10 @@ def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFind
     """Do a step with its progress on the terminal, and print what it found."""
     with _progress(effects) as progress:
         from msp_lab.gap.steps import Steps
-        from msp_lab.gap.terminal import print_findings
+        from msp_lab.gap.terminal import print_files
 
-        findings = step(Steps(out, progress.clock, progress.report))
-    print_findings(findings, out)
+        findings = step(Steps(out, progress.clock, progress.report, progress.print_findings))
+    print_files(findings, out)
 
 
 def _run_separately(
@@ -213,14 +213,15 @@ def _demo(
     require("lab", "The gap workflow")
     from msp_lab.gap import demo
     from msp_lab.gap.steps import Steps
-    from msp_lab.gap.terminal import ProgressBar, print_comparisons, print_findings
+    from msp_lab.gap.terminal import ProgressBar, print_comparisons, print_files
     from msp_sim.terminal import make_folder
 
     make_folder(out)
     demo.clear(out, force)
     with ProgressBar() as progress:
-        findings = demo.run(out, seed, Steps(out / "gap", progress.clock, progress.report))
-    print_findings(findings, out / "gap")
+        steps = Steps(out / "gap", progress.clock, progress.report, progress.print_findings)
+        findings = demo.run(out, seed, steps)
+    print_files(findings, out / "gap")
     print_comparisons(demo.comparisons(findings))
 
 

@@ -1,7 +1,6 @@
 """Labels for people: context columns, effects, slices and runs as pictures and sentences name them."""
 
 import re
-from collections.abc import Sequence
 
 from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect
 
@@ -160,28 +159,6 @@ def step_name(added: str) -> str:
     return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
 
 
-def capitalised(sentence: str) -> str:
-    """With a capital first letter.
-
-    Examples
-    --------
-    >>> capitalised("to tell A from b")
-    'To tell A from b'
-    """
-    return sentence[:1].upper() + sentence[1:]
-
-
-def and_list(parts: Sequence[str]) -> str:
-    """Parts of a sentence, the last two joined by 'and'.
-
-    Examples
-    --------
-    >>> and_list(["a", "b", "c"]), and_list(["a"])
-    ('a, b and c', 'a')
-    """
-    return " and ".join([*([", ".join(parts[:-1])] if len(parts) > 1 else []), *parts[-1:]])
-
-
 def number_label(name: str) -> str:
     """A number of the base model, as a pilot calls it.
 
@@ -194,26 +171,14 @@ def number_label(name: str) -> str:
     return _NUMBERS.get(last, last.replace("_", " "))
 
 
-def listed(names: Sequence[str], most: int = 12) -> str:
-    """The first of many names, and how many more there are.
-
-    Examples
-    --------
-    >>> listed(["a", "b", "c"]), listed(["a", "b", "c"], most=2)
-    ('a, b, c', 'a, b and 1 more')
-    """
-    more = len(names) - most
-    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
-
-
-def short(value: float | None) -> str:
-    """A number with few digits; nothing where it is not known."""
+def short(value: float | None, unknown: str = "") -> str:
+    """A number with few digits, or a word where it is not known."""
     if value is None:
-        return ""
+        return unknown
     return "0" if abs(value) < 5e-5 else f"{value:.2g}" if abs(value) < 1.0 else f"{value:.3g}"
 
 
-def interval(low: float | None, high: float | None, digits: int) -> str:
+def interval(low: float | None, high: float | None, digits: int = 3) -> str:
     """From one number to another; nothing where they are not known."""
     return "" if low is None or high is None else f"{low:.{digits}g} to {high:.{digits}g}"
 

@@ -3,25 +3,39 @@
 Findings, both models and the held-out readings enter, figures leave. Nothing is decided here; needs the extra ``lab``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from msp_lab.gap.autocorrelation import labelled, places
+from msp_lab.gap.autocorrelation import places, residual_autocorrelation
 from msp_lab.gap.cells import Partition, partitions
 from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect, error_name
-from msp_lab.gap.labels import axis_label, step_name
+from msp_lab.gap.labels import axis_label, name_of, step_name
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.tables import shown_slices, slice_with_count
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
-from msp_sim.page.style import BLUE, GREY, INK, PALE, VERMILION, legend_below, new_figure, note
+from msp_sim.page.page import Absent, Drawn, Entry
+from msp_sim.page.style import (
+    BLUE,
+    GREY,
+    INK,
+    PALE,
+    VERMILION,
+    draw_pit_bars,
+    line_at_zero,
+    new_axes,
+    new_figure,
+    note,
+)
 
 BEFORE, AFTER = VERMILION, BLUE
 REPLICATES = 12
@@ -33,6 +47,8 @@ NO_HIT_SIGMAS = 4.0
 """A reading farther from the model's centre is no hit, in pictures of the outliers: 1 in 16,000 hits is."""
 CLOSEST = 0.04
 """Two points of a picture are at least so far apart, as a share of its width."""
+MOST_SUBJECTS = 3
+"""Contexts that are drawn; each costs a row of panels as high as a third of a screen."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +59,45 @@ class Subject:
     of_outliers: bool
 
 
-def subjects(findings: GapFindings, readings: HeldOutReadings, most: int = 3) -> list[Subject]:
+@dataclass(frozen=True)
+class BeforeAfter:
+    """The given and the extended model, and the held-out readings that both are drawn with."""
+
+    before: Model
+    after: Model
+    added: str
+    """What the model after has, in words."""
+    readings: HeldOutReadings
+    rng: np.random.Generator
+
+    def panels(
+        self, height_in: float, rows: int = 1, y: str = ""
+    ) -> tuple[Figure, Iterator[tuple[Sequence[Axes], Model, str, str]]]:
+        """A figure with a column of axes for each model; of each column its axes, the model, its colour and a word."""
+        figure = new_figure(height_in)
+        axes = figure.subplots(rows, 2, sharey="row", squeeze=False)
+        axes[0, 0].set(title="before: given model", ylabel=y)
+        axes[0, 1].set_title(f"after: {self.added}")
+        return figure, zip(axes.T, (self.before, self.after), (BEFORE, AFTER), ("before", "after"), strict=True)
+
+
+def entries(findings: GapFindings, both: BeforeAfter) -> Iterator[Entry]:
+    """Yield the pictures of the page."""
+    wanted = subjects(findings, both.readings)
+    yield "lead", "" if wanted else "Readings against the model", partial(_residuals, wanted[:1], both)
+    if wanted[1:]:
+        yield "residuals", "Over other contexts", partial(_residuals, wanted[1:], both)
+    yield "path", "The gap after each step", partial(_path, findings)
+    yield "pit", "All readings, before and after", partial(_pit, both)
+    yield "autocorrelation", "Do errors repeat?", partial(_autocorrelation, both)
+    yield "slices", "Slices of context", partial(_slices, shown_slices(findings))
+    for number, each in enumerate(findings.unknown, start=1):
+        if each.curve:
+            title = f"Unknown effect {number}: {each.channel} over {name_of(each.variables[0])}"
+            yield f"unknown-{number}", title, partial(_curve, each)
+
+
+def subjects(findings: GapFindings, readings: HeldOutReadings) -> list[Subject]:
     """The columns of the effects found, of unknown effects, or else of the slice that differs most."""
     found: list[Subject] = []
     for each in findings.effects:
@@ -61,179 +115,171 @@ def subjects(findings: GapFindings, readings: HeldOutReadings, most: int = 3) ->
     found.append(Subject("true_range_cm", False))
     known = [each for each in dict.fromkeys(found) if each.column in readings.contexts]
     usable = [each for each in known if len(partitions(readings.contexts, [each.column], pairs=False)) > 1]
-    wanted = max(1, min(most, len(findings.effects) + len(findings.unknown)))
+    wanted = max(1, min(MOST_SUBJECTS, len(findings.effects) + len(findings.unknown)))
     # First one with single readings in it: a share of outliers has to be explained before it can be read.
     return sorted(usable[:wanted], key=lambda each: each.of_outliers)
 
 
-def draw_residuals(
-    wanted: Sequence[Subject],
-    before: Model,
-    after: Model,
-    readings: HeldOutReadings,
-    rng: np.random.Generator,
-    added: str,
-) -> Figure:
-    """One row a context: what is measured against what the model expects, before on the left and after on the right.
-
-    `added` labels the model after.
-    """
-    figure = new_figure(0.8 + 2.45 * len(wanted))
-    rows = figure.subplots(len(wanted), 2, sharey="row", squeeze=False)
-    for subject, (left, right) in zip(wanted, rows, strict=True):
-        part = _apart(partitions(readings.contexts, [subject.column], pairs=False)[1])
-        drawn = _draw_share if subject.of_outliers else _draw_residual
-        limits = []
-        for axes, model, colour in ((left, before, BEFORE), (right, after, AFTER)):
-            middle, error, ends = drawn(axes, model, readings, part, rng)
-            label = "measured, before" if colour == BEFORE else "measured, after"
-            at = _bin_places(part)
-            axes.errorbar(at, middle, error, fmt="o", color=colour, markersize=4.5, label=label, zorder=5)
+def _residuals(wanted: Sequence[Subject], both: BeforeAfter) -> Drawn:
+    """One row a context: what is measured against what the model expects, before on the left and after on the right."""
+    if not wanted:
+        raise Absent("No context column varies")
+    figure, columns = both.panels(0.8 + 2.45 * len(wanted), len(wanted))
+    parts = [_apart(partitions(both.readings.contexts, [each.column], pairs=False)[1]) for each in wanted]
+    for column, model, colour, word in columns:
+        for axes, subject, part in zip(column, wanted, parts, strict=True):
+            draw = _draw_share if subject.of_outliers else _draw_residual
+            draw(axes, model, both, part, {"fmt": "o", "color": colour, "label": f"measured, {word}", "zorder": 5})
             if part.centres is None:
-                names = [label.split(" ", 1)[-1] for label in part.labels]
+                names = [each.split(" ", 1)[-1] for each in part.labels]
                 axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
             axes.set_xlabel(axis_label(subject.column))
-            limits.append(ends)
-        left.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
-        left.set_ylabel("outliers [%]" if subject.of_outliers else "reading − expected [cm]")
-    rows[0][0].set_title("before: given model")
-    rows[0][1].set_title(f"after: {added}")
-    legend_below(figure, labelled(figure))
-    return figure
+            if word == "before":
+                axes.set_ylabel("outliers [%]" if subject.of_outliers else "reading − expected [cm]")
+    return figure, (
+        "Readings of held-out runs, on which no value was fitted: left the given model, right "
+        f"{both.added}. Line and grey band are what the model expects: where the coloured points lie on the line, it "
+        "does what the sensor does. Outliers are farther from the surface than scatter explains."
+    )
 
 
-def draw_pit(before: Model, after: Model, readings: HeldOutReadings, rng: np.random.Generator, added: str) -> Figure:
+def _pit(both: BeforeAfter) -> Drawn:
     """Histograms of the randomised probability integral transform: flat where the model is right."""
-    figure = new_figure(2.9)
-    left, right = figure.subplots(1, 2, sharey=True)
-    expected = len(readings) / PIT_BINS
-    deviation = 1.96 * np.sqrt(expected * (1.0 - 1.0 / PIT_BINS))
-    for axes, model, colour, title in (
-        (left, before, BEFORE, "before: given model"),
-        (right, after, AFTER, f"after: {added}"),
-    ):
-        counts, edges = np.histogram(places(model, readings, rng), PIT_BINS, (0.0, 1.0))
-        axes.axhspan(
-            (expected - deviation) / expected,
-            (expected + deviation) / expected,
-            color=PALE,
-            label="random variation (95 %)",
-        )
-        axes.stairs(counts / expected, edges, fill=True, color=colour, alpha=0.75)
-        axes.axhline(1.0, color=INK, linewidth=0.8)
-        axes.set_title(title)
+    figure, columns = both.panels(2.9)
+    for (axes,), model, colour, _ in columns:
+        draw_pit_bars(axes, np.histogram(places(model, both.readings, both.rng), PIT_BINS, (0.0, 1.0))[0], colour, 0.0)
         axes.set_xlabel("place among the expected: 0 nearest, 1 farthest")
-    left.set_ylabel("readings, relative to expected")
-    left.set_ylim(0.0, max(1.6, left.get_ylim()[1]))
-    legend_below(figure)
-    return figure
+        axes.label_outer()
+    axes.set_ylim(0.0, max(1.6, axes.get_ylim()[1]))
+    return figure, (
+        "Where each reading lies among those that the model expects there, from the nearest to the farthest. Flat "
+        "where the model is right. A slope: readings are too far or too near. A U: they scatter more than that. "
+        "High ends: outliers that the model does not have."
+    )
 
 
-def draw_path(findings: GapFindings) -> Figure:
+def _autocorrelation(both: BeforeAfter) -> Drawn:
+    """Correlation of errors over the time between two readings."""
+    figure, columns = both.panels(2.9, y="correlation of the errors")
+    for (axes,), model, colour, word in columns:
+        found = residual_autocorrelation(model, both.readings, both.rng)
+        if not found.apart.size:
+            raise Absent("There are too few readings in a row")
+        words = "independent errors (95 %)"
+        axes.fill_between(found.apart, -found.band, found.band, color=PALE, zorder=0, label=words)
+        axes.vlines(found.apart, 0.0, found.value, color=colour, linewidth=1.5)
+        axes.plot(found.apart, found.value, "o", color=colour, label=f"measured, {word}")
+        line_at_zero(axes)
+        axes.set_xlim(left=0.0)
+        axes.set_xlabel("time between two readings [s]" if found.in_seconds else "readings between")
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, -0.2), max(high, 0.5))
+    return figure, (
+        "How alike the errors of two readings of a sensor are, over the time between them: 1 is the same error "
+        "again, 0 is independent. After, the points should lie in the grey band: then nothing is left that one "
+        "reading says about the next."
+    )
+
+
+def _path(findings: GapFindings) -> Drawn:
     """The gap after each step, with the noise floor."""
     steps = [each for each in findings.selection_path if each.nats_per_reading is not None]
     assert findings.gap is not None
     floor = findings.gap.nats_per_reading.noise_floor or 1e-4
-    names = [step_name(each.added) for each in steps]
     least = floor / 4.0
     widths = [max(each.nats_per_reading or 0.0, least) for each in steps]
-    figure = new_figure(1.2 + 0.36 * len(steps))
-    axes = figure.subplots()
+    figure, axes = new_axes(1.2 + 0.36 * len(steps), "gap on held-out runs [nats per reading], logarithmic")
     axes.set_xscale("log")
     axes.axvspan(least, floor, color=PALE, label="noise floor: random variation alone (95 %)")
-    colours = [BEFORE, *([AFTER] * (len(steps) - 1))]
-    axes.barh(range(len(steps)), widths, left=0.0, height=0.6, color=colours)
+    bars = axes.barh(range(len(steps)), widths, height=0.6, color=[BEFORE, *([AFTER] * (len(steps) - 1))])
+    shown = [f"{width:.2g}" if width > least else "none left" for width in widths]
+    axes.bar_label(bars, shown, padding=4, fontsize=8.5, color=INK)
     axes.set_xlim(least, max(widths) * 2.2)
-    for place, (each, width) in enumerate(zip(steps, widths, strict=True)):
-        shown = each.nats_per_reading or 0.0
-        text = f"{shown:.2g}" if shown > least else "none left"
-        axes.annotate(
-            text, (width, place), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8.5, color=INK
-        )
-    axes.set_yticks(range(len(steps)), names)
+    axes.set_yticks(range(len(steps)), [step_name(each.added) for each in steps])
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     _plain_decades(axes)
-    axes.set_xlabel("gap on held-out runs [nats per reading], logarithmic")
-    legend_below(figure)
-    return figure
+    return figure, (
+        "How much better each reading could still be predicted after each addition (in nats, the natural logarithm "
+        "of a probability). Readings that the final model draws itself show a gap up to the grey band."
+    )
 
 
-def draw_slices(findings: GapFindings) -> Figure:
+def _slices(slices: Sequence[Slice]) -> Drawn:
     """Bias and ratios of each slice, before and after, with their errors."""
-    slices = shown_slices(findings)
+    if len(slices) < 2:
+        raise Absent("No slice of context differs from the model significantly.")
     figure = new_figure(1.3 + 0.3 * len(slices))
     left, right = figure.subplots(1, 2, sharey=True)
-    places = np.arange(len(slices))
-    ratios = _ratio_columns(slices)
-    many = len(ratios) > 1
-    for axes, names, label in (
-        (left, ("bias_cm",), "bias [cm]"),
-        (right, ratios, "ratio to the model (1 is right)"),
-    ):
-        for column, marker in zip(names, "o" if axes is left else "sD^v", strict=False):
-            what = column.removeprefix("log_").removeprefix("odds_").removesuffix("_cm")
-            # None, for what is not known, becomes NaN.
-            values = np.array([getattr(each, column) for each in slices], dtype=float)
-            errors = np.array([getattr(each, error_name(column)) for each in slices], dtype=float)
-            later = np.array([each.after.get(column) for each in slices], dtype=float)
-            ends = np.array([values - 1.96 * errors, values + 1.96 * errors])
-            if column != "bias_cm":
-                with np.errstate(over="ignore"):
-                    values, ends, later = np.exp(values), np.exp(ends), np.exp(later)
-            offset = 0.0 if column == "bias_cm" else 0.16 * (names.index(column) - (len(names) - 1) / 2.0)
-            prefix = f"{what}, " if many else ""
-            axes.hlines(places + offset, *ends, color=BEFORE, linewidth=1.0, alpha=0.6)
-            axes.plot(values, places + offset, marker, color=BEFORE, label=f"{prefix}before, 95 % interval")
-            axes.plot(later, places + offset, marker, color=AFTER, label=f"{prefix}after", markerfacecolor="white")
-        axes.axvline(0.0 if axes is left else 1.0, color=INK, linewidth=0.8)
-        axes.set_xlabel(label)
+    # The spread, and those odds in which some slice differs most.
+    odds = [each for each in ("short", "missed", "random") if each in {one.channel for one in slices}]
+    names = ["spread", *odds]
+    _draw_slices(left, slices, "bias_cm", "", 0.0, "o")
+    for place, (name, marker) in enumerate(zip(names, "sD^v", strict=False)):
+        column = f"log_odds_{name}" if name in odds else "log_spread"
+        shift = 0.16 * (place - (len(names) - 1) / 2.0)
+        _draw_slices(right, slices, column, f"{name}, " if odds else "", shift, marker)
+    for axes, words, neutral in ((left, "bias [cm]", 0.0), (right, "ratio to the model (1 is right)", 1.0)):
+        axes.axvline(neutral, color=INK, linewidth=0.8)
+        axes.set_xlabel(words)
         axes.grid(axis="y", visible=False)
     right.set_xscale("log")
     low, high = right.get_xlim()
     right.set_xlim(max(min(low, 0.5), 0.02), min(max(high, 2.0), 100.0))
     _plain_decades(right)
-    left.set_yticks(places, [slice_with_count(each) for each in slices])
+    left.set_yticks(range(len(slices)), [slice_with_count(each) for each in slices])
     left.invert_yaxis()
-    legend_below(figure, labelled(figure))
-    return figure
+    return figure, (
+        "Parts of the readings that differ most from the given model, the most certain ones first, with 95 % "
+        "intervals; open marks: with what was added. In brackets the number of readings."
+    )
+
+
+def _draw_slices(axes: Axes, slices: Sequence[Slice], column: str, what: str, shift: float, marker: str) -> None:
+    """One number of each slice with its interval, and the same number after; the exponential of a logarithm."""
+    # None, for what is not known, becomes NaN.
+    value, error, after = np.array(
+        [(getattr(each, column), getattr(each, error_name(column)), each.after.get(column)) for each in slices],
+        dtype=float,
+    ).T
+    shown = np.array([value, after, value - 1.96 * error, value + 1.96 * error])
+    if column != "bias_cm":
+        with np.errstate(over="ignore"):
+            shown = np.exp(shown)
+    rows = np.arange(len(slices)) + shift
+    axes.hlines(rows, *shown[2:], color=BEFORE, linewidth=1.0, alpha=0.6)
+    axes.plot(shown[0], rows, marker, color=BEFORE, label=f"{what}before, 95 % interval")
+    axes.plot(shown[1], rows, marker, color=AFTER, label=f"{what}after", markerfacecolor="white")
 
 
 def _plain_decades(axes: Axes) -> None:
     """Ticks at 1, 2 and 5 of each decade of a logarithmic axis, as plain numbers."""
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_major_formatter("{x:g}")
 
 
-def draw_curve(each: UnknownEffect) -> Figure:
+def _curve(each: UnknownEffect) -> Drawn:
     """An unknown effect over its variable, with its band."""
-    figure = new_figure(2.8)
-    axes = figure.subplots()
+    names = {"bias": "bias [cm]", "spread": "log of the spread"}
+    figure, axes = new_axes(2.8, axis_label(each.variables[0]), names.get(each.channel, f"log odds of {each.channel}"))
     value, curve, low, high = np.array(each.curve).T
     axes.fill_between(value, low, high, color=PALE, label="95 % band")
     axes.plot(value, curve, color=BLUE, marker="o", label="fitted")
-    axes.axhline(0.0, color=INK, linewidth=0.8)
-    axes.set_xlabel(axis_label(each.variables[0]))
-    axes.set_ylabel(
-        {"bias": "bias [cm]", "spread": "log of the spread"}.get(each.channel, f"log odds of {each.channel}")
-    )
-    legend_below(figure)
-    return figure
+    line_at_zero(axes)
+    return figure, f"No effect of the catalogue explains it. Its formula: {each.formula}."
 
 
-def _draw_residual(
-    axes: Axes, model: Model, readings: HeldOutReadings, part: Partition, rng: np.random.Generator
-) -> tuple[Array, Array, tuple[float, float]]:
-    """Residuals as dots, and the band where the model expects two of three; medians of bins with errors, and limits."""
+def _draw_residual(axes: Axes, model: Model, both: BeforeAfter, part: Partition, look: dict[str, Any]) -> None:
+    """Residuals as dots, and the band where the model expects two of three; medians of bins with errors."""
+    readings, rng = both.readings, both.rng
     centre = _centre(model, readings)
     residual = readings.reading_cm - centre
     numbers = part.centres is not None
     x = np.asarray(readings.contexts[part.variables[0]] if numbers else part.cell, dtype=float)
     low, middle, high, error = _of_bins(residual, part)
-    expected = np.stack(
-        [_of_bins(model.sample(readings.contexts, rng) - centre, part)[:3] for _ in range(REPLICATES)]
-    ).mean(axis=0)
+    drawn = [_of_bins(model.sample(readings.contexts, rng) - centre, part)[:3] for _ in range(REPLICATES)]
+    expected = np.mean(drawn, axis=0)
     wide = 1.6 * float(np.nanmedian(np.concatenate([high - low, expected[2] - expected[0]])))
     far = np.abs(middle[np.isfinite(middle)])
     # One bin of outliers must not flatten all others to a line.
@@ -241,46 +287,54 @@ def _draw_residual(
     shown = rng.permutation(len(readings))[:DOTS]
     jitter = 0.0 if numbers else rng.uniform(-0.25, 0.25, shown.size)
     axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
-    _draw_expected(axes, part, expected[0], expected[1], expected[2], "expected, two of three readings")
+    _draw_expected(axes, part, expected, "expected, two of three readings")
     outside = float(np.mean(np.abs(residual) > reach))
     if outside > 0.0:
         note(axes, f"{100.0 * outside:.2g} % outside of the picture", y=0.03)
-    return middle, 1.96 * error, (-reach, reach)
+    axes.errorbar(_bin_places(part), middle, 1.96 * error, **look)
+    _widen(axes, -reach, reach)
 
 
-def _draw_share(
-    axes: Axes, model: Model, readings: HeldOutReadings, part: Partition, rng: np.random.Generator
-) -> tuple[Array, Array, tuple[float, float]]:
-    """The share of readings that are no hit as expected; as measured, its errors, and limits of both."""
+def _draw_share(axes: Axes, model: Model, both: BeforeAfter, part: Partition, look: dict[str, Any]) -> None:
+    """The share of readings that are no hit as expected, and as measured with its errors."""
+    readings = both.readings
     centre = _centre(model, readings)
     sigma_cm = np.concatenate([rows.sigma_cm for _, rows in model.chunks(readings.contexts)])
+    counts = np.maximum(part.counts, 1)
 
-    def share(reading_cm: Array) -> Array:
+    def percent(reading_cm: Array) -> Array:
         with np.errstate(invalid="ignore"):
             no_hit = ~(np.abs(reading_cm - centre) <= NO_HIT_SIGMAS * sigma_cm + 0.5)
-        return np.bincount(part.cell, no_hit, len(part.labels)) / np.maximum(part.counts, 1)
+        return 100.0 * np.bincount(part.cell, no_hit, len(part.labels)) / counts
 
-    shares = np.stack([share(model.sample(readings.contexts, rng)) for _ in range(4 * REPLICATES)])
-    measured = share(readings.reading_cm)
-    counts = np.maximum(part.counts, 1)
-    error = 1.96 * np.sqrt(np.maximum(measured * (1.0 - measured), 0.5 / counts) / counts)
-    drawn = np.isfinite(_bin_places(part))
-    low, high = np.quantile(shares, [0.025, 0.975], axis=0)
-    _draw_expected(axes, part, 100.0 * low, 100.0 * shares.mean(axis=0), 100.0 * high, "expected share (95 %)")
-    most = 1.15 * 100.0 * float(max((measured + error)[drawn].max(), high[drawn].max()))
-    return 100.0 * measured, 100.0 * error, (0.0, most)
+    drawn = np.stack([percent(model.sample(readings.contexts, both.rng)) for _ in range(4 * REPLICATES)])
+    low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
+    _draw_expected(axes, part, np.array([low, drawn.mean(axis=0), high]), "expected share (95 %)")
+    measured = percent(readings.reading_cm)
+    error = 196.0 * np.sqrt(np.maximum(measured * (100.0 - measured) / 1e4, 0.5 / counts) / counts)
+    axes.errorbar(_bin_places(part), measured, error, **look)
+    here = np.isfinite(_bin_places(part))
+    _widen(axes, 0.0, 1.15 * float(max((measured + error)[here].max(), high[here].max())))
 
 
-def _draw_expected(axes: Axes, part: Partition, low: Array, middle: Array, high: Array, label: str) -> None:
-    """What the model expects in each cell: a line and a band over numbers, a box for each word."""
+def _widen(axes: Axes, low: float, high: float) -> None:
+    """Limits of an axis that two panels share: those that the first one set, wider where this one needs it."""
+    if not axes.get_autoscaley_on():
+        low, high = min(low, axes.get_ylim()[0]), max(high, axes.get_ylim()[1])
+    axes.set_ylim(low, high)
+
+
+def _draw_expected(axes: Axes, part: Partition, expected: Array, words: str) -> None:
+    """What the model expects in each cell (3, k): a line and a band over numbers, a box for each word."""
     at = _bin_places(part)
-    if part.centres is None:
-        axes.bar(at, high - low, 0.7, low, color=PALE, zorder=0, label=label)
-        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="expected")
-        return
     order = np.argsort(at)
-    axes.fill_between(at[order], low[order], high[order], color=PALE, zorder=0, label=label)
-    axes.plot(at[order], middle[order], color=INK, linewidth=1.0, label="expected")
+    at, (low, middle, high) = at[order], expected[:, order]
+    if part.centres is None:
+        axes.bar(at, high - low, 0.7, low, color=PALE, zorder=0, label=words)
+        axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="expected")
+    else:
+        axes.fill_between(at, low, high, color=PALE, zorder=0, label=words)
+        axes.plot(at, middle, color=INK, linewidth=1.0, label="expected")
 
 
 def _of_bins(residual: Array, part: Partition) -> tuple[Array, Array, Array, Array]:
@@ -325,12 +379,3 @@ def _apart(part: Partition) -> Partition:
 
 def _bin_places(part: Partition) -> Array:
     return np.arange(len(part.labels), dtype=float) if part.centres is None else part.centres
-
-
-def _ratio_columns(slices: Sequence[Slice]) -> tuple[str, ...]:
-    """The spread, and those odds in which some slice differs most."""
-    found = ["log_spread"]
-    for channel in ("short", "missed", "random"):
-        if any(each.channel == channel for each in slices):
-            found.append(f"log_odds_{channel}")
-    return tuple(found)

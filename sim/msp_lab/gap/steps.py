@@ -4,7 +4,7 @@ Paths and a clock enter. ``gap.json``, ``named.json``, the extended model, the p
 as soon as it is known.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -49,6 +49,8 @@ class Steps:
     """For the date and how long it takes."""
     report: Progress
     """Reports what is being done."""
+    answer: Callable[[GapFindings], None] = lambda _: None
+    """Shows the findings, before pictures are drawn."""
 
     def all(
         self,
@@ -61,12 +63,11 @@ class Steps:
         self._clear()
         comparison = self._comparison(paths, settings)
         findings = self._written(self._compare(comparison), started_s)
-        if until == "compare":
-            return findings
-        findings, models = self._name(comparison, findings, started_s)
-        if until == "name":
-            return findings
-        findings = self._add(comparison, findings, models, started_s)
+        if until != "compare":
+            findings, models = self._name(comparison, findings, started_s)
+            if until != "name":
+                findings = self._add(comparison, findings, models, started_s)
+        self.answer(findings)
         if until == "show":
             self._draw(findings, comparison)
         return findings
@@ -75,17 +76,22 @@ class Steps:
         """Name what is missing, with alternatives."""
         started_s = self.clock.now()
         comparison = self.same_comparison(read_findings(self.folder), "compare")
-        return self._name(comparison, self._compare(comparison), started_s)[0]
+        findings, _ = self._name(comparison, self._compare(comparison), started_s)
+        self.answer(findings)
+        return findings
 
     def add(self) -> GapFindings:
         """Add what was named, and write the extended model."""
         started_s = self.clock.now()
         models, findings = read_named(self.folder)
-        return self._add(self.same_comparison(findings, "name"), findings, models, started_s)
+        findings = self._add(self.same_comparison(findings, "name"), findings, models, started_s)
+        self.answer(findings)
+        return findings
 
     def show(self) -> GapFindings:
         """Draw the pictures and write the page."""
         findings = with_words(read_findings(self.folder))
+        self.answer(findings)
         self._draw(findings, self._comparison_of(findings))
         return findings
 

@@ -11,19 +11,10 @@ from dataclasses import replace
 
 from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
-from msp_lab.gap.labels import (
-    and_list,
-    capitalised,
-    effect_label,
-    name_of,
-    number_label,
-    short,
-    slice_label,
-    unit_after,
-    unit_of,
-)
+from msp_lab.gap.labels import effect_label, name_of, number_label, short, slice_label, unit_after, unit_of
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.plain import digits, plain_finding
+from msp_sim.page.text import and_list, capitalised
 
 MOST_IN_SENTENCE = 3
 """Findings in the first sentence; with more nobody reads it to its end. The others are in the table below it."""
@@ -248,4 +239,4 @@ def _floor(measure: Measure, unit: str) -> str:
 
 
 def _short(value: float | None) -> str:
-    return short(value) or "?"
+    return short(value, "?")

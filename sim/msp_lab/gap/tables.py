@@ -3,7 +3,6 @@
 Findings and models enter, rows of text leave. Nothing is decided here.
 """
 
-import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -16,33 +15,40 @@ from msp_range.descriptions import descriptions
 from msp_range.reading_model.sensor_model import MixtureParameters, Weights
 from msp_sim.effects.base import Effect
 from msp_sim.model.model import Model
-from msp_sim.page.page import PageTable
+from msp_sim.page.table import PageTable
+from msp_sim.page.text import plus
 
 MOST_SLICES = 14
 """Slices on the page at most: one picture is as high as a screen."""
 
 
-def measures_table(findings: GapFindings, given: Model) -> PageTable | None:
-    """The gap in its measures, before and after, with noise floor and bound; None where it was not measured."""
+def measures_table(findings: GapFindings, given: Model | None = None) -> PageTable:
+    """The gap in its measures, before and after, with noise floor and, for the model that was given, the bound."""
     gap = findings.gap
-    if gap is None:
-        return None
-    bound = bounds(findings, given)
-    lines = [
-        ("gap [nats per reading]", gap.nats_per_reading, bound["nats_per_reading"]),
-        ("bias [cm]", gap.bias_cm, bound["bias_cm"]),
-        ("spread, off by a factor of", gap.spread_ratio, bound["spread_ratio"]),
-        ("odds of short readings, off by a factor of", gap.odds.short, None),
-        ("odds of missed echoes, off by a factor of", gap.odds.missed, None),
-        ("odds of random readings, off by a factor of", gap.odds.random, None),
-    ]
+    assert gap is not None
+    names = {
+        "nats_per_reading": "gap [nats per reading]",
+        "bias_cm": "bias [cm]",
+        "spread_ratio": "spread, off by a factor of",
+        "odds_short": "odds of short readings, off by a factor of",
+        "odds_missed": "odds of missed echoes, off by a factor of",
+        "odds_random": "odds of random readings, off by a factor of",
+    }
+    lines: list[tuple[str, ...]] = [(names[name], *_measure(each)) for name, each in gap.measures.items()]
     if (gap.odds.code.before, gap.odds.code.after or 1.0) != (1.0, 1.0):
-        lines.append(("readings that the model cannot give, off by a factor of", gap.odds.code, None))
+        lines.append(("readings that the model cannot give, off by a factor of", *_measure(gap.odds.code)))
+    header: tuple[str, ...] = ("measure", "before", "after", "95 % interval", "noise floor")
+    if given is not None:
+        header = (*header, "closed up to")
+        bound = bounds(findings, given)
+        # Only some measures have one.
+        limits = [*(short(bound.get(name)) for name in gap.measures), ""]
+        lines = [(*line, limit) for line, limit in zip(lines, limits, strict=False)]
     return PageTable(
         "measures",
         "The gap in its measures",
-        ("measure", "before", "after", "95 % interval", "noise floor", "closed up to"),
-        tuple((name, *_row(measure, limit)) for name, measure, limit in lines),
+        header,
+        tuple(lines),
         "On held-out runs. Root mean squares over the slices of the context in which the measure is most certain, less "
         "random variation. A factor of 1 is right. The interval is that of the last value, with errors of whole runs, "
         "or of blocks of readings where runs are few. 95 of 100 tables that the extended model draws stay below the "
@@ -50,22 +56,24 @@ def measures_table(findings: GapFindings, given: Model) -> PageTable | None:
     )
 
 
-def steps_table(findings: GapFindings) -> PageTable | None:
-    """The gap after each step in numbers; None where nothing was added."""
-    if len(findings.selection_path) < 2:
-        return None
-    rows = []
-    for before, step in itertools.pairwise((None, *findings.selection_path)):
-        assert step is not None
-        gained = None if before is None else _less(step.log_score, before.log_score)
-        rows.append(
-            (step_name(step.added), short(step.nats_per_reading), _signed(step.log_score, 4), _signed(gained, 4))
-        )
+def _measure(measure: Measure) -> tuple[str, ...]:
+    ends = interval(measure.low, measure.high)
+    return short(measure.before), short(measure.after), ends, short(measure.noise_floor)
+
+
+def steps_table(findings: GapFindings) -> PageTable:
+    """The gap after each step in numbers; empty where nothing was added."""
+    path = findings.selection_path if len(findings.selection_path) > 1 else ()
+    # None, for what is not known, becomes NaN.
+    gained = np.diff(np.array([each.log_score for each in path], dtype=float), prepend=np.nan)
     return PageTable(
         "steps",
         "Each step in numbers",
         ("model", "gap [nats]", "mean log score [nats]", "gain [nats]"),
-        tuple(rows),
+        tuple(
+            (step_name(step.added), short(step.nats_per_reading), plus(step.log_score, 4), plus(gain, 4))
+            for step, gain in zip(path, gained.tolist(), strict=True)
+        ),
         "Per reading of the held-out runs; the log score is that of a step of the readings or a code.",
     )
 
@@ -96,7 +104,7 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
         for name, value in found.parameters.items()
     )
     anchor = "-".join(("parameters", found.name, *([found.of] if found.of else [])))
-    return PageTable(anchor, "", ("parameter", "meaning", "value", "95 % interval"), rows, words=2)
+    return PageTable(anchor, "", ("parameter", "meaning", "value", "95 % interval"), rows, align="llr")
 
 
 def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTable:
@@ -123,7 +131,7 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTab
         tuple(rows),
         "All are refitted with whatever is added. Those with an interval are calibration: the runs show that the "
         "given value is wrong.",
-        words=2,
+        align="llr",
     )
 
 
@@ -145,16 +153,11 @@ def slice_with_count(each: Slice) -> str:
     return f"{slice_label(each.where)} ({each.readings:,})"
 
 
-def _row(measure: Measure, limit: float | None) -> tuple[str, ...]:
-    low, high = short(measure.low), short(measure.high)
-    ends = f"{low} to {high}" if low and high else ""
-    return (short(measure.before), short(measure.after), ends, short(measure.noise_floor), short(limit))
-
-
 def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
     """A row for before, and one for after where it was measured."""
-    cells = [slice_with_count(each), _plus_minus(each.bias_cm, each.bias_se_cm)]
-    later = ["after", _signed(each.after.get("bias_cm"), 2)]
+    known = each.bias_cm is not None and each.bias_se_cm is not None
+    cells = [slice_with_count(each), f"{plus(each.bias_cm, 2)} ± {each.bias_se_cm:.2f}" if known else "?"]
+    later = ["after", plus(each.after.get("bias_cm"), 2)]
     for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
         value, error, left = getattr(each, name), getattr(each, error_name(name)), each.after.get(name)
         if value is None or error is None or error > 1.0:
@@ -170,15 +173,3 @@ def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
     if each.after:
         nats = each.after.get("nats")
         yield (*later, "" if nats is None else short(max(nats, 0.0)), "")
-
-
-def _plus_minus(value: float | None, error: float | None) -> str:
-    return "?" if value is None or error is None else f"{value:+z.2f} ± {error:.2f}"
-
-
-def _signed(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:+z.{digits}f}"
-
-
-def _less(one: float | None, other: float | None) -> float | None:
-    return None if one is None or other is None else one - other

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from rich import box
 from rich.padding import Padding
 from rich.progress import BarColumn, TaskProgressColumn, TimeElapsedColumn
 from rich.table import Table
@@ -11,12 +10,14 @@ from rich.text import Text
 
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import GapFindings
-from msp_lab.gap.labels import agreement, and_list, effect_label, interval, parameter_words, slice_label, unit_after
+from msp_lab.gap.labels import agreement, effect_label, interval, parameter_words, short, slice_label, unit_after
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
 from msp_lab.gap.separate import TABLE, SeparateGap
+from msp_lab.gap.tables import measures_table
 from msp_range.clock import Clock, SystemClock
-from msp_range.terminal import Bar, PlainConsole, console, number_columns
+from msp_range.terminal import Bar, PlainConsole, console, plain_table
+from msp_sim.page.text import and_list, counted
 
 COLOURS = {
     "nothing missing": "green",
@@ -46,35 +47,38 @@ class ProgressBar(Bar):
             self._console.print(f"{100.0 * share:3.0f} %  {what}")
         self._last = what
 
+    def print_findings(self, findings: GapFindings) -> None:
+        """Print the findings above the bar."""
+        with self.paused():
+            print_findings(findings)
+
 
 def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     """What was hidden, and what was found of it."""
-    numbers = number_columns("hidden", "found")
-    table = Table("hidden effect", "number", *numbers, "95 % interval", "holds it", box=box.SIMPLE_HEAD)
-    for each in found:
-        unit = unit_after(each.unit)
-        ends = interval(each.low, each.high, 3)
-        value = "not named" if each.found is None else f"{each.found:.3g}"
-        table.add_row(
+    header = ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it")
+    rows = [
+        (
             each.effect,
             each.parameter,
             f"{each.hidden:g}",
-            value,
-            ends + unit * bool(ends),
+            "not named" if each.found is None else f"{each.found:.3g}",
+            f"{ends}{unit_after(each.unit)}" if (ends := interval(each.low, each.high)) else "",
             "yes" if each.holds else "no",
         )
-    console().print(table)
+        for each in found
+    ]
+    console().print(plain_table(header, rows, "llrrl"))
 
 
 def print_separate_gaps(gaps: Sequence[SeparateGap], died: int, folder: Path) -> None:
     """What was found at each of many logs or sensors, and which could not be compared."""
     out = console()
-    numbers = number_columns("nats before", "after")
-    table = Table("", *number_columns("readings"), "verdict", "named", *numbers, box=box.SIMPLE_HEAD)
-    for each in gaps:
-        nats = map(_number, (each.before_nats, each.after_nats))
-        table.add_row(each.name, f"{each.readings:,}", each.verdict, each.named, *nats)
-    out.print(table)
+    header = ("", "verdict", "named", "readings", "nats before", "after")
+    rows = [
+        (one.name, one.verdict, one.named, f"{one.readings:,}", short(one.before_nats, "-"), short(one.after_nats, "-"))
+        for one in gaps
+    ]
+    out.print(plain_table(header, rows, "lllr"))
     for each in gaps:
         if each.error:
             out.print(f"{each.name} could not be compared: {each.error}", style="red")
@@ -98,8 +102,8 @@ def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Pa
     out.print(f"in {folder}: a folder for each sensor, and sensors.json", soft_wrap=True)
 
 
-def print_findings(findings: GapFindings, folder: Path) -> None:
-    """The sentence for a pilot, the lines with numbers, the table of what was found, and where the rest is."""
+def print_findings(findings: GapFindings) -> None:
+    """The sentence for a pilot, the lines with numbers, and the table of what was found."""
     out = console()
     out.print(Text(findings.sentence, style=f"bold {COLOURS.get(findings.verdict or '', 'cyan')}"))
     for line in findings.summary:
@@ -107,7 +111,7 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
     if findings.effects or findings.unknown:
         out.print(_found_table(findings))
     elif findings.gap is not None:
-        out.print(_gap_table(findings))
+        out.print(measures_table(findings))
     if findings.verdict is None and not findings.effects:
         for piece in [each for each in findings.slices if each.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
@@ -120,9 +124,13 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
             f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
             style="dim",
         )
-    runs = f"{findings.runs} run{'s' if findings.runs != 1 else ''}"
+
+
+def print_files(findings: GapFindings, folder: Path) -> None:
+    """How much was compared, and where the rest is."""
+    runs = counted(findings.runs, "run")
     files = [name for name in ("report.html", MODEL, "gap.json") if (folder / name).exists()]
-    out.print(
+    console().print(
         f"{findings.rows:,} readings, {runs}, {findings.seconds:.1f} s; in {folder}: {', '.join(files)}",
         soft_wrap=True,
     )
@@ -130,10 +138,8 @@ def print_findings(findings: GapFindings, folder: Path) -> None:
 
 def _found_table(findings: GapFindings) -> Table:
     """Each finding with its numbers, and what to do next."""
-    table = Table(show_edge=False, pad_edge=False, show_lines=True)
-    for heading, ratio in (("finding", 3), ("effect, with 95 % intervals", 4), ("next", 4)):
-        table.add_column(heading, ratio=ratio)
-    table.expand = True
+    table = plain_table(("finding", "effect, with 95 % intervals", "next"), align="l")
+    table.show_lines = True
     for each in findings.effects:
         label = effect_label(each.name, each.of)
         what = label if each.verdict == "named" else f"{label} ({each.verdict})"
@@ -144,20 +150,3 @@ def _found_table(findings: GapFindings) -> Table:
         what = f"unknown effect on {one.channel} over {and_list(one.variables)}"
         table.add_row(one.plain, f"{what}\n{one.formula}\n{agreement(one)}", one.next_step)
     return table
-
-
-def _gap_table(findings: GapFindings) -> Table:
-    gap = findings.gap
-    assert gap is not None
-    numbers = number_columns("before", "after", "95 %", "noise floor")
-    table = Table("on held-out runs", *numbers, show_edge=False, pad_edge=False)
-    odds = (f"odds of {each}, factor" for each in ("short", "missed", "random"))
-    labels = ("gap [nats per reading]", "bias [cm]", "spread, factor", *odds)
-    for label, each in zip(labels, gap.measures.values(), strict=True):
-        ends = interval(each.low, each.high, 3)
-        table.add_row(Text(label), _number(each.before), _number(each.after), ends, _number(each.noise_floor))
-    return table
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"

@@ -3,12 +3,11 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from msp_lab.logs.importing import FoundRanger, Imported
-from msp_range.terminal import console, number_columns
+from msp_range.terminal import console, plain_table
+from msp_sim.page.text import counted, listed
 
 MANY_REPEATS = 0.3
 """With a larger share of repeats while the range changes, a line says so: a log with two rows a reading has half."""
@@ -22,10 +21,9 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
     for each in found:
         _show(shown, each)
     if out is not None:
-        count = sum(len(each.runs) for each in found)
-        runs = f"{count} run{'s' if count != 1 else ''}"
-        readings = sum(ranger.readings for each in found for ranger in each.rangers)
+        runs = counted(sum(len(each.runs) for each in found), "run")
         rangers = [ranger for each in found for ranger in each.rangers]
+        readings = sum(ranger.readings for ranger in rangers)
         if any(ranger.with_truth for ranger in rangers):
             then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
         else:
@@ -35,12 +33,9 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
 
 def _show(shown: Console, found: Imported) -> None:
     shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
-    table = Table("found", "in the log", *number_columns("rate"), "", box=box.SIMPLE_HEAD, pad_edge=False)
-    for ranger in found.rangers:
-        table.add_row(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger))
-    for each in found.series:
-        table.add_row(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples")
-    shown.print(table)
+    rows = [(each.name, each.source, _rate(each.rate_hz), _readings(each)) for each in found.rangers]
+    rows += [(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples") for each in found.series]
+    shown.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
     for line in _lines(found):
         shown.print(line)
 
@@ -53,9 +48,7 @@ def _lines(found: Imported) -> list[str]:
         lines.append(f"also in the log: {', '.join(usable)}")
     lines += [f"refused: {kind}: {found.others[kind]}" for kind in found.refused]
     for each in found.missing:
-        named = ", ".join(each.effects[:MOST_EFFECTS]) + (
-            f" and {len(each.effects) - MOST_EFFECTS} more" if len(each.effects) > MOST_EFFECTS else ""
-        )
+        named = listed(each.effects, MOST_EFFECTS)
         lines.append(f"missing: {each.column}; without {each.what} these effects cannot be found: {named}")
     return lines + [f"note: {each}" for each in found.notes]
 

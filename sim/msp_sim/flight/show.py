@@ -76,32 +76,29 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     seed = "" if summary["seed"] is None else f", seed {summary['seed']}"
     title = f"{summary['scenario']}, {summary['duration_s']:.0f} s flown{seed}"
     fused = summary["fused"]
-    readings = plain_table("sensor", "readings", title=title)
-    readings.add_column("rejected, reason")
-    errors = plain_table("error [cm]", "rms raw", "95 % raw", "rms filtered", "95 % filtered")
+    readings, errors = [], []
     for name, sensor in summary["sensors"].items():
         rejected = sensor["rejected"]
-        total = sum(rejected.values())
-        why = f"{total}: " + ", ".join(f"{reason} {count}" for reason, count in rejected.items()) if total else "0"
-        readings.add_row(name, str(sensor["readings"]), why)
+        why = ", ".join(f"{reason} {count}" for reason, count in rejected.items())
+        readings.append((name, str(sensor["readings"]), f"{sum(rejected.values())}{': ' if why else ''}{why}"))
         if sensor["error_before"]["count"]:
-            errors.add_row(name, *_error(sensor["error_before"]), *_error(sensor["error_after"]))
+            errors.append((name, *_error(sensor["error_before"]), *_error(sensor["error_after"])))
     if fused["estimates"]:
-        readings.add_row("fused", str(fused["estimates"]), f"{fused['rate_hz']:.2f} Hz")
+        readings.append(("fused", str(fused["estimates"]), f"{fused['rate_hz']:.2f} Hz"))
         if fused["error"]["count"]:
-            errors.add_row("fused", "", "", *_error(fused["error"]))
-    console.print(readings)
-    if errors.row_count:
-        console.print(errors)
+            errors.append(("fused", "", "", *_error(fused["error"])))
+    console.print(plain_table(("sensor", "readings", "rejected, reason"), readings, "lrl", title))
+    if errors:
+        header = ("error [cm]", "rms raw", "95 % raw", "rms filtered", "95 % filtered")
+        console.print(plain_table(header, errors))
     if fused["over_edges"]:
         console.print(f"  {fused['over_edges']} fused distances over edges of the ground are not in the errors\n")
-    link = plain_table("message sent", "messages", "rate Hz", "dropped")
-    dropped = summary["link"]["dropped"]
-    sent = summary["link"]["sent"]
+    sent, dropped = summary["link"]["sent"], summary["link"]["dropped"]
+    frames = []
     for name in sorted(sent | dropped):
         each = sent.get(name, {"messages": 0, "rate_hz": 0.0})
-        link.add_row(name, str(each["messages"]), f"{each['rate_hz']:.2f}", str(dropped.get(name, 0)))
-    console.print(link)
+        frames.append((name, str(each["messages"]), f"{each['rate_hz']:.2f}", str(dropped.get(name, 0))))
+    console.print(plain_table(("message sent", "messages", "rate Hz", "dropped"), frames))
     for text in summary["texts"]:
         console.print(f"{text['time_s']:7.1f} s  {text['severity']}: {text['text']}")
 

@@ -13,18 +13,16 @@ from typing import Any
 
 import typer
 import yaml
-from rich import box
-from rich.table import Column, Table
 
 from msp_range.extras import missing
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.terminal import PlainConsole, console, number_columns
+from msp_range.terminal import PlainConsole, console, plain_table
 from msp_range.yaml_file import config_path
 from msp_sim.flight.sampled import Sampled
 from msp_sim.flight.scenario import load_scenario
 from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, Flights, draw_sample, fly_sample
 from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, FlightStore
-from msp_sim.monte_carlo.summary import QUANTILES, Quantile, Summary, summarise
+from msp_sim.monte_carlo.summary import QUANTILES, Distribution, Share, Summary, summarise
 from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint, workers
 
 COMMAND = "msp-sim monte-carlo"
@@ -137,24 +135,22 @@ def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> No
     for line in _lines(summary, where):
         shown.print(line)
     if summary.shares:
-        table = _table(f"share of {summary.flights} flights with", "flights", "%", "95 % interval")
-        for share in summary.shares:
-            percent = f"{100 * share.flights / share.of:.2f}" if share.of else "-"
-            table.add_row(share.what, str(share.flights), percent, f"{100 * share.low:.2f} to {100 * share.high:.2f}")
-        shown.print(table)
+        header = [f"share of {summary.flights} flights with", "flights", "%", "95 % interval"]
+        shown.print(plain_table(header, [_share(each) for each in summary.shares]))
     if summary.distributions:
-        table = _table("with interval, below in", *(f"{share:.0%} of flights" for share in QUANTILES))
-        for each in summary.distributions:
-            factor = 100.0 if each.what.endswith("[%]") else 1.0
-            table.add_row(each.what, *(_interval(factor, quantile) for quantile in each.quantiles))
-        shown.print(table)
+        header = ["with interval, below in", *(f"{share:.0%} of flights" for share in QUANTILES)]
+        shown.print(plain_table(header, [_distribution(each) for each in summary.distributions]))
     if summary.worst:
         columns = [name for name in summary.worst[0] if name in _WORST_COLUMNS]
-        table = _table("worst", *(_WORST_COLUMNS[name] for name in columns))
-        table.add_column("faults" if "faults" in summary.worst[0] else "")
-        for row in summary.worst:
-            table.add_row(str(row[NUMBER]), *(_shown(row[name]) for name in columns), row.get("faults", ""))
-        shown.print(table)
+        header = [
+            "worst",
+            *(_WORST_COLUMNS[name] for name in columns),
+            "faults" if "faults" in summary.worst[0] else "",
+        ]
+        rows = [
+            (str(row[NUMBER]), *(_shown(row[name]) for name in columns), row.get("faults", "")) for row in summary.worst
+        ]
+        shown.print(plain_table(header, rows, f"l{'r' * len(columns)}l"))
         print(f"fly the worst again: {again} {summary.worst[0][NUMBER]}")
 
 
@@ -169,11 +165,20 @@ _WORST_COLUMNS = {
 """Columns of the list of the worst flights, with short headings."""
 
 
-def _interval(factor: float, found: Quantile) -> str:
-    shown, least, most = (
-        "?" if each is None else f"{factor * each:.3g}" for each in (found.value, found.low, found.high)
-    )
-    return f"{shown} ({least}–{most})"
+def _share(each: Share) -> tuple[str, ...]:
+    percent = f"{100 * each.flights / each.of:.2f}" if each.of else "-"
+    return each.what, str(each.flights), percent, f"{100 * each.low:.2f} to {100 * each.high:.2f}"
+
+
+def _distribution(each: Distribution) -> list[str]:
+    factor = 100.0 if each.what.endswith("[%]") else 1.0
+    cells = [each.what]
+    for found in each.quantiles:
+        value, low, high = (
+            "?" if one is None else f"{factor * one:.3g}" for one in (found.value, found.low, found.high)
+        )
+        cells.append(f"{value} ({low}–{high})")
+    return cells
 
 
 def _shown(value: Any) -> str:
@@ -188,7 +193,3 @@ def _lines(summary: Summary, where: Workers) -> Iterator[str]:
         yield f"{len(summary.failed)} flights could not be flown:"
         for number, why in list(summary.failed.items())[:SHOWN_FAILURES]:
             yield f"  flight {number}: {why}"
-
-
-def _table(first: str, *numbers: str) -> Table:
-    return Table(Column(first), *number_columns(*numbers), box=box.SIMPLE_HEAD, pad_edge=False)

@@ -1,119 +1,95 @@
-"""Make one self-contained HTML page from a template, with the pictures inside, so that it works offline.
+"""Draw pictures and put them into one self-contained HTML page that works offline.
 
-Pictures, notes on omitted pictures, and tables enter, HTML leaves. Each report has its own template, which extends this
-package's ``page.html`` (head and style) and uses the macros of ``parts.html``.
+Makers of pictures, tables and values enter, files leave. Each report has its own template, which extends this package's
+``page.html`` (head and style) and uses the macros of ``parts.html``.
 """
 
 import base64
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
 
 from msp_range.yaml_file import ConfigError
+from msp_sim.page.style import files_of, style
+from msp_sim.page.table import PageTable
 
 PAGE = "report.html"
 
 
+class Absent(Exception):
+    """The data do not allow a picture; the message gives the reason and what is needed."""
+
+
+Drawn = tuple[Figure, str]
+"""A figure and its caption: how to read it, and the numbers that it shows."""
+
+Entry = tuple[str, str, Callable[[], Drawn]]
+"""Name of the file, title, and what draws the picture, or raises `Absent`."""
+
+
 @dataclass(frozen=True)
 class Picture:
-    """A picture with its title, caption and alternative text."""
+    """A picture of a page, or the reason why there is none."""
 
     name: str
     """Name of its file without the suffix; also its anchor in the page."""
     title: str
-    """What it shows, a few words."""
+    """What it shows, a few words; the lead of a page has none."""
     caption: str
-    """How to read it, and the numbers that it shows."""
-    alternative: str
-    """What it shows, in a sentence, for readers who cannot see it."""
+    """How to read it, and the numbers that it shows; why it is absent where there are no files."""
     files: Mapping[str, bytes]
     """The picture by format: ``png``, and others that were chosen."""
 
-    @cached_property
+    @property
     def source(self) -> str:
         """The picture as a data URL."""
         return "data:image/png;base64," + base64.b64encode(self.files["png"]).decode("ascii")
 
 
-@dataclass(frozen=True)
-class Omitted:
-    """A picture that cannot be drawn from these data, and the reason."""
-
-    name: str
-    title: str
-    why: str
-
-
-@dataclass(frozen=True)
-class PageTable:
-    """A table of text cells under a header; columns of numbers are aligned to the right."""
-
-    name: str
-    """Its anchor in the page."""
-    title: str
-    header: tuple[str, ...]
-    """A word or two for each column, with units."""
-    rows: tuple[tuple[str, ...], ...]
-    """Rows of cells, each as long as the header."""
-    caption: str = ""
-    """Title, and a remark below the table."""
-    words: int = 1
-    """Number of columns from the left with words; the others have numbers."""
-
-
-def render(package: str, template: str, **values: Any) -> str:
-    """Make a page from a template in the folder ``templates`` of a package.
-
-    Parameters
-    ----------
-    package
-        Package with the template, such as ``msp_lab.characterise.page``.
-    template
-        Its file name. It may extend ``page.html`` and import ``parts.html``.
-    values
-        Values of the names in the template; a missing one is an error.
-
-    Returns
-    -------
-    str
-        HTML; everything not marked safe in the template is escaped.
-    """
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader(package), PackageLoader("msp_sim.page")]),
-        undefined=StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template(template).render(**values)
+def pictures_of(entries: Iterable[Entry]) -> list[Picture]:
+    """Draw each entry; one that the data do not allow has no files, and the reason as its caption."""
+    made = []
+    with style():
+        for name, title, draw in entries:
+            try:
+                figure, caption = draw()
+            except Absent as absent:
+                made.append(Picture(name, title, str(absent), {}))
+            else:
+                made.append(Picture(name, title, caption, files_of(figure)))
+    return made
 
 
 def write_page(
     folder: Path,
-    html: str,
-    pictures: Iterable[Picture | Omitted],
-    name: str = PAGE,
-    tables: Iterable[PageTable | None] = (),
+    template: str,
+    pictures: Sequence[Picture],
+    tables: Sequence[PageTable] = (),
+    page: str = PAGE,
+    **values: Any,
 ) -> Path:
-    """Write a page, and next to it each picture as PNG and each table as CSV; the page works without these files.
+    """Write a page, and next to it each picture as a file and each table as CSV; the page works without these files.
 
     Parameters
     ----------
     folder
         Created if absent; files of the same names are replaced.
-    html
-        Content of the page.
+    template
+        Package and file name, such as ``msp_lab.gap/gap.html``. It may extend ``page.html`` and import ``parts.html``.
     pictures
-        Pictures on the page; omitted ones get no file.
-    name
-        Name of the page's file.
+        Pictures on the page; absent ones get no file.
     tables
-        Tables on the page; None: one that these data do not give.
+        Tables on the page; those without rows get no file.
+    page
+        Name of the page's file.
+    values
+        Values of the names in the template, as well as ``pictures`` and ``tables`` by their names; a missing one is an
+        error. What is not marked safe there is escaped.
 
     Returns
     -------
@@ -125,17 +101,27 @@ def write_page(
     ConfigError
         The folder cannot be created or written to.
     """
+    package, _, file_name = template.partition("/")
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader("msp_sim.page")]),
+        undefined=StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    html = environment.get_template(file_name).render(
+        pictures={each.name: each for each in pictures}, tables={each.name: each for each in tables}, **values
+    )
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for each in pictures:
-            if isinstance(each, Picture):
-                for suffix, content in each.files.items():
-                    (folder / f"{each.name}.{suffix}").write_bytes(content)
+        for picture in pictures:
+            for suffix, content in picture.files.items():
+                (folder / f"{picture.name}.{suffix}").write_bytes(content)
         for table in tables:
-            if table is not None:
+            if table.rows:
                 with (folder / f"{table.name.replace('/', '_')}.csv").open("w", encoding="utf-8", newline="") as file:
                     csv.writer(file).writerows([table.header, *table.rows])
-        (folder / name).write_text(html, encoding="utf-8")
+        (folder / page).write_text(html, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{folder}: the report cannot be written: {error.strerror}") from None
-    return folder / name
+    return folder / page

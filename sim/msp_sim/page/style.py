@@ -9,17 +9,19 @@ import io
 import itertools
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from numpy.typing import ArrayLike
 
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
@@ -80,7 +82,6 @@ _LETTER_IN, _HANDLE_IN = 0.064, 0.6
 """Approximate width of a letter, and of the symbol in front of a label, in a legend [in]; for its number of columns."""
 
 _STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
     "axes.titlelocation": "left",
@@ -88,12 +89,10 @@ _STYLE: dict[Any, Any] = {
     "axes.labelsize": 9.0,
     "axes.labelcolor": INK,
     "axes.edgecolor": GREY,
-    "axes.linewidth": 0.8,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,
     "axes.grid": True,
-    "axes.unicode_minus": True,
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
     "xtick.color": INK,
@@ -103,12 +102,10 @@ _STYLE: dict[Any, Any] = {
     "xtick.major.size": 3.0,
     "ytick.major.size": 3.0,
     "legend.fontsize": 8.0,
-    "legend.frameon": True,
     "legend.framealpha": 0.9,
     "legend.edgecolor": "none",
     "legend.borderpad": 0.3,
     "legend.handlelength": 1.8,
-    "lines.linewidth": 1.5,
     "errorbar.capsize": 2.5,
     "lines.markersize": 5.0,
     "path.simplify_threshold": 0.5,
@@ -133,10 +130,7 @@ def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
 def new_axes(height_in: float, x: str = "", y: str = "") -> tuple[Figure, Axes]:
     """Make a figure with one axes, and label what is over what."""
     figure = new_figure(height_in)
-    axes = figure.subplots()
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    return figure, axes
+    return figure, figure.subplots(subplot_kw={"xlabel": x, "ylabel": y})
 
 
 def choose_format(name: str) -> None:
@@ -145,7 +139,8 @@ def choose_format(name: str) -> None:
 
 
 def files_of(figure: Figure) -> dict[str, bytes]:
-    """The figure by format: PNG, and SVG or PDF where that was chosen. The same drawing always gives the same bytes."""
+    """The figure with its legend by format: PNG, and what was chosen. The same drawing always gives the same bytes."""
+    _add_legend(figure)
     for text in figure.findobj(Text):
         # A $ in a name of a target or run is not a formula. matplotlib's own formulas are added when it draws the axes.
         if "$" in text.get_text():
@@ -157,11 +152,6 @@ def files_of(figure: Figure) -> dict[str, bytes]:
     return {name: _file(figure, name) for name in dict.fromkeys(("png", _chosen.get()))}
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as PNG."""
-    return files_of(figure)["png"]
-
-
 def save(figure: Figure, path: Path) -> None:
     """Write a figure: as PNG, and next to it in the chosen format; or in the format that the file's name has."""
     files = files_of(figure)
@@ -169,22 +159,38 @@ def save(figure: Figure, path: Path) -> None:
     if named in FORMATS and named != "png":
         path.write_bytes(files.get(named) or _file(figure, named))
         return
-    path.write_bytes(files.pop("png"))
     for name, content in files.items():
-        path.with_suffix(f".{name}").write_bytes(content)
+        (path if name == "png" else path.with_suffix(f".{name}")).write_bytes(content)
 
 
 def _file(figure: Figure, name: str) -> bytes:
     """The figure in one format, without the date and version that it would contain."""
+    # PNG's level 4 is twice as fast as the default 6, and a few per cent larger.
+    options: dict[str, Any] = {
+        "png": {"metadata": {"Software": None}, "pil_kwargs": {"compress_level": 4}},
+        "svg": {"metadata": {"Date": None}},
+        "pdf": {"metadata": {"CreationDate": None}},
+    }
     file = io.BytesIO()
-    if name == "png":
-        # Level 4 is twice as fast as the default 6, and a few per cent larger.
-        figure.savefig(file, format=name, metadata={"Software": None}, pil_kwargs={"compress_level": 4})
-    else:
-        dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-        with matplotlib.rc_context({"svg.hashsalt": "msp-range"}):
-            figure.savefig(file, format=name, metadata=dates[name])
+    with matplotlib.rc_context({"svg.hashsalt": "msp-range"}):
+        figure.savefig(file, format=name, **options[name])
     return file.getvalue()
+
+
+def _add_legend(figure: Figure) -> None:
+    """List each label once below the axes, in as few lines as fit; not those of axes with their own legend."""
+    drawn = [each for axes in figure.axes if axes.get_legend() is None for each in axes.get_legend_handles_labels()[0]]
+    # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
+    handles = {str(each.get_label()): each for each in drawn}
+    if not handles:
+        return
+    labels, width_in = list(handles), figure.get_figwidth()
+    # Filled column by column.
+    for lines in range(1, len(labels) + 1):
+        columns = [labels[k : k + lines] for k in range(0, len(labels), lines)]
+        if sum(_LETTER_IN * max(map(len, column)) + _HANDLE_IN for column in columns) < width_in:
+            break
+    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=len(columns))
 
 
 def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
@@ -218,33 +224,19 @@ def line_at_zero(axes: Axes) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.9)
 
 
-def legend_below(figure: Figure, handles: Sequence[Any] | None = None) -> Figure:
-    """Add a legend below the axes, in as many columns as fit, and return the figure.
-
-    Parameters
-    ----------
-    figure
-        Figure with labelled artists.
-    handles
-        Artists to list; None: those of the first axes.
-    """
-    if handles is None:
-        handles = figure.axes[0].get_legend_handles_labels()[0]
-    labels = [str(handle.get_label()) for handle in handles]
-    if labels:
-        columns = next(each for each in range(len(labels), 0, -1) if each == 1 or _fits(labels, each, figure))
-        # The smallest number of columns with the same number of lines.
-        columns = math.ceil(len(labels) / math.ceil(len(labels) / columns))
-        figure.legend(handles=list(handles), loc="outside lower center", ncols=columns)
-    return figure
-
-
-def _fits(labels: Sequence[str], columns: int, figure: Figure) -> bool:
-    """Whether the labels, arranged in this number of columns, fit into the width."""
-    deep, extra = divmod(len(labels), columns)
-    ends = list(itertools.accumulate(deep + (column < extra) for column in range(columns)))
-    widest = [max(map(len, labels[start:end])) for start, end in zip([0, *ends], ends, strict=False)]
-    return sum(_LETTER_IN * letters + _HANDLE_IN for letters in widest) < figure.get_figwidth()
+def draw_pit_bars(axes: Axes, counts: ArrayLike, colour: str = OURS, base: float = 1.0) -> None:
+    """Draw bars of the readings in each bin of a probability integral transform, as a factor of the expected number."""
+    counts = np.asarray(counts, dtype=float)
+    expected = counts.mean()
+    half = 1.96 * math.sqrt((1.0 - 1.0 / counts.size) / expected)
+    axes.axhspan(1.0 - half, 1.0 + half, label="random variation (95 %)", **shaded())
+    edges = np.linspace(0.0, 1.0, counts.size + 1)
+    axes.stairs(counts / expected, edges, baseline=base, fill=True, color=colour, alpha=0.75)
+    axes.axhline(1.0, color=GREY, linewidth=0.9)
+    axes.set_ylabel("readings, relative to expected")
+    axes.set_xlim(0.0, 1.0)
+    axes.margins(y=0.15)
+    axes.grid(visible=False, axis="x")
 
 
 def edges_between(centres: list[float]) -> list[float]:

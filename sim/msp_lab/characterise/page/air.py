@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from msp_lab.characterise.findings import CompensationRow, HotBox
 from msp_lab.characterise.page.errors import Line, draw_errors, scale_of, with_reach
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.picture_data import PictureData, summary
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.acoustics.air import compensate_range
 from msp_range.arrays import Array
-from msp_sim.page.style import DOTS, GREEN, PURPLE, REFERENCE, SERIES, legend_below, line_at_zero, new_axes, new_figure
+from msp_sim.page.page import Absent, Drawn, Entry
+from msp_sim.page.style import DOTS, GREEN, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
 from msp_sim.page.text import sentence
 
 MAX_BOXES = 3
@@ -25,10 +23,10 @@ MAX_BOXES = 3
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order; none for light and radio, whose ranges are not the air's."""
     if rows.findings.calibration_temperature_c is not None:
-        yield "uncompensated", "Range error without temperature compensation", partial(range_errors, after=False)
-        yield "compensated", "Range error with temperature compensation", partial(range_errors, after=True)
-        yield "compensation", "What temperature compensation takes away", compensation
-        yield "hot_boxes", "Where the hot and the cold air was", _boxes
+        yield "uncompensated", "Range error without temperature compensation", partial(range_errors, rows, after=False)
+        yield "compensated", "Range error with temperature compensation", partial(range_errors, rows, after=True)
+        yield "compensation", "What temperature compensation takes away", partial(compensation, rows)
+        yield "hot_boxes", "Where the hot and the cold air was", partial(_boxes, rows)
 
 
 def range_errors(rows: PictureData, after: bool) -> Drawn:
@@ -45,8 +43,7 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
         air = f" Air {np.min(air_c[known]):.1f} to {np.max(air_c[known]):.1f} °C; the sensor assumes {assumed_c:g} °C."
     errors = both[int(after)]
     marked = _reference_errors(rows, np.unique(both[0].true_range_cm), after)
-    alternative = f"Range error over true range {'with' if after else 'without'} temperature compensation."
-    return Drawn(draw_errors([errors], scale_of(both, marked), marked), summary(errors) + air, alternative)
+    return draw_errors([errors], scale_of(both, marked), marked), summary(errors) + air
 
 
 def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> Line | None:
@@ -60,30 +57,24 @@ def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> Line 
 
 
 def compensation(rows: PictureData) -> Drawn:
-    """Draw the mean errors by range, without and with compensation."""
-    table = rows.needed(rows.findings.temperature_compensation, "temperature_compensation")
+    """Draw an arrow a range, from the mean error without compensation to the one with it; a reference's next to it."""
+    table, reference = rows.needed(rows.findings.temperature_compensation, "temperature_compensation"), rows.reference
     before_cm = [abs(row.uncompensated.value) for row in table]
     after_cm = [abs(row.compensated.value) for row in table if row.compensated is not None]
     caption = f"Mean size of the error of the ranges: {np.mean(before_cm):.2f} cm without compensation"
     caption += f", {np.mean(after_cm):.2f} cm with it." if after_cm else "."
-    alternative = "Mean errors by range, without and with compensation."
-    return Drawn(_draw_compensated(table, rows.reference), caption, alternative)
-
-
-def _draw_compensated(rows: Sequence[CompensationRow], reference: ReferenceNumbers | None) -> Figure:
-    """An arrow a range, from the mean error without compensation to the one with it; a reference's next to it."""
     figure, axes = new_axes(3.6, "true range [cm]", "mean error [cm]")
     line_at_zero(axes)
-    range_cm = [row.range_cm for row in rows]
-    aside = 0.12 * (float(np.min(np.diff(range_cm))) if len(rows) > 1 else 20.0) if reference else 0.0
-    ours = [(row.range_cm - aside, row.uncompensated, row.compensated) for row in rows]
+    range_cm = [row.range_cm for row in table]
+    aside = 0.12 * (float(np.min(np.diff(range_cm))) if len(table) > 1 else 20.0) if reference else 0.0
+    ours = [(row.range_cm - aside, row.uncompensated, row.compensated) for row in table]
     _arrows(axes, ours, SERIES[0], "ours, " if reference else "")
     if reference is not None:
         pairs = [(each, reference.mean_errors_at(each)) for each in range_cm]
         theirs = [(each + aside, *map(IntervalEstimate.exact, pair)) for each, pair in pairs if pair]
         _arrows(axes, theirs, SERIES[5], f"{reference.name}'s, ")
     axes.set_xticks(range_cm, [f"{each:g}" for each in range_cm])
-    return legend_below(figure)
+    return figure, caption
 
 
 def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str], who: str) -> None:
@@ -101,14 +92,9 @@ def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str]
 
 
 def _boxes(rows: PictureData) -> Drawn:
-    boxes = rows.needed(rows.findings.hot_boxes, "hot_boxes")
-    caption = " ".join(sentence(box.answer) for box in boxes)
-    alternative = "Shift of the mean error with hot or cold air at the sensor, by range."
-    return Drawn(_draw_boxes(boxes[:MAX_BOXES]), caption, alternative)
-
-
-def _draw_boxes(boxes: Sequence[HotBox]) -> Figure:
-    """One panel a box: shift of the mean error over range, and three ideas of where the air is."""
+    """Draw one panel a box: shift of the mean error over range, and three ideas of where the air is."""
+    found = rows.needed(rows.findings.hot_boxes, "hot_boxes")
+    boxes = found[:MAX_BOXES]
     figure = new_figure(3.6)
     for axes, box in zip(figure.subplots(1, len(boxes), squeeze=False)[0], boxes, strict=True):
         range_cm = [row.range_cm for row in box.rows]
@@ -124,4 +110,4 @@ def _draw_boxes(boxes: Sequence[HotBox]) -> Figure:
         axes.set_title(f"{air}\nair that explains it: {box.depth.value:.0f} cm", fontsize=8.5)
         axes.set_xlabel("true range [cm]")
     figure.axes[0].set_ylabel("shift of the mean error [cm]")
-    return legend_below(figure)
+    return figure, " ".join(sentence(box.answer) for box in found)

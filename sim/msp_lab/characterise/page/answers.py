@@ -4,20 +4,16 @@ Findings enter, text leaves. The verdicts are those of the findings.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import NAMES, Findings, Form, MaximumRange, Question, Verdict
-from msp_lab.characterise.page.text import counted, half_interval, interval
+from msp_lab.characterise.page.text import half_interval, interval
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_sim.page.text import minus, p_text, plus, sentence
-
-Kind = Literal["yes", "no", "open"]
-"""Kinds of marks: something to look at, nothing to look at, not known."""
+from msp_sim.page.table import MarkKind, PageTable, VerdictMark
+from msp_sim.page.text import counted, minus, p_text, plus, sentence
 
 _AIR = {"none": "no shift seen", "uniform": "all the way", "gradient": "gradient", "confined": "in the box only"}
-_MARKS: dict[Verdict, Kind] = {"matters": "yes", "does not matter": "no", "cannot tell": "open"}
+_MARKS: dict[Verdict, MarkKind] = {"matters": "yes", "does not matter": "no", "cannot tell": "open"}
 _CALIBRATION: dict[Form, str] = {
     "none": "that a calibration improves them is not shown",
     "offset and scale": "a straight line corrects them",
@@ -25,14 +21,10 @@ _CALIBRATION: dict[Form, str] = {
 }
 
 
-@dataclass(frozen=True)
-class Conclusion:
-    """One line of the table: what was asked, the answer, and a mark of a word or two."""
+Row = tuple[str, VerdictMark, str]
+"""A line of the table: what was asked, a verdict of a word or two, and the answer."""
 
-    subject: str
-    answer: str
-    kind: Kind = "open"
-    mark: str = "measured"
+MEASURED = VerdictMark("measured")
 
 
 def summarise(findings: Findings) -> str:
@@ -72,32 +64,31 @@ def summarise(findings: Findings) -> str:
     return minus(" ".join(parts))
 
 
-def conclusions(findings: Findings) -> list[Conclusion]:
+def conclusions_table(findings: Findings) -> PageTable:
     """Return all conclusions; what was not measured is left out."""
-    return [
-        *_accuracy(findings),
-        *_maximum_range(findings),
-        *_beam(findings),
-        *_questions(findings),
-        *_air(findings),
-        *_mixture(findings),
-    ]
+    parts = (_accuracy, _maximum_range, _beam, _questions, _air, _mixture)
+    rows = tuple(row for part in parts for row in part(findings))
+    return PageTable("conclusions", "", ("subject", "verdict", "found (95 % interval)"), rows, align="l")
 
 
-def _accuracy(findings: Findings) -> Iterator[Conclusion]:
+def _accuracy(findings: Findings) -> Iterator[Row]:
     base, calibration = findings.baseline, findings.calibration
     if base is not None:
-        yield Conclusion(
-            "Accuracy, nothing varied",
-            f"largest error of a hit {plus(base.largest_hit_error_cm)} cm; mean {interval(base.bias)}; standard "
-            f"deviation {interval(base.spread)}",
-        )
+        answer = f"largest error of a hit {plus(base.largest_hit_error_cm)} cm; mean {interval(base.bias)}; "
+        answer += f"standard deviation {interval(base.spread)}; missed echoes {interval(base.missed)}"
+        yield "Accuracy, nothing varied", MEASURED, answer
     if calibration is not None:
-        kind: Kind = "yes" if calibration.form != "none" else "no" if calibration.held_out else "open"
-        mark = {"yes": "kept", "no": "none shown to help", "open": "cannot tell"}[kind]
-        yield Conclusion("Calibration", sentence(calibration.reason), kind, mark)
+        none = VerdictMark("none shown to help", "no") if calibration.held_out else VerdictMark("cannot tell")
+        yield (
+            "Calibration",
+            none if calibration.form == "none" else VerdictMark("kept", "yes"),
+            sentence(calibration.reason),
+        )
+        if calibration.offset is not None and calibration.scale is not None:
+            answer = f"offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
+            yield "Straight line", MEASURED, answer
         if calibration.set_up_offset is not None:
-            yield Conclusion("Between set-ups", interval(calibration.set_up_offset))
+            yield "Between set-ups", MEASURED, interval(calibration.set_up_offset)
 
 
 def peaks_found(found: MaximumRange) -> str:
@@ -105,33 +96,32 @@ def peaks_found(found: MaximumRange) -> str:
     return f"{counted(len(found.peaks_after), 'peak')}, at {interval(found.peak)}"
 
 
-def _maximum_range(findings: Findings) -> Iterator[Conclusion]:
+def _maximum_range(findings: Findings) -> Iterator[Row]:
     found = findings.maximum_range
     if found is not None:
         codes = found.no_echo + found.saturated
         answer = f"{codes:,} of {found.readings:,} readings are codes for no echo; without them {peaks_found(found)}"
-        kind, mark = _mark(len(found.peaks_after) == 1, "one peak", "several peaks")
-        yield Conclusion(f"Maximum range, {found.true_range_cm:g} cm", answer, kind, mark)
+        mark = _mark(len(found.peaks_after) == 1, "one peak", "several peaks")
+        yield f"Maximum range, {found.true_range_cm:g} cm", mark, answer
 
 
-def _mark(is_good: bool, good: str, bad: str) -> tuple[Kind, str]:
-    return ("no", good) if is_good else ("yes", bad)
+def _mark(is_good: bool, good: str, bad: str) -> VerdictMark:
+    return VerdictMark(good, "no") if is_good else VerdictMark(bad, "yes")
 
 
-def _beam(findings: Findings) -> Iterator[Conclusion]:
+def _beam(findings: Findings) -> Iterator[Row]:
     view, sonar = findings.field_of_view, findings.sonar
     if view is None:
         return
     for angle in view.angles:
-        yield Conclusion(f"Breakaway angle at {angle.range_cm:g} cm", half_interval(angle.half_angle))
+        yield f"Breakaway angle at {angle.range_cm:g} cm", MEASURED, half_interval(angle.half_angle)
     if sonar is not None:
         worst_deg = max(abs((row.fitted_deg or 0.0) - row.measured_deg) for row in sonar.rows)
         answer = f"misses the measured angles by at most {worst_deg:.1f}°; {minus(sonar.note)}"
-        yield Conclusion("Sonar equation", answer, *_mark(sonar.within_a_step, "within a step", "does not fit"))
+        yield "Sonar equation", _mark(sonar.within_a_step, "within a step", "does not fit"), answer
     slant = view.oblique
-    yield Conclusion(
-        "Reading of a tilted sensor", slant.reason, "open" if slant.verdict == "unknown" else "no", slant.verdict
-    )
+    mark = VerdictMark(slant.verdict, "open" if slant.verdict == "unknown" else "no")
+    yield "Reading of a tilted sensor", mark, slant.reason
 
 
 def with_subject(questions: Sequence[Question]) -> Iterator[tuple[str, Question]]:
@@ -142,9 +132,9 @@ def with_subject(questions: Sequence[Question]) -> Iterator[tuple[str, Question]
         before = question.name
 
 
-def _questions(findings: Findings) -> Iterator[Conclusion]:
+def _questions(findings: Findings) -> Iterator[Row]:
     for subject, question in with_subject(findings.questions):
-        yield Conclusion(subject, _sizes(question), _MARKS[question.verdict], question.verdict)
+        yield subject, VerdictMark(question.verdict, _MARKS[question.verdict]), _sizes(question)
 
 
 def _sizes(question: Question) -> str:
@@ -163,25 +153,24 @@ def _sizes(question: Question) -> str:
     return f"{compared}: {'; '.join(parts)}" if parts else compared
 
 
-def _air(findings: Findings) -> Iterator[Conclusion]:
+def _air(findings: Findings) -> Iterator[Row]:
     for box in findings.hot_boxes:
         shifts = [row.shift.value for row in box.rows]
-        yield Conclusion(
+        yield (
             f"Air of {box.box_c:.0f} °C at the sensor",
+            VerdictMark(_AIR[box.best], "open" if box.best == "none" else "yes"),
             f"mean errors move by {plus(min(shifts))} to {plus(max(shifts))} cm: they call for a correction of "
             f"{interval(box.per_cent)} of range, {box.compared} the {plus(box.uniform_per_cent)} % of such air "
             f"all over; {interval(box.depth)} of it explain them",
-            "open" if box.best == "none" else "yes",
-            _AIR[box.best],
         )
     both = [(row.uncompensated, row.compensated) for row in findings.temperature_compensation if row.compensated]
     if both:
         before, after = (sum(abs(each.value) for each in column) / len(both) for column in zip(*both, strict=True))
         answer = f"mean error of the ranges {before:.2f} cm without, {after:.2f} cm with it"
-        yield Conclusion("Temperature compensation", answer, *_mark(after < before, "helps", "does not help"))
+        yield "Temperature compensation", _mark(after < before, "helps", "does not help"), answer
 
 
-def _mixture(findings: Findings) -> Iterator[Conclusion]:
+def _mixture(findings: Findings) -> Iterator[Row]:
     found = findings.mixture
     if found is None:
         return
@@ -193,7 +182,7 @@ def _mixture(findings: Findings) -> Iterator[Conclusion]:
     )
     shown += f"; σ {interval(fitted['sigma_cm'])}" if "sigma_cm" in fitted else ""
     if found.pit_p_value is None:
-        yield Conclusion("Kinds of readings", shown, "open", "too few to test")
+        yield "Kinds of readings", VerdictMark("too few to test"), shown
     else:
         answer = f"{shown}; of the fit, p: {p_text(found.pit_p_value)}"
-        yield Conclusion("Kinds of readings", answer, *_mark(found.pit_p_value >= 0.05, "fits", "does not fit"))
+        yield "Kinds of readings", _mark(found.pit_p_value >= 0.05, "fits", "does not fit"), answer

@@ -10,13 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, SonarFit
+from msp_lab.characterise.findings import AnglePoint, BreakawayAngle
 from msp_lab.characterise.page.errors import share_bars, with_reach
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import half_interval
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.sonar import STEP_DEG, Sonar
 from msp_range.arrays import Array, Flags
+from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
     BARS,
     GREEN,
@@ -29,7 +30,6 @@ from msp_sim.page.style import (
     REFERENCE,
     edges_between,
     label,
-    legend_below,
     new_axes,
     new_figure,
     shaded,
@@ -38,8 +38,6 @@ from msp_sim.page.text import sentence
 
 MAX_SWEEPS = 8
 """Pictures of the field of view that the page has at most; a bench has four ranges, a flight may have hundreds."""
-STEP_OF_TICKS_DEG = 2.0 * STEP_DEG
-"""Ticks of many angles are this far apart, if these are steps of the motor."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -47,8 +45,8 @@ def entries(rows: PictureData) -> Iterator[Entry]:
     tried = rows.has("field_of_view") and np.any(np.isfinite(_incidence(rows)[rows.of("field_of_view")]))
     for range_cm in _ranges(rows)[:MAX_SWEEPS].tolist() if tried else ():
         name = f"field_of_view_{range_cm:g}cm".replace(".", "_")
-        yield name, f"Field of view at {range_cm:g} cm", partial(sweep, range_cm=range_cm)
-    yield "sonar_equation", "Sonar equation through the breakaway angles", _sonar
+        yield name, f"Field of view at {range_cm:g} cm", partial(sweep, rows, range_cm)
+    yield "sonar_equation", "Sonar equation through the breakaway angles", partial(_sonar, rows)
 
 
 def _incidence(rows: PictureData) -> Array:
@@ -80,11 +78,9 @@ def sweep(rows: PictureData, range_cm: float) -> Drawn:
         breakaway = f"Breakaway at {half_interval(angle.half_angle)}"
     else:
         breakaway = "Breakaway not found: no angle is reliable to both sides"
-    return Drawn(
-        _draw_sweep(rows, range_cm, chosen, points, angle),
-        f"{np.count_nonzero(chosen):,} readings at {len(points)} angles. {breakaway}. Reliable: {view.criterion}.",
-        f"Readings over the sensor's angle at {range_cm:g} cm, with the breakaway marked.",
-    )
+    figure = _draw_sweep(rows, range_cm, chosen, points, angle)
+    readings = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles"
+    return figure, f"{readings}. {breakaway}. Reliable: {view.criterion}."
 
 
 def _draw_sweep(
@@ -124,25 +120,17 @@ def _draw_sweep(
     _mark_breakaway(top, bottom, breakaway)
     reference_deg = None if rows.reference is None else rows.reference.half_angle_deg.get(range_cm)
     if rows.reference is not None and reference_deg is not None:
+        words = f"{rows.reference.name}'s ±{reference_deg:g}°"
         for axes in (top, bottom):
             for sign in (-1, 1):
-                axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":")
-        top.plot([], [], ":", color=REFERENCE, label=f"{rows.reference.name}'s ±{reference_deg:g}°")
-    bottom.set_xticks(_ticks(angle_deg))
+                axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":", label=words)
+    # Of many angles every other one.
+    bottom.set_xticks(angle_deg[:: 1 + (angle_deg.size > 15)])
     bottom.xaxis.set_major_formatter("{x:g}")
     bottom.set_xlim(edges[0], edges[-1])
     top.grid(axis="x", visible=False)
     bottom.grid(axis="x", visible=False)
-    return legend_below(figure)
-
-
-def _ticks(angle_deg: Array) -> Array:
-    """The angles, or of many of them every other one."""
-    if angle_deg.size <= 15:
-        return angle_deg
-    off_deg = np.rint(angle_deg / STEP_OF_TICKS_DEG) * STEP_OF_TICKS_DEG - angle_deg
-    fewer = angle_deg[np.abs(off_deg) < 0.05] if np.any(angle_deg % 1.0) else angle_deg[::2]
-    return fewer if fewer.size else angle_deg
+    return figure
 
 
 def _draw_shares(
@@ -163,87 +151,66 @@ def _draw_shares(
 
 def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -> None:
     """Each side's last reliable angle, and the stretch up to the next one that was tried."""
-    sides = [] if breakaway is None else [(-1.0, breakaway.negative), (1.0, breakaway.positive)]
-    # 0 stands for a side on which no angle is reliable.
-    known = [(sign, side) for sign, side in sides if side is not None and side.value]
-    ended = False
-    for sign, side in known:
+    sides = () if breakaway is None else ((-1.0, breakaway.negative), (1.0, breakaway.positive))
+    for sign, side in sides:
+        # 0 stands for a side on which no angle is reliable.
+        if side is None or not side.value:
+            continue
         last = sign * side.value
-        has_end = side.high is not None and side.high > side.value
-        ended |= has_end
         for axes in (top, bottom):
-            if has_end and side.high is not None:
-                axes.axvspan(*sorted((last, sign * side.high)), **shaded(ORANGE))
-            axes.axvline(last, color=INK)
-        top.text(
-            last,
-            0.985,
-            f" {abs(last):.1f}°",
-            transform=top.get_xaxis_transform(),
-            weight="bold",
-            ha="left" if last < 0 else "right",
-            va="top",
-            color=INK,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-        )
-    if known:
-        top.plot([], [], "-", color=INK, label="breakaway: last reliable angle")
-    if ended:
-        top.fill_between([], [], [], label="up to the next angle tried", **shaded(ORANGE))
+            if side.high is not None and side.high > side.value:
+                words = "up to the next angle tried"
+                axes.axvspan(*sorted((last, sign * side.high)), label=words, **shaded(ORANGE))
+            axes.axvline(last, color=INK, label="breakaway: last reliable angle")
+        where, ha = (last, 0.985), "left" if last < 0 else "right"
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+        look: dict[str, Any] = {"weight": "bold", "ha": ha, "va": "top", "color": INK, "bbox": box}
+        top.text(*where, f" {abs(last):.1f}°", transform=top.get_xaxis_transform(), **look)
 
 
 def _sonar(rows: PictureData) -> Drawn:
-    found, view = rows.needed(rows.findings.sonar, "sonar"), rows.findings.field_of_view
-    fitted = [abs(row.fitted_deg - row.measured_deg) for row in found.rows if row.fitted_deg is not None]
-    left_out = [abs(row.left_out_deg - row.measured_deg) for row in found.rows if row.left_out_deg is not None]
-    caption = (
-        f"The equation misses the measured angles by at most {max(fitted):.1f}°" if fitted else "No angle is predicted"
-    )
-    caption += f", and predicts each from the others to {max(left_out):.1f}°. " if left_out else ". "
-    caption += (
-        f"Equivalent piston {1000.0 * found.piston_diameter_m:.1f} mm, gain {found.gain_db_per_m:.1f} dB/m. "
-        f"{sentence(found.note)} Beyond the measured ranges the angle never grows."
-    )
-    figure = _draw_beam(rows, found, view.angles if view is not None else ())
-    return Drawn(figure, caption, "Half angle of the beam over range: measured and by the sonar equation.")
-
-
-def _draw_beam(rows: PictureData, sonar: SonarFit, measured: Sequence[BreakawayAngle]) -> Figure:
     """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
+    sonar, view = rows.needed(rows.findings.sonar, "sonar"), rows.findings.field_of_view
+    range_cm, measured_deg, fitted_deg, others_deg = np.array(
+        [(row.range_cm, row.measured_deg, row.fitted_deg, row.left_out_deg) for row in sonar.rows], dtype=float
+    ).T
+    used_cm, used_deg = np.array([*zip(range_cm, measured_deg, strict=True), *sonar.beyond]).T
     equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
-    x, measured_deg = [row.range_cm for row in sonar.rows], [row.measured_deg for row in sonar.rows]
-    used_cm = x + [range_cm for range_cm, _ in sonar.beyond]
-    span_cm = np.linspace(min(x) * 0.6, max(used_cm), 120)
+    span_cm = np.linspace(np.min(range_cm) * 0.6, np.max(used_cm), 120)
     # Where there is no echo, None becomes NaN.
-    radians = np.array([equation.half_angle_rad(range_cm / 100.0) for range_cm in span_cm.tolist()], dtype=float)
-    span_deg = np.degrees(radians)
+    span_deg = np.degrees(np.array([equation.half_angle_rad(each / 100.0) for each in span_cm.tolist()], dtype=float))
     figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
-    ends = span_deg - STEP_DEG, span_deg + STEP_DEG
-    axes.fill_between(span_cm, *ends, label=words, **shaded())
+    axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
     axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted")
-    used_deg = measured_deg + [angle for _, angle in sonar.beyond]
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    intervals = {angle.range_cm: angle.half_angle for angle in measured}
+    intervals = {} if view is None else {each.range_cm: each.half_angle for each in view.angles}
     known = [
-        replace(intervals.get(range_cm, IntervalEstimate.exact(angle)), value=angle)
-        for range_cm, angle in zip(x, measured_deg, strict=True)
+        replace(intervals.get(where, IntervalEstimate.exact(angle)), value=angle)
+        for where, angle in zip(range_cm.tolist(), measured_deg.tolist(), strict=True)
     ]
     words = "measured, up to the next angle tried"
-    axes.errorbar(x, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
+    axes.errorbar(range_cm, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
     reference = rows.reference
-    earlier_deg = {} if reference is None else reference.half_angle_deg
-    pairs = [(each, earlier_deg[each]) for each in x if each in earlier_deg]
+    earlier = [(each, reference.half_angle_deg.get(each)) for each in range_cm.tolist()] if reference else []
+    pairs = [each for each in earlier if each[1] is not None]
     if pairs and reference is not None:
         axes.plot(*zip(*pairs, strict=True), label=f"{reference.name}'s", **MARKED)
-    left_out = [(row.range_cm, row.left_out_deg) for row in sonar.rows if row.left_out_deg is not None]
-    if left_out:
+    predicted = np.isfinite(others_deg)
+    if np.any(predicted):
         look: dict[str, Any] = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE}
-        axes.plot(*zip(*left_out, strict=True), "D", label="predicted from the others", zorder=7, **look)
-        for row in sonar.rows:
-            if row.left_out_deg is None:
-                words = "the others predict\nno echo here"
-                label(axes, words, (row.range_cm, 0.0), (0, 6), ha="center", color=GREY)
-    axes.set_ylim(0.0, 1.2 * max([*measured_deg, *(angle for _, angle in (*pairs, *left_out))]))
-    axes.set_xlim(0.0, max(used_cm))
-    return legend_below(figure)
+        axes.plot(range_cm[predicted], others_deg[predicted], "D", label="predicted from the others", zorder=7, **look)
+        for where in range_cm[~predicted].tolist():
+            label(axes, "the others predict\nno echo here", (where, 0.0), (0, 6), ha="center", color=GREY)
+    axes.set_ylim(0.0, 1.2 * max([*measured_deg, *others_deg[predicted], *(angle or 0.0 for _, angle in pairs)]))
+    axes.set_xlim(0.0, np.max(used_cm))
+    worst_deg = np.abs(fitted_deg - measured_deg)
+    caption = "No angle is predicted"
+    if np.any(np.isfinite(worst_deg)):
+        caption = f"The equation misses the measured angles by at most {np.nanmax(worst_deg):.1f}°"
+    if np.any(predicted):
+        caption += f", and predicts each from the others to {np.nanmax(np.abs(others_deg - measured_deg)):.1f}°"
+    return figure, (
+        f"{caption}. Equivalent piston {1000.0 * sonar.piston_diameter_m:.1f} mm, gain {sonar.gain_db_per_m:.1f} dB/m. "
+        f"{sentence(sonar.note)} Beyond the measured ranges the angle never grows."
+    )

@@ -1,28 +1,26 @@
 """Pictures of the fitted mixture: its four densities, all of them together, and how well they fit."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binom
 
 from msp_lab.characterise.estimates import wilson
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.mixture import KINDS
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import interval
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
+from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
-    BARS,
     DOTS,
     GREEN,
     INK,
@@ -30,23 +28,55 @@ from msp_sim.page.style import (
     OURS,
     PURPLE,
     REFERENCE,
+    draw_pit_bars,
     label,
-    legend_below,
     new_axes,
     note,
     shaded,
-    signed,
 )
 from msp_sim.page.text import p_text, sentence
 
-_LOOKS = {"hit": (OURS, "-"), "short": (ORANGE, "--"), "missed": (PURPLE, "-"), "random": (GREEN, "-.")}
-_PARAMETERS = {
-    "hit": ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
-    "short": ("weights.short", "short_rate_per_m"),
-    "missed": ("weights.missed", "saturated_fraction", "missed_growth_per_m"),
-    "random": ("weights.random",),
+
+class _Kind(NamedTuple):
+    """How a kind of readings is drawn, and its parameters by their names in the sensor model file."""
+
+    title: str
+    colour: str
+    dashes: str
+    remark: str
+    parameters: tuple[str, ...]
+
+
+_KINDS = {
+    "hit": _Kind(
+        "Hits: density of the measurement noise",
+        OURS,
+        "-",
+        "The probability of a reading is the integral over its centimetre.",
+        ("weights.hit", "sigma_cm", "sigma_growth_cm_per_m"),
+    ),
+    "short": _Kind(
+        "Short readings: density of what is nearer than the surface",
+        ORANGE,
+        "--",
+        "It ends at the expected range and is normalised up to there.",
+        ("weights.short", "short_rate_per_m"),
+    ),
+    "missed": _Kind(
+        "Missed echoes: the sensor's codes",
+        PURPLE,
+        "-",
+        "A point mass, since a missed echo is a code.",
+        ("weights.missed", "saturated_fraction", "missed_growth_per_m"),
+    ),
+    "random": _Kind(
+        "Random readings: density",
+        GREEN,
+        "-.",
+        "It begins at the {:g} cm under which the sensor reports nothing.",
+        ("weights.random",),
+    ),
 }
-"""Kind of reading -> its parameters, by their names in the sensor model file."""
 NO_WEIGHT = 1e-7
 """A smaller weight is that of a kind that was not seen."""
 SINGLE_CM = 25.0
@@ -55,15 +85,10 @@ SINGLE_CM = 25.0
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order."""
-    for kind, title in (
-        ("hit", "Hits: density of the measurement noise"),
-        ("short", "Short readings: density of what is nearer than the surface"),
-        ("missed", "Missed echoes: the sensor's codes"),
-        ("random", "Random readings: density"),
-    ):
-        yield f"density_{kind}", title, partial(density, kind=kind)
-    yield "mixture", "The fitted mixture, all four densities", _whole_mixture
-    yield "pit", "Goodness of fit: probability integral transform", _pit
+    for kind, look in _KINDS.items():
+        yield f"density_{kind}", look.title, partial(density, rows, kind)
+    yield "mixture", "The fitted mixture, all four densities", partial(_whole_mixture, rows)
+    yield "pit", "Goodness of fit: probability integral transform", partial(_pit, rows)
 
 
 @dataclass(frozen=True)
@@ -82,8 +107,8 @@ class Densities:
     """Probability of each reading by the whole model, codes in it, shape (k,)."""
     codes: list[float]
     """Readings that are codes for no echo [cm]."""
-    counts: Array | None
-    """How often each was read, shape (k,); None: there are no readings."""
+    counts: Array
+    """How often each was read, shape (k,)."""
 
     @property
     def parts(self) -> dict[str, Array]:
@@ -121,7 +146,7 @@ def densities(rows: PictureData) -> Densities:
         weight={kind: float(share) for kind, share in zip(KINDS, whole.shares(apparent_cm), strict=True)},
         total=total,
         codes=[float(rows.model.maximum_cm), *([float(SATURATED_CM)] if garbled else [])],
-        counts=np.bincount(readings, minlength=k.size).astype(np.float64) if readings.size else None,
+        counts=np.bincount(readings, minlength=k.size).astype(np.float64),
     )
 
 
@@ -144,28 +169,39 @@ def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Ar
 
 
 def density(rows: PictureData, kind: str) -> Drawn:
-    """Draw the density of a kind of reading."""
+    """Draw the density of a kind of reading, with what was read."""
     caption = _fitted(rows.needed(rows.findings.mixture, "mixture"), kind)
     fitted = densities(rows)
-    unit = "share of all readings [%]" if kind == "missed" else "probability of a centimetre"
-    figure, axes = new_axes(3.2, "reading [cm]", unit)
-    if kind == "hit":
-        _draw_hit(axes, fitted)
-        caption += " The probability of a reading is the integral over its centimetre."
-    elif kind == "short":
-        _draw_short(axes, fitted)
-        caption += " It ends at the expected range and is normalised up to there."
-    elif kind == "missed":
+    figure, axes = new_axes(3.2, "reading [cm]", "probability of a centimetre")
+    k, p = fitted.reading_cm, fitted.density[kind]
+    bulk = np.flatnonzero(fitted.bulk(1e-7))
+    if kind == "missed":
         _draw_missed(axes, fitted)
-        caption += " A point mass, since a missed echo is a code."
     else:
-        _draw_random(axes, fitted)
-        caption += f" It begins at the {rows.model.minimum_cm} cm under which the sensor reports nothing."
+        shown = fitted.bulk(1e-5) if kind == "hit" else p > 0.0
+        axes.fill_between(k[shown], 0.0, p[shown], step="mid", **shaded(_KINDS[kind].colour))
+        axes.step(k[shown], p[shown], where="mid", color=_KINDS[kind].colour, label="fitted, if it is of this kind")
+    if kind == "hit":
+        cells = np.flatnonzero(shown)
+        _dots(axes, fitted, cells[:, None], "share read, and its 95 % interval", of=cells)
+    elif kind == "short":
+        # Nothing else can be distinguished from the hits where they begin.
+        _binned(axes, fitted, kind, slice(1, bulk[0]))
+        axes.set_xlim(0.0, (0.5 + fitted.true_range_cm) * 1.06)
+    elif kind == "random":
+        # Beyond the hits only random readings and codes are left.
+        _binned(axes, fitted, kind, slice(bulk[-1] + 1, -1))
+        for edge, side, x in ((k[0], "right", -4), (k[-1], "left", 4)):
+            label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side)
+        axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
+        axes.margins(y=0.25)
+    if kind in ("short", "random") and fitted.weight[kind] < NO_WEIGHT:
+        note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
     axes.axvline(fitted.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_ylim(bottom=0.0)
     axes.yaxis.set_major_formatter("{x:.3g}")
     axes.grid(axis="x", visible=False)
-    return Drawn(legend_below(figure), caption, f"The fitted density of {kind} readings, with what was read.")
+    return figure, f"{caption} {_KINDS[kind].remark.format(k[0])}".strip()
 
 
 def _fitted(mixture: Mixture, kind: str) -> str:
@@ -173,41 +209,22 @@ def _fitted(mixture: Mixture, kind: str) -> str:
     found = {each.name: each for each in mixture.parameters}
     shown = [
         f"{name} = {interval(found[name].fitted)}{' (at its bound)' if found[name].at_bound else ''}"
-        for name in _PARAMETERS[kind]
+        for name in _KINDS[kind].parameters
         if name in found
     ]
     return f"Fitted: {'; '.join(shown)}." if shown else ""
-
-
-def _draw_hit(axes: Axes, fitted: Densities) -> None:
-    """The Gaussian's probability of each centimetre, next to the share that was read."""
-    shown = np.flatnonzero(fitted.bulk(1e-5))
-    k, p = fitted.reading_cm[shown], fitted.density["hit"][shown]
-    axes.bar(k, p, width=0.9, label="fitted: integral over each centimetre", **BARS)
-    _dots(axes, fitted, shown[:, None], "share read, and its 95 % interval", of=shown)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-
-
-def _draw_short(axes: Axes, fitted: Densities) -> None:
-    """Unexpected obstacles (5.4): the exponential that ends at the expected range."""
-    k = fitted.reading_cm
-    _curve(axes, fitted, "short", k <= fitted.true_range_cm + 0.5)
-    # Nothing else can be distinguished from the hits where they begin.
-    _binned(axes, fitted, "short", (k < k[fitted.bulk(1e-7)][0]) & (k > k[0]))
-    if fitted.weight["short"] < NO_WEIGHT:
-        note(axes, "weight 0: no reading was found to be of this kind,\nand its rate is the starting model's")
-    axes.set_xlim(0.0, (0.5 + fitted.true_range_cm) * 1.06)
 
 
 def _draw_missed(axes: Axes, fitted: Densities) -> None:
     """Maximum range (5.5): the mass at the code, which a sensor may garble into a second one."""
     k, places = fitted.reading_cm, np.flatnonzero(np.isin(fitted.reading_cm, fitted.codes))
     percent = 100.0 * fitted.total[places]
-    axes.bar(k[places], percent, width=14.0, color=PURPLE, alpha=0.5, label="fitted mass")
+    axes.set_ylabel("share of all readings [%]")
+    axes.bar(k[places], percent, width=14.0, color=_KINDS["missed"].colour, alpha=0.5, label="fitted mass")
     _dots(axes, fitted, places[:, None], "read, and its 95 % interval", 100.0, omits_none=False)
     for place, height in zip(places.tolist(), percent.tolist(), strict=True):
         words = f"{k[place]:g} cm\nfitted {height:.2f} %"
-        if fitted.counts is not None:
+        if np.any(fitted.counts):
             words += f"\nread {100.0 * fitted.counts[place] / np.sum(fitted.counts):.2f} %"
         side, ha = (-1, "right") if k[place] > 0.85 * k[-1] else (1, "left")
         label(axes, words, (k[place], height), (14 * side, 2), va="bottom", ha=ha)
@@ -215,45 +232,23 @@ def _draw_missed(axes: Axes, fitted: Densities) -> None:
     axes.margins(y=0.3)
 
 
-def _draw_random(axes: Axes, fitted: Densities) -> None:
-    """Random readings: the same for each centimetre that the sensor can report, from its minimum and not 0."""
-    k = fitted.reading_cm
-    _curve(axes, fitted, "random", np.ones(k.size, dtype=bool))
-    # Beyond the hits only random readings and codes are left.
-    _binned(axes, fitted, "random", (k > k[fitted.bulk(1e-7)][-1]) & (k < k[-1]))
-    if fitted.weight["random"] < NO_WEIGHT:
-        note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
-    for edge, side, x in ((k[0], "right", -4), (k[-1], "left", 4)):
-        label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side)
-    axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
-    axes.margins(y=0.25)
-
-
-def _curve(axes: Axes, fitted: Densities, kind: str, where: Flags) -> None:
-    """Probabilities of centimetres as a line with the ground below it."""
-    (colour, _), k, p = _LOOKS[kind], fitted.reading_cm[where], fitted.density[kind][where]
-    axes.fill_between(k, 0.0, p, step="mid", **shaded(colour))
-    axes.step(k, p, where="mid", color=colour, label="fitted, if a reading is of this kind")
-
-
-def _binned(axes: Axes, fitted: Densities, kind: str, where: Flags) -> None:
+def _binned(axes: Axes, fitted: Densities, kind: str, where: slice) -> None:
     """What was read in a stretch, in broad bins, as the density of one kind.
 
     The readings of a kind cannot be identified one by one: a bin's count is multiplied by the share of the kind in it,
     by the fitted model, and the codes are left out.
     """
     parts, weight = fitted.parts, fitted.weight[kind]
-    places = np.flatnonzero(where & (parts["missed"] == 0.0))
+    places = np.arange(fitted.reading_cm.size)[where]
+    places = places[parts["missed"][places] == 0.0]
     if places.size < 2 or weight < NO_WEIGHT:
         return
-    bins, scales = [], []
-    for cells in np.array_split(places, max(min(places.size // 20, 16), 1)):
-        of_all = sum(float(np.sum(part[cells])) for part in parts.values())
-        if of_all > 0.0:
-            bins.append(cells)
-            scales.append(float(np.sum(parts[kind][cells])) / of_all / (weight * cells.size))
-    words = "read, in bins, times the model's share of this kind"
-    _dots(axes, fitted, bins, words, scales, omits_none=False)
+    of_all = np.sum(list(parts.values()), axis=0)
+    bins = [
+        cells for cells in np.array_split(places, max(min(places.size // 20, 16), 1)) if np.sum(of_all[cells]) > 0.0
+    ]
+    scales = [np.sum(parts[kind][cells]) / np.sum(of_all[cells]) / (weight * cells.size) for cells in bins]
+    _dots(axes, fitted, bins, "read, in bins, times the model's share of this kind", scales, omits_none=False)
 
 
 def _dots(
@@ -270,7 +265,7 @@ def _dots(
 
     The readings are those ``of`` some centimetres; bins without any may be omitted.
     """
-    if fitted.counts is None or not np.any(fitted.counts[of]):
+    if not np.any(fitted.counts[of]):
         return
     total, pairs = float(np.sum(fitted.counts[of])), []
     for cells in bins:
@@ -286,35 +281,28 @@ def _dots(
 def _whole_mixture(rows: PictureData) -> Drawn:
     """All four densities together on a logarithmic scale, with what was read."""
     found, fitted = rows.needed(rows.findings.mixture, "mixture"), densities(rows)
-    caption = (
-        f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
-        f"{found.readings:,} readings. {sentence(found.conditional)}"
-    )
-    return Drawn(_draw_mixture(fitted), caption, "Probability of each centimetre by the fitted mixture.")
-
-
-def _draw_mixture(fitted: Densities) -> Figure:
     figure, axes = new_axes(4.2, "reading [cm]", "probability of a centimetre")
     k, parts = fitted.reading_cm, fitted.parts
     is_code = np.isin(k, fitted.codes)
     plain = np.concatenate([p[~is_code & (p > 0.0)] for p in (parts["short"], parts["random"])])
     least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
-    if fitted.counts is not None:
-        bins = _fine_and_broad((np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
-        words = f"read ({np.sum(fitted.counts):,.0f} readings)"
-        _dots(axes, fitted, bins, words, [1.0 / cells.size for cells in bins])
+    bins = _fine_and_broad((np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
+    words = f"read ({np.sum(fitted.counts):,.0f} readings)"
+    _dots(axes, fitted, bins, words, [1.0 / cells.size for cells in bins])
     for kind, p in parts.items():
-        colour, dashes = _LOOKS[kind]
-        words = f"{kind}, weight {fitted.weight[kind]:.3g}"
+        look: dict[str, Any] = {"color": _KINDS[kind].colour, "label": f"{kind}, weight {fitted.weight[kind]:.3g}"}
         if kind == "missed":
-            axes.vlines(k[p > least], least, p[p > least], color=colour, linewidth=5, alpha=0.6, label=words)
+            axes.vlines(k[p > least], least, p[p > least], linewidth=5, alpha=0.6, **look)
         else:
-            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), dashes, color=colour, label=words)
+            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), _KINDS[kind].dashes, **look)
     axes.plot(k, np.where(is_code, np.nan, fitted.total), color=INK, linewidth=0.8, label="all together")
     axes.set_yscale("log")
     axes.set_ylim(least, 2.0)
     axes.set_xlim(0.0, float(k[-1]) * 1.03)
-    return legend_below(figure)
+    return figure, (
+        f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
+        f"{found.readings:,} readings. {sentence(found.conditional)}"
+    )
 
 
 def _fine_and_broad(single: Flags) -> list[NDArray[np.intp]]:
@@ -325,31 +313,15 @@ def _fine_and_broad(single: Flags) -> list[NDArray[np.intp]]:
 
 
 def _pit(rows: PictureData) -> Drawn:
+    """Histogram of the randomised PIT over equal bins of [0, 1]: flat where the model fits."""
     found = rows.needed(rows.findings.mixture, "mixture")
     if found.pit_p_value is None:
         raise Absent("There are too few readings for a goodness of fit.")
-    caption = (
+    words = "probability that the fitted model gives to a smaller reading (randomised within a centimetre)"
+    figure, axes = new_axes(3.2, words)
+    draw_pit_bars(axes, found.pit_counts)
+    note(axes, f"p of uniform: {p_text(found.pit_p_value)}")
+    return figure, (
         "Where the model is right the bars are level. A slope is a bias, a bowl too small a spread, a hump too large a "
         f"one. Of uniform, p: {p_text(found.pit_p_value)}, over {found.readings:,} readings."
     )
-    return Drawn(_draw_pit(found.pit_counts, found.pit_p_value), caption, "PIT histogram.")
-
-
-def _draw_pit(counts: Sequence[int], p_value: float) -> Figure:
-    """Histogram of the randomised PIT over equal bins of [0, 1]: flat where the model fits."""
-    words = "probability that the fitted model gives to a smaller reading (randomised within a centimetre)"
-    figure, axes = new_axes(3.2, words, "readings more than expected [%]")
-    bins, n = len(counts), float(sum(counts))
-    low, high = 100.0 * (binom.ppf([0.025, 0.975], n, 1.0 / bins) / (n / bins) - 1.0)
-    axes.axhspan(low, high, label="95 % of each bar if the model is right", **shaded(REFERENCE))
-    axes.axhline(0.0, color=REFERENCE)
-    excess = 100.0 * (np.array(counts, dtype=float) / (n / bins) - 1.0)
-    left, words = np.arange(bins) / bins, f"{n:,.0f} readings"
-    axes.bar(left, excess, width=0.94 / bins, align="edge", label=words, **BARS)
-    reach = max(float(np.max(np.abs(excess))), high) * 1.3
-    axes.set_ylim(-reach, reach)
-    axes.yaxis.set_major_formatter(signed)
-    axes.set_xlim(0.0, 1.0)
-    axes.grid(axis="x", visible=False)
-    note(axes, f"p of uniform: {p_text(p_value)}")
-    return legend_below(figure)

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import Findings
@@ -20,23 +19,11 @@ from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.arrays import Array, Flags, Texts
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.page.text import plus, sentence
+from msp_sim.page.page import Absent
+from msp_sim.page.text import counted, plus, sentence
 
 Part = TypeVar("Part")
 Column = TypeVar("Column", Flags, Texts, Array)
-
-
-class Absent(Exception):
-    """The data do not allow this picture; the message gives the reason and what is needed."""
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A picture before it is turned into bytes: figure, caption, and what it shows in a sentence."""
-
-    figure: Figure
-    caption: str
-    alternative: str
 
 
 @dataclass(frozen=True)
@@ -84,10 +71,6 @@ class PictureData:
     def _points(self) -> list[PointReadings]:
         return sort_into_points(self.data, self.model)
 
-    @cached_property
-    def _condition(self) -> Texts:
-        return conditions(self.data)
-
     def _of_points(self, column: Column, value: Callable[[PointReadings], Any]) -> Column:
         """A column with each point's value in its rows."""
         for point in self._points:
@@ -115,18 +98,24 @@ class PictureData:
         Absent
             There are none.
         """
-        known = np.isfinite(self.true_cm)
-        if not np.any(known):
+        rows = self._with_condition(condition)
+        if not np.any(np.isfinite(self.true_cm)):
             raise Absent("No row has a true range (column true_range_cm).")
-        rows = known & (self._condition == condition)
         if not np.any(rows):
             hint = "" if "condition" in self.data else " (there is no column condition with the experiment)"
             raise Absent(f"No readings of {EXPERIMENTS[condition].called} are in the data{hint}.")
-        return np.asarray(rows)
+        return rows
 
     def has(self, condition: str) -> bool:
         """Whether there are rows of an experiment that have a true range."""
-        return bool(np.any(np.isfinite(self.true_cm) & (self._condition == condition)))
+        return bool(np.any(self._with_condition(condition)))
+
+    def _with_condition(self, condition: str) -> Flags:
+        return np.asarray(np.isfinite(self.true_cm) & (self._conditions == condition))
+
+    @cached_property
+    def _conditions(self) -> Texts:
+        return conditions(self.data)
 
     def errors(self, rows: Flags, label: str = "", reading_cm: Array | None = None) -> Errors:
         """Errors of some rows; of other readings than those that the sensor gave where `reading_cm` has them [cm].
@@ -151,19 +140,11 @@ class PictureData:
         return sum(found) / len(found) if found else 0.0
 
 
-Maker = Callable[[PictureData], Drawn]
-"""Draws a picture; raises `Absent` where the data do not allow it."""
-
-Entry = tuple[str, str, Maker]
-"""Name of the file, title, and what makes the picture."""
-
-
 def summary(errors: Errors) -> str:
     """Count, median error of the bulk and missed readings of a picture, in a sentence."""
     echoes = errors.error_cm[~errors.missed]
     n, missed = errors.missed.size, int(np.count_nonzero(errors.missed))
-    ranges = np.unique(errors.true_range_cm).size
-    text = f"{n:,} readings at {ranges} range{'s' if ranges != 1 else ''}; "
+    text = f"{n:,} readings at {counted(np.unique(errors.true_range_cm).size, 'range')}; "
     text += f"missed: {missed:,} ({100.0 * missed / n:.2g} %)" if missed else "none missed"
     if echoes.size:
         low, middle, high = (plus(float(np.quantile(echoes, share))) for share in (0.025, 0.5, 0.975))

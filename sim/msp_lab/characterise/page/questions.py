@@ -2,20 +2,21 @@
 
 import textwrap
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import FactorEffect, Question
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData
+from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.tables import METRICS
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.questions import SHARE_BOUND
-from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, legend_below, new_figure, shaded
+from msp_sim.page.page import Absent, Drawn, Entry
+from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, new_figure, shaded
 from msp_sim.page.text import sentence
 
 LABEL_LETTERS = 30
@@ -33,20 +34,7 @@ Row = tuple[float, FactorEffect, IntervalEstimate]
 
 def entries(rows: PictureData) -> list[Entry]:
     """The only picture."""
-    return [("questions", "The questions in one picture", _forest)]
-
-
-def _forest(rows: PictureData) -> Drawn:
-    questions = rows.findings.questions
-    if not any(effect.estimate for each in questions for effect in each.effects):
-        raise Absent(sentence(rows.findings.absent.get("questions", "the data compare no two settings of the bench")))
-    caption = (
-        "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
-        "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
-        f"number of questions (Holm). Missed readings and outliers that change by less than {SHARE_BOUND:.0%} of all "
-        "readings also count as too small, whatever their odds. No bars: unknown. An arrow: the interval is longer."
-    )
-    return Drawn(_draw(questions), caption, "Effect sizes of every question with their intervals.")
+    return [("questions", "The questions in one picture", partial(_forest, rows))]
 
 
 def _label(question: Question) -> str:
@@ -56,38 +44,44 @@ def _label(question: Question) -> str:
     return "\n".join(textwrap.fill(line, LABEL_LETTERS) for line in lines)
 
 
-def _draw(questions: Sequence[Question]) -> Figure:
-    """A row a question, from the top, a panel a metric."""
+def _forest(rows: PictureData) -> Drawn:
+    """Draw a row a question, from the top, a panel a metric."""
+    questions = rows.findings.questions
     labels = [_label(each) for each in questions]
     # Rows as high as their words; y counts lines from the bottom.
     tops = np.cumsum([0, *(max(label.count("\n") + 1, 2) for label in labels)])
     height = float(tops[-1])
     middles = (height - (tops[:-1] + tops[1:]) / 2.0).tolist()
-    rows = [
+    drawn = [
         (middle, effect, effect.estimate)
         for middle, each in zip(middles, questions, strict=True)
         for effect in each.effects
         if effect.estimate is not None
     ]
-    metrics = [metric for metric in METRICS if any(effect.metric == metric for _, effect, _ in rows)]
+    if not drawn:
+        raise Absent(sentence(rows.findings.absent.get("questions", "the data compare no two settings of the bench")))
+    metrics = [metric for metric in METRICS if any(effect.metric == metric for _, effect, _ in drawn)]
     figure = new_figure(1.4 + 0.19 * height)
     panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
     for metric, axes in zip(metrics, panels, strict=True):
-        _panel(axes, [row for row in rows if row[1].metric == metric])
+        _panel(axes, [row for row in drawn if row[1].metric == metric])
         axes.set_ylim(0.0, height)
         axes.set_title(METRICS[metric].replace(", ", ",\n") + (" [cm]" if metric == "bias" else ""))
         axes.grid(axis="y", visible=False)
         axes.spines["left"].set_visible(False)
-    panels[0].set_yticks(middles, labels, fontsize=7.5)
-    for axes in panels:
         axes.tick_params(axis="y", length=0)
-    first, handles = panels[0], []
+    first = panels[0]
+    first.set_yticks(middles, labels, fontsize=7.5)
     for verdict, (colour, marker, fill) in VERDICTS.items():
-        handles += first.plot([], [], marker, color=colour, fillstyle=fill, markersize=6, label=verdict)
-    handles += [first.fill_between([], [], [], label="too small to matter", **shaded())]
-    words = "smallest that these data show"
-    handles += first.plot([], [], "|", color=INK, markersize=9, label=words)
-    return legend_below(figure, handles)
+        first.plot([], [], marker, color=colour, fillstyle=fill, markersize=6, label=verdict)
+    first.fill_between([], [], [], label="too small to matter", **shaded())
+    first.plot([], [], "|", color=INK, markersize=9, label="smallest that these data show")
+    return figure, (
+        "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
+        "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
+        f"number of questions (Holm). Missed readings and outliers that change by less than {SHARE_BOUND:.0%} of all "
+        "readings also count as too small, whatever their odds. No bars: unknown. An arrow: the interval is longer."
+    )
 
 
 def _panel(axes: Axes, rows: Sequence[Row]) -> None:
@@ -104,16 +98,12 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
         for edge in () if smallest is None else (smallest, effect.mirrored(smallest)):
             if left <= edge <= right:
                 axes.vlines(edge, y - 0.7, y + 0.7, color=INK)
-        low, high = size.low, size.high
-        ends = [left if low is None else max(low, left), right if high is None else min(high, right)]
-        axes.plot(ends, [y, y], color=colour)
-        for edge, arrow, points, is_beyond in (
-            (left, "<", 5, low is None or low < left),
-            (right, ">", 5, high is None or high > right),
-            (left, "<", 7, size.value < left),
-            (right, ">", 7, size.value > right),
-        ):
-            if is_beyond:
+        low = -np.inf if size.low is None else size.low
+        high = np.inf if size.high is None else size.high
+        axes.plot(np.clip([low, high], left, right), [y, y], color=colour)
+        for value, points in ((low, 5), (high, 5), (size.value, 7)):
+            if not left <= value <= right:
+                edge, arrow = (left, "<") if value < left else (right, ">")
                 axes.plot([edge], [y], marker=arrow, markersize=points, color=colour, clip_on=False)
         if left <= size.value <= right:
             look: dict[str, Any] = {"fillstyle": fill, "markerfacecolor": "white" if fill == "none" else colour}

@@ -12,12 +12,13 @@ from matplotlib.figure import Figure
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.page.errors import draw_errors, scale_of
-from msp_lab.characterise.page.picture_data import Absent, Drawn, Entry, PictureData, summary
+from msp_lab.characterise.page.picture_data import PictureData, summary
 from msp_lab.characterise.page.text import interval, span
 from msp_lab.characterise.temperature import ROOM_C
 from msp_range.correction.calibration import curve_through
-from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, legend_below, line_at_zero, new_figure, shaded
-from msp_sim.page.text import plus, sentence
+from msp_sim.page.page import Absent, Drawn, Entry
+from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, line_at_zero, new_figure, shaded
+from msp_sim.page.text import counted, plus, sentence
 
 MAX_LEVELS = 5
 """Panels that a picture has room for."""
@@ -29,17 +30,17 @@ CROWDED = 60
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order, a material each."""
-    yield "calibration", "Calibration and linearity", calibration
-    yield "range_error", "Range error, nothing varied", baseline
+    yield "calibration", "Calibration and linearity", partial(calibration, rows)
+    yield "range_error", "Range error, nothing varied", partial(baseline, rows)
     for name in _materials(rows):
-        file_word = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in name.lower())
-        yield f"material_{file_word}", f"Range error, target of {name}", partial(material, name=name)
+        file_word = re.sub("[^a-z0-9]", "_", name.lower())
+        yield f"material_{file_word}", f"Range error, target of {name}", partial(material, rows, name)
     for kind in ("room", "hot", "cold"):
-        yield f"temperature_{kind}", f"Range error, {kind} air at the sensor", partial(temperature, kind=kind)
-    yield "vibration", "Range error while the housing vibrates", vibration
+        yield f"temperature_{kind}", f"Range error, {kind} air at the sensor", partial(temperature, rows, kind)
+    yield "vibration", "Range error while the housing vibrates", partial(vibration, rows)
     for condition, how in (("crosstalk_simultaneous", "at once"), ("crosstalk_sequential", "in turn")):
-        yield condition, f"Range error, two sensors that ping {how}", partial(crosstalk, condition=condition)
-    yield "external_interference", "Range error with external ultrasound", external
+        yield condition, f"Range error, two sensors that ping {how}", partial(crosstalk, rows, condition)
+    yield "external_interference", "Range error with external ultrasound", partial(external, rows)
 
 
 def calibration(rows: PictureData) -> Drawn:
@@ -54,7 +55,7 @@ def calibration(rows: PictureData) -> Drawn:
             caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
     caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
     by_sound = rows.findings.calibration_temperature_c is not None
-    return Drawn(_draw_linearity(found, by_sound), caption, "Mean error over true range with the calibration.")
+    return _draw_linearity(found, by_sound), caption
 
 
 def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
@@ -84,7 +85,7 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     axes.set_ylabel("mean reading − true range [cm]")
     for each in side:
         _draw_left_out(each, found)
-    return legend_below(figure)
+    return figure
 
 
 def _draw_left_out(axes: Axes, found: CalibrationFindings) -> None:
@@ -109,8 +110,7 @@ def baseline(rows: PictureData) -> Drawn:
     caption, found = summary(errors), rows.findings.baseline
     if found is not None:
         caption += f" Mean error {interval(found.bias)}; largest error of a hit {plus(found.largest_hit_error_cm)} cm."
-    alternative = "Range error over true range without anything varied."
-    return Drawn(draw_errors([errors], band=band), caption, alternative)
+    return draw_errors([errors], band=band), caption
 
 
 def _materials(rows: PictureData) -> list[str]:
@@ -127,7 +127,7 @@ def material(rows: PictureData, name: str) -> Drawn:
     errors = rows.errors(found & (target == name))
     scale = scale_of([rows.errors(found & (target == each)) for each in there])
     caption = summary(errors) + _answers(rows, "material", name)
-    return Drawn(draw_errors([errors], scale), caption, f"Range error over true range, target of {name}.")
+    return draw_errors([errors], scale), caption
 
 
 def temperature(rows: PictureData, kind: str) -> Drawn:
@@ -152,7 +152,7 @@ def temperature(rows: PictureData, kind: str) -> Drawn:
     for box in rows.findings.hot_boxes:
         if kind != "room" and (box.box_c > ROOM_C) == (kind == "hot"):
             caption += f" {sentence(box.answer)}"
-    return Drawn(draw_errors([errors], scale), caption, f"Range error over true range, {kind} air at the sensor.")
+    return draw_errors([errors], scale), caption
 
 
 def vibration(rows: PictureData) -> Drawn:
@@ -165,7 +165,7 @@ def vibration(rows: PictureData) -> Drawn:
     panels = [rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in frequencies_hz]
     caption = f"Vibration of {span(vibration_hz[shaken])} Hz. {summary(rows.errors(shaken))}"
     caption += _answers(rows, "vibration")
-    return Drawn(draw_errors(panels), caption, "Range error over true range while the sensor's housing vibrates.")
+    return draw_errors(panels), caption
 
 
 def crosstalk(rows: PictureData, condition: str) -> Drawn:
@@ -176,7 +176,7 @@ def crosstalk(rows: PictureData, condition: str) -> Drawn:
         for place, name in enumerate(np.unique(sensor[found]).tolist(), start=1)
     ]
     caption = " ".join(sentence(f"{each.label}: {summary(each)}") for each in panels) + _answers(rows, condition)
-    return Drawn(draw_errors(panels), caption, "Range error over true range of two sensors next to each other.")
+    return draw_errors(panels), caption
 
 
 def external(rows: PictureData) -> Drawn:
@@ -187,8 +187,8 @@ def external(rows: PictureData) -> Drawn:
     panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MAX_LEVELS]]
     caption = f"{summary(rows.errors(found))} {_answers(rows, 'external_interference')}".strip()
     left_out = len(levels) - len(panels)
-    caption += f" Not drawn: {left_out} more level{'s'[: left_out - 1]}." if left_out else ""
-    return Drawn(draw_errors(panels), caption, "Range error over true range next to an external ultrasonic source.")
+    caption += f" Not drawn: {counted(left_out, 'more level')}." if left_out else ""
+    return draw_errors(panels), caption
 
 
 def _answers(rows: PictureData, name: str, level: str = "") -> str:

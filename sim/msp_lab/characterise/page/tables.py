@@ -2,9 +2,9 @@
 
 from msp_lab.characterise.findings import CompensationRow, FactorEffect, Findings, Metric
 from msp_lab.characterise.page.text import interval
-from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.point_findings import PointResult
 from msp_lab.characterise.questions import SHARE_BOUND
-from msp_sim.page.page import PageTable
+from msp_sim.page.table import PageTable
 from msp_sim.page.text import number, p_text, sentence
 
 METRICS: dict[Metric, str] = {
@@ -26,8 +26,8 @@ _SYMBOLS = {
 """Parameter -> its symbol in Probabilistic Robotics (Thrun, Burgard & Fox 2005, section 6.3)."""
 
 
-def effects_table(findings: Findings) -> PageTable | None:
-    """Every effect of every question; None where none was asked."""
+def effects_table(findings: Findings) -> PageTable:
+    """Every effect of every question."""
     rows = []
     for question in findings.questions:
         subject = f"{question.name.replace('_', ' ')}: {question.level} against {question.reference}"
@@ -36,8 +36,6 @@ def effects_table(findings: Findings) -> PageTable | None:
         for effect in question.effects:
             rows.append((subject, METRICS[effect.metric], effect.verdict, *_numbers(effect)))
             subject = ""
-    if not rows:
-        return None
     return PageTable(
         name="effects",
         title="Every effect",
@@ -57,31 +55,23 @@ def effects_table(findings: Findings) -> PageTable | None:
             "lies within that (two one-sided tests), or missed readings and outliers change by less than "
             f"{SHARE_BOUND:.0%} of all readings. Smallest detectable: in 80 % of cases, at the adjusted level."
         ),
-        words=3,
+        align="lllr",
     )
 
 
 def _numbers(effect: FactorEffect) -> tuple[str, ...]:
-    bound = effect.bound
-    smallest = "–" if effect.smallest_detectable is None else f"{effect.smallest_detectable:.2g}"
+    bound, smallest = effect.bound, effect.smallest_detectable
     return (
-        interval_or_dash(effect.estimate),
+        interval(effect.estimate),
         f"{effect.mirrored(bound):.2g} to {bound:.3g}" if effect.is_ratio else f"±{bound:.2g} cm",
-        smallest if effect.is_ratio or smallest == "–" else f"±{smallest} cm",
+        "–" if smallest is None else f"{smallest:.2g}" if effect.is_ratio else f"±{smallest:.2g} cm",
         "–" if effect.p_adjusted is None else p_text(effect.p_adjusted),
     )
 
 
-def interval_or_dash(estimate: IntervalEstimate | None) -> str:
-    """A number with its interval, or a dash where there is none."""
-    return "–" if estimate is None else interval(estimate)
-
-
-def compensation_table(findings: Findings) -> PageTable | None:
-    """The mean errors by range without and with temperature compensation; None without rows."""
+def compensation_table(findings: Findings) -> PageTable:
+    """The mean errors by range without and with temperature compensation."""
     rows = findings.temperature_compensation
-    if not rows:
-        return None
     notes = " ".join(f"{row.range_cm:g} cm: {row.note}." for row in rows if row.note)
     return PageTable(
         name="compensation_table",
@@ -94,21 +84,21 @@ def compensation_table(findings: Findings) -> PageTable | None:
             "In brackets 95 % intervals. Implied air: the one air temperature that would bring the mean error to 0. "
             f"{notes}"
         ),
-        words=0,
+        align="r",
     )
 
 
 def compensation_cells(row: CompensationRow) -> tuple[str, str, str]:
     """Range, and mean error without and with compensation."""
-    return f"{row.range_cm:g}", interval(row.uncompensated), interval_or_dash(row.compensated)
+    return f"{row.range_cm:g}", interval(row.uncompensated), interval(row.compensated)
 
 
-def mixture_table(findings: Findings) -> PageTable | None:
-    """The fitted parameters with intervals, and the starting model's values; None without a fit."""
+def mixture_table(findings: Findings) -> PageTable:
+    """The fitted parameters with intervals, and the starting model's values."""
     mixture = findings.mixture
-    if mixture is None:
-        return None
-    fitted = f"Maximum likelihood from {mixture.readings:,} readings, names as in the sensor model file."
+    fitted = (
+        f"Maximum likelihood from {mixture.readings if mixture else 0:,} readings, names as in the sensor model file."
+    )
     return PageTable(
         name="mixture_parameters",
         title="Parameters of the mixture",
@@ -120,16 +110,15 @@ def mixture_table(findings: Findings) -> PageTable | None:
                 interval(each.fitted) + (" at its bound" if each.at_bound else ""),
                 "–" if each.before is None else f"{each.before:.4g}",
             )
-            for each in mixture.parameters
+            for each in (mixture.parameters if mixture else ())
         ),
-        caption=" ".join([fitted, *map(sentence, mixture.notes)]),
+        align="llr",
+        caption=" ".join([fitted, *map(sentence, mixture.notes if mixture else ())]),
     )
 
 
-def points_table(findings: Findings) -> PageTable | None:
-    """All set-ups and their readings; None without any."""
-    if not findings.points:
-        return None
+def points_table(findings: Findings) -> PageTable:
+    """All set-ups and their readings."""
     left_out = len(findings.points) - MAX_POINTS
     counts = ("readings", "hits", "short", "long", "no echo", "255", "no answer")
     return PageTable(
@@ -147,7 +136,7 @@ def points_table(findings: Findings) -> PageTable | None:
         ),
         rows=tuple(_point(point) for point in findings.points[:MAX_POINTS]),
         caption=f"{left_out:,} more are left out here." if left_out > 0 else "",
-        words=3,
+        align="lllr",
     )
 
 
@@ -162,3 +151,9 @@ def _point(point: PointResult) -> tuple[str, ...]:
         *(f"{count:,}" for count in counts),
         *("–" if each is None else number(each.value, 2) for each in (point.error, point.spread)),
     )
+
+
+def sources_table(findings: Findings) -> PageTable:
+    """The files that the readings are from."""
+    rows = tuple((each.name, f"{each.rows:,}", each.sha256) for each in findings.sources)
+    return PageTable("sources", "", ("file", "rows", "SHA-256"), rows, align="lrl")

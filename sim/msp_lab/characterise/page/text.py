@@ -1,4 +1,4 @@
-"""Estimates and counts in words, as the page and the terminal write them."""
+"""Estimates in words, as the page and the terminal write them."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from msp_range.arrays import Array
 from msp_sim.page.text import minus
 
 
-def interval(estimate: IntervalEstimate) -> str:
-    """Return a number with its 95 % interval and unit.
+def interval(estimate: IntervalEstimate | None) -> str:
+    """Return a number with its 95 % interval and unit, or a dash where there is none.
 
     Examples
     --------
@@ -17,6 +17,8 @@ def interval(estimate: IntervalEstimate) -> str:
     >>> interval(IntervalEstimate(503.0, 503.0, 503.0, "cm", 9))
     '503 cm'
     """
+    if estimate is None:
+        return "–"
     ends = [end for end in (estimate.low, estimate.high) if end is not None]
     reach = max([abs(end - estimate.value) for end in ends], default=0.0)
     unit = f" {estimate.unit}" if estimate.unit else ""
@@ -49,8 +51,3 @@ def span(values: Array) -> str:
         return "unknown"
     low, high = float(np.min(known)), float(np.max(known))
     return f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
-
-
-def counted(count: int, noun: str) -> str:
-    """Return 'one peak' or '3 peaks'."""
-    return f"one {noun}" if count == 1 else f"{count} {noun}s"

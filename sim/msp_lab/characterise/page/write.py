@@ -1,20 +1,26 @@
 """The page and the pictures of a characterisation, on disk."""
 
-from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, questions, range_error
-from msp_lab.characterise.page.answers import conclusions, summarise
-from msp_lab.characterise.page.picture_data import Absent, Entry, PictureData
-from msp_lab.characterise.page.tables import compensation_table, effects_table, mixture_table, points_table
+from msp_lab.characterise.page.answers import conclusions_table, summarise
+from msp_lab.characterise.page.picture_data import PictureData
+from msp_lab.characterise.page.tables import (
+    compensation_table,
+    effects_table,
+    mixture_table,
+    points_table,
+    sources_table,
+)
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.page.page import Omitted, Picture, render, write_page
-from msp_sim.page.style import files_of, style
+from msp_sim.page.page import pictures_of, write_page
 
-SECTIONS = (
+SECTIONS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
+    ("does-it-matter", "Does it matter?", (questions,)),
     ("errors", "Range errors", (range_error, longest_range)),
     ("beam", "Field of view", (field_of_view,)),
     ("air", "Air temperature", (air,)),
@@ -48,47 +54,20 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
         The directory cannot be made or written to.
     """
     rows = PictureData(findings, data, model)
-    with style():
-        sections = [
-            (anchor, title, _drawn(chain.from_iterable(module.entries(rows) for module in modules), rows))
-            for anchor, title, modules in SECTIONS
-        ]
-        forest = _drawn(questions.entries(rows), rows)
-    tables = {
-        "effects": effects_table(findings),
-        "compensation_table": compensation_table(findings),
-        "mixture_table": mixture_table(findings),
-        "points": points_table(findings),
-    }
-    html = render(
-        __package__ or "msp_lab.characterise.page",
-        "report.html",
+    sections = []
+    for anchor, title, parts in SECTIONS:
+        drawn = pictures_of(chain.from_iterable(part.entries(rows) for part in parts))
+        if pictures := [each for each in drawn if each.files]:
+            sections.append((anchor, title, pictures))
+    tables = (conclusions_table, effects_table, compensation_table, mixture_table, points_table, sources_table)
+    return write_page(
+        Path(directory),
+        f"{__package__}/report.html",
+        [each for *_, pictures in sections for each in pictures],
+        [table(findings) for table in tables],
         findings=findings,
         model=model,
         answer=summarise(findings),
-        conclusions=conclusions(findings),
-        forest=forest,
-        sections=[section for section in sections if section[2]],
+        sections=sections,
         rows_in_all=len(data),
-        **tables,
     )
-    pictures = [*forest, *(each for _, _, some in sections for each in some)]
-    return write_page(Path(directory), html, pictures, tables=tables.values())
-
-
-def _drawn(entries: Iterable[Entry], rows: PictureData) -> list[Picture]:
-    """The entries that the data allow, as pictures."""
-    return [each for each in drawn_or_omitted(entries, rows) if isinstance(each, Picture)]
-
-
-def drawn_or_omitted(entries: Iterable[Entry], rows: PictureData) -> list[Picture | Omitted]:
-    """Return each entry as a picture, or why the data do not allow it."""
-    made: list[Picture | Omitted] = []
-    for name, title, make in entries:
-        try:
-            found = make(rows)
-        except Absent as absent:
-            made.append(Omitted(name, title, str(absent)))
-        else:
-            made.append(Picture(name, title, found.caption, found.alternative, files_of(found.figure)))
-    return made
