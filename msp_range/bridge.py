@@ -5,7 +5,9 @@ downward ones become one distance, and messages go out. The same object runs on 
 recording: bus, clock, transport and recorder are arguments.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -137,14 +139,7 @@ class _Channel:
             self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
         self.topic = RANGE_PREFIX + sensor.name
         self.is_fused = sensor in airframe.downward
-        self.readings = 0
-        self.rejected: dict[str, int] = {}
-
-    def count(self, rejected: str | None) -> None:
-        """Count a reading, and why it was not used where it was not."""
-        self.readings += 1
-        if rejected is not None:
-            self.rejected[rejected] = self.rejected.get(rejected, 0) + 1
+        self.counts = Counts()
 
 
 class Step(NamedTuple):
@@ -163,12 +158,12 @@ class Step(NamedTuple):
     """The fused distance along the vehicle's down axis after this reading, where there is one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Counts:
     """Readings of one sensor: all, and the rejected by reason."""
 
-    readings: int
-    rejected: dict[str, int] = field(default_factory=dict)
+    readings: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
 
 
 _NOT_FILTERED = Filtered(None)
@@ -353,7 +348,9 @@ class Bridge:
             self._send_single(channel, reading, filtered, air, now_s, boot_ms)
         step = Step(ranging, air, reading, filtered, fused)
         self._record(now_s, channel.topic, step)
-        channel.count(filtered.rejected)
+        channel.counts.readings += 1
+        if filtered.rejected is not None:
+            channel.counts.rejected[filtered.rejected] += 1
         self.health.on_ranging(ranging._replace(reading=reading) if reading.status in MOTIONLESS else ranging)
         self._bus_health.on_ranging(now_s, ranging)
         return step
@@ -497,7 +494,7 @@ class Bridge:
 
     def counts(self) -> dict[str, Counts]:
         """Readings of every sensor so far."""
-        return {name: Counts(each.readings, dict(each.rejected)) for name, each in self._channels.items()}
+        return {name: deepcopy(each.counts) for name, each in self._channels.items()}
 
 
 def correct(

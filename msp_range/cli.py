@@ -112,8 +112,7 @@ def run(
         airframe = load()
     finally:
         gc.enable()
-    code = service.run(airframe, load, Log(log), None if no_record else record, socket or own_socket(), web)
-    raise typer.Exit(code)
+    service.run(airframe, load, Log(log), service.Outputs(record, socket or own_socket(), web))
 
 
 def _leave(signum: int, frame: FrameType | None) -> None:

@@ -246,13 +246,14 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
         lags_s.append(lags_s[-1] + LAG_STEP_S)
         sums.append(squares(lags_s[-1]))
     best = int(np.clip(np.argmin(sums), 1, len(sums) - 2))
-    before, here, after = sums[best - 1 : best + 2]
-    curvature = max((before - 2 * here + after) / LAG_STEP_S**2, 1e-12)
-    lag_s = lags_s[best] - LAG_STEP_S * (after - before) / max(2 * (before - 2 * here + after), 1e-12)
-    lag_s = float(np.clip(lag_s, lags_s[0], lags_s[-1]))
+    curve, slope, _ = np.polyfit(lags_s[best - 1 : best + 2], sums[best - 1 : best + 2], 2)
+    curvature = max(2 * float(curve), 1e-12)
+    lag_s = float(np.clip(-slope / curvature, lags_s[0], lags_s[-1]))
     error_m = MARGIN * 1.96 * fit.std_m
     # In a hover that hardly leans, delays far from the best one may fit nearly as well.
-    as_good_s = [abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < here + error_m**2]
+    as_good_s = [
+        abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < sums[best] + error_m**2
+    ]
     return Measured(lag_s, max(error_m * float(np.sqrt(2 / curvature)), *as_good_s))
 
 

@@ -9,7 +9,7 @@ from msp_range.clock import Clock
 from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.doctor.finding import RIGHT, WRONG, Finding, right, unknown, wrong
 from msp_range.doctor.i2c import check_interface
 from msp_range.doctor.port import check_port
 from msp_range.doctor.running import check_running
@@ -60,7 +60,7 @@ def examine(
     stretches = any(sensor.driver.stretches_clock for sensor in airframe.sensors)
     for finding in check_interface(computer, str(KernelBus(airframe.bus).path), stretches):
         yield finding
-        bus_is_right = bus_is_right and (finding.verdict is not Verdict.WRONG or finding.step == "I2C clock")
+        bus_is_right = bus_is_right and (finding.verdict is not WRONG or finding.step == "I2C clock")
     if bus_is_right:
         bus = make_bus(airframe.bus)
         try:
@@ -79,9 +79,7 @@ def examine(
         yield from _link(airframe, computer, clock, looked, make_transport)
     yield check_disk(computer, airframe.recording.folder if airframe.recording else None)
     yield check_date(computer, path)
-    supply = check_supply(computer)
-    if supply is not None:
-        yield supply
+    yield from check_supply(computer)
 
 
 def _link(
@@ -95,7 +93,7 @@ def _link(
     if isinstance(url, SerialUrl):
         for finding in check_port(computer, url):
             yield finding
-            if finding.verdict is not Verdict.RIGHT:
+            if finding.verdict is not RIGHT:
                 return
     transport = make_transport(airframe.link.url, clock)
     try:

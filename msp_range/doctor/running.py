@@ -17,10 +17,8 @@ def check_running() -> Iterator[Finding]:
     if connection is None:
         yield unknown("running bridge", "it cannot be asked: no socket of it was found", STOP)
         return
-    newest = Newest()
     with connection:
-        for packet in read_once(connection):
-            newest.update(packet)
+        newest = read_once(connection)
     if not newest.status:
         yield unknown("running bridge", "it ended while it was asked", "msp-range doctor once more")
         return

@@ -42,8 +42,7 @@ def show(socket: Path | None, once: bool, as_json: bool) -> int:
     out = PlainConsole(width=min(PlainConsole().width, WIDTH))
     with connection:
         if as_json or once or not out.is_terminal:
-            for packet in read_once(connection):
-                newest.update(packet)
+            newest = read_once(connection)
             if as_json:
                 print(json.dumps(as_object(newest)))
             else:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, Places
-from msp_range.commission.outcome import Proposal, StepOutcome, shown
+from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.config import Airframe
 
 SIDEWAYS_M, DEEPER_M = 0.05, 0.02
@@ -45,7 +45,7 @@ def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim:
             edits.append(Edit(("sensors", i, "position_m", axis), value))
             parts.append(f"{name} {shown(each)}, {in_file:g} in the file{': wrong sign' if is_mirrored else ''}")
         if edits:
-            outcome.proposals.append(Proposal(f"{sensor.name}: {'; '.join(parts)}", tuple(edits)))
+            outcome.propose(f"{sensor.name}: {'; '.join(parts)}", *edits)
         else:
             at = ", ".join(f"{each.value:.2f}" for each in measured)
             widest = max(each.half_width for each in measured)
