@@ -90,7 +90,6 @@ and for the transfer under way [s]. Longer than the pings of a group, so that th
 CONDITIONS_INTERVAL_S = 0.25
 """Longest time between two checks of what does not come with a reading: bus, temperature, autopilot, disk [s]. A
 silence is reported when it is due, whatever this is; a longer interval reports the others later."""
-TEMPERATURE_REQUEST_HZ = 1.0
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
 m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
@@ -247,7 +246,7 @@ class Bridge:
         self._air = self._temperature.now(clock.now())
         self._recorded_air = air
         sources = airframe.temperature.sources
-        asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
+        asked = {each.message: 1.0 for each in sources if isinstance(each, MavlinkSource)}
         self._attitude = AttitudeTrack()
         self._motion = motion or VerticalMotion()
         self._fusion = fusion_of(airframe, attitude or self._attitude, self._motion)

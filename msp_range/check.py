@@ -32,8 +32,12 @@ def lines(airframe: Airframe) -> Iterator[str]:
     yield from drawing(airframe)
     yield ""
     yield from (f"warning: {doubt}" for doubt in doubts(airframe))
-    yield _link(airframe)
-    yield _polling(airframe)
+    url, near = parse_url(airframe.link.url), airframe.polling.near
+    how = f"{url.path} at {url.baud} baud" if isinstance(url, SerialUrl) else f"{url}, no serial port"
+    yield f"link: {how}, as component {airframe.link.component_id}"
+    order = ", then ".join(" with ".join(group) for group in polling_groups(airframe))
+    faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
+    yield f"polling: {order}; {polling_interval_s(airframe):g} s apart{faster}"
     yield from _streams(airframe)
     watch = sensor_watch_of(airframe)
     yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"
@@ -46,7 +50,6 @@ def lines(airframe: Airframe) -> Iterator[str]:
 def _table(airframe: Airframe) -> Table:
     title = f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}"
     table = Table("sensor", "id", "address", "orientation", "sent", "in fused", title=title)
-    downward = {sensor.name for sensor in airframe.downward}
     for sensor in airframe.sensors:
         orientation = sensor.orientation
         table.add_row(
@@ -55,7 +58,7 @@ def _table(airframe: Airframe) -> Table:
             f"0x{sensor.address:02x}",
             f"{orientation.value} {orientation.name}",
             "yes" if sensor.name in airframe.sent_names and not airframe.send.nothing else "no",
-            "yes" if sensor.name in downward else "no",
+            "yes" if sensor.name in airframe.fused_names else "no",
         )
     return table
 
@@ -83,20 +86,6 @@ def drawing(airframe: Airframe) -> list[str]:
         *[f"  |{''.join(row)}|" for row in rows],
         f"  {names}",
     ]
-
-
-def _link(airframe: Airframe) -> str:
-    url = parse_url(airframe.link.url)
-    how = f"{url.path} at {url.baud} baud" if isinstance(url, SerialUrl) else f"{url}, no serial port"
-    return f"link: {how}, as component {airframe.link.component_id}"
-
-
-def _polling(airframe: Airframe) -> str:
-    groups = polling_groups(airframe)
-    order = ", then ".join(" with ".join(group) for group in groups)
-    near = airframe.polling.near
-    faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
-    return f"polling: {order}; {polling_interval_s(airframe):g} s apart{faster}"
 
 
 def _streams(airframe: Airframe) -> Iterator[str]:

@@ -33,7 +33,6 @@ RETURNED_HZ = 5.0
 """Rate of the autopilot's own distances that is asked for [Hz]."""
 SILENT_S = 2.0
 """A running bridge that says nothing for so long hangs [s]: it sends its status twice a second."""
-AUTOPILOT_TOPIC = "/autopilot"
 ENDED = "the running bridge ended or hangs: start it again, or stop the service, then again"
 
 
@@ -136,7 +135,7 @@ class OwnBridge:
     def _on_message(self, now_s: float, message: Any) -> None:
         shown = autopilot_message(message)
         if shown is not None:
-            self.write(AUTOPILOT_TOPIC, now_s, shown)
+            self.write("/autopilot", now_s, shown)
 
 
 class RunningBridge:

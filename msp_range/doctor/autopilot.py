@@ -47,7 +47,6 @@ _EXISTS = {"ardupilot": "RNGFND1_TYPE", "px4": "EKF2_RNG_CTRL"}
 LISTEN_S = 2.0
 """How long to listen for a program that sends to this computer, where nobody is at the address of the link [s]: an
 autopilot sends a heartbeat once a second."""
-FIELD_OF_VIEW_RAD, QUALITY = 0.4, 100
 FIRST_RANGE_FINDER = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
 """What to do where the autopilot has another distance than the bridge."""
 
@@ -139,8 +138,9 @@ def check_autopilot(
 
 def silence(airframe: Airframe, computer: Computer, tap: Tap, clock: Clock) -> Finding:
     """Why no heartbeat of the autopilot came, and what to do."""
-    link, url, count = airframe.link, parse_url(tap.description), tap.received_bytes
-    in_use = None if count else check_holders(computer, url)
+    link, count = airframe.link, tap.received_bytes
+    url = None if tap.frames else parse_url(tap.description)
+    in_use = check_holders(computer, url) if url and not count else None
     if in_use is not None:
         return in_use
     is_closed = tap.last_error and not tap.connected
@@ -329,7 +329,7 @@ def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges
         if client.armed is not False:
             return unknown(step, "the vehicle was armed meanwhile", "disarm it and try again")
         boot_ms = client.link.autopilot_clock.time_boot_ms(clock.now())
-        client.link.send(distance_sensor(stream, boot_ms, range_m, 0.0004, FIELD_OF_VIEW_RAD, QUALITY))
+        client.link.send(distance_sensor(stream, boot_ms, range_m, 0.0004, field_of_view_rad=0.4, quality=100))
         client.wait(lambda: False, SENT_INTERVAL_S)
     back, status = client.messages.get("DISTANCE_SENSOR"), client.messages.get("SYS_STATUS")
     sent = f"{range_m:.2f} m was sent, and the autopilot"

@@ -15,9 +15,8 @@ from pathlib import Path
 from msp_range.clock import SystemClock
 from msp_range.doctor.finding import Finding, first_of
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl
+from msp_range.state_folder import SERVICE_USER
 
-SERVICE_USER = "msp-range"
-"""The user of the service, made by install.sh."""
 BOOT_CONFIGS = ("/boot/firmware/config.txt", "/boot/config.txt")
 """The Raspberry Pi's configuration, newest place first."""
 

@@ -4,8 +4,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from msp_range.doctor.computer import SERVICE_USER, Computer
+from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import UNKNOWN, Finding, first_of, unknown
+from msp_range.state_folder import SERVICE_USER
 
 NEEDED_BYTES = 16 * 2**20
 """What a new recording wants, as msp_range/recording has it."""
@@ -13,11 +14,9 @@ BYTES_PER_HOUR = 10e6
 """Of four sensors (docs/flying.md)."""
 SHORT_HOURS = 10
 """With less than this left the disk is reported as nearly full."""
-DAY_S = 86400.0
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 """The Raspberry Pi's bits: 0 the supply is too low now, 16 it was since the start."""
 STRONGER = "a stronger 5 V supply and shorter wires"
-SYNCHRONISED = "/run/systemd/timesync/synchronized"
 
 
 def check_disk(computer: Computer, folder: str | None) -> Finding:
@@ -73,11 +72,11 @@ def check_date(computer: Computer, airframe_file: Path) -> Finding:
     return first_of(
         "date",
         (
-            computer.utc_s() < airframe_file.stat().st_mtime - DAY_S,
+            computer.utc_s() < airframe_file.stat().st_mtime - 86400,
             "the computer's date is before that of the airframe file: it has no clock, and none has set it",
             "connect it to a network once, or fit a clock module; recordings are undated till then",
         ),
-        (computer.exists(SYNCHRONISED), "set by the network"),
+        (computer.exists("/run/systemd/timesync/synchronized"), "set by the network"),
         (
             True,
             "not known to be set by the network",

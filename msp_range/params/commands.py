@@ -17,7 +17,6 @@ from msp_range.params.client import NotSet, ParameterClient, same
 from msp_range.params.settings import Firmware, Setting, remarks, settings
 from msp_range.yaml_file import ConfigError, read_config, writing
 
-WIDTH = 100
 CONNECT_S = 10.0
 """How long to wait for an autopilot: it sends a heartbeat each second, and a TCP or serial link may have to be opened
 again meanwhile [s]."""
@@ -36,9 +35,7 @@ def text_of(value: float) -> str:
 
 def parm_text(heading: Iterable[str], settings: Sequence[Setting]) -> str:
     """The content of a file, with each parameter's reason and source above it."""
-    lines = [
-        line for each in heading for line in textwrap.wrap(each, WIDTH, initial_indent="# ", subsequent_indent="# ")
-    ]
+    lines = [line for each in heading for line in textwrap.wrap(each, 100, initial_indent="# ", subsequent_indent="# ")]
     for each in settings:
         lines += ["", f"# {each.reason} ({each.source})", f"{each.name},{text_of(each.value)}"]
     return "\n".join(lines) + "\n"

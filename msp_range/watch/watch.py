@@ -47,6 +47,8 @@ class Watch:
         The socket cannot be made.
     """
 
+    _page: "PageProcess | None" = None
+
     def __init__(
         self,
         airframe: Airframe,
@@ -64,7 +66,11 @@ class Watch:
         self._feed = Feed(socket, lambda: airframe_message(airframe), self._mark)
         self._records = Watched(self._feed, recorder)
         bridge.record_to(self._records)
-        self._page = None if listen is None else _page(listen, socket, now_s, log)
+        if listen is not None:
+            # Imports subprocess, which a bridge without a page does not need.
+            from msp_range.watch.page import PageProcess
+
+            self._page = PageProcess(listen, socket, now_s, log)
         self._next_status_s = now_s
 
     def on_message(self, now_s: float, message: Any) -> None:
@@ -91,10 +97,3 @@ class Watch:
 
     def _mark(self, now_s: float, text: str) -> None:
         self._records.write(MARK_TOPIC, now_s, {"text": text})
-
-
-def _page(listen: str, socket: Path, now_s: float, log: Log) -> "PageProcess":
-    # Imports subprocess, which a bridge without a page does not need.
-    from msp_range.watch.page import PageProcess
-
-    return PageProcess(listen, socket, now_s, log)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.acoustics.air import FIXED
+from msp_range.acoustics.air import FIXED, ZERO_CELSIUS_K
 from msp_range.arrays import Array
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
@@ -34,7 +34,6 @@ LEAST_READINGS = 8
 """Of each sensor at each height: 3 s of four sensors that ping in turn."""
 LEVEL_RAD = np.radians(5.0)
 """A vehicle that leans more than this does not stand level [rad]: 0.4 % of its height are lost."""
-ZERO_C_K = 273.15
 LEAD_S, STILL_S = 2.0, 15.0
 """Time for the hands to go, and time that is measured [s]: 37 readings of each of four sensors."""
 DEEPER_M = 0.02
@@ -72,8 +71,8 @@ class Levels:
         """The air's temperature, if the distances were corrected for another one [deg C]; None if it is not known."""
         if self.scale is None:
             return None
-        kelvin = assumed_c + ZERO_C_K
-        return Measured(kelvin * self.scale.value**2 - ZERO_C_K, 2 * kelvin * self.scale.half_width)
+        kelvin = assumed_c + ZERO_CELSIUS_K
+        return Measured(kelvin * self.scale.value**2 - ZERO_CELSIUS_K, 2 * kelvin * self.scale.half_width)
 
 
 def median_ranges_m(samples: Samples) -> dict[str, float]:
@@ -137,15 +136,14 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
         )
     ranges_m = np.array([[each[name] * vertical[name] for name in names] for each in medians])
     heights_m = np.array([stand.height_m for stand in stands])
-    scale_std = 0.5 * air_std_c / (20.0 + ZERO_C_K)
+    scale_std = 0.5 * air_std_c / (20.0 + ZERO_CELSIUS_K)
     # Unknown: each sensor's z, and the scale's difference from 1, known beforehand to the thermometer's accuracy where
     # there is one height only. A tape's error is common to the sensors at that height.
     matrix = np.hstack([np.tile(np.eye(len(names)), (len(stands), 1)), ranges_m.reshape(-1, 1)])
     wanted, tape = (heights_m[:, None] - ranges_m).ravel(), np.repeat(heights_m, len(names))
     covariance = SENSOR_STD_M**2 * np.eye(len(wanted)) + TAPE_STD_M**2 * np.equal.outer(tape, tape)
     spread = float(np.ptp(heights_m))
-    prior = np.zeros((matrix.shape[1], matrix.shape[1]))
-    prior[-1, -1] = 1 / (1.0 if spread >= 0.3 else max(scale_std, 1e-4)) ** 2
+    prior = np.diag([0.0] * len(names) + [1 / (1.0 if spread >= 0.3 else max(scale_std, 1e-4)) ** 2])
     inverse = np.linalg.inv(covariance)
     solved = np.linalg.inv(matrix.T @ inverse @ matrix + prior)
     solution = solved @ matrix.T @ inverse @ wanted

@@ -21,7 +21,7 @@ from msp_range.doctor.finding import RIGHT, UNKNOWN, Finding, first_of, wrong
 from msp_range.params.settings import standing_m
 from msp_range.recording.topics import Message
 
-FLOOR_S, HOLD_S, TILT_S, ROCK_S = 3.0, 5.0, 4.0, 40.0
+FLOOR_S, HOLD_S, TILT_S, ROCK_S, BOARD_S = 3.0, 5.0, 4.0, 40.0, 3.0
 """How long each motion is recorded [s]. Longer rocking gives smaller intervals: with 40 s
 places are known to 2.5 cm."""
 LEAD_S = 3.0
@@ -44,7 +44,6 @@ down, and to rock it slowly to all sides. The first instruction comes at once, a
 BOARD_TEXT = """\
 Some sensors do not see the floor. Put the vehicle on a table, and hold a board or a big book half a metre in front of
 it, then at its other sides, as you are asked to."""
-BOARD_S = 3.0
 
 
 @dataclass(frozen=True)
