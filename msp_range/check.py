@@ -7,7 +7,6 @@ from rich.table import Table
 from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s, sensor_watch_of
 from msp_range.config import Airframe
 from msp_range.correction.air_temperature import describe
-from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.plausible import doubts
@@ -15,9 +14,6 @@ from msp_range.terminal import PlainConsole
 
 WIDTH, HEIGHT = 33, 9
 """Of the drawing [characters]: it fits next to nothing else on 80 columns, and a character is twice as high as wide."""
-TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
-"""Time without a message after which a range finder counts as lost [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's
-EKF2 requires readings at least this often."""
 
 
 def show(airframe: Airframe, console: PlainConsole) -> None:
@@ -103,14 +99,8 @@ def _streams(airframe: Airframe) -> Iterator[str]:
         yield f"filters of the single streams: {names}"
     for sensor in airframe.sent:
         yield f"{sensor.name}: id {sensor.id}: {_use(airframe, sensor.orientation.value)}"
-    time_out_s = TIME_OUT_S[airframe.link.autopilot]
     for name, interval_s in intervals_s(airframe).items():
         yield f"{name}: a message every {interval_s:.2f} s"
-        if interval_s > time_out_s:
-            yield (
-                f"warning: {airframe.link.autopilot} drops a range finder after {time_out_s} s without a message, and "
-                f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s"
-            )
 
 
 def _use(airframe: Airframe, orientation: int) -> str:

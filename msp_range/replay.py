@@ -146,6 +146,10 @@ class Record(NamedTuple):
         """When it begins [s]."""
         return min(each[0].ping_s for each in self.pings.values())
 
+    def air_at(self, now_s: float) -> Air:
+        """The air at a time [s]."""
+        return self.air[max(bisect_right(self.air, now_s + ROUNDING_S, key=itemgetter(0)) - 1, 0)][1]
+
 
 def replay(
     airframe: Airframe,
@@ -176,11 +180,8 @@ def replay(
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
     fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
-    airs = record.air or [(0.0, fixed)]
-
-    def air(now_s: float) -> Air:
-        return airs[max(bisect_right(airs, now_s + ROUNDING_S, key=itemgetter(0)) - 1, 0)][1]
-
+    if not record.air:
+        record = record._replace(air=[(0.0, fixed)])
     bridge = Bridge(
         airframe.without_thermometers,
         bus,
@@ -188,7 +189,7 @@ def replay(
         transport,
         recorder=recorder,
         schedule=RecordedOrder(airframe, bus),
-        air=air,
+        air=record.air_at,
         attitude=RecordedAttitude(record.attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
         motion=RecordedMotion(record.motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
     )

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
@@ -279,10 +279,6 @@ def _fly(
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
     watch: Watch | None = None
 
-    def on_message(now_s: float, message: Any) -> None:
-        if watch is not None:
-            watch.on_message(now_s, message)
-
     def on_file(path: Path) -> None:
         log.info("recording", file=str(path))
         if watch is not None:
@@ -299,7 +295,7 @@ def _fly(
         clock,
         transport,
         report=lambda severity, text: log.write(severity.name.lower(), text),
-        on_message=on_message,
+        on_message=lambda now_s, message: None if watch is None else watch.on_message(now_s, message),
         wanted=FROM_AUTOPILOT if outputs.web is not None else None,
         thermometer=thermometer,
         signing=signing_of(airframe.link.signing_key, clock),

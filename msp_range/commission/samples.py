@@ -122,6 +122,5 @@ def _readings(messages: list[Mapping[str, Any]]) -> SensorReadings:
 
 def _distance_m(message: Mapping[str, Any]) -> float:
     """The corrected distance; as it was read where the fusion takes the sensor for stuck, and NaN without one."""
-    measured_m = message.get("corrected_m")
-    measured_m = message.get("range_m") if measured_m is None else measured_m
-    return np.nan if measured_m is None else float(measured_m)
+    known_m = [message[key] for key in ("corrected_m", "range_m") if message.get(key) is not None]
+    return float(known_m[0]) if known_m else np.nan

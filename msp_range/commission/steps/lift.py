@@ -64,16 +64,12 @@ def run(session: Session) -> StepOutcome:
     operator = session.operator
     operator.begin(TEXT)
     everything: list[Message] = []
-    parts: dict[Motion, Samples] = {}
+    parts: list[Samples] = []
     guided = (
         (Motion.FLOOR, "Leave it on the floor.", FLOOR_S),
         (Motion.HOLD, "Lift it to about 1 m and hold it level.", HOLD_S),
         (Motion.NOSE_UP, "Tilt its nose up by about 15 degrees, and hold it so.", TILT_S),
-        (
-            Motion.RIGHT_DOWN,
-            "Level, then tilt its right side down by about 15 degrees, and hold it so.",
-            TILT_S,
-        ),
+        (Motion.RIGHT_DOWN, "Level, then tilt its right side down by about 15 degrees, and hold it so.", TILT_S),
         (
             Motion.ROCK,
             f"Rock it slowly for {ROCK_S:.0f} s: nose up and down, left and right, by 15 to 20 degrees, at 1 m.",
@@ -86,23 +82,14 @@ def run(session: Session) -> StepOutcome:
             everything += live.record(LEAD_S)
             part = live.record(duration_s)
             everything += part
-            parts[motion] = samples_of(part)
+            parts.append(samples_of(part))
         operator.instruct(Motion.FLOOR, "Done: put it down.")
     airframe = session.airframe()
-    recorded = Recorded(
-        samples_of(everything),
-        parts[Motion.FLOOR],
-        parts[Motion.HOLD],
-        parts[Motion.NOSE_UP],
-        parts[Motion.RIGHT_DOWN],
-        _returned(everything),
-        {},
-    )
+    floor, level, nose_up, right_down, _ = parts
+    recorded = Recorded(samples_of(everything), floor, level, nose_up, right_down, _returned(everything), {})
     outcome = compare(airframe, recorded)
-    blind = outcome.measured.get("without_floor")
-    if blind:
-        recorded = replace(recorded, boards=_boards(session))
-        outcome = compare(airframe, recorded)
+    if outcome.measured.get("without_floor"):
+        outcome = compare(airframe, replace(recorded, boards=_boards(session)))
     return outcome
 
 

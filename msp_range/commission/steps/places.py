@@ -1,6 +1,7 @@
 """What measured places of the sensors mean for the airframe file, by hand or in flight."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, Places
@@ -69,15 +70,11 @@ def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
             for each, there in zip(measured, places_m[other], strict=True)
         )
 
-    names = list(places_m)
-    for i, one in enumerate(names):
-        for other in names[i + 1 :]:
-            apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
-            if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
-                text = f"{one} and {other} sit at each other's place"
-                outcome.unknown(
-                    "places", text, "if their addresses are exchanged: msp-range commission --step addresses"
-                )
+    for one, other in combinations(places_m, 2):
+        apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
+        if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
+            text = f"{one} and {other} sit at each other's place"
+            outcome.unknown("places", text, "if their addresses are exchanged: msp-range commission --step addresses")
 
 
 def compare_lag(found: Places, outcome: StepOutcome) -> None:
