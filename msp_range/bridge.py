@@ -202,6 +202,8 @@ class Bridge:
 
     Attributes
     ----------
+    airframe
+        The vehicle.
     started_s
         When it was made [s].
     sensor_watch_off
@@ -231,7 +233,7 @@ class Bridge:
         motion: VerticalMotion | None = None,
         signing: Signing | None = None,
     ) -> None:
-        self._airframe = airframe
+        self.airframe = airframe
         self._clock = clock
         self.started_s = clock.now()
         self._recorder = recorder
@@ -377,7 +379,7 @@ class Bridge:
     def _set_limits(self, temperature_c: float) -> None:
         """The longest distances of the streams are those that sound reaches in air of this temperature."""
         self._limits_c = temperature_c
-        airframe = self._airframe
+        airframe = self.airframe
         self._streams.set_streams(
             single_streams(airframe, temperature_c),
             fused_stream(airframe, temperature_c),
@@ -411,8 +413,8 @@ class Bridge:
 
     def _send(self, message: Any) -> None:
         """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
-        if self._airframe.send.nothing:
-            sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self._airframe.link.component_id)
+        if self.airframe.send.nothing:
+            sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self.airframe.link.component_id)
             self._write_frame(WITHHELD_TOPIC, message, message.pack(sender))
         elif (sent := self.link.send(message)) is not None:
             self._write_frame(SENT_TOPIC, message, sent)
@@ -465,7 +467,7 @@ class Bridge:
         finding = self.sensor_findings[-1] if self.sensor_findings else None
         conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)
         conditions.append(self._attitude.condition(now_s))
-        if self._airframe.send.nothing:
+        if self.airframe.send.nothing:
             conditions.append(NOT_SENT)
         if self._fusion is not None:
             conditions += self._fusion.conditions()

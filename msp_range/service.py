@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
@@ -29,6 +29,7 @@ from msp_range.plausible import doubts
 from msp_range.recording.error import RecordingError
 from msp_range.reload import FlownAirframe
 from msp_range.watch.feed import FeedError
+from msp_range.watch.place import Outputs
 from msp_range.watch.view import FROM_AUTOPILOT
 from msp_range.watch.watch import Watch
 
@@ -213,17 +214,6 @@ def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
     }
 
 
-class Outputs(NamedTuple):
-    """Where a bridge's work goes, apart from its link and log."""
-
-    record: Path | None
-    """Folder for the recording instead of the airframe's."""
-    socket: Path
-    """Socket for those who watch, see `msp_range.watch.feed`."""
-    web: str | None
-    """[HOST:]PORT of the web page; None: no page."""
-
-
 def run(
     airframe: Airframe,
     load: Callable[[], Airframe],
@@ -309,7 +299,7 @@ def _fly(
             if recorder is not None:
                 bridge.record_to(recorder)
             try:
-                watch = Watch(airframe, bridge, transport, recorder, outputs.socket, outputs.web, clock.now(), log)
+                watch = Watch(bridge, transport, recorder, outputs, clock.now(), log)
             except FeedError as error:
                 log.warning("not watched", error=str(error))
             # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.

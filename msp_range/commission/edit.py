@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError, Place, place_of, read_config, with_value
+from msp_range.yaml_file import ConfigError, Place, place_of, read_config, with_value, writing
 from msp_range.yaml_loader import load_yaml
 
 MOST_BACKUPS = 999
@@ -52,11 +52,17 @@ def edited(text: str, edits: Sequence[Edit]) -> str:
 def save(path: Path, text: str) -> Path:
     """Replace a file, keeping the one that was there as the first free of FILE.1, FILE.2 ...; return that name.
 
+    Where there is none, it is made, and its own name returned.
+
     Raises
     ------
     ConfigError
         The file cannot be written.
     """
+    if not path.exists():
+        with writing(path), making(path) as new:
+            new.write_text(text, encoding="utf-8")
+        return path
     try:
         backup = _free_name(path)
         with making(path, replacing=True) as new:

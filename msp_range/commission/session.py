@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from msp_range.bridge import Bridge
 from msp_range.bus import Bus
@@ -53,28 +53,6 @@ class HeartbeatLost(ConfigError):
         )
 
 
-class Live(Protocol):
-    """A vehicle whose sensors are being polled."""
-
-    def begin(self, airframe: Airframe) -> None:
-        """Check that it is this vehicle, and that it can be seen whether it is armed.
-
-        Raises
-        ------
-        ConfigError
-            It is not so.
-        """
-
-    def record(self, duration_s: float) -> list[Message]:
-        """Everything that is received in the next seconds.
-
-        Raises
-        ------
-        Armed, HeartbeatLost
-            The vehicle is armed, or nobody knows.
-        """
-
-
 def _refuse_armed(is_armed: bool | None) -> None:
     """Go on while the vehicle is disarmed, and known to be."""
     if is_armed is not False:
@@ -109,7 +87,13 @@ class OwnBridge:
         )
 
     def begin(self, airframe: Airframe) -> None:
-        """Wait for the autopilot's heartbeat; raises ConfigError with the reason why none comes."""
+        """Wait for the autopilot's heartbeat, by which it is seen whether the vehicle is armed.
+
+        Raises
+        ------
+        ConfigError
+            None comes; the text says why.
+        """
         end_s = self._clock.now() + CONNECT_S
         while not self._bridge.link.autopilot_is_present:
             if self._clock.now() >= end_s:
@@ -118,7 +102,13 @@ class OwnBridge:
             self._bridge.step()
 
     def record(self, duration_s: float) -> list[Message]:
-        """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
+        """Everything that is received in the next seconds.
+
+        Raises
+        ------
+        Armed, HeartbeatLost
+            The vehicle is armed, or nobody knows.
+        """
         end_s, self._records, link = self._clock.now() + duration_s, [], self._bridge.link
         while self._clock.now() < end_s:
             self._bridge.step()
@@ -174,7 +164,7 @@ class RunningBridge:
             )
 
     def record(self, duration_s: float) -> list[Message]:
-        """Everything that is received in the next seconds; raises `Armed` as soon as the vehicle is armed."""
+        """As `OwnBridge.record`; raises ConfigError, too, where the bridge ends or hangs."""
         # What has waited in the socket since the last time is dropped.
         self._connection.setblocking(False)
         with suppress(BlockingIOError, ConnectionResetError):
@@ -191,6 +181,10 @@ class RunningBridge:
                 if self._now() >= end_s:
                     return records
         raise ConfigError(ENDED)
+
+
+Live = OwnBridge | RunningBridge
+"""A vehicle whose sensors are being polled."""
 
 
 @dataclass
