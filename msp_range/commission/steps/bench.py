@@ -24,6 +24,7 @@ from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
+from msp_range.commission.steps.places import DEEPER_M
 from msp_range.config import Airframe, SensorSettings
 
 TAPE_STD_M = 0.005
@@ -36,8 +37,6 @@ LEVEL_RAD = np.radians(5.0)
 """A vehicle that leans more than this does not stand level [rad]: 0.4 % of its height are lost."""
 LEAD_S, STILL_S = 2.0, 15.0
 """Time for the hands to go, and time that is measured [s]: 37 readings of each of four sensors."""
-DEEPER_M = 0.02
-"""A height in the file that differs by less [m] stays: tape, floor and sensor are not better."""
 ELSEWHERE_M = 0.6
 """A sensor this far from where the file has it [m] does not look at the floor: the lift shows where it looks."""
 WARMER_C = 4.0

@@ -9,8 +9,8 @@ from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.config import Airframe
 
 SIDEWAYS_M, DEEPER_M = 0.05, 0.02
-"""A place in the file that differs by less [m], sideways or in height, stays. An error of 5 cm costs 1 cm at 10
-degrees."""
+"""A place in the file that differs by less [m], sideways or in height, stays. An error of 5 cm sideways costs 1 cm at
+10 degrees; in height tape, floor and sensor are not better."""
 WIDEST_M = 0.10
 """Wider intervals [m] do not check a place: the vehicle was hardly tilted."""
 
