@@ -66,8 +66,8 @@ def windows_of(airframe: Airframe) -> Windows:
     # A ping waits for the answer of the previous one.
     ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
     interval_s = max(polling_interval_s(airframe), ranging_s)
-    downward = {sensor.name for sensor in airframe.downward}
-    turns = [i for i, group in enumerate(groups) if downward & set(group)] or [0]
+    fused = set(airframe.fused_names)
+    turns = [i for i, group in enumerate(groups) if fused & set(group)] or [0]
     longest = max(late - early for early, late in pairwise([*turns, turns[0] + len(groups)]))
     return Windows(len(groups) * interval_s, longest * interval_s)
 

@@ -5,7 +5,9 @@ downward ones become one distance, and messages go out. The same object runs on 
 recording: bus, clock, transport and recorder are arguments.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -88,7 +90,6 @@ and for the transfer under way [s]. Longer than the pings of a group, so that th
 CONDITIONS_INTERVAL_S = 0.25
 """Longest time between two checks of what does not come with a reading: bus, temperature, autopilot, disk [s]. A
 silence is reported when it is due, whatever this is; a longer interval reports the others later."""
-TEMPERATURE_REQUEST_HZ = 1.0
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
 m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
@@ -137,14 +138,7 @@ class _Channel:
             self.chain = Chain([parameters.make(sensor.sensor_model) for parameters in airframe.filters], memory_s)
         self.topic = RANGE_PREFIX + sensor.name
         self.is_fused = sensor in airframe.downward
-        self.readings = 0
-        self.rejected: dict[str, int] = {}
-
-    def count(self, rejected: str | None) -> None:
-        """Count a reading, and why it was not used where it was not."""
-        self.readings += 1
-        if rejected is not None:
-            self.rejected[rejected] = self.rejected.get(rejected, 0) + 1
+        self.counts = Counts()
 
 
 class Step(NamedTuple):
@@ -163,12 +157,12 @@ class Step(NamedTuple):
     """The fused distance along the vehicle's down axis after this reading, where there is one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Counts:
     """Readings of one sensor: all, and the rejected by reason."""
 
-    readings: int
-    rejected: dict[str, int] = field(default_factory=dict)
+    readings: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
 
 
 _NOT_FILTERED = Filtered(None)
@@ -208,6 +202,8 @@ class Bridge:
 
     Attributes
     ----------
+    airframe
+        The vehicle.
     started_s
         When it was made [s].
     sensor_watch_off
@@ -237,7 +233,7 @@ class Bridge:
         motion: VerticalMotion | None = None,
         signing: Signing | None = None,
     ) -> None:
-        self._airframe = airframe
+        self.airframe = airframe
         self._clock = clock
         self.started_s = clock.now()
         self._recorder = recorder
@@ -252,7 +248,7 @@ class Bridge:
         self._air = self._temperature.now(clock.now())
         self._recorded_air = air
         sources = airframe.temperature.sources
-        asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
+        asked = {each.message: 1.0 for each in sources if isinstance(each, MavlinkSource)}
         self._attitude = AttitudeTrack()
         self._motion = motion or VerticalMotion()
         self._fusion = fusion_of(airframe, attitude or self._attitude, self._motion)
@@ -353,7 +349,9 @@ class Bridge:
             self._send_single(channel, reading, filtered, air, now_s, boot_ms)
         step = Step(ranging, air, reading, filtered, fused)
         self._record(now_s, channel.topic, step)
-        channel.count(filtered.rejected)
+        channel.counts.readings += 1
+        if filtered.rejected is not None:
+            channel.counts.rejected[filtered.rejected] += 1
         self.health.on_ranging(ranging._replace(reading=reading) if reading.status in MOTIONLESS else ranging)
         self._bus_health.on_ranging(now_s, ranging)
         return step
@@ -381,7 +379,7 @@ class Bridge:
     def _set_limits(self, temperature_c: float) -> None:
         """The longest distances of the streams are those that sound reaches in air of this temperature."""
         self._limits_c = temperature_c
-        airframe = self._airframe
+        airframe = self.airframe
         self._streams.set_streams(
             single_streams(airframe, temperature_c),
             fused_stream(airframe, temperature_c),
@@ -415,8 +413,8 @@ class Bridge:
 
     def _send(self, message: Any) -> None:
         """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
-        if self._airframe.send.nothing:
-            sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self._airframe.link.component_id)
+        if self.airframe.send.nothing:
+            sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self.airframe.link.component_id)
             self._write_frame(WITHHELD_TOPIC, message, message.pack(sender))
         elif (sent := self.link.send(message)) is not None:
             self._write_frame(SENT_TOPIC, message, sent)
@@ -469,7 +467,7 @@ class Bridge:
         finding = self.sensor_findings[-1] if self.sensor_findings else None
         conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)
         conditions.append(self._attitude.condition(now_s))
-        if self._airframe.send.nothing:
+        if self.airframe.send.nothing:
             conditions.append(NOT_SENT)
         if self._fusion is not None:
             conditions += self._fusion.conditions()
@@ -497,7 +495,7 @@ class Bridge:
 
     def counts(self) -> dict[str, Counts]:
         """Readings of every sensor so far."""
-        return {name: Counts(each.readings, dict(each.rejected)) for name, each in self._channels.items()}
+        return {name: deepcopy(each.counts) for name, each in self._channels.items()}
 
 
 def correct(

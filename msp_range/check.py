@@ -7,7 +7,6 @@ from rich.table import Table
 from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s, sensor_watch_of
 from msp_range.config import Airframe
 from msp_range.correction.air_temperature import describe
-from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.plausible import doubts
@@ -15,9 +14,6 @@ from msp_range.terminal import PlainConsole, plain_table
 
 WIDTH, HEIGHT = 33, 9
 """Of the drawing [characters]: it fits next to nothing else on 80 columns, and a character is twice as high as wide."""
-TIME_OUT_S: dict[Autopilot, float] = {"ardupilot": 0.5, "px4": 0.4}
-"""Time without a message after which a range finder counts as lost [s]: ArduPilot's AP_RangeFinder_MAVLink.cpp; PX4's
-EKF2 requires readings at least this often."""
 
 
 def show(airframe: Airframe, console: PlainConsole) -> None:
@@ -32,8 +28,12 @@ def lines(airframe: Airframe) -> Iterator[str]:
     yield from drawing(airframe)
     yield ""
     yield from (f"warning: {doubt}" for doubt in doubts(airframe))
-    yield _link(airframe)
-    yield _polling(airframe)
+    url, near = parse_url(airframe.link.url), airframe.polling.near
+    how = f"{url.path} at {url.baud} baud" if isinstance(url, SerialUrl) else f"{url}, no serial port"
+    yield f"link: {how}, as component {airframe.link.component_id}"
+    order = ", then ".join(" with ".join(group) for group in polling_groups(airframe))
+    faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
+    yield f"polling: {order}; {polling_interval_s(airframe):g} s apart{faster}"
     yield from _streams(airframe)
     watch = sensor_watch_of(airframe)
     yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"
@@ -46,7 +46,6 @@ def lines(airframe: Airframe) -> Iterator[str]:
 def _table(airframe: Airframe) -> Table:
     title = f"{airframe.vehicle}: bus {airframe.bus}, link {airframe.link.url}, {airframe.link.autopilot}"
     header = ("sensor", "id", "address", "orientation", "sent", "in fused")
-    downward = {sensor.name for sensor in airframe.downward}
     rows = [
         (
             sensor.name,
@@ -54,7 +53,7 @@ def _table(airframe: Airframe) -> Table:
             f"0x{sensor.address:02x}",
             f"{sensor.orientation.value} {sensor.orientation.name}",
             "yes" if sensor.name in airframe.sent_names and not airframe.send.nothing else "no",
-            "yes" if sensor.name in downward else "no",
+            "yes" if sensor.name in airframe.fused_names else "no",
         )
         for sensor in airframe.sensors
     ]
@@ -86,20 +85,6 @@ def drawing(airframe: Airframe) -> list[str]:
     ]
 
 
-def _link(airframe: Airframe) -> str:
-    url = parse_url(airframe.link.url)
-    how = f"{url.path} at {url.baud} baud" if isinstance(url, SerialUrl) else f"{url}, no serial port"
-    return f"link: {how}, as component {airframe.link.component_id}"
-
-
-def _polling(airframe: Airframe) -> str:
-    groups = polling_groups(airframe)
-    order = ", then ".join(" with ".join(group) for group in groups)
-    near = airframe.polling.near
-    faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
-    return f"polling: {order}; {polling_interval_s(airframe):g} s apart{faster}"
-
-
 def _streams(airframe: Airframe) -> Iterator[str]:
     if airframe.send.nothing:
         yield "send: nothing; these streams are worked out, recorded and shown, but not sent:"
@@ -115,14 +100,8 @@ def _streams(airframe: Airframe) -> Iterator[str]:
         yield f"filters of the single streams: {names}"
     for sensor in airframe.sent:
         yield f"{sensor.name}: id {sensor.id}: {_use(airframe, sensor.orientation.value)}"
-    time_out_s = TIME_OUT_S[airframe.link.autopilot]
     for name, interval_s in intervals_s(airframe).items():
         yield f"{name}: a message every {interval_s:.2f} s"
-        if interval_s > time_out_s:
-            yield (
-                f"warning: {airframe.link.autopilot} drops a range finder after {time_out_s} s without a message, and "
-                f"{name} has one every {interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s"
-            )
 
 
 def _use(airframe: Airframe, orientation: int) -> str:

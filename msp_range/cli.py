@@ -93,7 +93,7 @@ def run(
         from msp_range.bus.smbus import bus_of
         from msp_range.config import Airframe, load_airframe
         from msp_range.log import Log
-        from msp_range.watch.place import own_socket, parse_listen
+        from msp_range.watch.place import Outputs, own_socket, parse_listen
 
         if web is not None:
             from msp_range.extras import require
@@ -112,8 +112,7 @@ def run(
         airframe = load()
     finally:
         gc.enable()
-    code = service.run(airframe, load, Log(log), None if no_record else record, socket or own_socket(), web)
-    raise typer.Exit(code)
+    service.run(airframe, load, Log(log), Outputs(record, socket or own_socket(), web))
 
 
 def _leave(signum: int, frame: FrameType | None) -> None:

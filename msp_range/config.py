@@ -238,7 +238,7 @@ class Airframe(Section):
         ids = [sensor.id for sensor in self.sensors] + ([self.send.fused.id] if self.send.fused else [])
         _refuse_twice("sensors and send.fused", "id", ids)
         self._check_groups(names)
-        for place, some in (("send.fused.sensors", self._fused_names), ("send.sensors", self.sent_names)):
+        for place, some in (("send.fused.sensors", self.fused_names), ("send.sensors", self.sent_names)):
             _refuse_unknown(place, some, names)
         if self.send.fused is None and not self.sent_names:
             raise ValueError(
@@ -330,7 +330,8 @@ class Airframe(Section):
         return max([model.maximum_cm for model in by_sound], default=0) / 100
 
     @property
-    def _fused_names(self) -> list[str]:
+    def fused_names(self) -> list[str]:
+        """Sensors of the fused stream."""
         if self.send.fused is None:
             return []
         if self.send.fused.sensors is not None:
@@ -344,8 +345,8 @@ class Airframe(Section):
 
     @property
     def downward(self) -> list[SensorSettings]:
-        """Sensors of the fused stream."""
-        return [sensor for sensor in self.sensors if sensor.name in self._fused_names]
+        """The sensors of the fused stream."""
+        return [sensor for sensor in self.sensors if sensor.name in self.fused_names]
 
 
 def load_airframe(path: Path | str) -> Airframe:

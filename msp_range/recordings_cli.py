@@ -41,13 +41,16 @@ def replay(
     else:
         raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)
-    pings = recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
+    played = replaying.Record(
+        recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors}),
+        recorded_air(source, run_name),
+        recorded_attitudes(source),
+        recorded_motion(source),
+    )
     transport = replaying.Nowhere() if link is None else open_transport(link, SystemClock())
-    first_s = replaying.first_ping_s(pings)
-    clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
+    clock = (replaying.PacedClock if realtime else VirtualClock)(played.first_ping_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    air, attitudes, motion = recorded_air(source, run_name), recorded_attitudes(source), recorded_motion(source)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, air, attitudes, motion)
+    outcome = replaying.replay(airframe, played, file, clock, transport, recorder)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file, None if recording is None else recording.losses)

@@ -9,7 +9,9 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.progress import BarColumn, TimeRemainingColumn
 
@@ -126,71 +128,70 @@ class ReplayOutcome:
     behind_s: float
 
 
-def first_ping_s(pings: Pings) -> float:
-    """When the record begins [s]."""
-    return min(each[0].ping_s for each in pings.values())
+class Record(NamedTuple):
+    """What was recorded or measured."""
+
+    pings: Pings
+    """By sensor name; the airframe's sensors have these names."""
+    air: Sequence[tuple[float, Air]] = ()
+    """(time [s], air) by time: it takes the place of the airframe's sources, which are not those of this computer now.
+    None: the airframe's fixed temperature."""
+    attitudes: Sequence[tuple[float, Angles]] = ()
+    """When each attitude was received [s], and the attitude, by that time."""
+    motion: Sequence[Moved] = ()
+    """Accelerations and pressures, by time."""
+
+    @property
+    def first_ping_s(self) -> float:
+        """When it begins [s]."""
+        return min(each[0].ping_s for each in self.pings.values())
+
+    def air_at(self, now_s: float) -> Air:
+        """The air at a time [s]."""
+        return self.air[max(bisect_right(self.air, now_s + ROUNDING_S, key=itemgetter(0)) - 1, 0)][1]
 
 
 def replay(
     airframe: Airframe,
-    pings: Pings,
+    record: Record,
     source: Path,
     clock: Clock,
     transport: Transport,
     recorder: Records | None = None,
-    recorded_air: Sequence[tuple[float, Air]] = (),
-    attitudes: Sequence[tuple[float, Angles]] = (),
-    motion: Sequence[Moved] = (),
 ) -> ReplayOutcome:
-    """Play the pings through a bridge of their own, to the last one.
+    """Play the pings of a record through a bridge of their own, to the last one.
 
     Parameters
     ----------
-    airframe
-        Its sensors have the names of the record's.
-    pings
-        By sensor name.
     source
         The file, for messages.
     clock
         Starts at the record's beginning.
     transport, recorder
         As of a bridge.
-    recorded_air
-        The recorded air, (time [s], air) by time: it takes the place of the airframe's sources, which are not those of
-        this computer now. None: the airframe's fixed temperature.
-    attitudes
-        When each recorded attitude was received [s], and the attitude, by that time.
-    motion
-        Recorded accelerations and pressures, by time.
 
     Raises
     ------
     RecordingError
         The record has a sensor that the airframe has not.
     """
+    pings = record.pings
     _refuse_gaps(pings, source)
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
-    order = RecordedOrder(airframe, bus)
     fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
-    times_s = [time_s for time_s, _ in recorded_air]
-
-    def air(now_s: float) -> Air:
-        if not recorded_air:
-            return fixed
-        return recorded_air[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
-
+    if not record.air:
+        record = record._replace(air=[(0.0, fixed)])
     bridge = Bridge(
         airframe.without_thermometers,
         bus,
         clock,
         transport,
         recorder=recorder,
-        schedule=order,
-        air=air,
-        attitude=RecordedAttitude(attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
-        motion=RecordedMotion(motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
+        schedule=RecordedOrder(airframe, bus),
+        air=record.air_at,
+        attitude=RecordedAttitude(record.attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
+        motion=RecordedMotion(record.motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
     )
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()

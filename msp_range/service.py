@@ -15,14 +15,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import ThreadReader
-from msp_range.health import Report
 from msp_range.log import Log
 from msp_range.mavlink.signing import signing_of
 from msp_range.mavlink.transport import Transport, open_transport
@@ -30,13 +29,13 @@ from msp_range.plausible import doubts
 from msp_range.recording.error import RecordingError
 from msp_range.reload import FlownAirframe
 from msp_range.watch.feed import FeedError
+from msp_range.watch.place import Outputs
 from msp_range.watch.view import FROM_AUTOPILOT
 from msp_range.watch.watch import Watch
 
 if TYPE_CHECKING:
     from msp_range.recording.flight_recorder import FlightRecorder
 
-EXIT_OK = 0
 SUMMARY_INTERVAL_S = 60.0
 CHECK_INTERVAL_S = 0.05
 """Time between two checks of all that is not the bridge's own: a reload, systemd's watchdog, watchers and the link's
@@ -57,11 +56,6 @@ LONGEST_TRANSFER_S = 10.0
 """A transfer keeps the watchdog fed for so long [s]: adapters on USB give up after 2 to 4 s for each of its parts, and
 a restart helps none of them. Less restarts the bridge for ever with a slower one; more leaves a driver that hangs alone
 for longer."""
-
-
-def reporter(log: Log) -> Report:
-    """Write health messages to the log."""
-    return lambda severity, text: log.write(severity.name.lower(), text)
 
 
 def notify_systemd(state: str) -> None:
@@ -224,11 +218,9 @@ def run(
     airframe: Airframe,
     load: Callable[[], Airframe],
     log: Log,
-    record: Path | None,
-    socket_path: Path,
-    web: str | None = None,
-) -> int:
-    """Run the service on this computer's bus and link until a signal ends it; return the exit code.
+    outputs: Outputs,
+) -> None:
+    """Run the service on this computer's bus and link until a signal ends it.
 
     Parameters
     ----------
@@ -238,12 +230,8 @@ def run(
         Reads the airframe file again, after SIGHUP.
     log
         Log.
-    record
-        Folder for the recording instead of the airframe's.
-    socket_path
-        Socket for those who watch, see `msp_range.watch.feed`.
-    web
-        [HOST:]PORT of the web page; None: no page.
+    outputs
+        Where everything else goes.
 
     Raises
     ------
@@ -262,24 +250,16 @@ def run(
                 transport.close()
                 url = flown.airframe.link.url
                 transport = open_transport(url, clock)
-            _fly(flown, clock, log, transport, record, socket_path, web, stopped)
+            _fly(flown, clock, log, transport, outputs, stopped)
             if not stopped:  # objects of the previous airframe are no longer needed
                 gc.unfreeze()
                 gc.collect()
         transport.close()
         flown.bus.close()
-    return EXIT_OK
 
 
 def _fly(
-    flown: FlownAirframe,
-    clock: Clock,
-    log: Log,
-    transport: Transport,
-    record: Path | None,
-    socket_path: Path,
-    web: str | None,
-    stopped: Sequence[int],
+    flown: FlownAirframe, clock: Clock, log: Log, transport: Transport, outputs: Outputs, stopped: Sequence[int]
 ) -> None:
     """Fly an airframe until a signal arrives or the airframe changes."""
     airframe = flown.airframe
@@ -288,10 +268,6 @@ def _fly(
         log.warning("airframe file", doubt=text)
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
     watch: Watch | None = None
-
-    def on_message(now_s: float, message: Any) -> None:
-        if watch is not None:
-            watch.on_message(now_s, message)
 
     def on_file(path: Path) -> None:
         log.info("recording", file=str(path))
@@ -308,9 +284,9 @@ def _fly(
         flown.bus,
         clock,
         transport,
-        report=reporter(log),
-        on_message=on_message,
-        wanted=FROM_AUTOPILOT if web is not None else None,
+        report=lambda severity, text: log.write(severity.name.lower(), text),
+        on_message=lambda now_s, message: None if watch is None else watch.on_message(now_s, message),
+        wanted=FROM_AUTOPILOT if outputs.web is not None else None,
         thermometer=thermometer,
         signing=signing_of(airframe.link.signing_key, clock),
     )
@@ -319,11 +295,11 @@ def _fly(
         with transfers_watched(bridge, flown.bus, clock):
             # The first sensor measures while the packages for recording and watching are imported.
             bridge.step()
-            recorder = flight_recorder(airframe, record, clock, on_file, on_failure)
+            recorder = flight_recorder(airframe, outputs.record, clock, on_file, on_failure)
             if recorder is not None:
                 bridge.record_to(recorder)
             try:
-                watch = Watch(airframe, bridge, transport, recorder, socket_path, web, clock.now(), log)
+                watch = Watch(bridge, transport, recorder, outputs, clock.now(), log)
             except FeedError as error:
                 log.warning("not watched", error=str(error))
             # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.

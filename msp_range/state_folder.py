@@ -4,6 +4,9 @@ import os
 from pathlib import Path
 from tempfile import gettempdir
 
+SERVICE_USER = "msp-range"
+"""The user of the service, made by install.sh."""
+
 
 def state_folder() -> Path:
     """systemd's for the service (StateDirectory), else this user's."""

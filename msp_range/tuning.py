@@ -33,7 +33,10 @@ def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Mo
     tracks: list[Track] = []
     for path in paths:
         tracks += recorded_tracks(path)
-    airframe = load_airframe(airframe_file) if airframe_file is not None else _flown(paths[0])
+    if airframe_file is not None:
+        airframe = load_airframe(airframe_file)
+    else:
+        airframe = load_airframe_from(Recording(paths[0]).files, paths[0], "; name one with --airframe")
     parameters = _kalman_of(airframe, model)
     models = [sensor.sensor_model for sensor in airframe.sensors]
     variance_cm2 = max(each.reading_model.sigma_cm**2 + each.answered_cm**2 / 12 for each in models)
@@ -63,10 +66,6 @@ def recorded_tracks(path: Path) -> list[Track]:
     if not tracks:
         raise RecordingError(f"{path}: contains no readings with a range; expected {FEWEST} or more")
     return [sorted(each) for each in tracks.values()]
-
-
-def _flown(path: Path) -> Airframe:
-    return load_airframe_from(Recording(path).files, path, "; name one with --airframe")
 
 
 def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:

@@ -121,7 +121,8 @@ def read_config(path: Path) -> str:
     try:
         return read_text(path, LARGEST_FILE_BYTES)
     except FileNotFoundError:
-        near = difflib.get_close_matches(path.name, _names_beside(path), n=1)
+        names = sorted(each.name for each in path.parent.iterdir()) if path.parent.is_dir() else []
+        near = difflib.get_close_matches(path.name, names, n=1)
         hint = f" (next to it there is {near[0]})" if near else ""
         raise ConfigError(f"{path}: no such file{hint}") from None
     except OSError as error:
@@ -264,12 +265,13 @@ def load_named(info: ValidationInfo, name: str, kind: str, read: Callable[[Path]
 class _Spot(NamedTuple):
     """The place of an error in a file.
 
-    ``path`` is in readable form, ``choices`` are the types allowed there, and ``union`` is the path of the first union
-    on the way whose members cannot be distinguished by anything in the file.
+    ``path`` is in readable form, ``choices`` are the types allowed there, ``around`` those that may contain it, and
+    ``union`` is the path of the first union on the way whose members cannot be distinguished by anything in the file.
     """
 
     path: Place
     choices: list[Any]
+    around: list[Any]
     union: Place | None
 
 
@@ -290,8 +292,7 @@ def _explain(path: Path | str, section: type[Section], error: ValidationError) -
             # The error is in another file, which this one names here.
             places.setdefault(str(cause), []).append(place_of(spot.path))
         else:
-            around = _locate(section, problem["loc"][:-1]).choices
-            found, expected = _describe(spot, around, problem)
+            found, expected = _describe(spot, problem)
             lines.setdefault((_prefix(path, spot, problem), found), []).append(expected)
     for text, named_at in places.items():
         yield f"{text} (named in {': '.join(filter(None, [str(path), _join(named_at)]))})"
@@ -308,9 +309,9 @@ def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
     return f"{path}: {place}: " if place else f"{path}: "
 
 
-def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
-    """What was found and what was expected; ``around`` are the types that may contain the place."""
-    kind, context, value = problem["type"], problem.get("ctx", {}), problem.get("input")
+def _describe(spot: _Spot, problem: Any) -> tuple[str, str]:
+    """What was found and what was expected."""
+    around, kind, context, value = spot.around, problem["type"], problem.get("ctx", {}), problem.get("input")
     if kind == "extra_forbidden":
         keys = _keys(around)
         return "", f"unknown key.{suggest(spot.path[-1], keys)} Known keys here: {_join(keys)}"
@@ -318,12 +319,14 @@ def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
         if isinstance(spot.path[-1], int):
             return "", "this value is missing from the list"
         return "", f"this key is missing; expected {_meaning(around, spot.path[-1])}"
-    if kind == "union_tag_not_found":
-        tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
-        return "", f"this key is missing; expected one of {_join(tags)}"
-    if kind == "union_tag_invalid":
-        tags = _tags(spot.choices, context["discriminator"].strip(_QUOTE))
-        return f"found {_show(context['tag'])}; expected one of ", f"{_join(tags)}.{suggest(context['tag'], tags)}"
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        key, tag = context["discriminator"].strip(_QUOTE), context.get("tag")
+        known = [
+            str(each) for section in spot.choices for each in typing.get_args(section.model_fields[key].annotation)
+        ]
+        if tag is None:
+            return "", f"this key is missing; expected one of {_join(known)}"
+        return f"found {_show(tag)}; expected one of ", f"{_join(known)}.{suggest(tag, known)}"
     if kind == "value_error":
         text = str(context["error"])
         is_shown = isinstance(value, dict | list) or (isinstance(value, str) and _show(value) in text)
@@ -345,7 +348,8 @@ def _describe(spot: _Spot, around: list[Any], problem: Any) -> tuple[str, str]:
 def _locate(section: type[Section], loc: Sequence[int | str]) -> _Spot:
     """Follow pydantic's path through the annotations and leave out the names that it adds for members of unions."""
     path: list[int | str] = []
-    choices: list[Any] = [section]
+    around: list[Any] = [section]
+    choices = around
     at_union = False
     union: Place | None = None
     for part in loc:
@@ -356,10 +360,11 @@ def _locate(section: type[Section], loc: Sequence[int | str]) -> _Spot:
             choices, at_union = named or choices, False
             continue
         path.append(part)
+        around = choices
         inner = [annotation for choice in choices for annotation in _inside(choice, part)]
         at_union = any(len(_members(annotation)) > 1 for annotation in inner)
         choices = [member for annotation in inner for member in _members(annotation)]
-    return _Spot(tuple(path), choices, union)
+    return _Spot(tuple(path), choices, around, union)
 
 
 def _is_section(annotation: Any) -> bool:
@@ -395,10 +400,6 @@ def _literals(annotation: Any) -> set[Any]:
         if typing.get_origin(field.annotation) is Literal
         for value in typing.get_args(field.annotation)
     }
-
-
-def _tags(choices: list[Any], discriminator: str) -> list[str]:
-    return [str(value) for each in choices for value in typing.get_args(each.model_fields[discriminator].annotation)]
 
 
 def _keys(choices: list[Any]) -> list[str]:
@@ -445,10 +446,6 @@ def with_value(values: Any, place: Sequence[int | str], value: Any) -> Any:
     known = dict(values) if isinstance(values, dict) else {}
     known[first] = with_value(known.get(first), rest, value)
     return known
-
-
-def _names_beside(path: Path) -> list[str]:
-    return sorted(each.name for each in path.parent.iterdir()) if path.parent.is_dir() else []
 
 
 def _join(names: Any) -> str:

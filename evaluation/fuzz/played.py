@@ -25,11 +25,12 @@ def play(
     motion: Sequence[Moved] = (),
 ) -> None:
     """Replay the pings, all of which have to come to their end."""
-    first_s = replay.first_ping_s(pings)
+    record = replay.Record(pings, air, attitudes, motion)
+    first_s = record.first_ping_s
     last_s = max(each.ping_s for some in pings.values() for each in some)
     count = sum(map(len, pings.values()))
     if last_s - first_s > LONGEST_S or count > MOST_PINGS:
         return
     clock = VirtualClock(first_s)
-    outcome = replay.replay(airframe, pings, source, clock, Nowhere(), None, air, attitudes, motion)
+    outcome = replay.replay(airframe, record, source, clock, Nowhere())
     assert sum(each.readings for each in outcome.counts.values()) >= count

@@ -4,7 +4,6 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, TextIO
 
 from msp_range.commission import edit
@@ -14,8 +13,7 @@ from msp_range.commission.state import VERIFIED, PassedSteps
 from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
 from msp_range.config import load_airframe
 from msp_range.doctor.command import lines_of, wrapped
-from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError, place_of, writing
+from msp_range.yaml_file import ConfigError, place_of
 
 STEPS: dict[str, Callable[[Session], StepOutcome]] = {
     "wires": wires.run,
@@ -106,7 +104,7 @@ def _correct(
         return [], outcome
     edits = [one for each in agreed for one in each.edits]
     for name, text in {file: text for each in agreed for file, text in each.files}.items():
-        _make(session.path.with_name(name), text)
+        edit.save(session.path.with_name(name), text)
     backup = edit.change(session.path, edits)
     try:
         changed = load_airframe(session.path)
@@ -123,15 +121,6 @@ def _correct(
     for each in verified.proposals:
         show(wrapped("left     ", each.text))
     return changes, verified
-
-
-def _make(path: Path, text: str) -> None:
-    """Make a file, or replace the one that is there, which is kept."""
-    if path.exists():
-        edit.save(path, text)
-        return
-    with writing(path), making(path) as unfinished:
-        unfinished.write_text(text, encoding="utf-8")
 
 
 def _asked(session: Session, proposal: Proposal) -> str:

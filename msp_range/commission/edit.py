@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from msp_range.input_file import making
-from msp_range.yaml_file import ConfigError, Place, place_of, read_config, with_value
+from msp_range.yaml_file import ConfigError, Place, place_of, read_config, with_value, writing
 from msp_range.yaml_loader import load_yaml
 
 MOST_BACKUPS = 999
@@ -52,11 +52,17 @@ def edited(text: str, edits: Sequence[Edit]) -> str:
 def save(path: Path, text: str) -> Path:
     """Replace a file, keeping the one that was there as the first free of FILE.1, FILE.2 ...; return that name.
 
+    Where there is none, it is made, and its own name returned.
+
     Raises
     ------
     ConfigError
         The file cannot be written.
     """
+    if not path.exists():
+        with writing(path), making(path) as new:
+            new.write_text(text, encoding="utf-8")
+        return path
     try:
         backup = _free_name(path)
         with making(path, replacing=True) as new:
@@ -91,51 +97,40 @@ def _free_name(path: Path) -> Path:
 
 
 def _replaced(text: str, edit: Edit) -> str:
-    node, last = _compose(text), edit.path[-1]
-    for key in edit.path[:-1]:
-        node = _child(node, key, edit)
-    try:
-        found = _child(node, last, edit)
-    except KeyError:
-        return _inserted(text, node, str(last), edit)
-    start, end = found.start_mark.index, found.end_mark.index
-    return text[:start] + as_yaml(edit.value) + text[end:]
-
-
-def _compose(text: str) -> yaml.Node:
-    node = yaml.compose(text, Loader=yaml.SafeLoader)
+    node: yaml.Node | None = yaml.compose(text, Loader=yaml.SafeLoader)
     if node is None:
         raise ConfigError("the file is empty")
-    return node
+    for key in edit.path[:-1]:
+        node = _child(node, key)
+    found = _child(node, edit.path[-1])
+    if found is None:
+        return _inserted(text, node, edit)
+    return text[: found.start_mark.index] + as_yaml(edit.value) + text[found.end_mark.index :]
 
 
-def _child(node: yaml.Node, key: int | str, edit: Edit) -> yaml.Node:
-    if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(node.value):
-        found: yaml.Node = node.value[key]
-        return found
-    if isinstance(node, yaml.MappingNode):
-        for name, value in node.value:
-            if name.value == key:
-                of_key: yaml.Node = value
-                return of_key
-        if key == edit.path[-1]:
-            raise KeyError(key)
-    raise ConfigError(f"{place_of(edit.path)}: not found in the file as it is written; change it by hand")
+def _child(node: yaml.Node | None, key: int | str) -> yaml.Node | None:
+    children: dict[int | str, yaml.Node] = {}
+    if isinstance(node, yaml.SequenceNode):
+        children = dict(enumerate(node.value))
+    elif isinstance(node, yaml.MappingNode):
+        children = {name.value: value for name, value in node.value}
+    return children.get(key)
 
 
-def _inserted(text: str, mapping: yaml.Node, key: str, edit: Edit) -> str:
+def _inserted(text: str, mapping: yaml.Node | None, edit: Edit) -> str:
     """The text with a key added to a mapping, after its last value."""
     if not isinstance(mapping, yaml.MappingNode) or not mapping.value:
         raise ConfigError(f"{place_of(edit.path)}: not found in the file as it is written; change it by hand")
+    line = f"{edit.path[-1]}: {as_yaml(edit.value)}"
     name, value = mapping.value[-1]
     end: int = value.end_mark.index
     if mapping.flow_style:
-        return f"{text[:end]}, {key}: {as_yaml(edit.value)}{text[end:]}"
+        return f"{text[:end]}, {line}{text[end:]}"
     # A block's value may end after line ends and comments; the new line follows the last line with content.
     end = len(text[:end].rstrip())
     line_end = text.find("\n", end)
     line_end = len(text) if line_end < 0 else line_end
-    return f"{text[:line_end]}\n{' ' * name.start_mark.column}{key}: {as_yaml(edit.value)}{text[line_end:]}"
+    return f"{text[:line_end]}\n{' ' * name.start_mark.column}{line}{text[line_end:]}"
 
 
 def as_yaml(value: Any) -> str:

@@ -106,12 +106,9 @@ class _Rows:
     @cached_property
     def between_knots(self) -> Array:
         """Matrix from heights at the knots to heights at the readings, shape (n, k)."""
-        right = np.clip(np.searchsorted(self.knots, self.time_s), 1, len(self.knots) - 1)
-        share = (self.time_s - self.knots[right - 1]) / (self.knots[right] - self.knots[right - 1])
-        matrix = np.zeros((len(self.time_s), len(self.knots)))
-        rows = np.arange(len(self.time_s))
-        matrix[rows, right - 1], matrix[rows, right] = 1 - share, share
-        return matrix
+        off = np.abs(self.time_s[:, None] - self.knots) / (self.knots[1] - self.knots[0])
+        shares: Array = np.clip(1 - off, 0.0, None)
+        return shares
 
     @cached_property
     def assumed(self) -> Array:
@@ -119,9 +116,9 @@ class _Rows:
         knots, sensors = len(self.knots), len(self.names)
         bends = np.diff(np.eye(knots), 2, axis=0) / BEND_M
         together = np.tile(np.eye(3), sensors) / 1e-4
-        near = np.eye(3 * sensors)  # within a metre or so of where the file has them
-        moves = np.vstack([together, near])
-        return np.block([[bends, np.zeros((len(bends), 3 * sensors))], [np.zeros((len(moves), knots)), moves]])
+        # Within a metre or so of where the file has them.
+        moves = np.vstack([together, np.eye(3 * sensors)])
+        return np.vstack([np.pad(bends, ((0, 0), (0, 3 * sensors))), np.pad(moves, ((0, 0), (knots, 0)))])
 
 
 @dataclass(frozen=True)
@@ -179,23 +176,22 @@ def places(samples: Samples, from_file: Mapping[str, Sequence[float]]) -> Places
 
 
 def _rows(samples: Samples, names: Sequence[str], from_file: Mapping[str, Sequence[float]]) -> _Rows:
-    times, ranges, numbers = [], [], []
-    kept: list[str] = []
-    for name in names:
-        readings = samples.readings[name]
-        known = readings.is_distance & np.isfinite(samples.down_at(readings.time_s)[:, 0])
-        if known.sum() < 12:  # three numbers each, and a person sees some of the motion
-            continue
-        times.append(readings.time_s[known])
-        ranges.append(readings.range_m[known])
-        numbers.append(np.full(int(known.sum()), len(kept), dtype=np.intp))
-        kept.append(name)
+    found = {
+        name: np.flatnonzero(each.is_distance & np.isfinite(samples.down_at(each.time_s)[:, 0]))
+        for name, each in ((name, samples.readings[name]) for name in names)
+    }
+    # Three numbers each, and a person sees some of the motion.
+    kept = [name for name in names if len(found[name]) >= 12]
     if not kept:
         if len(samples.attitude) < 2:
             raise NotMeasured("no attitude of the autopilot is received: 'msp-range doctor' looks for the reason")
         raise NotMeasured("no sensor sees the floor: hold the vehicle over a flat hard floor, 0.5 to 1.5 m high")
-    file = np.array([from_file[name] for name in kept], dtype=float)
-    return _Rows(np.concatenate(times), np.concatenate(ranges), np.concatenate(numbers), tuple(kept), file)
+    time_s, range_m = (
+        np.concatenate([getattr(samples.readings[name], column)[found[name]] for name in kept])
+        for column in ("time_s", "range_m")
+    )
+    sensor = np.repeat(np.arange(len(kept)), [len(found[name]) for name in kept])
+    return _Rows(time_s, range_m, sensor, tuple(kept), np.array([from_file[name] for name in kept], dtype=float))
 
 
 def _robust(samples: Samples, rows: _Rows, lag_s: float = 0.0) -> _Fit:
@@ -217,11 +213,9 @@ def _robust(samples: Samples, rows: _Rows, lag_s: float = 0.0) -> _Fit:
 def _solve(rows: _Rows, down: Array, weights: Array, std_m: float) -> _Fit:
     """Weighted least squares of h(t) - d . (q - q_file) = r + d . q_file."""
     down = np.nan_to_num(down)
-    sensors = len(rows.names)
-    places = np.zeros((len(down), 3 * sensors))
-    for axis in range(3):
-        places[np.arange(len(down)), 3 * rows.sensor + axis] = -down[:, axis]
-    matrix = np.hstack([rows.between_knots, places])
+    of_sensor = np.eye(len(rows.names))[rows.sensor]
+    places = -of_sensor[:, :, None] * down[:, None, :]
+    matrix = np.hstack([rows.between_knots, places.reshape(len(down), -1)])
     wanted = rows.range_m + (down * rows.from_file[rows.sensor]).sum(axis=1)
     full = np.vstack([matrix * (weights / std_m)[:, None], rows.assumed])
     right = np.concatenate([wanted * weights / std_m, np.zeros(len(rows.assumed))])
@@ -246,13 +240,14 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
         lags_s.append(lags_s[-1] + LAG_STEP_S)
         sums.append(squares(lags_s[-1]))
     best = int(np.clip(np.argmin(sums), 1, len(sums) - 2))
-    before, here, after = sums[best - 1 : best + 2]
-    curvature = max((before - 2 * here + after) / LAG_STEP_S**2, 1e-12)
-    lag_s = lags_s[best] - LAG_STEP_S * (after - before) / max(2 * (before - 2 * here + after), 1e-12)
-    lag_s = float(np.clip(lag_s, lags_s[0], lags_s[-1]))
+    curve, slope, _ = np.polyfit(lags_s[best - 1 : best + 2], sums[best - 1 : best + 2], 2)
+    curvature = max(2 * float(curve), 1e-12)
+    lag_s = float(np.clip(-slope / curvature, lags_s[0], lags_s[-1]))
     error_m = MARGIN * 1.96 * fit.std_m
     # In a hover that hardly leans, delays far from the best one may fit nearly as well.
-    as_good_s = [abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < here + error_m**2]
+    as_good_s = [
+        abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < sums[best] + error_m**2
+    ]
     return Measured(lag_s, max(error_m * float(np.sqrt(2 / curvature)), *as_good_s))
 
 

@@ -20,7 +20,6 @@ NOISIER_M = 0.005
 ONE_OF_MANY = 1.6
 """A sensor that scatters by this more than the others of its model has a fault of its own; the model is not changed for
 it. Between sensors that are alike, estimates from 40 readings differ by a fifth."""
-SIGMA = ("reading_model", "sigma_cm")
 
 
 def compare_noise(airframe: Airframe, measured: Mapping[str, Measured], when: str, outcome: StepOutcome) -> None:
@@ -70,7 +69,7 @@ def _cm(measured: Measured) -> str:
 def _propose(airframe: Airframe, model: str, sigma_cm: float, text: str, outcome: StepOutcome) -> None:
     name = f"{Path(model).stem}_{sigma_cm:g}cm.yaml"
     try:
-        content = edited(airframe.files[model], [Edit(SIGMA, sigma_cm)])
+        content = edited(airframe.files[model], [Edit(("reading_model", "sigma_cm"), sigma_cm)])
     except ConfigError as error:
         outcome.wrong("noise", text, f"change sigma_cm in {model}: {error}")
         return

@@ -5,11 +5,10 @@ import textwrap
 from enum import Enum
 from typing import Protocol, TextIO
 
+from msp_range.doctor.command import WIDTH
 from msp_range.input_file import printable
 from msp_range.yaml_file import ConfigError
 
-WIDTH = 80
-"""Of lines on the terminal."""
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.1, 10.0
 """Heights over the floor that a sensor can measure and a person too [m]; another number is in another unit."""
 EXPECTED_HEIGHT = f"expected metres between {LEAST_HEIGHT_M:g} and {MOST_HEIGHT_M:g}, such as 0.85"

@@ -7,7 +7,7 @@ from typing import Any
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured
 from msp_range.config import Airframe
-from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.doctor.finding import RIGHT, WRONG, Finding, right, unknown, wrong
 
 
 @dataclass(frozen=True)
@@ -50,18 +50,22 @@ class StepOutcome:
         """Add that it is not known whether something has to be changed."""
         self.findings.append(unknown(step, text, remedy))
 
+    def propose(self, text: str, *edits: Edit) -> None:
+        """Add a change of the airframe file."""
+        self.proposals.append(Proposal(text, edits))
+
     @property
     def passed(self) -> bool:
         """Whether all was measured, nothing is wrong, nothing is to be changed, and something is right."""
         verdicts = [each.verdict for each in self.findings]
-        return self.complete and not self.proposals and Verdict.WRONG not in verdicts and Verdict.RIGHT in verdicts
+        return self.complete and not self.proposals and WRONG not in verdicts and RIGHT in verdicts
 
     def keep_founded(self, airframe: Airframe) -> "StepOutcome":
         """Drop and count the proposals that come from something wrong; returns itself.
 
         A wrong finding concerns the sensor whose name ends its step, or else everything that was measured.
         """
-        named = [each.step for each in self.findings if each.verdict is Verdict.WRONG]
+        named = [each.step for each in self.findings if each.verdict is WRONG]
         names = [sensor.name for sensor in airframe.sensors]
         about = {next((i for i, name in enumerate(names) if step.endswith(f" {name}")), None) for step in named}
         founded = [

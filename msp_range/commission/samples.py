@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.arrays import Array, Flags
+from msp_range.arrays import Array, Flags, Texts
 from msp_range.recording.topics import ATTITUDE_TOPIC, FUSED_TOPIC, RANGE_PREFIX, Message
 
 LONGEST_GAP_S = 0.6
@@ -26,10 +26,10 @@ class SensorReadings:
     """Time of each echo, or of the ping where there was none, shape (n,) [s]."""
     range_m: Array
     """Distance after the correction for the air's temperature, shape (n,) [m]; NaN where there is none."""
-    status: tuple[str, ...]
+    status: Texts
     """What each answer means, n words; ``suspect`` for a distance that is also the damaged form of 'no echo'."""
-    rejected: tuple[str | None, ...]
-    """Why each was not used, n words; None where it was."""
+    rejected: Texts
+    """Why each was not used, n words; empty where it was."""
     latency_s: float
     """Shortest time from an echo to its answer [s]; NaN where there was none."""
     air_c: float | None
@@ -39,7 +39,7 @@ class SensorReadings:
     @property
     def is_distance(self) -> Flags:
         """True where the sensor measured a distance: an echo beyond its minimum. Shape (n,)."""
-        return np.array([each == "ok" for each in self.status], dtype=bool)
+        return np.isin(self.status, "ok")
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class Samples:
         return np.where(around[:, None], down, np.nan)
 
 
-def samples_of(records: Iterable[Message]) -> Samples:
-    """The readings and attitudes among a bridge's records.
+def samples_of(records: Iterable[Message], first_s: float = -np.inf, last_s: float = np.inf) -> Samples:
+    """The readings and attitudes among a bridge's records, from one time to another [s].
 
     Examples
     --------
@@ -91,11 +91,13 @@ def samples_of(records: Iterable[Message]) -> Samples:
     attitude: list[tuple[float, float, float]] = []
     fused: list[tuple[float, float, float]] = []
     for topic, _, message in records:
+        if not first_s <= message.get("time_s", np.nan) <= last_s:
+            continue
         if topic.startswith(RANGE_PREFIX):
             of_sensor.setdefault(topic.removeprefix(RANGE_PREFIX), []).append(message)
         elif topic == ATTITUDE_TOPIC:
             attitude.append((message["time_s"], message["roll_rad"], message["pitch_rad"]))
-        elif topic == FUSED_TOPIC and {"time_s", "range_m", "height_m"} <= message.keys():
+        elif topic == FUSED_TOPIC and {"range_m", "height_m"} <= message.keys():
             fused.append((message["time_s"], message["range_m"], message["height_m"]))
     return Samples(
         {name: _readings(messages) for name, messages in of_sensor.items()},
@@ -108,10 +110,10 @@ def _readings(messages: list[Mapping[str, Any]]) -> SensorReadings:
     messages = sorted(messages, key=lambda message: float(message["time_s"]))
     latencies_s = [each["read_s"] - each["time_s"] for each in messages if np.isfinite(_distance_m(each))]
     return SensorReadings(
-        np.array([each["time_s"] for each in messages], dtype=float),
-        np.array([_distance_m(each) for each in messages], dtype=float),
-        tuple("suspect" if each.get("suspect") else each["status"] for each in messages),
-        tuple(each.get("rejected") for each in messages),
+        np.array([float(each["time_s"]) for each in messages]),
+        np.array([_distance_m(each) for each in messages]),
+        np.array(["suspect" if each.get("suspect") else each["status"] for each in messages]),
+        np.array([each.get("rejected") or "" for each in messages]),
         min(latencies_s, default=np.nan),
         messages[-1].get("temperature_c"),
         messages[-1].get("temperature_source"),
@@ -120,6 +122,5 @@ def _readings(messages: list[Mapping[str, Any]]) -> SensorReadings:
 
 def _distance_m(message: Mapping[str, Any]) -> float:
     """The corrected distance; as it was read where the fusion takes the sensor for stuck, and NaN without one."""
-    measured_m = message.get("corrected_m")
-    measured_m = message.get("range_m") if measured_m is None else measured_m
-    return np.nan if measured_m is None else float(measured_m)
+    known_m = [message[key] for key in ("corrected_m", "range_m") if message.get(key) is not None]
+    return float(known_m[0]) if known_m else np.nan

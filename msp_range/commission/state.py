@@ -15,9 +15,7 @@ from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
 from msp_range.input_file import making, read_text
 from msp_range.params.settings import Firmware, settings
-from msp_range.yaml_file import ConfigError, writing
-
-LARGEST_BYTES = 2**20
+from msp_range.yaml_file import LARGEST_FILE_BYTES, ConfigError, writing
 
 
 def _sensors(airframe: Airframe, *keys: str) -> list[Any]:
@@ -82,7 +80,7 @@ class PassedSteps:
         """
         path = airframe_file.with_suffix(".commission.json")
         try:
-            steps = json.loads(read_text(path, LARGEST_BYTES))["steps"]
+            steps = json.loads(read_text(path, LARGEST_FILE_BYTES))["steps"]
             known = {
                 name: each
                 for name, each in steps.items()

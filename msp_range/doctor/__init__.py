@@ -3,7 +3,3 @@
 Each step is a function of facts that it is given: the computer's files below a root folder, a bus, a transport. So each
 mistake that a person can make is tested with the files that it leaves, an emulated bus and a real link.
 """
-
-from msp_range.doctor.computer import Computer, User
-from msp_range.doctor.examination import examine
-from msp_range.doctor.finding import Finding, Verdict

@@ -9,7 +9,7 @@ from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, MAVLINK_FIELDS, MavlinkSource
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.doctor.finding import RIGHT, UNKNOWN, WRONG, Finding, first_of, right, unknown, wrong
 from msp_range.doctor.port import check_holders
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import distance_sensor
@@ -37,9 +37,9 @@ SENT_S, SENT_INTERVAL_S = 4.0, 0.1
 own once or twice a second until a faster rate is asked for."""
 RETURNED_M = 0.10
 """What comes back may differ from what was sent by this [m]: both are whole centimetres."""
-DELAY_MS = 25.0
-"""EKF2_RNG_DELAY may be off by this [ms]: at 1 m/s it is 2.5 cm. From the ground to 6 m the latency itself grows by
-18 ms, so less would call a good value wrong."""
+DELAY, DELAY_MS = "EKF2_RNG_DELAY", 25.0
+"""PX4's parameter for the latency may be off by this [ms]: at 1 m/s it is 2.5 cm. From the ground to 6 m the latency
+itself grows by 18 ms, so less would call a good value wrong."""
 PORT_NAMES = ("SERIAL", "MAV_", "SER_")
 """Beginnings of names of parameters of the port: messages arrive, so it is set up, whichever port it is."""
 _EXISTS = {"ardupilot": "RNGFND1_TYPE", "px4": "EKF2_RNG_CTRL"}
@@ -47,8 +47,8 @@ _EXISTS = {"ardupilot": "RNGFND1_TYPE", "px4": "EKF2_RNG_CTRL"}
 LISTEN_S = 2.0
 """How long to listen for a program that sends to this computer, where nobody is at the address of the link [s]: an
 autopilot sends a heartbeat once a second."""
-FIELD_OF_VIEW_RAD = 0.4
-QUALITY = 100
+FIRST_RANGE_FINDER = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
+"""What to do where the autopilot has another distance than the bridge."""
 
 
 class Tap(Wrapped):
@@ -74,6 +74,11 @@ class Tap(Wrapped):
         self.received_bytes += len(arrived)
         self.frames += self._reader.read(arrived)
         return arrived
+
+    @property
+    def autopilots(self) -> list[int]:
+        """Systems of the autopilots that were received."""
+        return sorted({frame.system for frame in self.frames if frame.is_autopilot_heartbeat})
 
 
 def check_autopilot(
@@ -111,11 +116,11 @@ def check_autopilot(
     yield found
     yield from _others(airframe, tap)
     yield from (_temperature(source, client) for source in temperatures)
-    if found.verdict is not Verdict.RIGHT:
+    if found.verdict is not RIGHT:
         return
     replies = _replies(airframe, tap, client)
     yield replies
-    if replies.verdict is Verdict.WRONG:
+    if replies.verdict is WRONG:
         return
     if client.armed is not False:
         yield unknown("distances", "the vehicle is armed: nothing is sent", "disarm it and try again")
@@ -133,55 +138,76 @@ def check_autopilot(
 
 def silence(airframe: Airframe, computer: Computer, tap: Tap, clock: Clock) -> Finding:
     """Why no heartbeat of the autopilot came, and what to do."""
-    step = "heartbeat"
-    autopilot = "SERIALn_PROTOCOL 2" if airframe.link.autopilot == "ardupilot" else "MAV_n_CONFIG and MAV_n_MODE 2"
-    in_use = None if tap.received_bytes else check_holders(computer, parse_url(tap.description))
+    link, count = airframe.link, tap.received_bytes
+    url = None if tap.frames else parse_url(tap.description)
+    in_use = check_holders(computer, url) if url and not count else None
     if in_use is not None:
         return in_use
-    if tap.last_error and not tap.connected:
-        remedy = "check link.url, and what else uses it: sudo systemctl stop msp-range if the service runs"
-        return wrong(step, f"the link cannot be opened: {tap.last_error}", remedy)
-    autopilots = {frame.system for frame in tap.frames if frame.is_autopilot_heartbeat}
-    if autopilots and airframe.link.signing_key is not None:
-        text = f"system {sorted(autopilots)} is received, and not signed with the key {airframe.link.signing_key}"
-        remedy = "msp-range sign AIRFRAME.yaml gives the autopilot the key"
-        return wrong(step, text, PX4_SIGNS_NOT if airframe.link.autopilot == "px4" else remedy)
-    if autopilots:
-        text = f"link.system_id is {airframe.link.system_id}, and the autopilot received is {sorted(autopilots)}"
-        return wrong(step, text, "correct link.system_id, or leave it out")
-    if tap.frames:
-        senders = sorted({(frame.system, frame.component) for frame in tap.frames})
-        listed = ", ".join(f"{system}/{component}" for system, component in senders)
-        remedy = "connect the bridge to a port of the autopilot, or let the router pass its messages on"
-        return wrong(step, f"MAVLink comes from {listed} only, which is no autopilot", remedy)
-    url = parse_url(tap.description)
-    if tap.received_bytes:
-        rate = f", not {url.baud} baud" if isinstance(url, SerialUrl) else ""
-        remedy = f"set the same baud rate on both sides, and {autopilot} on the autopilot's port"
-        return wrong(step, f"{tap.received_bytes} bytes arrive, and none are MAVLink{rate}", remedy)
-    if isinstance(url, SerialUrl):
-        remedy = f"exchange TX and RX, connect ground, switch the autopilot on, and set {autopilot} on its port"
-        return wrong(step, f"nothing arrives at {url.path}", remedy)
-    return _silent_network(url, tap, clock)
+    is_closed = tap.last_error and not tap.connected
+    if isinstance(url, NetworkUrl) and not (count or is_closed):
+        return _silent_network(url, tap, clock)
+    place, rate = (url.path, f", not {url.baud} baud") if isinstance(url, SerialUrl) else ("", "")
+    is_ardupilot = link.autopilot == "ardupilot"
+    setup = "SERIALn_PROTOCOL 2" if is_ardupilot else "MAV_n_CONFIG and MAV_n_MODE 2"
+    systems, senders = tap.autopilots, sorted({(frame.system, frame.component) for frame in tap.frames})
+    listed = ", ".join(f"{system}/{component}" for system, component in senders)
+    sign = "msp-range sign AIRFRAME.yaml gives the autopilot the key" if is_ardupilot else PX4_SIGNS_NOT
+    return first_of(
+        "heartbeat",
+        (
+            is_closed,
+            f"the link cannot be opened: {tap.last_error}",
+            "check link.url, and what else uses it: sudo systemctl stop msp-range if the service runs",
+        ),
+        (
+            systems and link.signing_key is not None,
+            f"system {systems} is received, and not signed with the key {link.signing_key}",
+            sign,
+        ),
+        (
+            systems,
+            f"link.system_id is {link.system_id}, and the autopilot received is {systems}",
+            "correct link.system_id, or leave it out",
+        ),
+        (
+            senders,
+            f"MAVLink comes from {listed} only, which is no autopilot",
+            "connect the bridge to a port of the autopilot, or let the router pass its messages on",
+        ),
+        (
+            count,
+            f"{count} bytes arrive, and none are MAVLink{rate}",
+            f"set the same baud rate on both sides, and {setup} on the autopilot's port",
+        ),
+        (
+            True,
+            f"nothing arrives at {place}",
+            f"exchange TX and RX, connect ground, switch the autopilot on, and set {setup} on its port",
+        ),
+    )
 
 
 def _silent_network(url: NetworkUrl, tap: Tap, clock: Clock) -> Finding:
     """What to do where an address is silent: one side of a UDP link sends first, and the other one listens."""
-    step, text = "heartbeat", f"nothing arrives by {url}"
-    if url.kind == "udpin":
-        remedy = "check that the other side sends to this computer's address and this port, and firewalls"
-        return wrong(step, text, f"{remedy}; where it listens, too: udpout:HOST:PORT")
-    if url.kind != "udpout":
-        return wrong(step, text, "check address, port and firewall, and that the autopilot sends there")
-    here = f"udpin:0.0.0.0:{url.port}"
-    systems = _systems_at(here, clock)
-    if systems:
-        text += f", and system {systems} sends to port {url.port} of this computer, where nobody listens"
-        return wrong(step, text, f"link.url: {here}")
-    if tap.stats.refused:
-        text += ": nobody listens there"
-    remedy = "check address, port and firewall, and that the other side listens there"
-    return wrong(step, text, f"{remedy}; where it sends to this computer instead: {here}")
+    text, here = f"nothing arrives by {url}", f"udpin:0.0.0.0:{url.port}"
+    systems = _systems_at(here, clock) if url.kind == "udpout" else []
+    far = "check that the other side sends to this computer's address and this port, and firewalls"
+    near = "check address, port and firewall, and that the other side listens there"
+    return first_of(
+        "heartbeat",
+        (url.kind == "udpin", text, f"{far}; where it listens, too: udpout:HOST:PORT"),
+        (url.kind != "udpout", text, "check address, port and firewall, and that the autopilot sends there"),
+        (
+            systems,
+            f"{text}, and system {systems} sends to port {url.port} of this computer, where nobody listens",
+            f"link.url: {here}",
+        ),
+        (
+            True,
+            f"{text}{': nobody listens there' * bool(tap.stats.refused)}",
+            f"{near}; where it sends to this computer instead: {here}",
+        ),
+    )
 
 
 def _systems_at(url: str, clock: Clock) -> list[int]:
@@ -199,129 +225,143 @@ def _systems_at(url: str, clock: Clock) -> list[int]:
 
 
 def _type(airframe: Airframe, client: ParameterClient) -> Finding:
-    step = "heartbeat"
     name = {"ardupilot": "ArduPilot", "px4": "PX4", None: "neither ArduPilot nor PX4"}[client.autopilot]
-    text = f"system {client.link.autopilot_system} is {name}"
-    if client.autopilot != airframe.link.autopilot:
-        return wrong(step, f"{text}, and link.autopilot is {airframe.link.autopilot}", "correct link.autopilot")
-    return right(step, text)
+    text, expected = f"system {client.link.autopilot_system} is {name}", airframe.link.autopilot
+    other = f"{text}, and link.autopilot is {expected}"
+    is_other = client.autopilot != expected, other, "correct link.autopilot"
+    return first_of("heartbeat", is_other, (True, text))
 
 
 def _others(airframe: Airframe, tap: Tap) -> Iterator[Finding]:
-    autopilots = sorted({frame.system for frame in tap.frames if frame.is_autopilot_heartbeat})
-    if len(autopilots) > 1 and airframe.link.system_id is None:
-        text = f"heartbeats of several autopilots: systems {', '.join(map(str, autopilots))}"
+    if len(tap.autopilots) > 1 and airframe.link.system_id is None:
+        text = f"heartbeats of several autopilots: systems {', '.join(map(str, tap.autopilots))}"
         yield wrong("other autopilots", text, "state the vehicle's own as link.system_id")
     bridge = airframe.link.component_id
-    if any(frame.component == bridge and frame.system in autopilots for frame in tap.frames):
+    if any(frame.component == bridge and frame.system in tap.autopilots for frame in tap.frames):
         text = f"another program already sends as component {bridge}"
         yield wrong("component id", text, "stop it (is the bridge running?), or change link.component_id")
 
 
 def _replies(airframe: Airframe, tap: Tap, client: ParameterClient) -> Finding:
     """Whether the autopilot receives what is sent to it: heartbeats show the other direction only."""
-    name = _EXISTS[airframe.link.autopilot]
-    answers = client.link.autopilot_clock.round_trip_s is not None or client.read(name) is not None
-    if airframe.link.signing_key is None and any(frame.is_signed for frame in tap.frames):
-        if answers:
-            text = "the autopilot signs its messages, and answers unsigned ones on this port, as ArduPilot does by USB"
-            return unknown("signing", text, "for another port give both the same key: msp-range sign")
-        text = "the autopilot signs its messages and drops those of the bridge, which has no key"
-        return wrong("signing", text, "give both the same key: msp-range sign; or clear it in the ground station")
-    if answers:
-        return right("replies", "the autopilot answers what is sent to it")
-    text = "the autopilot is received, and answers nothing that is sent to it (TIMESYNC, parameters)"
-    if isinstance(parse_url(airframe.link.url), SerialUrl):
-        remedy = (
-            "check the wire from this computer's TX to the autopilot's RX, and flow control if RTS and CTS are open"
+    link = airframe.link
+    answers = client.link.autopilot_clock.round_trip_s is not None or client.read(_EXISTS[link.autopilot]) is not None
+    if link.signing_key is None and any(frame.is_signed for frame in tap.frames):
+        by_usb = "the autopilot signs its messages, and answers unsigned ones on this port, as ArduPilot does by USB"
+        drops = "the autopilot signs its messages and drops those of the bridge, which has no key"
+        clear = "give both the same key: msp-range sign; or clear it in the ground station"
+        return first_of(
+            "signing",
+            (answers, by_usb, "for another port give both the same key: msp-range sign", UNKNOWN),
+            (True, drops, clear),
         )
-    else:
-        remedy = "let the router pass messages on to the autopilot; check firewalls"
-    return wrong("replies", text, remedy)
+    deaf = "the autopilot is received, and answers nothing that is sent to it (TIMESYNC, parameters)"
+    return first_of(
+        "replies",
+        (answers, "the autopilot answers what is sent to it"),
+        (
+            isinstance(parse_url(link.url), SerialUrl),
+            deaf,
+            "check the wire from this computer's TX to the autopilot's RX, and flow control if RTS and CTS are open",
+        ),
+        (True, deaf, "let the router pass messages on to the autopilot; check firewalls"),
+    )
 
 
 def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:
-    step = "thermometer"
-    message = client.messages.get(source.message)
+    step, message = "thermometer", client.messages.get(source.message)
     if message is None:
         text = f"the autopilot does not send {source.message}"
         return wrong(step, text, "does it have that sensor? Otherwise take it out of temperature.sources")
     value_c = getattr(message, source.field) * MAVLINK_FIELDS[source.message, source.field].c_per_unit
-    if source.field == "temperature_press_diff" and value_c == 0:
-        return wrong(step, f"{source.name} is 0: there is no airspeed sensor", "take it out of temperature.sources")
     air_c = value_c - source.bias_c
-    if not COLDEST_C <= air_c <= HOTTEST_C:
-        return wrong(step, f"{source.name} says {value_c:.1f} C, less bias_c {air_c:.1f} C", "check bias_c")
-    return right(step, f"{source.name} says {value_c:.1f} C, less bias_c {air_c:.1f} C")
+    text = f"{source.name} says {value_c:.1f} C, less bias_c {air_c:.1f} C"
+    is_absent = source.field == "temperature_press_diff" and value_c == 0
+    return first_of(
+        step,
+        (is_absent, f"{source.name} is 0: there is no airspeed sensor", "take it out of temperature.sources"),
+        (not COLDEST_C <= air_c <= HOTTEST_C, text, "check bias_c"),
+        (True, text),
+    )
 
 
 def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
-    step = "parameters"
     without = (*PORT_NAMES, ADDRESS) if firmware.any_id else PORT_NAMES
     needed = [each for each in settings(airframe, firmware, 2) if not each.name.startswith(without)]
     others = differences(client, needed)
-    if others:
-        listed = "; ".join(described(each) for each in others)
-        return wrong(step, f"{len(others)} of {len(needed)} differ: {listed}", "msp-range params AIRFRAME.yaml --write")
-    return right(step, f"{len(needed)} of {firmware} are as they should be")
+    return first_of(
+        "parameters",
+        (
+            others,
+            f"{len(others)} of {len(needed)} differ: {'; '.join(described(each) for each in others)}",
+            "msp-range params AIRFRAME.yaml --write",
+        ),
+        (True, f"{len(needed)} of {firmware} are as they should be"),
+    )
 
 
 def _withheld(client: ParameterClient) -> Finding:
-    step = "distances"
-    if client.autopilot == "ardupilot" and client.read("RNGFND1_TYPE") == DISTANCE_SENSOR_BY_MAVLINK:
-        remedy = "set it to 0 (none), or to the vehicle's own range finder, until distances are sent"
-        return wrong(step, f"the airframe file sends nothing. {UNARMED}", remedy)
-    return unknown(step, "the airframe file sends nothing: not tried", "take nothing out of its send to try it")
+    text = "the airframe file sends nothing"
+    waits = client.autopilot == "ardupilot" and client.read("RNGFND1_TYPE") == DISTANCE_SENSOR_BY_MAVLINK
+    return first_of(
+        "distances",
+        (
+            waits,
+            f"{text}. {UNARMED}",
+            "set it to 0 (none), or to the vehicle's own range finder, until distances are sent",
+        ),
+        (True, f"{text}: not tried", "take nothing out of its send to try it", UNKNOWN),
+    )
 
 
 def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges_m: Mapping[str, float]) -> Finding:
-    step = "distances"
-    stream = downward_stream(airframe)
-    downward = {each.name for each in airframe.downward} or {
-        each.name for each in airframe.sensors if each.orientation.value == DOWN
-    }
-    measured = [range_m for name, range_m in ranges_m.items() if name in downward]
+    step, stream = "distances", downward_stream(airframe)
+    downward = airframe.downward or [each for each in airframe.sensors if each.orientation.value == DOWN]
+    measured = sorted(ranges_m[each.name] for each in downward if each.name in ranges_m)
     if stream is None:
         return unknown(step, "nothing looks down: what the autopilot makes of the others is not tried")
     if not measured:
         return unknown(step, "not tried: no downward sensor has a distance", "first let the sensors see something")
-    range_m = sorted(measured)[len(measured) // 2]
+    range_m = measured[len(measured) // 2]
     client.messages.pop("DISTANCE_SENSOR", None)
     end_s = clock.now() + SENT_S
     while clock.now() < end_s:
         if client.armed is not False:
             return unknown(step, "the vehicle was armed meanwhile", "disarm it and try again")
         boot_ms = client.link.autopilot_clock.time_boot_ms(clock.now())
-        client.link.send(distance_sensor(stream, boot_ms, range_m, 0.0004, FIELD_OF_VIEW_RAD, QUALITY))
+        client.link.send(distance_sensor(stream, boot_ms, range_m, 0.0004, field_of_view_rad=0.4, quality=100))
         client.wait(lambda: False, SENT_INTERVAL_S)
-    back = client.messages.get("DISTANCE_SENSOR")
-    status = client.messages.get("SYS_STATUS")
+    back, status = client.messages.get("DISTANCE_SENSOR"), client.messages.get("SYS_STATUS")
+    sent = f"{range_m:.2f} m was sent, and the autopilot"
     remedy = "msp-range params AIRFRAME.yaml --write, then restart the autopilot: the type counts from then on"
     if back is None:
-        return wrong(step, f"{range_m:.2f} m was sent, and the autopilot reports no distance of its own", remedy)
+        return wrong(step, f"{sent} reports no distance of its own", remedy)
     back_m = back.current_distance / 100
-    if back.orientation != DOWN or abs(back_m - range_m) > RETURNED_M:
-        remedy = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
-        return wrong(step, f"{range_m:.2f} m was sent, and the autopilot has {back_m:.2f} m", remedy)
+    is_other = back.orientation != DOWN or abs(back_m - range_m) > RETURNED_M
     bit = dialect.MAV_SYS_STATUS_SENSOR_LASER_POSITION
-    if status is not None and bit & status.onboard_control_sensors_present & ~status.onboard_control_sensors_health:
-        return wrong(step, f"the autopilot has {back_m:.2f} m and calls its range finder unhealthy", remedy)
-    return right(step, f"{range_m:.2f} m was sent, and the autopilot has {back_m:.2f} m")
+    is_unhealthy = status and bit & status.onboard_control_sensors_present & ~status.onboard_control_sensors_health
+    return first_of(
+        step,
+        (is_other, f"{sent} has {back_m:.2f} m", FIRST_RANGE_FINDER),
+        (is_unhealthy, f"the autopilot has {back_m:.2f} m and calls its range finder unhealthy", remedy),
+        (True, f"{sent} has {back_m:.2f} m"),
+    )
 
 
 def _latency(client: ParameterClient, latency_s: float) -> Finding:
-    step = "latency"
+    step, answer = "latency", f"echo to answer {1e3 * latency_s:.0f} ms"
     round_trip_s = client.link.autopilot_clock.round_trip_s
     if round_trip_s is None:
         remedy = "it does not answer TIMESYNC; messages are stamped by SYSTEM_TIME"
-        return unknown(step, f"echo to answer {1e3 * latency_s:.0f} ms, and the way to the autopilot unknown", remedy)
+        return unknown(step, f"{answer}, and the way to the autopilot unknown", remedy)
     total_ms = 1e3 * (latency_s + round_trip_s / 2)
-    parts = f"echo to answer {1e3 * latency_s:.0f} ms, to the autopilot {500 * round_trip_s:.1f} ms"
+    total, parts = f"{total_ms:.0f} ms", f"{answer}, to the autopilot {500 * round_trip_s:.1f} ms"
     if client.autopilot != "px4":
-        return right(step, f"{total_ms:.0f} ms: {parts}")
-    delay_ms = client.read("EKF2_RNG_DELAY")
-    if delay_ms is not None and abs(delay_ms - total_ms) > DELAY_MS:
-        return wrong(
-            step, f"{total_ms:.0f} ms ({parts}), and EKF2_RNG_DELAY is {delay_ms:g}", f"set it to {total_ms:.0f}"
-        )
-    return right(step, f"{total_ms:.0f} ms: {parts}; EKF2_RNG_DELAY is {delay_ms or 0:g}")
+        return right(step, f"{total}: {parts}")
+    delay_ms = client.read(DELAY)
+    is_off = delay_ms is not None and abs(delay_ms - total_ms) > DELAY_MS
+    return first_of(
+        step,
+        (is_off, f"{total} ({parts}), and {DELAY} is {delay_ms or 0:g}", f"set it to {total_ms:.0f}"),
+        (True, f"{total}: {parts}; {DELAY} is {delay_ms or 0:g}"),
+    )

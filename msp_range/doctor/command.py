@@ -13,8 +13,8 @@ from msp_range.doctor.examination import examine
 from msp_range.doctor.finding import Finding, Verdict
 from msp_range.input_file import printable
 
-WIDTH = 80
-INDENT = 9
+WIDTH, INDENT = 80, 9
+"""Columns of a terminal over ssh, and of the verdict in front of a finding [characters]."""
 
 
 def lines_of(finding: Finding) -> list[str]:

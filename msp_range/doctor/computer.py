@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from msp_range.clock import SystemClock
-from msp_range.doctor.finding import Finding, right, wrong
+from msp_range.doctor.finding import Finding, first_of
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl
+from msp_range.state_folder import SERVICE_USER
 
-SERVICE_USER = "msp-range"
-"""The user of the service, made by install.sh."""
 BOOT_CONFIGS = ("/boot/firmware/config.txt", "/boot/config.txt")
 """The Raspberry Pi's configuration, newest place first."""
 
@@ -162,41 +161,39 @@ class Computer:
     def owner(self, path: str | Path) -> str | None:
         """Name of the user whom a file belongs to; None where it has none."""
         uid = str(self.at(path).stat().st_uid)
-        users = [line.split(":") for line in (self.text("/etc/passwd") or "").splitlines()]
-        return next((fields[0] for fields in users if len(fields) == 7 and fields[2] == uid), None)
+        return next((fields[0] for fields in self._table("/etc/passwd", 7) if fields[2] == uid), None)
 
     def permission(self, step: str, path: str, usual_group: str) -> Finding:
         """Whether the user may use a device, and how it is to be allowed."""
-        if self.may_write(path):
-            return right(step, f"{self.user.name} may use {path}")
-        found = self.at(path).stat()
-        group = self._group_name(found.st_gid)
-        text = f"{self.user.name} may not use {path} (group {group}, mode {stat.S_IMODE(found.st_mode):04o})"
-        if not found.st_mode & stat.S_IWGRP or group == "root":
-            return wrong(
-                step, text, f"install the udev rule that gives it to the group {usual_group}: sudo ./install.sh"
-            )
-        if self.user.name in self._members(group):
-            return wrong(
-                step, f"{text}; {self.user.name} is in that group since after this login", "log out and in again"
-            )
-        return wrong(step, text, f"sudo usermod -aG {group} {self.user.name}, then log out and in again")
+        found, user, groups = self.at(path).stat(), self.user.name, self._table("/etc/group", 4)
+        group = next((name for name, _, number, _ in groups if number == str(found.st_gid)), None)
+        group = group or _group_here(found.st_gid)
+        is_member = any(name == group and user in members.split(",") for name, _, _, members in groups)
+        text = f"{user} may not use {path} (group {group}, mode {stat.S_IMODE(found.st_mode):04o})"
+        return first_of(
+            step,
+            (self.may_write(path), f"{user} may use {path}"),
+            (
+                not found.st_mode & stat.S_IWGRP or group == "root",
+                text,
+                f"install the udev rule that gives it to the group {usual_group}: sudo ./install.sh",
+            ),
+            (is_member, f"{text}; {user} is in that group since after this login", "log out and in again"),
+            (True, text, f"sudo usermod -aG {group} {user}, then log out and in again"),
+        )
 
-    def _groups(self) -> list[list[str]]:
-        lines = (self.text("/etc/group") or "").splitlines()
-        return [fields for line in lines if len(fields := line.split(":")) == 4]
+    def _table(self, path: str, columns: int) -> list[list[str]]:
+        """The lines of a file such as /etc/passwd that have so many columns."""
+        lines = (self.text(path) or "").splitlines()
+        return [fields for line in lines if len(fields := line.split(":")) == columns]
 
-    def _group_name(self, gid: int) -> str:
-        for name, _, number, _ in self._groups():
-            if number == str(gid):
-                return name
-        try:
-            return grp.getgrgid(gid).gr_name
-        except KeyError:
-            return str(gid)
 
-    def _members(self, group: str) -> list[str]:
-        return [each for name, _, _, members in self._groups() if name == group for each in members.split(",")]
+def _group_here(gid: int) -> str:
+    """A group that only this program's computer names."""
+    try:
+        return grp.getgrgid(gid).gr_name
+    except KeyError:
+        return str(gid)
 
 
 def _target_of(link: Path) -> str:

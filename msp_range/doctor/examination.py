@@ -1,4 +1,7 @@
-"""The order of the steps, from the bus to the autopilot; what an earlier step makes impossible is left out."""
+"""The order of the steps, from the bus to the autopilot; what an earlier step makes impossible is left out.
+
+Bus and port of a bridge that runs are its own, and are left alone: it is seen through its own socket.
+"""
 
 import os
 from collections.abc import Callable, Iterator
@@ -7,21 +10,64 @@ from pathlib import Path
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, load_airframe
+from msp_range.correction.air_temperature import NO_THERMOMETER
 from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
-from msp_range.doctor.i2c import check_interface
-from msp_range.doctor.port import check_port
-from msp_range.doctor.running import check_running
+from msp_range.doctor.finding import RIGHT, WRONG, Finding, right, unknown, wrong
+from msp_range.doctor.port import check_interface, check_port
 from msp_range.doctor.sensors import Looked, look
 from msp_range.doctor.storage import check_date, check_disk, check_supply
 from msp_range.doctor.thermometer import check_files
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.plausible import doubts
+from msp_range.watch.client import connect, read_once
+from msp_range.watch.newest import Newest
+from msp_range.watch.place import sockets
 from msp_range.yaml_file import ConfigError
 
-NOTHING = Looked([], {}, None)
+STOP = "sudo systemctl stop msp-range, then again, looks at bus and port themselves"
+
+
+def check_running() -> Iterator[Finding]:
+    """What the running bridge says of its sensors, its link and its recording."""
+    connection = connect(sockets())
+    if connection is None:
+        yield unknown("running bridge", "it cannot be asked: no socket of it was found", STOP)
+        return
+    with connection:
+        newest = read_once(connection)
+    if not newest.status:
+        yield unknown("running bridge", "it ended while it was asked", "msp-range doctor once more")
+        return
+    yield from findings(newest)
+
+
+def findings(newest: Newest) -> Iterator[Finding]:
+    """What its newest state means."""
+    status = newest.status
+    yield right("running bridge", f"{newest.airframe['vehicle']}, {status['state']}, for {status['uptime_s']:.0f} s")
+    for fault in status["faults"]:
+        # That the file names no thermometer is a step of its own.
+        if NO_THERMOMETER not in fault["text"]:
+            found = unknown if fault["severity"] == "info" else wrong
+            yield found(fault["what"], fault["text"], fault["remedy"])
+    for name, sensor in status["sensors"].items():
+        if sensor["fault"] is not None:
+            continue
+        if sensor["readings"] == 0:
+            yield unknown(f"sensor {name}", "no reading yet", "msp-range doctor once more")
+        else:
+            corrected_m = newest.readings.get(name, {}).get("corrected_m")
+            now = "no echo now" if corrected_m is None else f"{corrected_m:.2f} m now"
+            rejected = sum(sensor["rejected"].values())
+            yield right(f"sensor {name}", f"{now}; {rejected} of {sensor['readings']} readings were not used")
+    link = status["link"]
+    sent = link["sent"].get("DISTANCE_SENSOR", 0)
+    if link["autopilot"] is not None:
+        yield right("autopilot", f"system {link['autopilot']} is received; {sent} distances were sent")
+    elif not any(each["what"] == "autopilot" for each in status["faults"]):
+        yield unknown("autopilot", f"{link['url']}: no heartbeat yet", "msp-range doctor once more")
 
 
 def examine(
@@ -55,12 +101,12 @@ def examine(
     yield right("airframe file", f"{path}: {airframe.vehicle}")
     for doubt in doubts(airframe):
         yield unknown("airframe file", doubt, "correct it if that is so")
-    looked, in_use = NOTHING, False
+    looked, in_use = Looked([], {}, None), False
     bus_is_right = True
     stretches = any(sensor.driver.stretches_clock for sensor in airframe.sensors)
     for finding in check_interface(computer, str(KernelBus(airframe.bus).path), stretches):
         yield finding
-        bus_is_right = bus_is_right and (finding.verdict is not Verdict.WRONG or finding.step == "I2C clock")
+        bus_is_right = bus_is_right and (finding.verdict is not WRONG or finding.step == "I2C clock")
     if bus_is_right:
         bus = make_bus(airframe.bus)
         try:
@@ -79,9 +125,7 @@ def examine(
         yield from _link(airframe, computer, clock, looked, make_transport)
     yield check_disk(computer, airframe.recording.folder if airframe.recording else None)
     yield check_date(computer, path)
-    supply = check_supply(computer)
-    if supply is not None:
-        yield supply
+    yield from check_supply(computer)
 
 
 def _link(
@@ -95,7 +139,7 @@ def _link(
     if isinstance(url, SerialUrl):
         for finding in check_port(computer, url):
             yield finding
-            if finding.verdict is not Verdict.RIGHT:
+            if finding.verdict is not RIGHT:
                 return
     transport = make_transport(airframe.link.url, clock)
     try:

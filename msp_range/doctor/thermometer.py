@@ -6,7 +6,7 @@ from pathlib import Path
 from msp_range.correction.temperature import COLDEST_C, HOTTEST_C, FileSource, TemperatureParameters
 from msp_range.correction.thermometer import read_thermometer
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import Finding, right, unknown, wrong
+from msp_range.doctor.finding import Finding, first_of, unknown, wrong
 
 INSIDE = ("cpu", "core", "soc", "gpu", "k10temp", "acpi", "nvme", "rp1", "pmic", "bcm2", "wifi", "iwl", "phy")
 """Parts of the names of thermometers inside of computers: their chips, and no air."""
@@ -27,17 +27,16 @@ def check_files(computer: Computer, temperature: TemperatureParameters) -> Itera
 
 
 def _check(computer: Computer, source: FileSource) -> Finding:
-    step = "thermometer"
-    found = computer.names(source.path)
+    step, found = "thermometer", [(path, _name(computer, path)) for path in computer.names(source.path)]
     if not found:
-        outside = [f"{path} ({name})" for path, name in _candidates(computer)]
-        there = f"; there is {', '.join(outside)}" if outside else ""
-        remedy = (
-            "check its wires and address, and that its driver is loaded (such as dtoverlay=i2c-sensor,sht4x,addr=0x44)"
+        paths = [(path, _name(computer, path) or "?") for pattern in PATTERNS for path in computer.names(pattern)]
+        outside = ", ".join(f"{path} ({name})" for path, name in paths if not _is_inside(name))
+        return wrong(
+            step,
+            f"no file fits {source.path}{'; there is ' * bool(outside)}{outside}",
+            "check its wires and address, and that its driver is loaded (such as dtoverlay=i2c-sensor,sht4x,addr=0x44)",
         )
-        return wrong(step, f"no file fits {source.path}{there}", remedy)
-    path = found[0]
-    name = computer.text(Path(path).with_name("name")) or ""
+    path, name = found[0]
     if _is_inside(name):
         remedy = "name one in outside air: /sys/bus/i2c/devices/1-0044/hwmon/hwmon*/temp1_input finds it by its address"
         return wrong(step, f"{path} is {name}: a chip of the computer and not the air", remedy)
@@ -45,17 +44,20 @@ def _check(computer: Computer, source: FileSource) -> Finding:
         value_c = read_thermometer(source.model_copy(update={"path": str(computer.at(path))})) * source.scale
     except (OSError, ValueError) as error:
         return wrong(step, f"{path} cannot be read: {error}", "check its wires; does it answer in 'msp-range scan'?")
-    if not COLDEST_C <= value_c <= HOTTEST_C:
-        remedy = "check scale (hwmon and iio count thousandths: 0.001) and the sensor"
-        return wrong(step, f"{path} says {value_c:g} C", remedy)
-    return right(step, f"{path}{f' ({name})' if name else ''} says {value_c:.1f} C")
+    return first_of(
+        step,
+        (
+            not COLDEST_C <= value_c <= HOTTEST_C,
+            f"{path} says {value_c:g} C",
+            "check scale (hwmon and iio count thousandths: 0.001) and the sensor",
+        ),
+        (True, f"{path}{f' ({name})' if name else ''} says {value_c:.1f} C"),
+    )
 
 
-def _candidates(computer: Computer) -> list[tuple[str, str]]:
-    """Thermometers that are there and not inside of the computer: path and name."""
-    paths = [path for pattern in PATTERNS for path in computer.names(pattern)]
-    named = [(path, computer.text(Path(path).with_name("name")) or "?") for path in paths]
-    return [(path, name) for path, name in named if not _is_inside(name)]
+def _name(computer: Computer, path: str) -> str:
+    """What a thermometer's driver calls it; nothing where it does not."""
+    return computer.text(Path(path).with_name("name")) or ""
 
 
 def _is_inside(name: str) -> bool:

@@ -99,7 +99,9 @@ class ParameterClient:
             if isinstance(name, bytes):
                 name = name.rstrip(b"\0").decode("ascii", "replace")
             self._values[name.rstrip("\0")] = (
-                self._decoded(message.param_value, message.param_type),
+                _as_type("<f", "<i", message.param_value)
+                if self._is_whole(message.param_type)
+                else message.param_value,
                 message.param_type,
             )
 
@@ -194,7 +196,7 @@ class ParameterClient:
                 raise NotSet("no heartbeat of the autopilot: whether the vehicle is armed is not known")
             if self.armed:
                 raise NotSet("the vehicle is armed: parameters are set only while it is disarmed")
-            encoded = self._encoded(value, kind)
+            encoded = _as_type("<i", "<f", round(value)) if self._is_whole(kind) else value
             self.link.send(dialect.MAVLink_param_set_message(*self._target, name.encode(), encoded, kind))
             self.wait(lambda: False, 0.1)
             found = self.read(name)
@@ -209,11 +211,10 @@ class ParameterClient:
     def _is_whole(self, kind: int) -> bool:
         return self.autopilot == "px4" and kind == dialect.MAV_PARAM_TYPE_INT32
 
-    def _decoded(self, value: float, kind: int) -> float:
-        return float(struct.unpack("<i", struct.pack("<f", value))[0]) if self._is_whole(kind) else value
 
-    def _encoded(self, value: float, kind: int) -> float:
-        return float(struct.unpack("<f", struct.pack("<i", round(value)))[0]) if self._is_whole(kind) else value
+def _as_type(given: str, wanted: str, value: float) -> float:
+    """The number that the bytes of another one are, by `struct`'s names of their types."""
+    return float(struct.unpack(wanted, struct.pack(given, value))[0])
 
 
 def same(found: float, wanted: float) -> bool:

@@ -1,6 +1,11 @@
-"""What `msp-range params` does: print parameters, write a file of them, compare them, or set them on the autopilot."""
+"""What `msp-range params` does: print parameters, write a file of them, compare them, or set them on the autopilot.
 
-from collections.abc import Callable, Mapping, Sequence
+Files are as MAVProxy, Mission Planner and QGroundControl's ArduPilot page read them: NAME,VALUE lines. Comments have
+lines of their own: MAVProxy does not take them behind a value.
+"""
+
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,13 +14,52 @@ from msp_range.config import Airframe
 from msp_range.mavlink.signing import Signing, signing_of
 from msp_range.mavlink.transport import open_transport
 from msp_range.params.client import NotSet, ParameterClient, same
-from msp_range.params.parm_file import parm_text, read_parm, text_of
 from msp_range.params.settings import Firmware, Setting, remarks, settings
-from msp_range.yaml_file import ConfigError, writing
+from msp_range.yaml_file import ConfigError, read_config, writing
 
 CONNECT_S = 10.0
 """How long to wait for an autopilot: it sends a heartbeat each second, and a TCP or serial link may have to be opened
 again meanwhile [s]."""
+
+
+def text_of(value: float) -> str:
+    """A value as files and tables show it.
+
+    Examples
+    --------
+    >>> text_of(10.0), text_of(0.19), text_of(0.1899999976158142)
+    ('10', '0.19', '0.19')
+    """
+    return f"{value:.7g}"
+
+
+def parm_text(heading: Iterable[str], settings: Sequence[Setting]) -> str:
+    """The content of a file, with each parameter's reason and source above it."""
+    lines = [line for each in heading for line in textwrap.wrap(each, 100, initial_indent="# ", subsequent_indent="# ")]
+    for each in settings:
+        lines += ["", f"# {each.reason} ({each.source})", f"{each.name},{text_of(each.value)}"]
+    return "\n".join(lines) + "\n"
+
+
+def read_parm(path: Path) -> dict[str, float]:
+    """Names and values of a file.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read, or a line is no parameter.
+    """
+    values = {}
+    for number, line in enumerate(read_config(path).splitlines(), start=1):
+        words = line.split("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        try:
+            name, value = words
+            values[name] = float(value)
+        except ValueError:
+            raise ConfigError(f"{path}:{number}: found {line!r}; expected NAME,VALUE") from None
+    return values
 
 
 class Difference(NamedTuple):

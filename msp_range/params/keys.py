@@ -14,11 +14,11 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.signing import KEY_BYTES, PX4_SIGNS_NOT, Signing, read_key, signing_of
 from msp_range.params.client import ParameterClient
 from msp_range.params.commands import connect
+from msp_range.state_folder import SERVICE_USER
 from msp_range.yaml_file import ConfigError
 
 TAKEN_S = 5.0
 """How long to wait for the autopilot's first signed message [s]: its heartbeat comes once a second."""
-SERVICE_USER = "msp-range"
 
 
 def key_file(airframe: Airframe) -> Path:

@@ -22,9 +22,6 @@ ADDRESS = "RNGFND1_ADDR"
 PROXIMITY_ORIENTATIONS = frozenset({*range(8), 24})
 """Orientations that ArduPilot's proximity takes: eight around the vehicle, and up (AP_Proximity_MAV.cpp)."""
 DISTANCE_SENSOR_BY_MAVLINK = 10
-PROXIMITY_BY_MAVLINK = 2
-MAVLINK_2 = 2
-ONBOARD = 2
 PX4_TELEM_BASE = 100
 """PX4's number of the port TELEM n is this plus n (Tools/serial/generate_config.py)."""
 USB_PATHS = ("/dev/ttyACM", "/dev/autopilot")
@@ -150,9 +147,7 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
     document = "docs/flying.md, Set up the autopilot"
     baud = _baud(airframe)
     if baud is not None:
-        yield Setting(
-            f"SERIAL{port}_PROTOCOL", MAVLINK_2, "MAVLink 2 on the port that the bridge is wired to", document
-        )
+        yield Setting(f"SERIAL{port}_PROTOCOL", 2, "MAVLink 2 on the port that the bridge is wired to", document)
         yield Setting(f"SERIAL{port}_BAUD", baud // 1000, f"{baud} baud, as this file says", "link.url")
     if airframe.send.nothing:
         return
@@ -179,9 +174,7 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
     around = [each for each in single_streams(airframe).values() if each.orientation.value in PROXIMITY_ORIENTATIONS]
     # ArduPlane has no proximity (ArduPlane/Parameters.cpp).
     if around and firmware.vehicle != "plane":
-        yield Setting(
-            "PRX1_TYPE", PROXIMITY_BY_MAVLINK, f"{len(around)} of the streams look around the vehicle", document
-        )
+        yield Setting("PRX1_TYPE", 2, f"{len(around)} of the streams look around the vehicle", document)
 
 
 def _px4(airframe: Airframe, _: Firmware, port: int) -> Iterator[Setting]:
@@ -191,7 +184,7 @@ def _px4(airframe: Airframe, _: Firmware, port: int) -> Iterator[Setting]:
         instance = port - 1
         what = "MAVLink on the port that the bridge is wired to"
         yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", document)
-        yield Setting(f"MAV_{instance}_MODE", ONBOARD, "onboard mode: for a companion computer", document)
+        yield Setting(f"MAV_{instance}_MODE", 2, "onboard mode: for a companion computer", document)
         yield Setting(f"SER_TEL{port}_BAUD", baud, f"{baud} baud, as this file says", "link.url")
     if airframe.send.nothing:
         return

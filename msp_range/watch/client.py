@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from msp_range.recording.topics import Message
+from msp_range.watch.newest import Newest
 
 LONGEST_PACKET = 1 << 20
 """Bytes of a packet; the airframe of 117 sensors, the longest, takes 60 kB."""
@@ -40,11 +41,13 @@ def packets(connection: socket.socket) -> Iterator[Message]:
             yield parsed(packet)
 
 
-def read_once(connection: socket.socket) -> Iterator[Message]:
-    """Packets until every sensor has had time for a reading, up to the status that follows."""
+def read_once(connection: socket.socket) -> Newest:
+    """The state when every sensor has had time for a reading, up to the status that follows."""
+    newest = Newest()
     first_s: float | None = None
     for packet in packets(connection):
-        yield packet
+        newest.update(packet)
         first_s = packet.time_s if first_s is None else first_s
         if packet.topic == "/status" and packet.time_s - first_s >= ONCE_S:
-            return
+            break
+    return newest

@@ -8,6 +8,8 @@ from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX, 
 
 GONE = "/gone"
 """Topic of the packet that a server makes where the bridge has ended."""
+FRESH_S = 2.0
+"""A fused distance that is older is not shown as the present one [s]."""
 TEXTS_KEPT = 50
 """Reports to the pilot that are remembered."""
 
@@ -34,6 +36,13 @@ class Newest:
     def state(self) -> str:
         """The bridge's, by its own verdict; 'unknown' where there is no status of a bridge that runs."""
         return str(self.status.get("state", "unknown"))
+
+    @property
+    def distance(self) -> dict[str, Any] | None:
+        """The present fused distance; None where the last one is too old."""
+        if self.fused is None or self.time_s - self.fused[0] > FRESH_S:
+            return None
+        return self.fused[1]
 
     def update(self, packet: Message) -> None:
         """Take one packet."""

@@ -23,6 +23,17 @@ def sockets() -> list[Path]:
     return [SERVICE, _of_user()]
 
 
+class Outputs(NamedTuple):
+    """Where a bridge's work goes, apart from its link and log."""
+
+    record: Path | None
+    """Folder for the recording instead of the airframe's."""
+    socket: Path
+    """Socket for those who watch, see `msp_range.watch.feed`."""
+    web: str | None
+    """[HOST:]PORT of the web page; None: no page."""
+
+
 class Listen(NamedTuple):
     """Where the web page listens."""
 

@@ -16,17 +16,14 @@ from msp_range.clock import SystemClock
 from msp_range.health import BridgeState
 from msp_range.terminal import PlainConsole, plain_table
 from msp_range.watch.client import connect, packets, read_once
+from msp_range.watch.facts import DISTANCE, facts_of
 from msp_range.watch.newest import Newest
 from msp_range.watch.place import sockets
 
 WIDTH = 80
 """Columns of a terminal over ssh [characters]."""
-FRESH_S = 2.0
-"""A fused distance that is older is not shown as the present one [s]."""
 REFRESH_S = 0.2
 """Time between two updates of the display [s]."""
-SHOWN_CLIMB_M_S = 0.1
-"""A slower climb is not shown [m/s]: noise reaches 0.05."""
 EXIT_NOT_RUNNING, EXIT_NOT_ACTIVE = 1, 4
 
 
@@ -42,8 +39,7 @@ def show(socket: Path | None, once: bool, as_json: bool) -> int:
     out = PlainConsole(width=min(PlainConsole().width, WIDTH))
     with connection:
         if as_json or once or not out.is_terminal:
-            for packet in read_once(connection):
-                newest.update(packet)
+            newest = read_once(connection)
             if as_json:
                 print(json.dumps(as_object(newest)))
             else:
@@ -70,7 +66,7 @@ def as_object(newest: Newest) -> dict[str, Any]:
         "airframe": newest.airframe,
         "status": newest.status,
         "readings": newest.readings,
-        "fused": _fused(newest),
+        "fused": newest.distance,
         "autopilot": newest.received,
         "texts": [{"time_s": time_s, **text} for time_s, text in newest.texts],
     }
@@ -79,7 +75,11 @@ def as_object(newest: Newest) -> dict[str, Any]:
 def shown(newest: Newest) -> Group:
     """All of it, for a reader: what is wrong comes first, where a short window still shows it."""
     title = f"{newest.airframe.get('vehicle', '?')}: {newest.state}", "bold"
-    above, below = ([Text(*each) for each in lines] for lines in ([title, *_wrong(newest)], _lines(newest)))
+    above = [Text(*each) for each in (title, *_wrong(newest))]
+    below = [
+        Text(name + text, ("bold" if gauges else "bold red") * (name == DISTANCE))
+        for name, text, gauges in facts_of(newest)
+    ]
     return Group(*above, _sensors(newest), *below)
 
 
@@ -120,43 +120,6 @@ def _use(reading: dict[str, Any]) -> str:
     if reading["status"] != "ok":
         return str(reading["status"]).replace("_", " ")
     return str(reading.get("rejected", "yes")).replace("_", " ")
-
-
-def _lines(newest: Newest) -> Iterator[tuple[str, str]]:
-    """Each line with its style."""
-    fused, sends_nothing = _fused(newest), newest.airframe.get("sends_nothing", False)
-    if fused is not None:
-        std_cm = 100 * float(fused["variance_m2"]) ** 0.5
-        climb = f", climbing {fused['climb_m_s']:+.1f} m/s" if abs(fused["climb_m_s"]) >= SHOWN_CLIMB_M_S else ""
-        not_sent = " (not sent)" * sends_nothing
-        yield f"distance down {fused['range_m']:.2f} m{not_sent}, deviation {std_cm:.1f} cm{climb}", "bold"
-    elif newest.airframe.get("reference_down_m") is not None:
-        yield "distance down: none", "bold red"
-    status = newest.status
-    if not status:
-        return
-    air, link = status["air"], status["link"]
-    yield f"air {air['temperature_c']:.1f} C, deviation {air['std_c']:.1f} C, from {air['source']}", ""
-    is_there = link["autopilot"] is not None
-    there = f"system {link['autopilot']}" if is_there else "none received"
-    armed = {True: ", armed", False: ", disarmed", None: ""}[link["armed"]]
-    down = "" if link["connected"] else f", not connected: {link['error'] or 'waiting'}"
-    yield f"link {link['url']}{down}; autopilot: {there}{armed}", ""
-    nobody = "" if is_there else ", nobody gets them"
-    sent = "no distances" if sends_nothing else f"{link['sent'].get('DISTANCE_SENSOR', 0)} distances{nobody}"
-    yield f"sent {sent}, {link['dropped']} frames dropped", ""
-    for each in newest.received.values():
-        if each["kind"] == "DISTANCE_SENSOR":
-            yield f"the autopilot has {each['distance_m']:.2f} m (orientation {each['orientation']})", ""
-    yield f"recording: {status['recording'] or 'none'}", ""
-    yield f"running for {status['uptime_s']:.0f} s", ""
-
-
-def _fused(newest: Newest) -> dict[str, Any] | None:
-    """The present fused distance; None where it is too old."""
-    if newest.fused is None or newest.time_s - newest.fused[0] > FRESH_S:
-        return None
-    return newest.fused[1]
 
 
 def _metres(range_m: float | None) -> str:

@@ -20,7 +20,6 @@ FROM_AUTOPILOT = {"DISTANCE_SENSOR": 2.0, "SYS_STATUS": 1.0}
 
 def airframe_message(airframe: Airframe) -> dict[str, Any]:
     """The message of ``/airframe``: name, streams, and each sensor's place, direction and beam."""
-    downward = {sensor.name for sensor in airframe.downward}
     fused = airframe.send.fused
     return {
         "vehicle": airframe.vehicle,
@@ -36,7 +35,7 @@ def airframe_message(airframe: Airframe) -> dict[str, Any]:
                 "address": f"0x{sensor.address:02x}",
                 "position_m": sensor.position_m,
                 "boresight": sensor.boresight,
-                "in_fused": sensor.name in downward,
+                "in_fused": sensor.name in airframe.fused_names,
                 "has_stream": sensor.name in airframe.sent_names,
                 "minimum_m": sensor.sensor_model.minimum_cm / 100,
                 "maximum_m": sensor.sensor_model.maximum_cm / 100,

@@ -1,14 +1,13 @@
 """Everything by which a running bridge can be watched: the feed, its status, and the page's process."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from msp_range.bridge import Bridge, Records
-from msp_range.config import Airframe
 from msp_range.log import Log
 from msp_range.mavlink.transport import Transport
 from msp_range.recording.topics import MARK_TOPIC
 from msp_range.watch.feed import Feed, Watched
+from msp_range.watch.place import Outputs
 from msp_range.watch.view import airframe_message, autopilot_message, status_message
 
 if TYPE_CHECKING:
@@ -23,14 +22,12 @@ class Watch:
 
     Parameters
     ----------
-    airframe, bridge, transport
+    bridge, transport
         What is watched.
     recorder
         Keeps the bridge's records; None: nothing is kept.
-    socket
-        Path of the socket.
-    listen
-        [HOST:]PORT of the web page; None: no page.
+    outputs
+        Where the socket and the page are.
     now_s
         Now [s].
     log
@@ -47,24 +44,28 @@ class Watch:
         The socket cannot be made.
     """
 
+    _page: "PageProcess | None" = None
+
     def __init__(
         self,
-        airframe: Airframe,
         bridge: Bridge,
         transport: Transport,
         recorder: Records | None,
-        socket: Path,
-        listen: str | None,
+        outputs: Outputs,
         now_s: float,
         log: Log,
     ) -> None:
         self._bridge = bridge
         self._transport = transport
         self.recording: str | None = None
-        self._feed = Feed(socket, lambda: airframe_message(airframe), self._mark)
+        self._feed = Feed(outputs.socket, lambda: airframe_message(bridge.airframe), self._mark)
         self._records = Watched(self._feed, recorder)
         bridge.record_to(self._records)
-        self._page = None if listen is None else _page(listen, socket, now_s, log)
+        if outputs.web is not None:
+            # Imports subprocess, which a bridge without a page does not need.
+            from msp_range.watch.page import PageProcess
+
+            self._page = PageProcess(outputs.web, outputs.socket, now_s, log)
         self._next_status_s = now_s
 
     def on_message(self, now_s: float, message: Any) -> None:
@@ -91,10 +92,3 @@ class Watch:
 
     def _mark(self, now_s: float, text: str) -> None:
         self._records.write(MARK_TOPIC, now_s, {"text": text})
-
-
-def _page(listen: str, socket: Path, now_s: float, log: Log) -> "PageProcess":
-    # Imports subprocess, which a bridge without a page does not need.
-    from msp_range.watch.page import PageProcess
-
-    return PageProcess(listen, socket, now_s, log)

@@ -11,8 +11,6 @@ from msp_range.web.access import access_for
 from msp_range.web.server import Page
 from msp_range.yaml_file import ConfigError
 
-EXIT_PORT = 1
-
 
 def main() -> int:
     """Serve until standard input ends or a signal arrives."""
@@ -29,14 +27,14 @@ def main() -> int:
         page = Page(options.socket, access)
     except (ConfigError, OSError) as error:
         log.error("web page", error=str(error))
-        return EXIT_PORT
+        return 1
     try:
         asyncio.run(page.serve(listen, options.end_with_stdin, lambda url: log.info("web page", url=url)))
     except KeyboardInterrupt:
         pass
     except OSError as error:
         log.error("web page", listen=options.listen, error=error.strerror or str(error))
-        return EXIT_PORT
+        return 1
     return 0
 
 

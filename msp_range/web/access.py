@@ -16,7 +16,6 @@ from urllib.parse import parse_qs, urlsplit
 from msp_range.state_folder import state_folder
 from msp_range.watch.place import LOOPBACK, Listen
 
-TOKEN_NAME = "web-token"
 TOKEN_BYTES = 16
 """128 bits: too many to try."""
 
@@ -61,7 +60,7 @@ def access_for(listen: Listen) -> Access:
 
     The token outlives a restart, so that an open page finds the bridge again.
     """
-    return Access(None if listen.is_loopback else _token(state_folder() / TOKEN_NAME))
+    return Access(None if listen.is_loopback else _token(state_folder() / "web-token"))
 
 
 def _name(host: str) -> str:

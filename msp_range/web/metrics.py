@@ -6,6 +6,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from msp_range.health import BridgeState
+from msp_range.watch.facts import facts_of
 from msp_range.watch.newest import Newest
 
 
@@ -25,9 +26,8 @@ class BridgeMetrics(Collector):
         """All metrics."""
         newest, status = self._newest, self._newest.status
         is_good = newest.state in (BridgeState.STARTING, BridgeState.ACTIVE, BridgeState.SENDS_NOTHING)
-        yield _gauge(
-            "msp_range_critical", "1 if a distance is missing, nobody gets it, or no bridge runs.", not is_good
-        )
+        critical = "1 if a distance is missing, nobody gets it, or no bridge runs."
+        yield GaugeMetricFamily("msp_range_critical", critical, float(not is_good))
         if not status:
             return
         readings = CounterMetricFamily("msp_range_readings", "Readings of each sensor.", labels=["sensor"])
@@ -48,21 +48,13 @@ class BridgeMetrics(Collector):
         wrong = GaugeMetricFamily("msp_range_fault", "1 for each fault; a cause has no cause.", labels=labels)
         for fault in status["faults"]:
             wrong.add_metric([fault[label] or "" for label in labels], 1)
+        link = status["link"]
         sent = CounterMetricFamily("msp_range_messages_sent", "MAVLink messages sent.", labels=["message"])
-        air, link = status["air"], status["link"]
         for name, count in link["sent"].items():
             sent.add_metric([name], count)
         yield from (readings, rejected, good, distance, wrong, sent)
-        if newest.fused is not None:
-            fused = newest.fused[1]
-            yield _gauge("msp_range_distance_m", "Fused distance along the down axis.", fused["range_m"])
-            yield _gauge("msp_range_distance_variance_m2", "Variance of its error.", fused["variance_m2"])
-        yield _gauge("msp_range_air_temperature_c", "Air temperature of the correction.", air["temperature_c"])
-        yield _gauge("msp_range_autopilot_present", "1 if heartbeats arrive.", link["autopilot"] is not None)
-        yield _gauge("msp_range_faults", "Faults at present.", len(status["faults"]))
+        yield GaugeMetricFamily("msp_range_faults", "Faults at present.", len(status["faults"]))
         yield CounterMetricFamily("msp_range_frames_dropped", "Frames that the link did not take.", link["dropped"])
-        yield _gauge("msp_range_uptime_seconds", "Time since the bridge was started.", status["uptime_s"])
-
-
-def _gauge(name: str, help_text: str, value: float) -> Metric:
-    return GaugeMetricFamily(name, help_text, float(value))
+        for fact in facts_of(newest):
+            for name, (help_text, value) in fact.gauges.items():
+                yield GaugeMetricFamily(name, help_text, float(value))

@@ -24,6 +24,7 @@ from websockets.http11 import Request, Response
 
 from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC, WITHHELD_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, parsed
+from msp_range.watch.facts import facts_of
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
@@ -173,6 +174,9 @@ class Page:
             return
         message = parsed(packet)
         self._newest.update(message)
+        if message.topic == "/status":
+            message.message["facts"] = [each[:2] for each in facts_of(self._newest)]
+            packet = json.dumps(message._asdict()).encode()
         if message.topic in ("/airframe", "/status", GONE):
             self._kept[message.topic] = packet
             if message.topic == "/airframe":

@@ -16,7 +16,6 @@ import pytest
 
 from msp_range.clock import Clock, VirtualClock
 from msp_range.commission.command import commission
-from msp_range.commission.samples import samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.state import PassedSteps
 from msp_range.commission.steps.flight import compare as compare_flight
@@ -442,7 +441,7 @@ def test_a_flight_with_a_wrong_height_is_seen_in_its_recording(tmp_path: Path) -
     recording = flown(tmp_path, vehicle)
     vehicle.path.write_text(LOW)
     low = vehicle.airframe
-    part = hovering(samples_of(Recording(recording)))
+    part = hovering([*Recording(recording)])
     assert part is not None
     proposals = compare_flight(low, part).proposals
     assert ["rear_right: z 0.0" in each.text for each in proposals] == [True]

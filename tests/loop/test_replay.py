@@ -20,7 +20,7 @@ from msp_range.recording.csv_form import read_csv, write_csv
 from msp_range.recording.pings import recorded_air, recorded_pings
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
-from msp_range.replay import Nowhere, first_ping_s, replay
+from msp_range.replay import Nowhere, Record, replay
 from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.support.bench import FUSED_ID, START_S, Bench, airframe
@@ -75,9 +75,9 @@ def test_a_replay_has_the_air_of_the_flight_and_how_well_it_was_known(tmp_path: 
     recorder.close()
     path, again = tmp_path / "flight.mcap", tmp_path / "again.mcap"
     pings = recorded_pings(path)
-    clock = VirtualClock(first_ping_s(pings))
+    clock = VirtualClock(Record(pings).first_ping_s)
     recorder = Recorder(again, clock)
-    replay(vehicle, pings, path, clock, Nowhere(), recorder, recorded_air(path))
+    replay(vehicle, Record(pings, recorded_air(path)), path, clock, Nowhere(), recorder)
     recorder.close()
 
     def stages(recording: Path, *keys: str) -> list[list[Any]]:
@@ -121,10 +121,10 @@ def test_a_flight_with_send_nothing_replays(tmp_path: Path) -> None:
         (True, "/mavlink/withheld", "/mavlink/sent"),
         (False, "/mavlink/sent", "/mavlink/withheld"),
     ):
-        clock = VirtualClock(first_ping_s(pings))
+        clock = VirtualClock(Record(pings).first_ping_s)
         recorder = Recorder(again, clock)
         vehicle = airframe(send=streams | {"nothing": nothing})
-        outcome = replay(vehicle, pings, path, clock, Nowhere(), recorder, recorded_air(path))
+        outcome = replay(vehicle, Record(pings, recorded_air(path)), path, clock, Nowhere(), recorder)
         recorder.close()
         assert distances(again, topic) == withheld
         assert distances(again, other) == []

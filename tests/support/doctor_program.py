@@ -9,7 +9,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from msp_range.clock import SystemClock
-from msp_range.doctor import Computer, User, examine
+from msp_range.doctor.computer import Computer, User
+from msp_range.doctor.examination import examine
 from msp_range.mavlink.transport import open_transport
 
 

@@ -16,9 +16,7 @@ from typer.testing import CliRunner
 from msp_range.acoustics.air import FIXED
 from msp_range.cli import app
 from msp_range.clock import VirtualClock
-from msp_range.commission.cover import blocked, covered
 from msp_range.commission.edit import Edit
-from msp_range.commission.look import Beam, axis_of
 from msp_range.commission.motion import Measured, NotMeasured, Places, common_shift, places
 from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
@@ -26,12 +24,13 @@ from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.state import VERIFIED, PassedSteps, hash_of
 from msp_range.commission.steps import bench, lift
+from msp_range.commission.steps.addresses import blocked, covered
 from msp_range.commission.steps.addresses import compare as compare_addresses
-from msp_range.commission.steps.directions import compare_directions
+from msp_range.commission.steps.bench import Stand, levels, noise_m
+from msp_range.commission.steps.directions import Beam, axis_of, compare_directions
 from msp_range.commission.steps.flight import compare as compare_flight
 from msp_range.commission.steps.flight import gaps, hovering
 from msp_range.commission.steps.places import compare_lag, compare_places
-from msp_range.commission.still import Stand, levels, noise_m
 from msp_range.config import load_airframe
 from msp_range.doctor.finding import Verdict, right, wrong
 from msp_range.recording.topics import Message
@@ -329,12 +328,12 @@ def test_the_hover_of_a_flight_is_its_longest_level_part() -> None:
         Message("/fused", 0.1 * i, {"time_s": 0.1 * i, "range_m": height_m(0.1 * i), "height_m": height_m(0.1 * i)})
         for i in range(900)
     ]
-    part = hovering(samples_of(fused))
+    part = hovering(fused)
     assert part is not None
     assert part.fused[[0, -1], 0] == pytest.approx([13, 62], abs=1.5)
-    assert hovering(samples_of(fused[:300])) is None
+    assert hovering(fused[:300]) is None
     on_the_ground = [each for each in fused if each.message["height_m"] == 0.2]
-    assert hovering(samples_of(on_the_ground)) is None
+    assert hovering(on_the_ground) is None
 
 
 def test_a_flight_with_silence_or_missed_echoes_is_not_right() -> None:

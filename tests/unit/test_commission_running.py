@@ -10,8 +10,8 @@ from contextlib import suppress
 import pytest
 
 from msp_range.clock import SystemClock
-from msp_range.commission.live import Armed, HeartbeatLost, RunningBridge
 from msp_range.commission.samples import samples_of
+from msp_range.commission.session import Armed, HeartbeatLost, RunningBridge
 from msp_range.config import load_airframe
 from msp_range.yaml_file import ConfigError
 from tests.support.waiting import until

@@ -7,8 +7,8 @@ import pytest
 
 from msp_range.config import load_airframe
 from msp_range.doctor.computer import Computer, User
+from msp_range.doctor.examination import findings
 from msp_range.doctor.port import check_port
-from msp_range.doctor.running import findings
 from msp_range.doctor.sensors import disagreeing
 from msp_range.doctor.storage import check_disk
 from msp_range.mavlink.transport.url import SerialUrl

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from msp_range.bus import BusError
 from msp_range.config import Airframe
-from msp_range.doctor.running import findings
+from msp_range.doctor.examination import findings
 from msp_range.health import BridgeState, BridgeVerdict
 from msp_range.recording.topics import Message
 from msp_range.terminal import PlainConsole

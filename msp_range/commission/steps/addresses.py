@@ -1,21 +1,67 @@
-"""Which sensor answers at which address: a person covers one after the other with a hand."""
+"""Which sensor answers at which address: a person covers one after the other with a hand.
 
-from msp_range.commission.cover import blocked, covered
+The covered sensor's readings change, those of the others do not.
+"""
+
+import numpy as np
+
+from msp_range.arrays import Flags
 from msp_range.commission.edit import Address, Edit
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import Proposal, StepOutcome
-from msp_range.commission.samples import samples_of
+from msp_range.commission.outcome import StepOutcome
+from msp_range.commission.samples import Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
 from msp_range.config import Airframe
 from msp_range.doctor.finding import wrong
 
+NEAR_M = 0.35
+"""A covered sensor reads less than this [m]: a hand on it gives the shortest report, 0.20 m for an MB1242."""
+FREE_M = 0.60
+"""Without a hand each sensor needs this much room [m], or the ground itself would look like a hand."""
+COVERED_SHARE, FREE_SHARE = 0.6, 0.3
+"""The covered sensor has at least the first share of near readings while it is covered, all others at most the second.
+A hand that comes late costs a third of the readings; a sensor that sees the arm has some. Between the two nobody is
+named."""
 FREE_S, LEAD_S, COVERED_S = 4.0, 3.0, 3.0
 """Time without a hand, time to get to a sensor, and time on it [s]: seven readings of each of four sensors."""
-
 TEXT = """\
 Addresses: which sensor is which. Propellers off. Put the vehicle where every sensor has 0.6 m of free space in front
 of it (upside down, or across two chairs). You will be asked to cover each sensor with a flat hand for 3 s; go by the
 names that you have written on them or on their wires, and keep the other hand and the arm away from the others."""
+
+
+def near_share(readings: SensorReadings) -> float:
+    """Share of the answers that say that something is right in front of the sensor."""
+    return float(_within(readings, NEAR_M).mean())
+
+
+def _within(readings: SensorReadings, distance_m: float) -> Flags:
+    return np.isin(readings.status, "at_minimum") | (readings.range_m < distance_m)
+
+
+def blocked(free: Samples) -> list[str]:
+    """Sensors that have something in front of them although nobody covers them, or no answer at all."""
+    names = []
+    for name, readings in free.readings.items():
+        answers = np.isin(readings.status, ("ok", "at_minimum", "no_echo", "suspect"))
+        if not answers.any() or _within(readings, FREE_M)[answers].mean() > FREE_SHARE:
+            names.append(name)
+    return names
+
+
+def covered(during: Samples) -> str | None:
+    """Name of the sensor that answers as covered; None where that is not clear.
+
+    Parameters
+    ----------
+    during
+        What was received while a hand covered one sensor.
+    """
+    shares = {name: near_share(readings) for name, readings in during.readings.items()}
+    first = max(shares, key=lambda name: shares[name], default=None)
+    others = [share for name, share in shares.items() if name != first]
+    clear = first is not None and shares[first] >= COVERED_SHARE and max(others, default=0.0) <= FREE_SHARE
+    return first if clear else None
 
 
 def run(session: Session) -> StepOutcome:
@@ -29,10 +75,9 @@ def run(session: Session) -> StepOutcome:
         live.record(LEAD_S)
         closed = blocked(samples_of(live.record(FREE_S)))
         if closed:
+            text = f"without a hand there is something in front of {', '.join(closed)}"
             remedy = "give every sensor 0.6 m of free space, then again; 'msp-range doctor' if one does not answer"
-            return StepOutcome(
-                [wrong("cover", f"without a hand there is something in front of {', '.join(closed)}", remedy)]
-            )
+            return StepOutcome([wrong("cover", text, remedy)])
         for name in [*names, *names]:
             if found.get(name) is not None:
                 continue
@@ -53,8 +98,7 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
     """
     outcome = StepOutcome()
     known = {name: other for name, other in answered.items() if other is not None}
-    unclear = [name for name in answered if name not in known]
-    for name in unclear:
+    for name in (name for name in answered if name not in known):
         text = "while it was covered no sensor, or more than one, had something in front of it"
         remedy = "cover it with a flat hand, right on the sensor; is it the one that you mean?"
         outcome.wrong(f"cover {name}", text, remedy)
@@ -83,12 +127,8 @@ def compare(airframe: Airframe, answered: dict[str, str | None]) -> StepOutcome:
         text = f"sensors of different models are exchanged ({listed})"
         outcome.wrong("cover", text, "correct address and model of each by hand")
         return outcome
-    outcome.proposals.append(
-        Proposal(
-            f"addresses are exchanged: {listed}",
-            tuple(Edit(("sensors", index[name], "address"), Address(address[other])) for name, other in others.items()),
-        )
-    )
+    edits = [Edit(("sensors", index[name], "address"), Address(address[other])) for name, other in others.items()]
+    outcome.propose(f"addresses are exchanged: {listed}", *edits)
 
     def again(changed: Airframe) -> StepOutcome:
         name_at = {sensor.address: sensor.name for sensor in changed.sensors}

@@ -1,16 +1,15 @@
 """Hover and review of the log: a recording of the bridge, from the first flight with this airframe file."""
 
 from collections import Counter
-from dataclasses import replace
-from itertools import compress
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from msp_range.arrays import Array, Flags
+from msp_range.arrays import Array
 from msp_range.commission.motion import NotMeasured, Places, places
 from msp_range.commission.noise import compare_noise
-from msp_range.commission.outcome import Proposal, StepOutcome
+from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.state import flown_part
@@ -18,7 +17,7 @@ from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
 from msp_range.doctor.finding import Finding, right, unknown, wrong
 from msp_range.recording.reader import Recording
-from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC
+from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
 from msp_range.yaml_file import ConfigError
 
 HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
@@ -47,8 +46,7 @@ def hover(session: Session) -> StepOutcome:
         text = f"{path.name} was flown with another airframe file than the present one"
         outcome.wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
         return outcome
-    samples = samples_of(recording)
-    part = hovering(samples)
+    part = hovering(list(recording))
     if part is None:
         text = f"{path.name} contains no hover: {HOVER_S:.0f} s within {STEADY_M:g} m, {HIGH_M:g} m above the ground"
         outcome.wrong("hover", text, "fly one, or name another recording: --recording FLIGHT.mcap")
@@ -76,7 +74,7 @@ def review(session: Session) -> StepOutcome:
     if path is None:
         return StepOutcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
     records = list(Recording(path))
-    part = hovering(samples_of(records))
+    part = hovering(records)
     if part is None:
         return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
     outcome = compare(airframe, part)
@@ -115,14 +113,9 @@ def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
     """Shares of missed and rejected readings."""
     step = f"flight of {name}"
     total = len(readings.status)
-    missed = sum(each not in ("ok", "at_minimum") for each in readings.status) / total
-    reasons = Counter(each for each in readings.rejected if each is not None)
-    for status in ("no_echo", "suspect"):
-        reasons.pop(status, None)
-    rejected = (
-        sum(count for reason, count in reasons.items() if reason not in ("no_answer", "clock_fault", "impossible"))
-        / total
-    )
+    missed = np.mean(~np.isin(readings.status, ("ok", "at_minimum")))
+    reasons = Counter(each for each in readings.rejected.tolist() if each not in ("", "no_echo", "suspect"))
+    rejected = np.mean(np.isin(readings.rejected, [*reasons.keys() - {"no_answer", "clock_fault", "impossible"}]))
     listed = ", ".join(
         f"{reason.replace('_', ' ')} {100 * count / total:.0f} %" for reason, count in reasons.most_common(3)
     )
@@ -141,7 +134,8 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     compare_lag(found, outcome)
     in_flight = StepOutcome()
     compare_places(airframe, found, in_flight)
-    outcome.proposals += [Proposal(f"in flight: {each.text}", each.edits) for each in in_flight.proposals]
+    for each in in_flight.proposals:
+        outcome.propose(f"in flight: {each.text}", *each.edits)
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
         outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")
@@ -149,50 +143,22 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
 
-def hovering(samples: Samples) -> Samples | None:
+def hovering(records: Sequence[Message]) -> Samples | None:
     """The longest part of a flight at one height, well above the ground; None where there is none."""
-    fused = samples.fused
+    fused = samples_of(records).fused
     if len(fused) < 10:
         return None
-    ground_m = float(fused[:, 2].min())
-    best: tuple[int, int] = (0, 0)
+    time_s, height_m = fused[:, 0], fused[:, 2]
+    least_m = height_m.min() + HIGH_M
+    first_s = last_s = time_s[0]
     begin = 0
-    lowest = highest = float(fused[0, 2])
     for end in range(len(fused)):
-        height_m = float(fused[end, 2])
-        lowest, highest = min(lowest, height_m), max(highest, height_m)
-        while highest - lowest > 2 * STEADY_M:
+        while np.ptp(height_m[begin : end + 1]) > 2 * STEADY_M:
             begin += 1
-            lowest, highest = float(fused[begin : end + 1, 2].min()), float(fused[begin : end + 1, 2].max())
-        is_longer = fused[end, 0] - fused[begin, 0] > fused[best[1], 0] - fused[best[0], 0]
-        if is_longer and np.median(fused[begin : end + 1, 2]) - ground_m >= HIGH_M:
-            best = begin, end
-    first_s, last_s = float(fused[best[0], 0]), float(fused[best[1], 0])
-    return part_of(samples, first_s, last_s) if last_s - first_s >= HOVER_S else None
-
-
-def part_of(samples: Samples, first_s: float, last_s: float) -> Samples:
-    """What was received between two times."""
-
-    def inside(time_s: Array) -> Flags:
-        return (time_s >= first_s) & (time_s <= last_s)
-
-    readings = {}
-    for name, each in samples.readings.items():
-        kept = inside(each.time_s)
-        if kept.any():
-            readings[name] = replace(
-                each,
-                time_s=each.time_s[kept],
-                range_m=each.range_m[kept],
-                status=tuple(compress(each.status, kept)),
-                rejected=tuple(compress(each.rejected, kept)),
-            )
-    return Samples(
-        readings,
-        samples.attitude[inside(samples.attitude[:, 0])],
-        samples.fused[inside(samples.fused[:, 0])],
-    )
+        is_longer = time_s[end] - time_s[begin] > last_s - first_s
+        if is_longer and np.median(height_m[begin : end + 1]) >= least_m:
+            first_s, last_s = time_s[begin], time_s[end]
+    return samples_of(records, first_s, last_s) if last_s - first_s >= HOVER_S else None
 
 
 def _recording(session: Session, airframe: Airframe) -> Path | None:

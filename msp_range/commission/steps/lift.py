@@ -10,17 +10,18 @@ from msp_range.assembly import fused_stream
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import NotMeasured, places
 from msp_range.commission.operator import Motion
-from msp_range.commission.outcome import Proposal, StepOutcome
+from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
 from msp_range.commission.steps.directions import SIDES, compare_directions
 from msp_range.commission.steps.places import DEEPER_M, compare_lag, compare_places
 from msp_range.config import Airframe
-from msp_range.doctor.finding import Finding, Verdict, right, unknown, wrong
+from msp_range.doctor.autopilot import FIRST_RANGE_FINDER
+from msp_range.doctor.finding import RIGHT, UNKNOWN, Finding, first_of, wrong
 from msp_range.params.settings import standing_m
 from msp_range.recording.topics import Message
 
-FLOOR_S, HOLD_S, TILT_S, ROCK_S = 3.0, 5.0, 4.0, 40.0
+FLOOR_S, HOLD_S, TILT_S, ROCK_S, BOARD_S = 3.0, 5.0, 4.0, 40.0, 3.0
 """How long each motion is recorded [s]. Longer rocking gives smaller intervals: with 40 s
 places are known to 2.5 cm."""
 LEAD_S = 3.0
@@ -43,7 +44,6 @@ down, and to rock it slowly to all sides. The first instruction comes at once, a
 BOARD_TEXT = """\
 Some sensors do not see the floor. Put the vehicle on a table, and hold a board or a big book half a metre in front of
 it, then at its other sides, as you are asked to."""
-BOARD_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,12 @@ def run(session: Session) -> StepOutcome:
     operator = session.operator
     operator.begin(TEXT)
     everything: list[Message] = []
-    parts: dict[Motion, Samples] = {}
+    parts: list[Samples] = []
     guided = (
         (Motion.FLOOR, "Leave it on the floor.", FLOOR_S),
         (Motion.HOLD, "Lift it to about 1 m and hold it level.", HOLD_S),
         (Motion.NOSE_UP, "Tilt its nose up by about 15 degrees, and hold it so.", TILT_S),
-        (
-            Motion.RIGHT_DOWN,
-            "Level, then tilt its right side down by about 15 degrees, and hold it so.",
-            TILT_S,
-        ),
+        (Motion.RIGHT_DOWN, "Level, then tilt its right side down by about 15 degrees, and hold it so.", TILT_S),
         (
             Motion.ROCK,
             f"Rock it slowly for {ROCK_S:.0f} s: nose up and down, left and right, by 15 to 20 degrees, at 1 m.",
@@ -86,23 +82,14 @@ def run(session: Session) -> StepOutcome:
             everything += live.record(LEAD_S)
             part = live.record(duration_s)
             everything += part
-            parts[motion] = samples_of(part)
+            parts.append(samples_of(part))
         operator.instruct(Motion.FLOOR, "Done: put it down.")
     airframe = session.airframe()
-    recorded = Recorded(
-        samples_of(everything),
-        parts[Motion.FLOOR],
-        parts[Motion.HOLD],
-        parts[Motion.NOSE_UP],
-        parts[Motion.RIGHT_DOWN],
-        _returned(everything),
-        {},
-    )
+    floor, level, nose_up, right_down, _ = parts
+    recorded = Recorded(samples_of(everything), floor, level, nose_up, right_down, _returned(everything), {})
     outcome = compare(airframe, recorded)
-    blind = outcome.measured.get("without_floor")
-    if blind:
-        recorded = replace(recorded, boards=_boards(session))
-        outcome = compare(airframe, recorded)
+    if outcome.measured.get("without_floor"):
+        outcome = compare(airframe, replace(recorded, boards=_boards(session)))
     return outcome
 
 
@@ -130,7 +117,7 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
     """What the motions mean for the airframe file."""
     outcome = StepOutcome(again=lambda changed: compare(changed, recorded))
     outcome.findings += attitude_signs(recorded)
-    if any(each.verdict is not Verdict.RIGHT for each in outcome.findings):
+    if any(each.verdict is not RIGHT for each in outcome.findings):
         outcome.complete = False
         return outcome  # places would be mirrored, or there are none
     rises_m = rises(recorded)
@@ -170,9 +157,7 @@ def _standing(airframe: Airframe, floor: Samples, outcome: StepOutcome) -> None:
     standing = outcome.measured["standing_m"] = round(float(np.median(floor.fused[:, 1])), 2)
     text = f"the fused distance is {standing:.2f} m, {in_file_m:.2f} by the file"
     if abs(standing - in_file_m) > DEEPER_M:
-        outcome.proposals.append(
-            Proposal(f"{step}, {text}: send.standing_m", (Edit(("send", "standing_m"), standing),))
-        )
+        outcome.propose(f"{step}, {text}: send.standing_m", Edit(("send", "standing_m"), standing))
     else:
         outcome.right(step, text)
 
@@ -200,19 +185,20 @@ def attitude_signs(recorded: Recorded) -> list[Finding]:
             continue
         change = tilted - level
         text = f"the autopilot reports roll {change[0]:+.0f}, pitch {change[1]:+.0f} deg"
-        other = 1 - axis
         remedy = (
             "the autopilot is not mounted as it believes: see AHRS_ORIENTATION (PX4: SENS_BOARD_ROT), correct it and "
             "calibrate again"
         )
-        if np.abs(change).max() < TILTED_DEG:
-            findings.append(unknown(step, text, "tilt it by 15 degrees when you are asked to, then again"))
-        elif abs(change[other]) > abs(change[axis]):
-            findings.append(wrong(step, f"{text}: the other axis", remedy))
-        elif change[axis] < 0:
-            findings.append(wrong(step, f"{text}: reversed", remedy))
-        else:
-            findings.append(right(step, text))
+        too_little = np.abs(change).max() < TILTED_DEG
+        findings.append(
+            first_of(
+                step,
+                (too_little, text, "tilt it by 15 degrees when you are asked to, then again", UNKNOWN),
+                (abs(change[1 - axis]) > abs(change[axis]), f"{text}: the other axis", remedy),
+                (change[axis] < 0, f"{text}: reversed", remedy),
+                (True, text),
+            )
+        )
     return findings
 
 
@@ -240,7 +226,6 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
     typical_m = float(np.median(np.abs(back[:, 1] - sent)))
     text = f"it follows the lift from {back[:, 1].min():.2f} to {back[:, 1].max():.2f} m, typically to {typical_m:.2f}"
     if typical_m > FOLLOWS_M:
-        remedy = "is another range finder set up as the first one? See RNGFND1_TYPE, RNGFND1_ORIENT"
-        outcome.wrong(step, f"it does not follow the lift: typically {typical_m:.2f} m off", remedy)
+        outcome.wrong(step, f"it does not follow the lift: typically {typical_m:.2f} m off", FIRST_RANGE_FINDER)
     else:
         outcome.right(step, text)

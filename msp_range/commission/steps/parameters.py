@@ -2,7 +2,7 @@
 
 from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.session import Session
-from msp_range.doctor.autopilot import DELAY_MS, Tap, silence
+from msp_range.doctor.autopilot import DELAY, DELAY_MS, Tap, silence
 from msp_range.doctor.finding import wrong
 from msp_range.mavlink.signing import signing_of
 from msp_range.params.client import ParameterClient
@@ -12,7 +12,6 @@ from msp_range.yaml_file import ConfigError
 
 SYNCHRONISED_S = 2.0
 """Time for the autopilot to answer TIMESYNC [s]: the bridge asks each second."""
-DELAY = "EKF2_RNG_DELAY"
 
 
 def run(session: Session) -> StepOutcome:

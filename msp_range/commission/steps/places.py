@@ -1,15 +1,16 @@
 """What measured places of the sensors mean for the airframe file, by hand or in flight."""
 
 from collections.abc import Sequence
+from itertools import combinations
 
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, Places
-from msp_range.commission.outcome import Proposal, StepOutcome, shown
+from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.config import Airframe
 
 SIDEWAYS_M, DEEPER_M = 0.05, 0.02
-"""A place in the file that differs by less [m], sideways or in height, stays. An error of 5 cm costs 1 cm at 10
-degrees."""
+"""A place in the file that differs by less [m], sideways or in height, stays. An error of 5 cm sideways costs 1 cm at
+10 degrees; in height tape, floor and sensor are not better."""
 WIDEST_M = 0.10
 """Wider intervals [m] do not check a place: the vehicle was hardly tilted."""
 
@@ -45,7 +46,7 @@ def compare_places(airframe: Airframe, found: Places, outcome: StepOutcome, dim:
             edits.append(Edit(("sensors", i, "position_m", axis), value))
             parts.append(f"{name} {shown(each)}, {in_file:g} in the file{': wrong sign' if is_mirrored else ''}")
         if edits:
-            outcome.proposals.append(Proposal(f"{sensor.name}: {'; '.join(parts)}", tuple(edits)))
+            outcome.propose(f"{sensor.name}: {'; '.join(parts)}", *edits)
         else:
             at = ", ".join(f"{each.value:.2f}" for each in measured)
             widest = max(each.half_width for each in measured)
@@ -69,15 +70,11 @@ def _exchanged(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
             for each, there in zip(measured, places_m[other], strict=True)
         )
 
-    names = list(places_m)
-    for i, one in enumerate(names):
-        for other in names[i + 1 :]:
-            apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
-            if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
-                text = f"{one} and {other} sit at each other's place"
-                outcome.unknown(
-                    "places", text, "if their addresses are exchanged: msp-range commission --step addresses"
-                )
+    for one, other in combinations(places_m, 2):
+        apart = max(abs(a - b) for a, b in zip(places_m[one], places_m[other], strict=True))
+        if apart > 2 * SIDEWAYS_M and sits_at(one, other) and sits_at(other, one):
+            text = f"{one} and {other} sit at each other's place"
+            outcome.unknown("places", text, "if their addresses are exchanged: msp-range commission --step addresses")
 
 
 def compare_lag(found: Places, outcome: StepOutcome) -> None:

@@ -2,11 +2,11 @@
 
 from msp_range.clock import Clock
 from msp_range.commission.edit import Edit
-from msp_range.commission.outcome import Proposal, StepOutcome
+from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.session import Session
 from msp_range.doctor.autopilot import Tap
 from msp_range.doctor.examination import examine
-from msp_range.doctor.finding import Verdict, unknown
+from msp_range.doctor.finding import WRONG, unknown
 
 LATER = {
     "parameters": "the step parameters sets them",
@@ -28,12 +28,12 @@ def run(session: Session) -> StepOutcome:
     if received not in (set(), {in_file}) and len(received) == 1:
         (system,) = received
         text = f"the autopilot received is system {system}; the bridge then joins no other one"
-        outcome.proposals.append(Proposal(text, (Edit(("link", "system_id"), system),)))
+        outcome.propose(text, Edit(("link", "system_id"), system))
         outcome.again = lambda airframe: _examined(session)[0]
         # What the change corrects is a reason for it, and not against it.
         outcome.findings = [
             unknown(each.step, each.text, "the change below corrects it")
-            if each.verdict is Verdict.WRONG and each.step == "heartbeat"
+            if each.verdict is WRONG and each.step == "heartbeat"
             else each
             for each in outcome.findings
         ]
@@ -50,7 +50,7 @@ def _examined(session: Session) -> tuple[StepOutcome, set[int], int | None]:
         return taps[-1]
 
     for finding in examine(session.path, session.computer, session.clock, session.make_bus, tapped):
-        if finding.verdict is Verdict.WRONG and finding.step in LATER:
+        if finding.verdict is WRONG and finding.step in LATER:
             finding = unknown(finding.step, finding.text, LATER[finding.step])
         outcome.findings.append(finding)
     received = {frame.system for tap in taps for frame in tap.frames if frame.is_autopilot_heartbeat}

@@ -18,16 +18,11 @@ export function drawNumbers() {
     `deviation ${(100 * Math.sqrt(distance.variance_m2)).toFixed(1)} cm, climbing ${distance.climb_m_s.toFixed(1)} m/s, ` +
     `slope ${(180 / Math.PI * Math.atan(Math.hypot(distance.rise_north, distance.rise_east))).toFixed(0)} deg`;
   if (!status) return;
-  const { air, link } = status;
+  // The page's server has put them there: the rows of msp_range/watch/facts.py.
+  const elsewhere = ["distance down", "the autopilot has", "running for"];
   const facts = [
-    ["air", `${air.temperature_c.toFixed(1)} C ± ${air.std_c.toFixed(1)}, from ${air.source}`],
-    ["link", link.connected ? link.url : `${link.url}: ${link.error ?? "not connected"}`],
-    ["autopilot", link.autopilot === null ? "none received" : `system ${link.autopilot}, ${link.armed ? "armed" : "disarmed"}`],
-    ["sent", (airframe.sends_nothing ? "no distances" :
-      `${link.sent.DISTANCE_SENSOR ?? 0} distances${link.autopilot === null ? ", nobody gets them" : ""}`) +
-      `, ${link.dropped} frames dropped`],
+    ...status.facts.filter(([name]) => !elsewhere.includes(name)).map(([name, text]) => [name, text.replace(/^:? /, "")]),
     ["it received", received()],
-    ["recording", status.recording ?? "none"],
     ["running for", duration(status.uptime_s)],
   ];
   byId("facts").replaceChildren(...facts.flatMap(([name, text]) => [made("dt", name), made("dd", text)]));

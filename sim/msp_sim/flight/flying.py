@@ -17,7 +17,7 @@ from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
 from msp_range.terminal import console
 from msp_range.watch.feed import FeedError
-from msp_range.watch.place import own_socket
+from msp_range.watch.place import Outputs, own_socket
 from msp_range.watch.watch import Watch
 from msp_range.yaml_file import ConfigError, config_path, read_yaml
 from msp_sim.flight import show
@@ -25,7 +25,7 @@ from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.results import RECORDING, SCENARIO, TLOG, make_ready, write_results
 from msp_sim.flight.sampled import Sampled
-from msp_sim.flight.scenario import Scenario, load_scenario
+from msp_sim.flight.scenario import load_scenario
 from msp_sim.flight.summary import summarise
 
 REFRESH_S = 0.1
@@ -91,7 +91,7 @@ def fly_scenario(
         opened.enter_context(live)
         watch = None
         if web is not None:
-            watch = opened.enter_context(closing(_watch(scenario, simulation, recorder, web, clock)))
+            watch = opened.enter_context(closing(_watch(simulation, recorder, web, clock)))
         flying = opened.enter_context(closing(simulation.fly()))
         for steps in flying:
             if stopped:
@@ -127,16 +127,14 @@ def fly_scenario(
         print(f"recording: {recorder.path}")
 
 
-def _watch(scenario: Scenario, simulation: Simulation, recorder: Recorder | None, web: str, clock: Clock) -> Watch:
+def _watch(simulation: Simulation, recorder: Recorder | None, web: str, clock: Clock) -> Watch:
     """The page of a flight."""
     try:
         return Watch(
-            scenario.airframe,
             simulation.bridge,
             simulation.transport,
             recorder,
-            own_socket(),
-            web,
+            Outputs(None, own_socket(), web),
             clock.now(),
             Log("text"),
         )
