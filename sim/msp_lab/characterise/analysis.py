@@ -17,7 +17,7 @@ from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
-from msp_lab.characterise.mixture import fit_mixture, with_correlation
+from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
@@ -94,10 +94,12 @@ def characterise(
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = curve_through(() if calibration is None else calibration.knots)
     progress("mixture")
-    fitted = fit_mixture(undisturbed, curve, sensor, rng)
-    if not isinstance(fitted, str):
-        fitted = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
-    mixture, parameters = (None, None) if isinstance(fitted, str) else fitted
+    mixture, parameters, no_mixture = None, None, ""
+    correlation = hit_correlation(undisturbed, loaded.data)
+    try:
+        mixture, parameters = fit_mixture(undisturbed, curve, sensor, rng, correlation)
+    except ValueError as error:
+        no_mixture = str(error)
     progress("maximum range")
     longest = maximum_range(by["maximum_range"], sensor)
     progress("field of view and sonar equation")
@@ -134,7 +136,7 @@ def characterise(
             *_quieter(sensor, parameters),
         ),
     )
-    findings = replace(findings, absent=_absent(findings, sensor, str(fitted)))
+    findings = replace(findings, absent=_absent(findings, sensor, no_mixture))
     changes = _changes(findings, sensor, heard_cm, parameters)
     if not asked and not table and not changes:
         why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]

@@ -16,7 +16,7 @@ from msp_lab.characterise.estimates import half_of_mean, share, student
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
-from msp_lab.characterise.sonar import PARAMETERS, STEP_DEG, extended_beam, fit_sonar, leave_one_out
+from msp_lab.characterise.sonar import PARAMETERS, extended_beam, fit_sonar, leave_one_out
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
@@ -88,22 +88,18 @@ def sonar_through(
     left_out: Sequence[float | None] = [None] * len(rows)
     if len(rows) > PARAMETERS:
         left_out = leave_one_out(table, sensor.frequency_hz, on_axis_m)
-    radians = [sonar.half_angle_rad(range_m) for range_m in table.ranges_m]
-    fitted = [None if each is None else math.degrees(each) for each in radians]
+    fitted = map(sonar.half_angle_deg, table.ranges_m)
     beam = extended_beam(table, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
     known_to_cm = round(100.0 * beam.ranges_m[-1], 6)
-    found = tuple(SonarRow(*row, *angles) for row, *angles in zip(rows, fitted, left_out, strict=True))
     return SonarFit(
         source_level_db=sonar.source_level_db,
         piston_diameter_m=sonar.piston_diameter_m,
         gain_db_per_m=sonar.gain_db_per_m,
-        rows=found,
+        rows=tuple(SonarRow(*row, *angles) for row, *angles in zip(rows, fitted, left_out, strict=True)),
         beyond=tuple(
             (r, math.degrees(beam.half_angle_rad(r / 100.0))) for r in BEYOND_CM if rows[-1][0] < r <= known_to_cm
         ),
-        within_a_step=all(
-            each.fitted_deg is not None and abs(each.fitted_deg - each.measured_deg) <= STEP_DEG for each in found
-        ),
+        within_a_step=sonar.fits(table),
         note=(
             f"{PARAMETERS} parameters for {len(rows)} angles: that the equation passes near them is hardly evidence; "
             "what the other rows predict is, and beyond the table its shape is assumed"

@@ -6,8 +6,9 @@ An echo is detected if its level (`msp_sim.acoustics.echo`) is above the detecti
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy.optimize import least_squares
 
 from msp_range.acoustics.beam import NARROWEST_HALF_ANGLE_DEG, BreakawayTable
@@ -57,22 +58,19 @@ class Sonar:
     gain_db_per_m: float
     frequency_hz: float
 
-    def threshold_db(self, range_m: float) -> float:
-        """Detection threshold DT(R) = -g R relative to that at range 0 [dB].
-
-        Such sensors raise their gain while they wait for the echo, because a late echo is weak. A gain that is linear
-        in dB over time is assumed; the sensor's actual gain is not published.
-        """
-        return -self.gain_db_per_m * range_m
-
     def excess_db(
         self, range_m: float, off_axis_rad: float = 0.0, target: Target = WALL, air: Atmosphere = ROOM
     ) -> float:
-        """EL(R, theta) - DT(R) [dB]: detected if 0 or more. Arguments as in `echo_level_db`."""
-        level = echo_level_db(
+        """EL(R, theta) - DT(R) [dB]: detected if 0 or more. Arguments as in `echo_level_db`.
+
+        The detection threshold is DT(R) = -g R relative to that at range 0: such sensors raise their gain while they
+        wait for the echo, because a late echo is weak. A gain that is linear in dB over time is assumed; the sensor's
+        actual gain is not published.
+        """
+        level_db = echo_level_db(
             self.source_level_db, range_m, off_axis_rad, target, air, self.piston_diameter_m, self.frequency_hz
         )
-        return level - self.threshold_db(range_m)
+        return level_db + self.gain_db_per_m * range_m
 
     def half_angle_rad(self, range_m: float, target: Target = WALL, air: Atmosphere = ROOM) -> float | None:
         """Largest angle off the axis at which the target is detected.
@@ -94,6 +92,18 @@ class Sonar:
         if excess_db < 0.0:
             return None
         return _angle_rad(excess_db, self.piston_diameter_m, air.wavelength_m(self.frequency_hz))
+
+    def half_angle_deg(self, range_m: float) -> float | None:
+        """`half_angle_rad` of a wall in the air of `ROOM` [deg]."""
+        angle_rad = self.half_angle_rad(range_m)
+        return None if angle_rad is None else math.degrees(angle_rad)
+
+    def fits(self, table: BreakawayTable) -> bool:
+        """Whether every angle of a table is met within a step of the motor."""
+        return all(
+            (fitted_deg := self.half_angle_deg(range_m)) is not None and abs(fitted_deg - angle_deg) <= STEP_DEG
+            for range_m, angle_deg in zip(table.ranges_m, table.half_angles_deg, strict=True)
+        )
 
 
 def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> Sonar:
@@ -140,21 +150,16 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
         # The first parameter is the excess on the axis at that range: at least 0 dB.
         excess_db, log_diameter, gain_db_per_m = parameters
         silent = Sonar(0.0, math.exp(log_diameter), gain_db_per_m, frequency_hz)
-        source_level_db = excess_db - silent.excess_db(kept_m)
-        return Sonar(source_level_db, silent.piston_diameter_m, gain_db_per_m, frequency_hz)
+        return replace(silent, source_level_db=excess_db - silent.excess_db(kept_m))
 
     def misses_deg(parameters: Sequence[float]) -> list[float]:
-        sonar = sonar_of(parameters)
-        # Below the threshold the angle is continued as its mirror image, so that the fit can recover.
-        excesses_db = [sonar.excess_db(range_m) for range_m in table.ranges_m]
-        angles_rad = [
-            math.copysign(_angle_rad(abs(excess_db), sonar.piston_diameter_m, wavelength_m), excess_db)
-            for excess_db in excesses_db
-        ]
-        return [
-            math.degrees(angle_rad) - angle_deg
-            for angle_rad, angle_deg in zip(angles_rad, table.half_angles_deg, strict=True)
-        ]
+        sonar, misses = sonar_of(parameters), []
+        for range_m, angle_deg in zip(table.ranges_m, table.half_angles_deg, strict=True):
+            # Below the threshold the angle is continued as its mirror image, so that the fit can recover.
+            excess_db = sonar.excess_db(range_m)
+            angle_rad = math.copysign(_angle_rad(abs(excess_db), sonar.piston_diameter_m, wavelength_m), excess_db)
+            misses.append(math.degrees(angle_rad) - angle_deg)
+        return misses
 
     # A piston that is 12 dB down (two-way), x = 2.2, at the widest angle of the table.
     diameter_m = 2.2 * wavelength_m / (math.pi * math.sin(math.radians(table.half_angles_deg[0])))
@@ -186,10 +191,10 @@ def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float |
         Without one row there are too few.
     """
     predicted: list[float | None] = []
-    for i, range_m in enumerate(table.ranges_m):
-        others = BreakawayTable(_without(table.ranges_m, i), _without(table.half_angles_deg, i))
-        angle_rad = fit_sonar(others, frequency_hz, on_axis_m).half_angle_rad(range_m)
-        predicted.append(None if angle_rad is None else math.degrees(angle_rad))
+    for i, left_out_m in enumerate(table.ranges_m):
+        ranges_m, angles_deg = np.delete([table.ranges_m, table.half_angles_deg], i, axis=1).tolist()
+        others = BreakawayTable(tuple(ranges_m), tuple(angles_deg))
+        predicted.append(fit_sonar(others, frequency_hz, on_axis_m).half_angle_deg(left_out_m))
     return predicted
 
 
@@ -217,34 +222,23 @@ def extended_beam(
     BreakawayTable
         The table with a row each 25 cm up to the longest range.
     """
+    if len(table.ranges_m) < PARAMETERS:
+        return table
+    sonar = fit_sonar(table, frequency_hz, on_axis_m)
+    if not sonar.fits(table):
+        return table
     ranges_m, angles_deg = list(table.ranges_m), list(table.half_angles_deg)
-    sonar = _trusted_fit(table, frequency_hz, on_axis_m)
-    while sonar is not None and ranges_m[-1] < maximum_m:
+    while ranges_m[-1] < maximum_m:
         range_m = min(ranges_m[-1] + STEP_M, maximum_m)
-        angle_rad = sonar.half_angle_rad(range_m)
-        if angle_rad is None:
+        angle_deg = sonar.half_angle_deg(range_m)
+        if angle_deg is None:
             break
         ranges_m.append(range_m)
-        angles_deg.append(min(angles_deg[-1], max(math.degrees(angle_rad), NARROWEST_HALF_ANGLE_DEG)))
+        angles_deg.append(min(angles_deg[-1], max(angle_deg, NARROWEST_HALF_ANGLE_DEG)))
     return BreakawayTable(tuple(ranges_m), tuple(angles_deg))
-
-
-def _trusted_fit(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None) -> Sonar | None:
-    if len(table.ranges_m) < PARAMETERS:
-        return None
-    sonar = fit_sonar(table, frequency_hz, on_axis_m)
-    for range_m, angle_deg in zip(table.ranges_m, table.half_angles_deg, strict=True):
-        angle_rad = sonar.half_angle_rad(range_m)
-        if angle_rad is None or abs(math.degrees(angle_rad) - angle_deg) > STEP_DEG:
-            return None
-    return sonar
 
 
 def _angle_rad(excess_db: float, diameter_m: float, wavelength_m: float) -> float:
     """Angle in the main lobe at which a piston's two-way level is ``excess_db`` (0 or more) down [rad]."""
     sine = main_lobe_x(excess_db / 2.0) * wavelength_m / (math.pi * diameter_m)
     return math.asin(sine) if sine < 1.0 else math.pi / 2
-
-
-def _without(values: Sequence[float], i: int) -> tuple[float, ...]:
-    return (*values[:i], *values[i + 1 :])

@@ -5,13 +5,22 @@ without compensation, leave. Speeds of sound are those of `msp_range.acoustics.a
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import CONFIDENCE, Z, half_of_mean, mean_of_points, standard_error, student
+from msp_lab.characterise.estimates import (
+    CONFIDENCE,
+    LIKELIHOOD_DROP,
+    Z,
+    half_of_mean,
+    mean_of_points,
+    standard_error,
+    student,
+)
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.points import PointReadings
@@ -31,7 +40,7 @@ class _Air(NamedTuple):
     room_c: float
     calibration_c: float
 
-    def confined_cm(self, range_cm: Array, depth_cm: float) -> Array:
+    def confined_cm(self, range_cm: Array, depth_cm: Array | float = math.inf) -> Array:
         """Shift of a reading [cm] where the box's air fills the first so many centimetres."""
         speed, box, room = self._speeds()
         return (speed / box - speed / room) * np.minimum(range_cm, depth_cm)
@@ -70,45 +79,55 @@ def _hot_box(
         return None
     far = [p.target_temperature_c for p in points if p.target_temperature_c is not None]
     near = [p.air_temperature_c for p in reference if p.air_temperature_c is not None]
-    box_c = float(np.mean([p.air_temperature_c for p in points]))
-    air = _Air(box_c, float(np.mean(far or near or [ROOM_C])), calibration_c)
+    air = _Air(
+        box_c=float(np.mean([p.air_temperature_c for p in points])),
+        room_c=float(np.mean(far or near or [ROOM_C])),
+        calibration_c=calibration_c,
+    )
     range_cm = np.array([p.true_range_cm for p, _, _ in pairs])
-    shift_cm = np.array([error.value - other.value for _, error, other in pairs])
+    shifts = [
+        IntervalEstimate.about(
+            error.value - other.value, Z * math.hypot(standard_error(error), standard_error(other)), "cm", p.hits
+        )
+        for p, error, other in pairs
+    ]
+    shift_cm = np.array([shift.value for shift in shifts])
     n, mean, depth = shift_cm.size, mean_of_points(shift_cm, "cm"), _depth(range_cm, shift_cm, air)
     # Correction that the readings call for: slope of -shift over range, in per cent.
     fit = stats.linregress(range_cm, -100.0 * shift_cm)
     per_cent = IntervalEstimate.about(float(fit.slope), student(float(fit.stderr), n - 2), "%", n, "points")
-    uniform_per_cent = -float(air.confined_cm(np.array([100.0]), math.inf)[0])
+    uniform_per_cent = -float(air.confined_cm(np.array(100.0)))
     ideas: dict[AirBefore, Array] = {
-        "uniform": air.confined_cm(range_cm, math.inf),
+        "uniform": air.confined_cm(range_cm),
         "gradient": air.gradient_cm(range_cm),
         "confined": air.confined_cm(range_cm, depth.value),
     }
     squares = {name: float(((shift_cm - idea) ** 2).sum()) for name, idea in ideas.items()}
-    # The confined air has a parameter: it must explain significantly more (1.92 in the log-likelihood).
-    squares["confined"] *= math.exp(2 * 1.92 / n)
+    # The confined air has a parameter: it must explain significantly more.
+    squares["confined"] *= math.exp(2.0 * LIKELIHOOD_DROP / n)
     # A shift that grows with range has a wide mean and a slope.
     is_none = mean.holds(0.0) and per_cent.holds(0.0)
-    nearest = min(squares, key=lambda name: squares[name])
+    nearest: AirBefore = min(ideas, key=lambda name: squares[name])
     best: AirBefore | Literal["none"] = "none" if is_none else nearest
     compared: Literal["as", "and not"] = "as" if per_cent.holds(uniform_per_cent) else "and not"
+    low, high = ("any" if end is None else f"{end:.0f}" for end in (depth.low, depth.high))
     explained = {
         "none": "no shift is seen",
-        "confined": f"air like that over the first {depth.value:.0f} cm explains it ({_ends(depth)})",
+        "confined": f"air like that over the first {depth.value:.0f} cm explains it ({low} to {high} cm)",
     }.get(best, f"a {best} temperature explains it best")
     return HotBox(
         level=level,
-        box_c=box_c,
+        box_c=air.box_c,
         room_c=air.room_c,
         room_is_assumed=not far and not near,
         depth=depth,
         per_cent=per_cent,
         uniform_per_cent=uniform_per_cent,
         compared=compared,
-        rows=tuple(_rows(pairs, ideas)),
+        rows=tuple(map(HotBoxRow, range_cm.tolist(), shifts, *(idea.tolist() for idea in ideas.values()))),
         best=best,
         answer=(
-            f"{box_c:.0f} C at the sensor, {air.room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
+            f"{air.box_c:.0f} C at the sensor, {air.room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
             f"({mean.low:+.2f} to {mean.high:+.2f}) over {range_cm.min():g} to {range_cm.max():g} cm, which is "
             f"{per_cent.value:.1f} % of range {compared} the {uniform_per_cent:.1f} % of air like that all the way; "
             f"{explained}"
@@ -116,31 +135,14 @@ def _hot_box(
     )
 
 
-def _rows(
-    pairs: Sequence[tuple[PointResult, IntervalEstimate, IntervalEstimate]], ideas: Mapping[AirBefore, Array]
-) -> Iterator[HotBoxRow]:
-    """Shift of the error of each point from its reference, and what each idea expects."""
-    for i, (point, error, other) in enumerate(pairs):
-        half = Z * math.hypot(standard_error(error), standard_error(other))
-        shift = IntervalEstimate.about(error.value - other.value, half, "cm", point.hits)
-        expected = (float(ideas[name][i]) for name in ("uniform", "gradient", "confined"))
-        yield HotBoxRow(point.true_range_cm, shift, *expected)
-
-
-def _ends(estimate: IntervalEstimate) -> str:
-    low, high = ("any" if end is None else f"{end:.0f}" for end in (estimate.low, estimate.high))
-    return f"{low} to {high} cm"
-
-
 def _depth(range_cm: Array, shift_cm: Array, air: _Air) -> IntervalEstimate:
     """Length of the box's air by least squares, with its interval from the sum of squares."""
     depths_cm = np.linspace(0.0, float(range_cm.max()), 1041)
-    squares = np.array([float(((shift_cm - air.confined_cm(range_cm, depth)) ** 2).sum()) for depth in depths_cm])
-    best, freedom = int(squares.argmin()), range_cm.size - 1
-    limit = squares[best] * (1.0 + float(stats.f.ppf(CONFIDENCE, 1, freedom)) / freedom)
-    inside = depths_cm[squares <= limit]
-    high_cm = None if inside[-1] == depths_cm[-1] else float(inside[-1])
-    return IntervalEstimate(float(depths_cm[best]), float(inside[0]), high_cm, "cm", range_cm.size, "points")
+    squares = ((shift_cm - air.confined_cm(range_cm, depths_cm[:, None])) ** 2).sum(axis=1)
+    freedom = range_cm.size - 1
+    inside = depths_cm[squares <= squares.min() * (1.0 + stats.f.ppf(CONFIDENCE, 1, freedom) / freedom)].tolist()
+    high_cm = None if inside[-1] == depths_cm[-1] else inside[-1]
+    return IntervalEstimate(float(depths_cm[squares.argmin()]), inside[0], high_cm, "cm", range_cm.size, "points")
 
 
 def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:
@@ -154,27 +156,27 @@ def compensation_table(points: Sequence[PointReadings], calibration: Calibration
 
 
 def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibration) -> CompensationRow | None:
-    hits = np.concatenate([calibration.inverse(p.reading_cm[p.is_hit]) for p in points])
-    if hits.size < 3:
+    columns = [np.array([calibration.inverse(p.reading_cm), p.air_temperature_c, p.compensation]) for p in points]
+    hit_cm, air_c, factor = np.concatenate([each[:, p.is_hit] for each, p in zip(columns, points, strict=True)], axis=1)
+    if hit_cm.size < 3:
         return None
-    air_c = np.concatenate([p.air_temperature_c[p.is_hit] for p in points])
-    mean, half = float(hits.mean()), half_of_mean(hits, points[0].step_cm)
-    compensated, thermometer_c, notes = None, None, []
+    half, compensated, thermometer_c, notes = half_of_mean(hit_cm, points[0].step_cm), None, None, []
+    uncompensated = IntervalEstimate.about(float(hit_cm.mean()) - range_cm, half, "cm", hit_cm.size)
     if np.isnan(air_c).any():
         notes.append("no thermometer here, so nothing to compensate with")
     else:
         thermometer_c = float(air_c.mean())
-        corrected = hits * np.concatenate([p.compensation[p.is_hit] for p in points])
-        compensated = IntervalEstimate.about(float(corrected.mean()) - range_cm, half, "cm", hits.size)
+        compensated = IntervalEstimate.about(float((hit_cm * factor).mean()) - range_cm, half, "cm", hit_cm.size)
     if not calibration.is_identity:
         notes.append("after the calibration")
     calibration_k = points[0].sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
-    implied_c = [calibration_k * (range_cm / each) ** 2 - ZERO_CELSIUS_K for each in (mean, mean + half, mean - half)]
+    implied = uncompensated.mapped(lambda error: calibration_k / (1.0 + error / range_cm) ** 2 - ZERO_CELSIUS_K)
     return CompensationRow(
         range_cm=range_cm,
-        uncompensated=IntervalEstimate.about(mean - range_cm, half, "cm", hits.size),
+        uncompensated=uncompensated,
         compensated=compensated,
         thermometer_c=thermometer_c,
-        implied_c=IntervalEstimate(implied_c[0], implied_c[1], implied_c[2], "deg C", hits.size),
+        # The farther it reads, the colder.
+        implied_c=replace(implied, low=implied.high, high=implied.low, unit="deg C"),
         note="; ".join(notes),
     )
