@@ -5,7 +5,7 @@ What the data do not determine stays as in the starting model, and the findings 
 
 import difflib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -80,8 +80,8 @@ def characterise(
     RecordingError
         Nothing can be found in these readings, they are of different sensors, or most are far from their true ranges.
     """
-    started_cm = sensor.resolution_cm
-    sensor, about_step = _with_step(sensor, loaded)
+    start = sensor
+    sensor, about_step = _with_step(start, loaded)
     progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in EXPERIMENTS}
@@ -90,7 +90,6 @@ def characterise(
     _check_together(loaded, undisturbed)
 
     progress("calibration")
-    found_base = baseline(by[BASELINE], reference_std_cm)
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = curve_through(() if calibration is None else calibration.knots)
     progress("mixture")
@@ -100,51 +99,46 @@ def characterise(
         mixture, parameters = fit_mixture(undisturbed, curve, sensor, rng, correlation)
     except ValueError as error:
         no_mixture = str(error)
-    progress("maximum range")
-    longest = maximum_range(by["maximum_range"], sensor)
-    progress("field of view and sonar equation")
+    progress("maximum range, field of view and sonar equation")
     view = find_field_of_view(by["field_of_view"], curve)
-    heard_cm = _heard_on_axis_cm(by["maximum_range"], sensor)
-    rows = breakaway_rows(view.angles) if view is not None else []
-    sonar = sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm)
+    rows = breakaway_rows(() if view is None else view.angles)
+    longest_cm = longest_reliable_cm(by["maximum_range"], RELIABLE_SHARE)
+    heard_cm = None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
     progress("questions")
-    found_points = tuple(point.found for point in points)
-    asked = answer_questions(found_points)
+    found = tuple(point.found for point in points)
     calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
-    boxes = () if calibration_c is None else hot_boxes(found_points, calibration_c)
-    table = () if calibration_c is None else compensation_table(by[COMPENSATION], curve)
-
     findings = Findings(
         sensor=sensor.name,
         date=date,
         calibration_temperature_c=calibration_c,
         sources=loaded.sources,
-        points=found_points,
-        baseline=found_base,
+        points=found,
+        baseline=baseline(by[BASELINE], reference_std_cm),
         calibration=calibration,
         mixture=mixture,
-        maximum_range=longest,
+        maximum_range=maximum_range(by["maximum_range"], sensor),
         field_of_view=view,
-        sonar=sonar,
-        questions=asked,
-        hot_boxes=boxes,
-        temperature_compensation=table,
+        sonar=sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm),
+        questions=answer_questions(found),
+        hot_boxes=() if calibration_c is None else hot_boxes(found, calibration_c),
+        temperature_compensation=() if calibration_c is None else compensation_table(by[COMPENSATION], curve),
         warnings=(
             *about_step,
             *_warnings(loaded, points, undisturbed, calibration),
-            *(_angle_warnings(view.angles, rows) if view else ()),
+            *_angle_warnings(() if view is None else view.angles, rows),
             *_quieter(sensor, parameters),
         ),
     )
     findings = replace(findings, absent=_absent(findings, sensor, no_mixture))
-    changes = _changes(findings, sensor, heard_cm, parameters)
-    if not asked and not table and not changes:
+    changes = _changes(findings, sensor, rows) | {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    if not findings.questions and not findings.temperature_compensation and not changes:
         why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
         raise RecordingError(
             f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
             "which varies everything at once, is for msp-lab gap"
         )
-    if sensor.resolution_cm != started_cm:
+    if sensor.resolution_cm != start.resolution_cm:
         changes["resolution_cm"] = sensor.resolution_cm
     return Characterised(findings, changes)
 
@@ -221,33 +215,23 @@ def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
-def _changes(
-    findings: Findings, sensor: SensorModel, heard_cm: float | None, parameters: MixtureParameters | None
-) -> dict[str, Any]:
-    """New values of the sensor model's fields, where the readings determine them."""
+def _changes(findings: Findings, sensor: SensorModel, rows: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """New values of the sensor model: its calibration, beam and effects; None where readings do not determine them."""
     view, calibration = findings.field_of_view, findings.calibration
-    found: dict[str, Any] = {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
+    changes: dict[str, Any] = {}
     # Without held-out ranges nothing was decided, and the starting model's stays.
     if calibration is not None and calibration.held_out:
-        knots = [(each.true_cm, each.reading_cm) for each in calibration.knots]
-        found["calibration"] = tuple(CalibrationKnot(true_cm=x, reading_cm=y) for x, y in knots)
+        changes["calibration"] = tuple(CalibrationKnot(**asdict(knot)) for knot in calibration.knots)
     if view is not None:
-        rows = breakaway_rows(view.angles)
-        found["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None
-        found["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
+        changes["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=angle) for r, angle in rows) or None
+        changes["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
     # An offset between sessions enters if its interval excludes 0.
     if calibration is not None and calibration.set_up_offset is not None and calibration.set_up_offset.low:
         offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))
         own = {"value": offset.value, "low": offset.low, "high": offset.high or 0, "unit": "cm"}
-        others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
-        found["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> float | None:
-    """Longest range at which a large target is read reliably; None if that was not measured."""
-    longest_cm = longest_reliable_cm(points, RELIABLE_SHARE)
-    return None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
+        others = [effect for effect in sensor.effects if effect.get("name") != SESSION_EFFECT]
+        changes["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
+    return changes
 
 
 def _warnings(
@@ -309,9 +293,3 @@ def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]
         f"the spread of {fitted.sigma_cm:.2g} cm was measured on a bench, and the starting model had "
         f"{sensor.reading_model.sigma_cm:.2g} cm: on a vehicle, which shakes, a filter with it may be overconfident"
     ]
-
-
-def provenance(findings: Findings) -> dict[str, object]:
-    """Return the entry for the sensor model file's `evidence`."""
-    data = [{"name": each.name, "sha256": each.sha256, "rows": each.rows} for each in findings.sources]
-    return {"what": "characterisation", "date": findings.date, "data": data}

@@ -6,7 +6,7 @@ readings that are of the wall; the breakaway lies between the last reliable angl
 
 import math
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import accumulate, groupby
 from typing import Literal
 
 import numpy as np
@@ -53,12 +53,9 @@ def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration
 
 def breakaway_rows(angles: Sequence[BreakawayAngle]) -> list[tuple[float, float]]:
     """Range [cm] and half angle [deg] for the model file: where there is an angle, and never wider with range."""
-    rows: list[tuple[float, float]] = []
-    for angle in angles:
-        half_deg = angle.half_angle.value
-        if half_deg > 0.0:
-            rows.append((angle.range_cm, min([half_deg] + [each for _, each in rows])))
-    return rows
+    seen = [angle for angle in angles if angle.half_angle.value > 0.0]
+    narrowest_deg = accumulate((angle.half_angle.value for angle in seen), min)
+    return [(angle.range_cm, half_deg) for angle, half_deg in zip(seen, narrowest_deg, strict=True)]
 
 
 def sonar_through(

@@ -13,7 +13,6 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import to_jsonable_python
 
-from msp_lab.characterise.analysis import provenance
 from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -54,7 +53,8 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
         content["heard_on_axis_cm"] = max(content["heard_on_axis_cm"], content["breakaway"][-1]["range_cm"])
     # The means over a flight and the predicted angles were those of the starting model.
     content |= {"in_flight": None, "predicted_breakaway": None}
-    content["evidence"] = [*content["evidence"], provenance(findings)]
+    data = [{"name": source.name, "sha256": source.sha256, "rows": source.rows} for source in findings.sources]
+    content["evidence"].append({"what": "characterisation", "date": findings.date, "data": data})
     try:
         model = SensorModel.model_validate(_rounded(content))
     except ValidationError as error:
@@ -100,32 +100,31 @@ def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, A
     content = sensor.model_dump(mode="json")
     named = {name for names in _SECTIONS for name in names}
     assert named == set(content), f"no section for {set(content) ^ named}"
-    kept, fitted = _why_kept(sensor, findings), _how_fitted(findings)
+    comments = _kept(sensor, findings, start)
+    found = _fitted(findings)
+    comments |= {name: found[name] for name in (*changes, "predicted_breakaway", "evidence") if name in comments}
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
     for names in _SECTIONS:
-        why = kept.get(names[0], "")
-        words = [f"Kept from {start}{f': {why}' if why else ''}."]
-        if names[0] in (*changes, "predicted_breakaway", "evidence"):
-            words = fitted[names[0]]
-        lines += [f"# {line}" for each in words for line in _WRAPPER.wrap(each)]
-        lines += [_yaml(name, content[name]) for name in names]
-        lines.append("")
+        lines += [f"# {line}" for comment in comments[names[0]] for line in _WRAPPER.wrap(comment)]
+        lines += [*(_yaml(name, content[name]) for name in names), ""]
     return "\n".join(lines)
 
 
-def _why_kept(sensor: SensorModel, findings: Findings) -> dict[str, str]:
-    """Why fields of the starting model are as they were; empty: nothing is to be said."""
+def _kept(sensor: SensorModel, findings: Findings, start: str) -> dict[str, list[str]]:
+    """Comments on the sections of the starting model, as if none had changed: why they were kept."""
     view, calibration = findings.field_of_view, findings.calibration
-    return {
+    why = {
         "oblique_reading": view.oblique.reason if view else "no angles were measured",
         "breakaway": "no breakaway angle was measured",
         "calibration": calibration.reason if calibration else "nothing was measured on the axis",
         "reading_model": findings.absent.get("mixture", "nothing was fitted"),
         "effects": "added to another base than this one" if sensor.effects else "",
     }
+    names = [section[0] for section in _SECTIONS]
+    return {name: [f"Kept from {start}{f': {why[name]}' if why.get(name) else ''}."] for name in names}
 
 
-def _how_fitted(findings: Findings) -> dict[str, list[str]]:
+def _fitted(findings: Findings) -> dict[str, list[str]]:
     """How fields of the new model were found, where they can be."""
     found = {
         "predicted_breakaway": ["Beyond these angles, for sound: by the sonar equation that is fitted to them."],
