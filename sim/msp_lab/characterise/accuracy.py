@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import find_peaks, peak_widths
 
-from msp_lab.characterise.calibration import line_design, pooled_spread
-from msp_lab.characterise.estimates import Z, fit_points, mean_of_points, share, standard_error
+from msp_lab.characterise.calibration import pooled_spread
+from msp_lab.characterise.estimates import Z, fit_points, line_design, mean_of_points, share, standard_error
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
@@ -59,22 +59,20 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
 
 def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> MaximumRange | None:
     """Histogram and peaks at the longest of these points' ranges, before and after missed echoes are masked."""
-    echoes = [point for point in points if point.hits]
-    if not echoes:
+    range_cm = max((point.range_cm for point in points if point.hits), default=None)
+    if range_cm is None:
         return None
-    range_cm = max(point.range_cm for point in echoes)
-    here = [point for point in echoes if point.range_cm == range_cm]
+    here = [point for point in points if point.hits and point.range_cm == range_cm]
     readings = to_step(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]), 1.0)
     kept = to_step(np.concatenate([point.reading_cm[point.is_echo] for point in here]), 1.0)
     values, counts = np.unique(readings, return_counts=True)
     span_cm = float(sensor.maximum_cm - sensor.minimum_cm)
-    no_echo = int((readings == sensor.maximum_cm).sum())
     return MaximumRange(
         true_range_cm=range_cm,
         readings=readings.size,
         histogram=tuple(zip(values.astype(int).tolist(), counts.tolist(), strict=True)),
-        no_echo=no_echo,
-        saturated=int(readings.size - kept.size) - no_echo,
+        no_echo=sum(point.found.no_echo for point in here),
+        saturated=sum(point.found.saturated for point in here),
         peaks_before=peaks(readings, span_cm),
         peaks_after=peaks(kept, span_cm),
         peak=_mode(kept),

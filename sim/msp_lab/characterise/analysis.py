@@ -20,6 +20,7 @@ from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, F
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
+from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
@@ -107,6 +108,7 @@ def characterise(
     progress("questions")
     found = tuple(point.found for point in points)
     calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
+    questions = answer_questions(found)
     findings = Findings(
         sensor=sensor.name,
         date=date,
@@ -119,8 +121,8 @@ def characterise(
         maximum_range=maximum_range(by["maximum_range"], sensor),
         field_of_view=view,
         sonar=sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm),
-        questions=answer_questions(found),
-        hot_boxes=() if calibration_c is None else hot_boxes(found, calibration_c),
+        questions=questions,
+        hot_boxes=() if calibration_c is None else hot_boxes(questions, calibration_c),
         temperature_compensation=() if calibration_c is None else compensation_table(by[COMPENSATION], curve),
         warnings=(
             *about_step,
@@ -274,7 +276,7 @@ def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float
             yield f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table"
         elif angle.half_angle.high is None:
             yield f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider"
-        if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 3.6:
+        if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 2.0 * STEP_DEG:
             yield (
                 f"at {angle.range_cm:g} cm the two sides differ ({angle.negative.value:g} and "
                 f"{angle.positive.value:g} deg): is the sensor's axis where 0 deg is?"

@@ -21,6 +21,7 @@ from msp_lab.characterise.estimates import (
     between_points,
     dependence_factor,
     fit_points,
+    line_design,
     mean_of_points,
     root_without,
     standard_error,
@@ -57,6 +58,23 @@ class _Points(NamedTuple):
     range_cm: Array
     run: Array
 
+    @classmethod
+    def of(cls, points: Sequence[PointReadings]) -> "_Points":
+        run = numbered(np.array([point.run for point in points]))
+        rows = [
+            (
+                point.apparent_cm[point.is_hit].mean(),
+                # An error is about the true range of the hits: where that changes, missed echoes are at other ranges.
+                point.true_range_cm[point.is_hit].mean() + error.value,
+                standard_error(error) ** 2 + point.placement_cm2,
+                round(point.range_cm, 6),
+                run[i],
+            )
+            for i, point in enumerate(points)
+            if (error := point.found.error) is not None
+        ]
+        return cls(*np.array(rows).T)
+
     def select(self, rows: Flags) -> "_Points":
         return _Points(*(column[rows] for column in self))
 
@@ -77,18 +95,10 @@ def calibrate(
         Standard deviation of the error of each placement's true range [cm]; None: not stated, and all differences
         between placements are attributed to it.
     """
-    used = [(point, point.found.error) for point in points if point.found.error is not None]
+    used = [point for point in points if point.found.error is not None]
     if not used:
         return None
-    data = _Points(
-        true_cm=np.array([float(point.apparent_cm[point.is_hit].mean()) for point, _ in used]),
-        # An error is about the true range of the hits: where the range changes, missed echoes are at other ranges.
-        reading_cm=np.array([float(point.true_range_cm[point.is_hit].mean()) + error.value for point, error in used]),
-        variance_cm2=np.array([standard_error(error) ** 2 + point.placement_cm2 for point, error in used]),
-        range_cm=np.array([round(point.range_cm, 6) for point, _ in used]),
-        run=numbered(np.array([point.run for point, _ in used])).astype(np.float64),
-    )
-    with_echo, extra_cm = [point for point, _ in used], reference_std_cm or 0.0
+    data, extra_cm = _Points.of(used), reference_std_cm or 0.0
     line, offset, scale, linearity, noise_floor = None, None, None, None, None
     if np.unique(data.range_cm).size >= 3:
         line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
@@ -96,7 +106,7 @@ def calibrate(
         linearity, noise_floor = _linearity(data, line)
     # Set-ups differ by more than the scatter of readings explains; their residual variance is added to every point.
     chosen = _choose(data._replace(variance_cm2=data.variance_cm2 + (0.0 if line is None else line.between)))
-    step_cm = with_echo[0].step_cm
+    step_cm = used[0].step_cm
     return CalibrationFindings(
         form=chosen.form,
         knots=chosen.knots,
@@ -104,15 +114,15 @@ def calibrate(
         bias=mean_of_points(data.reading_cm - data.true_cm, "cm", data.variance_cm2, extra_cm),
         offset=offset,
         scale=scale,
-        spread=pooled_spread(with_echo),
-        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in with_echo)),
+        spread=pooled_spread(used),
+        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
         resolution_note=(
             f"readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
         linearity=linearity,
         linearity_noise_floor_cm=noise_floor,
         reference_std_cm=reference_std_cm,
-        set_up_offset=_set_up_offset(with_echo, data, chosen.knots, set_up_std_cm),
+        set_up_offset=_set_up_offset(used, data, chosen.knots, set_up_std_cm),
         held_out=chosen.held_out,
         held_out_unit="range and run" if _has_runs(data) else "range",
         true_cm=tuple(data.true_cm.tolist()),
@@ -133,11 +143,6 @@ def _set_up_offset(
     own_cm2 = factor * (data.variance_cm2 - placements_cm2) + np.maximum(placements_cm2 - set_up_std_cm**2, 0.0)
     residual_cm = data.reading_cm - curve.forward(data.true_cm)
     return between_points(residual_cm, own_cm2, set_up_std_cm**2, max(len(knots), 1))
-
-
-def line_design(x: Array) -> Array:
-    """Design matrix of a straight line: offset and scale."""
-    return np.column_stack([np.ones_like(x), x])
 
 
 def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:

@@ -11,7 +11,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr
@@ -80,22 +79,19 @@ class PointsFit(NamedTuple):
 def fit_points(design: Array, y: Array, variance: Array | float) -> PointsFit:
     """Weighted least squares with a variance between points, which is added until the residuals are as expected.
 
-    Parameters
-    ----------
-    design
-        Shape (points, coefficients), of full rank.
-    y, variance
-        A point each: its value, and the variance that is known of it.
-
-    Notes
-    -----
-    Paule and Mandel 1982 (J. Res. NBS 87, 377): the variance between is the one at which the weighted sum of squared
-    residuals equals its degrees of freedom, and 0 where it is below already.
+    `design` is (points, coefficients), of full rank; `y` and `variance` are each point's value and what is known of its
+    variance. Paule and Mandel 1982 (J. Res. NBS 87, 377): the variance between is the one at which the weighted sum of
+    squared residuals equals its degrees of freedom, and 0 where it is below already.
     """
     freedom = y.size - design.shape[1]
     between = _variance_between(design, y, variance, freedom) if freedom > 0 else 0.0
     coefficients, covariance, _ = _least_squares(design, y, variance + between)
     return PointsFit(coefficients, covariance, between, freedom)
+
+
+def line_design(x: Array) -> Array:
+    """Design matrix of a straight line: offset and scale."""
+    return np.column_stack([np.ones_like(x), x])
 
 
 def mean_of_points(values: Array, unit: str, variance: Array | float = 0.0, extra_std: float = 0.0) -> IntervalEstimate:
@@ -154,15 +150,8 @@ def between_points(residual: Array, variance: Array, known: float = 0.0, fitted:
 def dependence_factor(series: Sequence[Array]) -> float:
     """By how much readings that depend on the ones before widen the variance of their mean; 1 where they do not.
 
-    Parameters
-    ----------
-    series
-        Of each point, its readings in order.
-
-    Notes
-    -----
-    Batch means: the variance of the means of consecutive batches, times their length, over that of single readings,
-    pooled over the points.
+    `series` are each point's readings in order. Batch means: the variance of the means of consecutive batches, times
+    their length, over that of single readings, pooled over the points.
     """
     means, singles, freedom = 0.0, 0.0, 0
     for values in series:
@@ -249,10 +238,9 @@ def common_spread(groups: Sequence[Array], step: float) -> float | None:
     spreads = np.geomspace(*_SPREADS, 41)
     total = np.zeros(spreads.size)
     for values in few:
-        steps, counts = np.unique(np.rint(values / step), return_counts=True)
         means = float(np.median(values)) / step + np.linspace(-1.0, 1.0, 81)
         # Over all means alike: with the likeliest one of each group its boundary takes the place of the spread.
-        total += logsumexp(_log_likelihood(steps, counts, means, spreads), axis=0)
+        total += logsumexp(_log_likelihood(values / step, means, spreads), axis=0)
     return step * float(spreads[total.argmax()])
 
 
@@ -265,42 +253,39 @@ def _is_of_few_steps(values: Array, step: float) -> bool:
 
 
 def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSpread:
-    steps, counts = np.unique(np.rint(values / step), return_counts=True)
     middle = float(np.median(values)) / step
     mean_ends, spread_ends = (middle - 1.0, middle + 1.0), _SPREADS
     # Three looks, each at what the one before found likely.
     for _ in range(3):
-        means = np.linspace(*mean_ends, 41)
-        spreads = np.geomspace(*spread_ends, 41)
-        log_likelihood = _log_likelihood(steps, counts, means, spreads)
+        means, spreads = np.linspace(*mean_ends, 41), np.geomspace(*spread_ends, 41)
+        log_likelihood = _log_likelihood(values / step, means, spreads)
         if usual is not None:
             log_likelihood -= 0.5 * (np.log(spreads / usual) / USUAL_WITHIN) ** 2
         by_mean, by_spread = log_likelihood.max(axis=1), log_likelihood.max(axis=0)
-        top = float(log_likelihood.max())
-        mean_ends = mean_low, mean_high = _where_likely(means, by_mean, top)
-        spread_ends = spread_low, spread_high = _where_likely(spreads, by_spread, top)
+        mean_ends, spread_ends = _where_likely(means, by_mean), _where_likely(spreads, by_spread)
     # Where the likelihood is flat, its middle.
-    mean = float(means[by_mean > top - 1e-6].mean())
-    spread, n = float(spreads[by_spread.argmax()]), values.size
-    if steps.size == 1:
+    mean = float(means[by_mean > by_mean.max() - 1e-6].mean())
+    spread, (least, largest) = float(spreads[by_spread.argmax()]), spread_ends
+    if np.ptp(np.rint(values / step)) == 0.0:
         # All in one step: any smaller spread is as likely.
-        spread = spread_low = 0.0
+        spread = least = 0.0
     return MeanAndSpread(
-        IntervalEstimate(step * mean, step * mean_low, step * mean_high, "cm", n),
-        IntervalEstimate(step * spread, step * spread_low, step * spread_high, "cm", n),
+        IntervalEstimate(step * mean, step * mean_ends[0], step * mean_ends[1], "cm", values.size),
+        IntervalEstimate(step * spread, step * least, step * largest, "cm", values.size),
     )
 
 
-def _log_likelihood(steps: Array, counts: NDArray[np.int64], means: Array, spreads: Array) -> Array:
-    """Log likelihood of rounded values, shape (means, spreads); each may be a stray."""
+def _log_likelihood(values: Array, means: Array, spreads: Array) -> Array:
+    """Log likelihood of values that were rounded to whole numbers, shape (means, spreads); each may be a stray."""
+    steps, counts = np.unique(np.rint(values), return_counts=True)
     spread = spreads[:, None]
     low = (steps - 0.5 - means[:, None, None]) / spread
     likelihood: Array = np.log(ndtr(low + 1.0 / spread) - ndtr(low) + STRAY) @ counts
     return likelihood
 
 
-def _where_likely(grid: Array, profile: Array, top: float) -> tuple[float, float]:
-    likely = np.flatnonzero(profile > top - LIKELIHOOD_DROP)
+def _where_likely(grid: Array, profile: Array) -> tuple[float, float]:
+    likely = np.flatnonzero(profile > profile.max() - LIKELIHOOD_DROP)
     return float(grid[max(likely[0] - 1, 0)]), float(grid[min(likely[-1] + 1, grid.size - 1)])
 
 

@@ -6,7 +6,7 @@ is not noise of the sensor; the calibration deals with the differences between s
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -25,11 +25,6 @@ from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParame
 
 ENOUGH_HITS = 50
 """Set-ups with fewer hits are fitted about the reference: their own mean would lower the variance by 2 % or more."""
-
-AT_FLOOR = (
-    f"hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
-)
-AT_BOUND = "at its bound; the value may lie beyond it"
 
 UNIT = {
     "sigma_cm": "cm",
@@ -74,26 +69,16 @@ def fit_mixture(
     except ValueError as error:
         notes.append(f"how well it fits is not known: {error}")
     moved = tuple(each for each in set_ups if each is not None)
-    if moved:
-        farthest_cm = max(abs(each.error_cm) for each in moved)
-        notes.append(
-            f"{len(moved)} of {len(points)} set-ups are fitted about the mean of their own hits, up to "
-            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
-            "reference was off by"
-        )
+    notes += _placement_notes(moved, len(points))
     fitted, raised = with_floors(result.parameters, saturates=grid.second_no_echo_cm is not None)
     bound = {*result.at_bound, *raised}
-    notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.estimates if name in bound]
+    notes += [_bound_note(name, name in raised) for name in result.estimates if name in bound]
     unknown = result.not_identified
     notes += [f"{name}: not identifiable from these readings; the starting model's value is kept" for name in unknown]
     changed = {name: getattr(sensor.reading_model, name) for name in unknown}
     if correlation is not None:
         changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
-        notes.append(
-            f"errors of hits {correlation.spacing_s:.3g} s apart have a correlation of {correlation.correlation:.2f} "
-            f"({correlation.z:.0f} standard errors): the simulator draws them so, and intervals that take readings as "
-            "independent are too narrow"
-        )
+        notes.append(correlation.note)
     found = Mixture(
         parameters=tuple(
             _parameter(name, result, sensor.reading_model, name in bound)
@@ -125,6 +110,22 @@ def _readings(
     joined = np.concatenate(columns, axis=1)
     reading_cm, expected_cm, std_cm = joined[:, ~np.isnan(joined[0])]
     return reading_cm, expected_cm, std_cm
+
+
+def _placement_notes(moved: Sequence[PlacementError], set_ups: int) -> Iterator[str]:
+    if moved:
+        farthest_cm = max(abs(each.error_cm) for each in moved)
+        yield (
+            f"{len(moved)} of {set_ups} set-ups are fitted about the mean of their own hits, up to {farthest_cm:.2f} "
+            "cm from the calibration: sigma_cm is the scatter within a set-up, without what the reference was off by"
+        )
+
+
+def _bound_note(name: str, is_floor: bool) -> str:
+    if is_floor:
+        floor = f"the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
+        return f"{name}: hardly seen in these readings; {floor}"
+    return f"{name}: at its bound; the value may lie beyond it"
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:

@@ -21,7 +21,6 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 
-_DIGITS = 6
 _SECTIONS = (
     ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
     ("resolution_cm",),
@@ -64,27 +63,8 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
     return model.model_copy(update={"predicted_breakaway": predicted})
 
 
-def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> None:
-    """Write the model file.
-
-    Parameters
-    ----------
-    path
-        Where; there must be no file yet. Folders that are missing are made.
-    sensor
-        The new model, from `changed`.
-    findings, changes
-        For the comments: what was fitted and what was kept.
-    start
-        Name of the starting model's file.
-
-    Raises
-    ------
-    ConfigError
-        There is a file already, or it cannot be written.
-    """
-    text = _model_text(sensor, findings, changes, start)
-    assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
+def write_new(path: Path, text: str) -> None:
+    """Write a file that must not exist yet, and make its folder; ConfigError if it does, or cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
@@ -95,8 +75,18 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ma
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
-    """The model file's text, with a comment over each part on whether it was fitted."""
+def model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
+    """The text of the model file, with a comment over each part on whether it was fitted.
+
+    Parameters
+    ----------
+    sensor
+        The new model, from `changed`.
+    findings, changes
+        For the comments: what was fitted and what was kept.
+    start
+        Name of the starting model's file.
+    """
     content = sensor.model_dump(mode="json")
     named = {name for names in _SECTIONS for name in names}
     assert named == set(content), f"no section for {set(content) ^ named}"
@@ -107,7 +97,9 @@ def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, A
     for names in _SECTIONS:
         lines += [f"# {line}" for comment in comments[names[0]] for line in _WRAPPER.wrap(comment)]
         lines += [*(_yaml(name, content[name]) for name in names), ""]
-    return "\n".join(lines)
+    text = "\n".join(lines)
+    assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
+    return text
 
 
 def _kept(sensor: SensorModel, findings: Findings, start: str) -> dict[str, list[str]]:
@@ -180,4 +172,4 @@ def _rounded(value: Any) -> Any:
         return {name: _rounded(each) for name, each in value.items()}
     if isinstance(value, list):
         return [_rounded(each) for each in value]
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+    return float(f"{value:.6g}") if isinstance(value, float) else value

@@ -272,14 +272,10 @@ def conditions(data: MeasuredData) -> Texts:
     for name, word in VARIED.items():
         column = data.column(name)
         found[~np.isnan(column) & (column != 0.0)] = word
-    if "incidence_deg" in data:
+    if (found == "field_of_view").any():
         # The rows straight ahead belong to the same experiment.
-        incidence = data.column("incidence_deg")
-        if (found == "field_of_view").any():
-            found[(incidence == 0.0) & (found == BASELINE)] = "field_of_view"
-    if "condition" not in data:
-        return found
-    named = data["condition"]
+        found[(data.column("incidence_deg") == 0.0) & (found == BASELINE)] = "field_of_view"
+    named = data.column("condition")
     return np.where(named == "", found, named)
 
 

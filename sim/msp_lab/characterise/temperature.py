@@ -1,7 +1,7 @@
 """Air at the sensor and air on the way: the hot box, and temperature compensation.
 
-Points with air temperatures enter; how long the box's air must be to explain the errors, and mean errors with and
-without compensation, leave. Speeds of sound are those of `msp_range.acoustics.air`.
+Questions about the temperature and points with air temperatures enter; how long the box's air must be to explain the
+errors, and mean errors with and without compensation, leave. Speeds of sound are those of `msp_range.acoustics.air`.
 """
 
 import math
@@ -16,13 +16,14 @@ from msp_lab.characterise.estimates import (
     CONFIDENCE,
     LIKELIHOOD_DROP,
     Z,
+    fit_points,
     half_of_mean,
+    line_design,
     mean_of_points,
     standard_error,
-    student,
 )
-from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow
-from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.arrays import Array
@@ -57,33 +58,28 @@ class _Air(NamedTuple):
         return speed_of_sound(self.calibration_c), speed_of_sound(self.box_c), speed_of_sound(self.room_c)
 
 
-def hot_boxes(points: Sequence[PointResult], calibration_c: float) -> tuple[HotBox, ...]:
+def hot_boxes(questions: Sequence[Question], calibration_c: float) -> tuple[HotBox, ...]:
     """One finding for each level of the temperature experiment that is not room temperature.
 
-    `points` is every set-up of the data, `calibration_c` the air temperature that the sensor assumes [deg C].
+    `questions` have what each level is compared with, `calibration_c` is the air temperature that the sensor assumes
+    [deg C].
     """
-    here = [p for p in points if p.condition == "temperature" and p.air_temperature_c is not None and p.error]
-    room = [p for p in here if abs((p.air_temperature_c or 0.0) - ROOM_C) < ROOM_WITHIN_C]
-    reference = room or [p for p in points if p.condition == "baseline" and p.error]
-    levels = dict.fromkeys(p.level for p in here if p not in room)
-    found = [_hot_box(level, [p for p in here if p.level == level], reference, calibration_c) for level in levels]
-    return tuple(each for each in found if each is not None)
+    boxes = [_hot_box(question, calibration_c) for question in questions if question.name == "temperature"]
+    return tuple(box for box in boxes if box is not None)
 
 
-def _hot_box(
-    level: str, points: Sequence[PointResult], reference: Sequence[PointResult], calibration_c: float
-) -> HotBox | None:
-    zero = {p.place_cm: p.error for p in reversed(reference)}
-    pairs = [(p, p.error, other) for p in points if p.error and (other := zero.get(p.place_cm))]
+def _hot_box(question: Question, calibration_c: float) -> HotBox | None:
+    points = [(p, p.air_temperature_c) for p in question.points if p.error and p.air_temperature_c is not None]
+    zero = {p.place_cm: p.error for p in reversed(question.reference_points) if p.error}
+    pairs = [(p, p.error, other) for p, _ in points if p.error and (other := zero.get(p.place_cm))]
     if len(pairs) < 3:
         return None
-    far = [p.target_temperature_c for p in points if p.target_temperature_c is not None]
-    near = [p.air_temperature_c for p in reference if p.air_temperature_c is not None]
-    air = _Air(
-        box_c=float(np.mean([p.air_temperature_c for p in points])),
-        room_c=float(np.mean(far or near or [ROOM_C])),
-        calibration_c=calibration_c,
-    )
+    far = [p.target_temperature_c for p, _ in points if p.target_temperature_c is not None]
+    near = [p.air_temperature_c for p in question.reference_points if p.air_temperature_c is not None]
+    box_c, room_c = float(np.mean([air_c for _, air_c in points])), float(np.mean(far or near or [ROOM_C]))
+    if abs(box_c - ROOM_C) < ROOM_WITHIN_C:
+        return None
+    air = _Air(box_c, room_c, calibration_c)
     range_cm = np.array([p.true_range_cm for p, _, _ in pairs])
     shifts = [
         IntervalEstimate.about(
@@ -94,8 +90,7 @@ def _hot_box(
     shift_cm = np.array([shift.value for shift in shifts])
     n, mean, depth = shift_cm.size, mean_of_points(shift_cm, "cm"), _depth(range_cm, shift_cm, air)
     # Correction that the readings call for: slope of -shift over range, in per cent.
-    fit = stats.linregress(range_cm, -100.0 * shift_cm)
-    per_cent = IntervalEstimate.about(float(fit.slope), student(float(fit.stderr), n - 2), "%", n, "points")
+    per_cent = fit_points(line_design(range_cm), -100.0 * shift_cm, 0.0).estimate(1, "%")
     uniform_per_cent = -float(air.confined_cm(np.array(100.0)))
     ideas: dict[AirBefore, Array] = {
         "uniform": air.confined_cm(range_cm),
@@ -110,15 +105,10 @@ def _hot_box(
     nearest: AirBefore = min(ideas, key=lambda name: squares[name])
     best: AirBefore | Literal["none"] = "none" if is_none else nearest
     compared: Literal["as", "and not"] = "as" if per_cent.holds(uniform_per_cent) else "and not"
-    low, high = ("any" if end is None else f"{end:.0f}" for end in (depth.low, depth.high))
-    explained = {
-        "none": "no shift is seen",
-        "confined": f"air like that over the first {depth.value:.0f} cm explains it ({low} to {high} cm)",
-    }.get(best, f"a {best} temperature explains it best")
     return HotBox(
-        level=level,
-        box_c=air.box_c,
-        room_c=air.room_c,
+        level=question.level,
+        box_c=box_c,
+        room_c=room_c,
         room_is_assumed=not far and not near,
         depth=depth,
         per_cent=per_cent,
@@ -127,12 +117,21 @@ def _hot_box(
         rows=tuple(map(HotBoxRow, range_cm.tolist(), shifts, *(idea.tolist() for idea in ideas.values()))),
         best=best,
         answer=(
-            f"{air.box_c:.0f} C at the sensor, {air.room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
+            f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
             f"({mean.low:+.2f} to {mean.high:+.2f}) over {range_cm.min():g} to {range_cm.max():g} cm, which is "
             f"{per_cent.value:.1f} % of range {compared} the {uniform_per_cent:.1f} % of air like that all the way; "
-            f"{explained}"
+            f"{_explanation(best, depth)}"
         ),
     )
+
+
+def _explanation(best: AirBefore | Literal["none"], depth: IntervalEstimate) -> str:
+    if best == "none":
+        return "no shift is seen"
+    if best != "confined":
+        return f"a {best} temperature explains it best"
+    low, high = ("any" if end is None else f"{end:.0f}" for end in (depth.low, depth.high))
+    return f"air like that over the first {depth.value:.0f} cm explains it ({low} to {high} cm)"
 
 
 def _depth(range_cm: Array, shift_cm: Array, air: _Air) -> IntervalEstimate:
