@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from msp_lab.characterise.findings import Question
 from msp_lab.characterise.points import sort_into_points
+from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.comparison.report import implied_temperature_c
 from msp_range.correction.calibration import IDENTITY, Calibration
@@ -30,6 +32,10 @@ def read_cm(range_cm: float, air_c: Profile, pieces: int = 2000) -> float:
     return range_cm * float(np.mean(np.sqrt(295.65 / (air_c(x, range_cm) + 273.15))))
 
 
+def asked(*parts: dict[str, NDArray[Any]]) -> tuple[Question, ...]:
+    return answer_questions([each.found for each in sort_into_points(table(*parts), SENSOR)])
+
+
 IDEAS: dict[str, Profile] = {
     "confined": lambda x, r: np.where(x < 30.0, 46.1, 21.1),
     "uniform": lambda x, r: np.full_like(x, 46.1),
@@ -46,7 +52,7 @@ def test_where_the_hot_air_was_is_found(idea: str) -> None:
             error_cm = read_cm(z, profile) - z + rng.normal(0.0, 0.1)
             context: dict[str, Any] = {"air_temperature_c": air_c, "target_temperature_c": 21.1}
             parts.append(point(rng, z, condition="temperature", error_cm=error_cm, **context))
-    (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
+    (found,) = hot_boxes(asked(*parts), 22.5)
     assert found.best == idea
     # Speeds at 22.5, 21.1 and 46.1 deg C: c_cal (1 / c_room - 1 / c_box).
     ratio = np.sqrt(295.65 / 294.25) - np.sqrt(295.65 / 319.25)
@@ -70,7 +76,7 @@ def test_three_ranges_of_hot_air_are_a_shift() -> None:
         for air_c in (46.1, 21.1):
             error_cm = z * np.sqrt(295.65 / (air_c + 273.15)) - z
             parts.append(point(rng, z, condition="temperature", error_cm=error_cm, air_temperature_c=air_c))
-    (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
+    (found,) = hot_boxes(asked(*parts), 22.5)
     assert found.best == "uniform"
     assert "no shift" not in found.answer
 
@@ -93,7 +99,7 @@ def test_a_box_that_changes_nothing_is_reported_so() -> None:
         for z in RANGES_CM
         for air_c in (46.1, 21.1)
     ]
-    (found,) = hot_boxes([each.found for each in sort_into_points(table(*parts), SENSOR)], 22.5)
+    (found,) = hot_boxes(asked(*parts), 22.5)
     assert found.best == "none"
 
 

@@ -23,9 +23,7 @@ def fitted(seed: int, *, n: int, off_cm: float) -> Mixture:
         for z in range(40, 500, 20)
     ]
     points = sort_into_points(table(*parts), SENSOR)
-    found = fit_mixture(points, IDENTITY, SENSOR, np.random.default_rng(seed))
-    assert not isinstance(found, str)
-    return found.found
+    return fit_mixture(points, IDENTITY, SENSOR, np.random.default_rng(seed))[0]
 
 
 def test_how_far_set_ups_are_off_is_not_the_sensor_s_noise() -> None:
@@ -53,9 +51,7 @@ def test_255_is_a_reading_like_others_of_a_sensor_that_has_no_such_code() -> Non
     for share in (0.25, 0.0):
         parameters = SENSOR.reading_model.model_copy(update={"saturated_fraction": share})
         sensor = SENSOR.model_copy(update={"reading_model": parameters})
-        found = fit_mixture(points, IDENTITY, sensor, np.random.default_rng(3))
-        assert not isinstance(found, str)
-        weights[share] = found.parameters.weights
+        weights[share] = fit_mixture(points, IDENTITY, sensor, np.random.default_rng(3))[1].weights
     assert weights[0.25].missed == pytest.approx(0.05, abs=0.015)
     assert weights[0.0].missed < 0.005
 
@@ -65,10 +61,9 @@ def test_a_sensor_without_255_among_its_readings_is_fitted_unless_its_file_has_t
     rng = np.random.default_rng(4)
     points = sort_into_points(table(*[point(rng, z, n=300) for z in range(100, 501, 100)]), SENSOR)
     limits = {"minimum_cm": 20, "maximum_cm": 764, "resolution_cm": 2.0}
-    found = {}
-    for share in (0.0, 0.25):
-        parameters = SENSOR.reading_model.model_copy(update={"saturated_fraction": share})
-        sensor = SENSOR.model_copy(update={**limits, "reading_model": parameters})
-        found[share] = fit_mixture(points, IDENTITY, sensor, np.random.default_rng(4))
-    assert not isinstance(found[0.0], str)
-    assert found[0.25] == "expected a second code outside of the limits or on the grid, found 255 cm"
+    with_code = SENSOR.model_copy(update=limits)
+    no_code = SENSOR.reading_model.model_copy(update={"saturated_fraction": 0.0})
+    without = with_code.model_copy(update={"reading_model": no_code})
+    fit_mixture(points, IDENTITY, without, np.random.default_rng(4))
+    with pytest.raises(ValueError, match="expected a second code outside of the limits or on the grid, found 255 cm"):
+        fit_mixture(points, IDENTITY, with_code, np.random.default_rng(4))

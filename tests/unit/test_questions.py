@@ -153,6 +153,15 @@ def test_one_point_is_no_comparison() -> None:
     assert (bias.estimate, bias.verdict) == (None, "cannot tell")
 
 
+def test_without_a_range_in_common_nothing_is_compared() -> None:
+    """The other sensor of a campaign, whose readings alone have no baseline, ended the command with a traceback."""
+    rng = np.random.default_rng(4)
+    question = asked(*bench(rng, "crosstalk_simultaneous"))["crosstalk_simultaneous simultaneous one"]
+    assert question.pairs == 0
+    assert {each.estimate for each in question.effects} == {None}
+    assert question.verdict == "cannot tell"
+
+
 @pytest.mark.slow
 def test_many_readings_of_a_badly_set_up_point_are_not_many_points() -> None:
     """The tape errs by 1 cm from point to point: 2000 readings a point do not make that an effect."""

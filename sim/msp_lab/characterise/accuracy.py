@@ -7,9 +7,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.signal import find_peaks, peak_widths
 
-from msp_lab.characterise.calibration import line_design, pooled_spread
-from msp_lab.characterise.estimates import Z, fit_points, share, standard_error
+from msp_lab.characterise.calibration import pooled_spread
+from msp_lab.characterise.estimates import Z, fit_points, line_design, mean_of_points, share, standard_error
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
@@ -24,53 +25,54 @@ MIN_READINGS = 10
 PEAK_DEVIATIONS = 6.0
 """A peak has this share of all readings, so many, and so many standard deviations more than readings that are spread
 evenly over the sensor's range would have."""
+PEAK_FOOT = 0.0999
+"""A peak reaches as far as a tenth of its top, and two with more than that between them are one. Higher: shoulders
+become peaks of their own."""
 
 
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
     """Accuracy at the points with nothing varied; ``reference_std_cm`` as for `calibration.calibrate`."""
-    found = sorted((point.found for point in points), key=lambda each: each.true_range_cm)
-    known = [(each.true_range_cm, each.error) for each in found if each.error is not None]
+    found = sorted((point.found for point in points), key=lambda result: result.true_range_cm)
+    known = [(result.true_range_cm, result.error) for result in found if result.error is not None]
     if not known:
         return None
     echoes = [point for point in points if point.found.error is not None]
     hits = np.concatenate([point.error_cm[point.is_hit] for point in echoes])
-    range_cm, mean_cm = (np.array(column) for column in zip(*((r, each.value) for r, each in known), strict=True))
-    variance_cm2 = np.array([standard_error(each) ** 2 for _, each in known])
+    columns = ((range_cm, error.value, standard_error(error) ** 2) for range_cm, error in known)
+    range_cm, mean_cm, variance_cm2 = np.array(list(columns)).T
     between = None
     if np.unique(range_cm).size >= 3:
         line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
         between = IntervalEstimate(math.sqrt(line.between), None, None, "cm", len(known), "points")
-    readings = sum(each.readings for each in found)
+    readings = sum(result.readings for result in found)
     return Baseline(
         points=tuple(found),
-        bias=fit_points(np.ones((len(known), 1)), mean_cm, variance_cm2).estimate(0, "cm", reference_std_cm or 0.0),
+        bias=mean_of_points(mean_cm, "cm", variance_cm2, reference_std_cm or 0.0),
         spread=pooled_spread(echoes),
         between_points=between,
-        missed=share(sum(each.missed for each in found), readings),
-        outliers=share(sum(each.outliers for each in found), readings),
-        largest_error_cm=max((each.worst_error_cm or 0.0 for each in found), key=abs),
+        missed=share(sum(result.missed for result in found), readings),
+        outliers=share(sum(result.outliers for result in found), readings),
+        largest_error_cm=max((result.worst_error_cm or 0.0 for result in found), key=abs),
         largest_hit_error_cm=float(max(hits, key=abs)),
     )
 
 
 def maximum_range(points: Sequence[PointReadings], sensor: SensorModel) -> MaximumRange | None:
     """Histogram and peaks at the longest of these points' ranges, before and after missed echoes are masked."""
-    echoes = [point for point in points if point.hits]
-    if not echoes:
+    range_cm = max((point.range_cm for point in points if point.hits), default=None)
+    if range_cm is None:
         return None
-    range_cm = max(point.range_cm for point in echoes)
-    here = [point for point in echoes if point.range_cm == range_cm]
+    here = [point for point in points if point.hits and point.range_cm == range_cm]
     readings = to_step(np.concatenate([point.reading_cm[~np.isnan(point.reading_cm)] for point in here]), 1.0)
     kept = to_step(np.concatenate([point.reading_cm[point.is_echo] for point in here]), 1.0)
     values, counts = np.unique(readings, return_counts=True)
     span_cm = float(sensor.maximum_cm - sensor.minimum_cm)
-    no_echo = int((readings == sensor.maximum_cm).sum())
     return MaximumRange(
         true_range_cm=range_cm,
         readings=readings.size,
         histogram=tuple(zip(values.astype(int).tolist(), counts.tolist(), strict=True)),
-        no_echo=no_echo,
-        saturated=int(readings.size - kept.size) - no_echo,
+        no_echo=sum(point.found.no_echo for point in here),
+        saturated=sum(point.found.saturated for point in here),
         peaks_before=peaks(readings, span_cm),
         peaks_after=peaks(kept, span_cm),
         peak=_mode(kept),
@@ -81,7 +83,7 @@ def peaks(reading_cm: Array, span_cm: float) -> tuple[Peak, ...]:
     """Peaks of whole-centimetre readings of a sensor that reads over this span, the largest first.
 
     A peak is where most readings are within `PEAK_HALF_CM`, of at least `MIN_PEAK_SHARE`, `MIN_READINGS` and
-    `PEAK_DEVIATIONS`; it ends where they are less than a tenth of its top.
+    `PEAK_DEVIATIONS`; it ends at `PEAK_FOOT`.
 
     Examples
     --------
@@ -97,22 +99,21 @@ def peaks(reading_cm: Array, span_cm: float) -> tuple[Peak, ...]:
     # The background; most of the range has no readings if there are no outliers.
     evenly = float(np.median(np.concatenate([near, np.zeros(max(int(span_cm) - near.size, 0))])))
     least = max(MIN_PEAK_SHARE * reading_cm.size, MIN_READINGS, evenly + PEAK_DEVIATIONS * math.sqrt(evenly))
-    free = np.ones(counts.size, dtype=bool)
-    found: list[Peak] = []
-    while True:
-        top = int(np.where(free, near, -1.0).argmax())
-        if not free[top] or near[top] < least:
-            return tuple(sorted(found, key=lambda each: -each.share))
-        low = high = top
-        while low > 0 and free[low - 1] and near[low - 1] >= 0.1 * near[top]:
-            low -= 1
-        while high < counts.size - 1 and free[high + 1] and near[high + 1] >= 0.1 * near[top]:
-            high += 1
-        inside = counts[low : high + 1]
-        # A tail of a peak that was found before is none of its own.
-        if (low == 0 or free[low - 1]) and (high == counts.size - 1 or free[high + 1]) and inside.any():
-            found.append(Peak(float(first + low + int(inside.argmax())), float(inside.sum()) / reading_cm.size))
-        free[low : high + 1] = False
+    # Of tops that are equally high only the last is one.
+    tops, found = find_peaks(near + 1e-9 * np.arange(near.size), height=least, prominence=0.0)
+    foot = near[tops], found["left_bases"], found["right_bases"]
+    _, _, low, high = peak_widths(near, tops, 1.0 - PEAK_FOOT, foot)
+    inside = [
+        slice(math.ceil(start), int(stop) + 1)
+        for start, stop, prominence, top in zip(low, high, found["prominences"], near[tops], strict=True)
+        # Others are the tail of a higher one.
+        if prominence > (1.0 - PEAK_FOOT) * top
+    ]
+    found_peaks = (
+        Peak(float(first + each.start + counts[each].argmax()), float(counts[each].sum()) / reading_cm.size)
+        for each in inside
+    )
+    return tuple(sorted(found_peaks, key=lambda peak: -peak.share))
 
 
 def _mode(reading_cm: Array) -> IntervalEstimate:

@@ -5,7 +5,7 @@ What the data do not determine stays as in the starting model, and the findings 
 
 import difflib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -17,9 +17,10 @@ from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
-from msp_lab.characterise.mixture import fit_mixture, with_correlation
+from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
+from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
@@ -80,8 +81,8 @@ def characterise(
     RecordingError
         Nothing can be found in these readings, they are of different sensors, or most are far from their true ranges.
     """
-    started_cm = sensor.resolution_cm
-    sensor, about_step = _with_step(sensor, loaded)
+    start = sensor
+    sensor, about_step = _with_step(start, loaded)
     progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in EXPERIMENTS}
@@ -90,59 +91,56 @@ def characterise(
     _check_together(loaded, undisturbed)
 
     progress("calibration")
-    found_base = baseline(by[BASELINE], reference_std_cm)
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = curve_through(() if calibration is None else calibration.knots)
     progress("mixture")
-    fitted = fit_mixture(undisturbed, curve, sensor, rng)
-    if not isinstance(fitted, str):
-        fitted = with_correlation(fitted, hit_correlation(undisturbed, loaded.data))
-    mixture, parameters = (None, None) if isinstance(fitted, str) else fitted
-    progress("maximum range")
-    longest = maximum_range(by["maximum_range"], sensor)
-    progress("field of view and sonar equation")
+    mixture, parameters, no_mixture = None, None, ""
+    correlation = hit_correlation(undisturbed, loaded.data)
+    try:
+        mixture, parameters = fit_mixture(undisturbed, curve, sensor, rng, correlation)
+    except ValueError as error:
+        no_mixture = str(error)
+    progress("maximum range, field of view and sonar equation")
     view = find_field_of_view(by["field_of_view"], curve)
-    heard_cm = _heard_on_axis_cm(by["maximum_range"], sensor)
-    rows = breakaway_rows(view.angles) if view is not None else []
-    sonar = sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm)
+    rows = breakaway_rows(() if view is None else view.angles)
+    longest_cm = longest_reliable_cm(by["maximum_range"], RELIABLE_SHARE)
+    heard_cm = None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
     progress("questions")
-    found_points = tuple(point.found for point in points)
-    asked = answer_questions(found_points)
+    found = tuple(point.found for point in points)
     calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
-    boxes = () if calibration_c is None else hot_boxes(found_points, calibration_c)
-    table = () if calibration_c is None else compensation_table(by[COMPENSATION], curve)
-
+    questions = answer_questions(found)
     findings = Findings(
         sensor=sensor.name,
         date=date,
         calibration_temperature_c=calibration_c,
         sources=loaded.sources,
-        points=found_points,
-        baseline=found_base,
+        points=found,
+        baseline=baseline(by[BASELINE], reference_std_cm),
         calibration=calibration,
         mixture=mixture,
-        maximum_range=longest,
+        maximum_range=maximum_range(by["maximum_range"], sensor),
         field_of_view=view,
-        sonar=sonar,
-        questions=asked,
-        hot_boxes=boxes,
-        temperature_compensation=table,
+        sonar=sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm),
+        questions=questions,
+        hot_boxes=() if calibration_c is None else hot_boxes(questions, calibration_c),
+        temperature_compensation=() if calibration_c is None else compensation_table(by[COMPENSATION], curve),
         warnings=(
             *about_step,
             *_warnings(loaded, points, undisturbed, calibration),
-            *(_angle_warnings(view.angles, rows) if view else ()),
+            *_angle_warnings(() if view is None else view.angles, rows),
             *_quieter(sensor, parameters),
         ),
     )
-    findings = replace(findings, absent=_absent(findings, sensor, str(fitted)))
-    changes = _changes(findings, sensor, heard_cm, parameters)
-    if not asked and not table and not changes:
+    findings = replace(findings, absent=_absent(findings, sensor, no_mixture))
+    changes = _changes(findings, sensor, rows) | {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
+    changes = {name: value for name, value in changes.items() if value is not None}
+    if not findings.questions and not findings.temperature_compensation and not changes:
         why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
         raise RecordingError(
             f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
             "which varies everything at once, is for msp-lab gap"
         )
-    if sensor.resolution_cm != started_cm:
+    if sensor.resolution_cm != start.resolution_cm:
         changes["resolution_cm"] = sensor.resolution_cm
     return Characterised(findings, changes)
 
@@ -219,33 +217,23 @@ def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
-def _changes(
-    findings: Findings, sensor: SensorModel, heard_cm: float | None, parameters: MixtureParameters | None
-) -> dict[str, Any]:
-    """New values of the sensor model's fields, where the readings determine them."""
+def _changes(findings: Findings, sensor: SensorModel, rows: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """New values of the sensor model: its calibration, beam and effects; None where readings do not determine them."""
     view, calibration = findings.field_of_view, findings.calibration
-    found: dict[str, Any] = {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
+    changes: dict[str, Any] = {}
     # Without held-out ranges nothing was decided, and the starting model's stays.
     if calibration is not None and calibration.held_out:
-        knots = [(each.true_cm, each.reading_cm) for each in calibration.knots]
-        found["calibration"] = tuple(CalibrationKnot(true_cm=x, reading_cm=y) for x, y in knots)
+        changes["calibration"] = tuple(CalibrationKnot(**asdict(knot)) for knot in calibration.knots)
     if view is not None:
-        rows = breakaway_rows(view.angles)
-        found["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=a) for r, a in rows) or None
-        found["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
+        changes["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=angle) for r, angle in rows) or None
+        changes["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
     # An offset between sessions enters if its interval excludes 0.
     if calibration is not None and calibration.set_up_offset is not None and calibration.set_up_offset.low:
         offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))
         own = {"value": offset.value, "low": offset.low, "high": offset.high or 0, "unit": "cm"}
-        others = [each for each in sensor.effects if each.get("name") != SESSION_EFFECT]
-        found["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
-    return {name: value for name, value in found.items() if value is not None}
-
-
-def _heard_on_axis_cm(points: Sequence[PointReadings], sensor: SensorModel) -> float | None:
-    """Longest range at which a large target is read reliably; None if that was not measured."""
-    longest_cm = longest_reliable_cm(points, RELIABLE_SHARE)
-    return None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
+        others = [effect for effect in sensor.effects if effect.get("name") != SESSION_EFFECT]
+        changes["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
+    return changes
 
 
 def _warnings(
@@ -288,7 +276,7 @@ def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float
             yield f"at {angle.range_cm:g} cm no angle is reliable, so the range is not in the breakaway table"
         elif angle.half_angle.high is None:
             yield f"at {angle.range_cm:g} cm the largest angle tried is still reliable: the field is wider"
-        if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 3.6:
+        if angle.negative and angle.positive and abs(angle.negative.value - angle.positive.value) > 2.0 * STEP_DEG:
             yield (
                 f"at {angle.range_cm:g} cm the two sides differ ({angle.negative.value:g} and "
                 f"{angle.positive.value:g} deg): is the sensor's axis where 0 deg is?"
@@ -307,9 +295,3 @@ def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]
         f"the spread of {fitted.sigma_cm:.2g} cm was measured on a bench, and the starting model had "
         f"{sensor.reading_model.sigma_cm:.2g} cm: on a vehicle, which shakes, a filter with it may be overconfident"
     ]
-
-
-def provenance(findings: Findings) -> dict[str, object]:
-    """Return the entry for the sensor model file's `evidence`."""
-    data = [{"name": each.name, "sha256": each.sha256, "rows": each.rows} for each in findings.sources]
-    return {"what": "characterisation", "date": findings.date, "data": data}

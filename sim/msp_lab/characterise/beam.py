@@ -3,13 +3,12 @@
 A `SensorModel` enters, its `predicted_breakaway` leaves; in the text of a file everything else stays as it is.
 """
 
-import itertools
-from collections.abc import Sequence
+import re
 from pathlib import Path
 
 import yaml
 
-from msp_lab.characterise.sonar import extended_beam
+from msp_lab.characterise.sonar import PARAMETERS, extended_beam, fit_sonar
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.commission.edit import save
 from msp_range.reading_model.sensor_model import BreakawayPoint, PredictedBreakaway, SensorModel, load_sensor_model
@@ -32,7 +31,9 @@ def predict_breakaway(sensor: SensorModel) -> PredictedBreakaway:
         tuple(point.half_angle_deg for point in sensor.breakaway),
     )
     on_axis_m = None if sensor.heard_on_axis_cm is None else sensor.heard_on_axis_cm / 100.0
-    beam = extended_beam(measured, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
+    has_enough = len(sensor.breakaway) >= PARAMETERS
+    sonar = fit_sonar(measured, sensor.frequency_hz, on_axis_m) if has_enough else None
+    beam = extended_beam(measured, sonar, sensor.maximum_cm / 100.0)
     last = beam.half_angles_deg.index(beam.half_angles_deg[-1])
     added = slice(len(measured.ranges_m), last + 1)
     rows = (
@@ -50,22 +51,29 @@ def with_prediction(text: str, predicted: PredictedBreakaway) -> str:
     ConfigError
         The file is written in a way in which it has to be changed by hand.
     """
-    block = [
-        "predicted_breakaway:  # beyond the measured angles, by msp-lab beam",
-        f'  inputs: "{predicted.inputs}"',
-        "  rows:" if predicted.rows else "  rows: []",
-        *[f"    - {{range_cm: {at.range_cm:.10g}, half_angle_deg: {at.half_angle_deg:.10g}}}" for at in predicted.rows],
+    rows = [
+        f"\n    - {{range_cm: {at.range_cm:.10g}, half_angle_deg: {at.half_angle_deg:.10g}}}" for at in predicted.rows
     ]
-    lines = text.split("\n")
-    measured, older = _lines_of("breakaway", lines), _lines_of("predicted_breakaway", lines)
-    place = older or slice(measured.stop, measured.stop) if measured else slice(0)
-    changed = "\n".join([*lines[: place.start], *block, *lines[place.stop :]])
+    block = (
+        "predicted_breakaway:  # beyond the measured angles, by msp-lab beam\n"
+        f'  inputs: "{predicted.inputs}"\n'
+        f"  rows:{''.join(rows) or ' []'}"
+    )
+    # A key at the left edge, with all that is indented below it.
+    older, measured = (
+        re.search(rf"^{key}:.*(?:\n[ -].*)*", text, re.MULTILINE) for key in ("predicted_breakaway", "breakaway")
+    )
+    changed = ""
+    if older is not None:
+        changed = text[: older.start()] + block + text[older.end() :]
+    elif measured is not None:
+        changed = f"{text[: measured.end()]}\n{block}{text[measured.end() :]}"
     try:
         is_whole = load_yaml(changed) == {**load_yaml(text), "predicted_breakaway": predicted.model_dump(mode="json")}
     except yaml.YAMLError:
         is_whole = False
     if not is_whole:
-        raise ConfigError("\n".join(["this file has to be changed by hand; it lacks:", *block]))
+        raise ConfigError(f"this file has to be changed by hand; it lacks:\n{block}")
     return changed
 
 
@@ -95,12 +103,3 @@ def predict_in_file(path: Path) -> tuple[PredictedBreakaway, Path | None]:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return predicted, save(path, text)
-
-
-def _lines_of(key: str, lines: Sequence[str]) -> slice | None:
-    """A key at the left edge, with all that is indented below it."""
-    for start, line in enumerate(lines):
-        if line.startswith(f"{key}:"):
-            indented = itertools.takewhile(lambda line: line[:1] in (" ", "-"), lines[start + 1 :])
-            return slice(start, start + 1 + sum(1 for _ in indented))
-    return None

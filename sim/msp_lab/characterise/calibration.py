@@ -8,6 +8,7 @@ simpler one does.
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from msp_lab.characterise.estimates import (
     between_points,
     dependence_factor,
     fit_points,
+    line_design,
     mean_of_points,
     root_without,
     standard_error,
@@ -27,7 +29,7 @@ from msp_lab.characterise.estimates import (
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
-from msp_range.arrays import Array, Flags
+from msp_range.arrays import Array, Flags, numbered
 from msp_range.correction.calibration import PiecewiseLinear, curve_through
 
 MIN_RANGES = 4
@@ -56,6 +58,23 @@ class _Points(NamedTuple):
     range_cm: Array
     run: Array
 
+    @classmethod
+    def of(cls, points: Sequence[PointReadings]) -> "_Points":
+        run = numbered(np.array([point.run for point in points]))
+        rows = [
+            (
+                point.apparent_cm[point.is_hit].mean(),
+                # An error is about the true range of the hits: where that changes, missed echoes are at other ranges.
+                point.true_range_cm[point.is_hit].mean() + error.value,
+                standard_error(error) ** 2 + point.placement_cm2,
+                round(point.range_cm, 6),
+                run[i],
+            )
+            for i, point in enumerate(points)
+            if (error := point.found.error) is not None
+        ]
+        return cls(*np.array(rows).T)
+
     def select(self, rows: Flags) -> "_Points":
         return _Points(*(column[rows] for column in self))
 
@@ -76,42 +95,34 @@ def calibrate(
         Standard deviation of the error of each placement's true range [cm]; None: not stated, and all differences
         between placements are attributed to it.
     """
-    used = [(point, point.found.error) for point in points if point.found.error is not None]
+    used = [point for point in points if point.found.error is not None]
     if not used:
         return None
-    data = _Points(
-        true_cm=np.array([float(point.apparent_cm[point.is_hit].mean()) for point, _ in used]),
-        # An error is about the true range of the hits: where the range changes, missed echoes are at other ranges.
-        reading_cm=np.array([float(point.true_range_cm[point.is_hit].mean()) + error.value for point, error in used]),
-        variance_cm2=np.array([standard_error(error) ** 2 + point.placement_cm2 for point, error in used]),
-        range_cm=np.array([round(point.range_cm, 6) for point, _ in used]),
-        run=np.unique([point.run for point, _ in used], return_inverse=True)[1].ravel().astype(np.float64),
-    )
-    with_echo, extra_cm = [point for point, _ in used], reference_std_cm or 0.0
-    mean = fit_points(np.ones((len(used), 1)), data.reading_cm - data.true_cm, data.variance_cm2)
-    line, linearity, noise_floor = None, None, None
+    data, extra_cm = _Points.of(used), reference_std_cm or 0.0
+    line, offset, scale, linearity, noise_floor = None, None, None, None, None
     if np.unique(data.range_cm).size >= 3:
         line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
+        offset, scale = line.estimate(0, "cm", extra_cm), line.estimate(1, "")
         linearity, noise_floor = _linearity(data, line)
     # Set-ups differ by more than the scatter of readings explains; their residual variance is added to every point.
     chosen = _choose(data._replace(variance_cm2=data.variance_cm2 + (0.0 if line is None else line.between)))
-    step_cm = with_echo[0].step_cm
+    step_cm = used[0].step_cm
     return CalibrationFindings(
         form=chosen.form,
         knots=chosen.knots,
         reason=chosen.reason,
-        bias=mean.estimate(0, "cm", extra_cm),
-        offset=None if line is None else line.estimate(0, "cm", extra_cm),
-        scale=None if line is None else line.estimate(1, ""),
-        spread=pooled_spread(with_echo),
-        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in with_echo)),
+        bias=mean_of_points(data.reading_cm - data.true_cm, "cm", data.variance_cm2, extra_cm),
+        offset=offset,
+        scale=scale,
+        spread=pooled_spread(used),
+        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
         resolution_note=(
             f"readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
         linearity=linearity,
         linearity_noise_floor_cm=noise_floor,
         reference_std_cm=reference_std_cm,
-        set_up_offset=_set_up_offset(with_echo, data, chosen.knots, set_up_std_cm),
+        set_up_offset=_set_up_offset(used, data, chosen.knots, set_up_std_cm),
         held_out=chosen.held_out,
         held_out_unit="range and run" if _has_runs(data) else "range",
         true_cm=tuple(data.true_cm.tolist()),
@@ -134,35 +145,29 @@ def _set_up_offset(
     return between_points(residual_cm, own_cm2, set_up_std_cm**2, max(len(knots), 1))
 
 
-def line_design(x: Array) -> Array:
-    """Design matrix of a straight line: offset and scale."""
-    return np.column_stack([np.ones_like(x), x])
-
-
 def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
     """Standard deviation of hits about their own point's mean, before rounding: root mean square over the points."""
-    found = [point.found.spread for point in points if point.found.spread is not None]
-    weights = np.array([each.n - 1.0 for each in found])
-    if not found or weights.sum() == 0.0:
-        return IntervalEstimate(0.0, None, None, "cm", len(found))
-    value = math.sqrt(float(weights @ np.array([each.value**2 for each in found])) / weights.sum())
+    variances = [point.found.spread.mapped(lambda end: end**2) for point in points if point.found.spread is not None]
+    weight = np.array([variance.n - 1.0 for variance in variances])
+    if not weight.any():
+        return IntervalEstimate(0.0, None, None, "cm", len(variances))
+    weight /= weight.sum()
+    mean = float(weight @ [variance.value for variance in variances])
     # Each point's own interval of the variance; they are independent.
-    errors = np.array([((each.high or 0.0) ** 2 - (each.low or 0.0) ** 2) / 3.92 for each in found])
-    error = math.sqrt(float((weights**2) @ errors**2)) / float(weights.sum())
-    low, high = (root_without(sign * Z * error, value**2) for sign in (1, -1))
-    return IntervalEstimate(value, low, high, "cm", int(weights.sum()) + len(found))
+    half = Z * float(np.linalg.norm(weight * [standard_error(variance) for variance in variances]))
+    readings = sum(variance.n for variance in variances)
+    return IntervalEstimate.about(mean, half, "cm", readings).mapped(partial(root_without, 0.0))
 
 
 def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]:
     """Largest distance from the line, and its noise floor: what the scatter of readings reaches in 95 % of cases."""
     residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
     i = int(np.abs(residual).argmax())
-    half = Z * math.sqrt(float(data.variance_cm2[i]))
-    value = float(residual[i])
+    half = Z * math.sqrt(data.variance_cm2[i])
     # The largest of n distances is below its limit where each is.
     z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
-    noise_floor = z * math.sqrt(float(data.variance_cm2.mean()))
-    return IntervalEstimate.about(value, half, "cm", residual.size, "points"), noise_floor
+    noise_floor = z * math.sqrt(data.variance_cm2.mean())
+    return IntervalEstimate.about(float(residual[i]), half, "cm", residual.size, "points"), noise_floor
 
 
 class _Choice(NamedTuple):
@@ -182,32 +187,32 @@ def _choose(data: _Points) -> _Choice:
         return _Choice("none", (), reason)
     by_run = _has_runs(data)
     most = min(MAX_PIECES, ranges.size // RANGES_PER_PIECE)
-    errors = {count: _left_out_errors(data, count, data.range_cm) for count in range(max(most, 1) + 1)}
+    errors = {pieces: _left_out_errors(data, pieces, data.range_cm) for pieces in range(max(most, 1) + 1)}
     tried: list[tuple[Form, int]] = [("offset and scale", 1)]
     if most >= 2:
         # The best piecewise linear form represents its kind.
-        tried.append(("piecewise linear", min(range(2, most + 1), key=lambda count: _rms(errors[count]))))
-    kept: tuple[Form, int] = ("none", 0)
-    held_out = [HeldOut("none", _rms(errors[0]), None)]
-    refused = ""
-    for form, count in tried:
-        gain = _gain(errors[kept[1]], errors[count], data.range_cm)
-        held_out.append(HeldOut(form, _rms(errors[count]), gain))
+        tried.append(("piecewise linear", min(range(2, most + 1), key=lambda pieces: _rms(errors[pieces]))))
+    kept: Form = "none"
+    kept_pieces, refused, held_out = 0, "", [HeldOut("none", _rms(errors[0]), None)]
+    for form, pieces in tried:
+        gain = _gain(errors[kept_pieces], errors[pieces], data.range_cm)
+        held_out.append(HeldOut(form, _rms(errors[pieces]), gain))
         is_better = gain.low is not None and gain.low > 0.0
         if is_better and by_run:
-            is_better = _rms(_left_out_errors(data, count, data.run)) < _rms(_left_out_errors(data, kept[1], data.run))
+            simpler, complex_ = (_rms(_left_out_errors(data, each, data.run)) for each in (kept_pieces, pieces))
+            is_better = complex_ < simpler
         if is_better:
             try:
-                curve_through(_knots(data, count))
-                kept = form, count
+                curve_through(_knots(data, pieces))
+                kept, kept_pieces = form, pieces
             except ValueError as error:
                 refused += f"; {NAMES[form]} would predict better and is no calibration: {error}"
-    others = [f"{each.rms_cm:.2f} cm by {NAMES[each.form]}" for each in held_out if each.form != kept[0]]
+    others = [f"{each.rms_cm:.2f} cm by {NAMES[each.form]}" for each in held_out if each.form != kept]
     reason = (
-        f"left-out ranges are predicted to {_rms(errors[kept[1]]):.2f} cm rms, against {' and '.join(others)}; a more "
-        f"complex form is kept if its gain is significant{' and left-out runs agree' if by_run else ''}{refused}"
+        f"left-out ranges are predicted to {_rms(errors[kept_pieces]):.2f} cm rms, against {' and '.join(others)}; a "
+        f"more complex form is kept if its gain is significant{' and left-out runs agree' if by_run else ''}{refused}"
     )
-    return _Choice(kept[0], _knots(data, kept[1]), reason, tuple(held_out))
+    return _Choice(kept, _knots(data, kept_pieces), reason, tuple(held_out))
 
 
 def _has_runs(data: _Points) -> bool:
@@ -219,38 +224,34 @@ def _has_runs(data: _Points) -> bool:
 def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
     """Error of each reading, predicted by a calibration fitted to the points of other groups: ranges, or runs."""
     errors = np.empty_like(data.true_cm)
-    for each in np.unique(group):
-        out = group == each
-        errors[out] = data.reading_cm[out] - _extended(data.true_cm[out], *_fitted(data.select(~out), pieces))
+    for unit in np.unique(group):
+        out = group == unit
+        curve = PiecewiseLinear(*_fitted(data.select(~out), pieces))
+        errors[out] = data.reading_cm[out] - curve(data.true_cm[out])
     return errors
 
 
 def _gain(simpler: Array, complex_: Array, group: Array) -> IntervalEstimate:
     """Mean square error taken off, ranges as the unit."""
     saved = simpler**2 - complex_**2
-    return mean_of_points([float(saved[group == each].mean()) for each in np.unique(group)], "cm^2")
+    return mean_of_points(np.array([saved[group == each].mean() for each in np.unique(group)]), "cm^2")
 
 
-def _fitted(data: _Points, pieces: int) -> tuple[Array, Array]:
+def _fitted(data: _Points, pieces: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Knots of a curve of straight pieces by least squares, ranges and readings; without pieces they are equal."""
-    x, y = data.true_cm, data.reading_cm
-    places = np.quantile(np.unique(x), np.linspace(0.0, 1.0, max(pieces, 1) + 1))
+    places = tuple(np.quantile(np.unique(data.true_cm), np.linspace(0.0, 1.0, max(pieces, 1) + 1)).tolist())
     if pieces == 0:
         return places, places
     # Hat functions; the outer ones go on beyond the ends as straight lines.
-    design = np.column_stack([_extended(x, places, hat) for hat in np.eye(places.size)])
+    hats = np.array([PiecewiseLinear(places, tuple(hat))(data.true_cm) for hat in np.eye(len(places)).tolist()])
     root_weight = 1.0 / np.sqrt(data.variance_cm2 + 1e-12)
-    values, *_ = np.linalg.lstsq(design * root_weight[:, None], y * root_weight, rcond=None)
-    return places, values.astype(np.float64)
-
-
-def _extended(x: Array, places: Array, values: Array) -> Array:
-    return PiecewiseLinear(tuple(places.tolist()), tuple(values.tolist()))(x)
+    readings, *_ = np.linalg.lstsq((hats * root_weight).T, data.reading_cm * root_weight, rcond=None)
+    return places, tuple(readings.tolist())
 
 
 def _knots(data: _Points, pieces: int) -> tuple[MeasuredKnot, ...]:
-    pairs = np.column_stack(_fitted(data, pieces)).tolist() if pieces else []
-    return tuple(MeasuredKnot(round(x, 2), round(y, 3)) for x, y in pairs)
+    knots = zip(*_fitted(data, pieces), strict=True) if pieces else ()
+    return tuple(MeasuredKnot(round(true_cm, 2), round(reading_cm, 3)) for true_cm, reading_cm in knots)
 
 
 def _rms(errors: Array) -> float:

@@ -32,6 +32,15 @@ class HitCorrelation(NamedTuple):
     spacing_s: float
     z: float
 
+    @property
+    def note(self) -> str:
+        """What to know of it."""
+        return (
+            f"errors of hits {self.spacing_s:.3g} s apart have a correlation of {self.correlation:.2f} ({self.z:.0f} "
+            "standard errors): the simulator draws them so, and intervals that take readings as independent are too "
+            "narrow"
+        )
+
 
 def hit_correlation(points: Sequence[PointReadings], data: MeasuredData) -> HitCorrelation | None:
     """Correlation of neighbouring hits at undisturbed points; None where there is none for sure.

@@ -6,21 +6,21 @@ those of the likelihood of the rounded readings, and not of their average.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import brentq
-from scipy.special import log_ndtr, logsumexp
+from scipy.special import logsumexp, ndtr
 
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.arrays import Array
 from msp_sim.intervals import CONFIDENCE, Z, wilson
 
-_LIKELIHOOD_DROP = Z**2 / 2
+LIKELIHOOD_DROP = Z**2 / 2
+"""By so much the log likelihood is below its top at the ends of an interval: 1.92, half of chi squared's quantile."""
 DITHERED = 0.6
 """Rounded readings that scatter by more than this many of their steps lose nothing by it: before rounding that is
 sqrt(0.36 - 1 / 12) = 0.53, and the average's bias is under exp(-2 pi^2 0.277) / pi = 0.0014 steps."""
@@ -59,15 +59,6 @@ def share(count: int, of: int) -> IntervalEstimate:
     return IntervalEstimate(count / of, *wilson(count, of), "", of)
 
 
-def mean_of_points(values: Sequence[float] | Array, unit: str) -> IntervalEstimate:
-    """Mean of independent values, one a point, with Student's interval; no interval for one value alone."""
-    value, n = float(np.mean(values)), len(values)
-    if n < 2:
-        return IntervalEstimate(value, None, None, unit, n, "points")
-    half = student(float(np.std(values, ddof=1)) / math.sqrt(n), n - 1)
-    return IntervalEstimate.about(value, half, unit, n, "points")
-
-
 class PointsFit(NamedTuple):
     """Coefficients of a linear model of points, and the variance between them that their own do not explain."""
 
@@ -85,43 +76,46 @@ class PointsFit(NamedTuple):
         return IntervalEstimate.about(value, half, unit, n, "points")
 
 
-def fit_points(design: Array, y: Array, variance: Array) -> PointsFit:
+def fit_points(design: Array, y: Array, variance: Array | float) -> PointsFit:
     """Weighted least squares with a variance between points, which is added until the residuals are as expected.
 
-    Parameters
-    ----------
-    design
-        Shape (points, coefficients), of full rank.
-    y, variance
-        A point each: its value, and the variance that is known of it.
-
-    Notes
-    -----
-    Paule and Mandel 1982 (J. Res. NBS 87, 377): the variance between is the one at which the weighted sum of squared
-    residuals equals its degrees of freedom, and 0 where it is below already.
+    `design` is (points, coefficients), of full rank; `y` and `variance` are each point's value and what is known of its
+    variance. Paule and Mandel 1982 (J. Res. NBS 87, 377): the variance between is the one at which the weighted sum of
+    squared residuals equals its degrees of freedom, and 0 where it is below already.
     """
     freedom = y.size - design.shape[1]
-
-    def fit(between: float) -> tuple[Array, Array, float]:
-        weighted = design / (variance + between + 1e-12)[:, None]
-        covariance = np.linalg.inv(weighted.T @ design).astype(np.float64)
-        coefficients: Array = covariance @ (weighted.T @ y)
-        squares = (y - design @ coefficients) ** 2 / (variance + between + 1e-12)
-        return coefficients, covariance, float(squares.sum())
-
-    between = _variance_of(lambda between: fit(between)[2], freedom) if freedom > 0 else 0.0
-    coefficients, covariance, _ = fit(between)
+    between = _variance_between(design, y, variance, freedom) if freedom > 0 else 0.0
+    coefficients, covariance, _ = _least_squares(design, y, variance + between)
     return PointsFit(coefficients, covariance, between, freedom)
 
 
-def _variance_of(squares: Callable[[float], float], wanted: float) -> float:
-    """The variance at which a sum of squares, which falls with it, is as wanted; 0 where it is below already."""
-    if squares(0.0) <= wanted:
-        return 0.0
-    high = 1.0
-    while squares(high) > wanted:
-        high *= 4.0
-    return float(brentq(lambda between: squares(between) - wanted, 0.0, high))
+def line_design(x: Array) -> Array:
+    """Design matrix of a straight line: offset and scale."""
+    return np.column_stack([np.ones_like(x), x])
+
+
+def mean_of_points(values: Array, unit: str, variance: Array | float = 0.0, extra_std: float = 0.0) -> IntervalEstimate:
+    """Mean of one value a point, as by `fit_points` and `PointsFit.estimate`; no interval for one value alone."""
+    return fit_points(np.ones((values.size, 1)), values, variance).estimate(0, unit, extra_std)
+
+
+def _least_squares(design: Array, y: Array, variance: Array | float) -> tuple[Array, Array, float]:
+    """Coefficients of weighted least squares, their covariance, and the weighted sum of squared residuals."""
+    weight = np.full(y.size, 1.0 / (variance + 1e-12))
+    covariance = np.linalg.inv(design.T * weight @ design).astype(np.float64)
+    coefficients: Array = covariance @ (design.T * weight @ y)
+    return coefficients, covariance, float(weight @ (y - design @ coefficients) ** 2)
+
+
+def _variance_between(design: Array, y: Array, variance: Array | float, wanted: float) -> float:
+    """The variance with which the weighted sum of squared residuals is as wanted; 0 where it is below already."""
+
+    def excess(between: float) -> float:
+        return _least_squares(design, y, variance + between)[2] - wanted
+
+    # Without variances of their own the sum is that of equal weights over the variance between.
+    high = 1.0 + _least_squares(design, y, 1.0)[2] / wanted
+    return float(brentq(excess, 0.0, high)) if excess(0.0) > 0.0 else 0.0
 
 
 def between_points(residual: Array, variance: Array, known: float = 0.0, fitted: int = 1) -> IntervalEstimate:
@@ -147,28 +141,17 @@ def between_points(residual: Array, variance: Array, known: float = 0.0, fitted:
     True
     """
     freedom = residual.size - fitted
-
-    def squares(between: float) -> float:
-        weight = 1.0 / (variance + known + between + 1e-12)
-        return float(weight @ (residual - np.average(residual, weights=weight)) ** 2)
-
     wanted = (freedom, *stats.chi2.isf([0.025, 0.975], freedom).tolist())
-    value, low, high = (math.sqrt(_variance_of(squares, each)) for each in wanted)
+    mean = np.ones((residual.size, 1))
+    value, low, high = (math.sqrt(_variance_between(mean, residual, variance + known, each)) for each in wanted)
     return IntervalEstimate(value, low, high, "cm", residual.size, "points")
 
 
 def dependence_factor(series: Sequence[Array]) -> float:
     """By how much readings that depend on the ones before widen the variance of their mean; 1 where they do not.
 
-    Parameters
-    ----------
-    series
-        Of each point, its readings in order.
-
-    Notes
-    -----
-    Batch means: the variance of the means of consecutive batches, times their length, over that of single readings,
-    pooled over the points.
+    `series` are each point's readings in order. Batch means: the variance of the means of consecutive batches, times
+    their length, over that of single readings, pooled over the points.
     """
     means, singles, freedom = 0.0, 0.0, 0
     for values in series:
@@ -255,10 +238,9 @@ def common_spread(groups: Sequence[Array], step: float) -> float | None:
     spreads = np.geomspace(*_SPREADS, 41)
     total = np.zeros(spreads.size)
     for values in few:
-        steps, counts = np.unique(np.rint(values / step), return_counts=True)
         means = float(np.median(values)) / step + np.linspace(-1.0, 1.0, 81)
         # Over all means alike: with the likeliest one of each group its boundary takes the place of the spread.
-        total += logsumexp(_log_likelihood(steps, counts, means, spreads), axis=0)
+        total += logsumexp(_log_likelihood(values / step, means, spreads), axis=0)
     return step * float(spreads[total.argmax()])
 
 
@@ -271,47 +253,39 @@ def _is_of_few_steps(values: Array, step: float) -> bool:
 
 
 def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSpread:
-    steps, counts = np.unique(np.rint(values / step), return_counts=True)
     middle = float(np.median(values)) / step
     mean_ends, spread_ends = (middle - 1.0, middle + 1.0), _SPREADS
     # Three looks, each at what the one before found likely.
     for _ in range(3):
-        means = np.linspace(*mean_ends, 41)
-        spreads = np.geomspace(*spread_ends, 41)
-        log_likelihood = _log_likelihood(steps, counts, means, spreads)
+        means, spreads = np.linspace(*mean_ends, 41), np.geomspace(*spread_ends, 41)
+        log_likelihood = _log_likelihood(values / step, means, spreads)
         if usual is not None:
             log_likelihood -= 0.5 * (np.log(spreads / usual) / USUAL_WITHIN) ** 2
         by_mean, by_spread = log_likelihood.max(axis=1), log_likelihood.max(axis=0)
-        top = float(log_likelihood.max())
-        mean_ends = mean_low, mean_high = _where_likely(means, by_mean, top)
-        spread_ends = spread_low, spread_high = _where_likely(spreads, by_spread, top)
+        mean_ends, spread_ends = _where_likely(means, by_mean), _where_likely(spreads, by_spread)
     # Where the likelihood is flat, its middle.
-    mean = float(means[by_mean > top - 1e-6].mean())
-    spread, n = float(spreads[by_spread.argmax()]), values.size
-    if steps.size == 1:
+    mean = float(means[by_mean > by_mean.max() - 1e-6].mean())
+    spread, (least, largest) = float(spreads[by_spread.argmax()]), spread_ends
+    if np.ptp(np.rint(values / step)) == 0.0:
         # All in one step: any smaller spread is as likely.
-        spread = spread_low = 0.0
+        spread = least = 0.0
     return MeanAndSpread(
-        IntervalEstimate(step * mean, step * mean_low, step * mean_high, "cm", n),
-        IntervalEstimate(step * spread, step * spread_low, step * spread_high, "cm", n),
+        IntervalEstimate(step * mean, step * mean_ends[0], step * mean_ends[1], "cm", values.size),
+        IntervalEstimate(step * spread, step * least, step * largest, "cm", values.size),
     )
 
 
-def _log_likelihood(steps: Array, counts: NDArray[np.int64], means: Array, spreads: Array) -> Array:
-    """Log likelihood of rounded values, shape (means, spreads); each may be a stray."""
-    total = np.zeros((means.size, spreads.size))
-    for step, count in zip(steps.tolist(), counts.tolist(), strict=True):
-        a = (step - 0.5 - means[:, None]) / spreads
-        b = a + 1.0 / spreads
-        right = a > 0.0
-        upper, lower = log_ndtr(np.where(right, -a, b)), log_ndtr(np.where(right, -b, a))
-        with np.errstate(divide="ignore"):
-            total += count * np.logaddexp(upper + np.log(-np.expm1(lower - upper)), np.log(STRAY))
-    return total
+def _log_likelihood(values: Array, means: Array, spreads: Array) -> Array:
+    """Log likelihood of values that were rounded to whole numbers, shape (means, spreads); each may be a stray."""
+    steps, counts = np.unique(np.rint(values), return_counts=True)
+    spread = spreads[:, None]
+    low = (steps - 0.5 - means[:, None, None]) / spread
+    likelihood: Array = np.log(ndtr(low + 1.0 / spread) - ndtr(low) + STRAY) @ counts
+    return likelihood
 
 
-def _where_likely(grid: Array, profile: Array, top: float) -> tuple[float, float]:
-    likely = np.flatnonzero(profile > top - _LIKELIHOOD_DROP)
+def _where_likely(grid: Array, profile: Array) -> tuple[float, float]:
+    likely = np.flatnonzero(profile > profile.max() - LIKELIHOOD_DROP)
     return float(grid[max(likely[0] - 1, 0)]), float(grid[min(likely[-1] + 1, grid.size - 1)])
 
 

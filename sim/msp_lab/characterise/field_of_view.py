@@ -6,17 +6,17 @@ readings that are of the wall; the breakaway lies between the last reliable angl
 
 import math
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import accumulate, groupby
 from typing import Literal
 
 import numpy as np
 from scipy.special import xlogy
 
-from msp_lab.characterise.estimates import half_of_mean, share, student
+from msp_lab.characterise.estimates import LIKELIHOOD_DROP, fit_points, half_of_mean, share
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
-from msp_lab.characterise.sonar import PARAMETERS, STEP_DEG, extended_beam, fit_sonar, leave_one_out
+from msp_lab.characterise.sonar import PARAMETERS, extended_beam, fit_sonar, leave_one_out
 from msp_range.acoustics.beam import BreakawayTable
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
@@ -53,12 +53,9 @@ def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration
 
 def breakaway_rows(angles: Sequence[BreakawayAngle]) -> list[tuple[float, float]]:
     """Range [cm] and half angle [deg] for the model file: where there is an angle, and never wider with range."""
-    rows: list[tuple[float, float]] = []
-    for angle in angles:
-        half_deg = angle.half_angle.value
-        if half_deg > 0.0:
-            rows.append((angle.range_cm, min([half_deg] + [each for _, each in rows])))
-    return rows
+    seen = [angle for angle in angles if angle.half_angle.value > 0.0]
+    narrowest_deg = accumulate((angle.half_angle.value for angle in seen), min)
+    return [(angle.range_cm, half_deg) for angle, half_deg in zip(seen, narrowest_deg, strict=True)]
 
 
 def sonar_through(
@@ -66,19 +63,8 @@ def sonar_through(
 ) -> SonarFit | None:
     """The sonar equation through breakaway angles, and each angle as the others predict it.
 
-    Parameters
-    ----------
-    rows
-        Range [cm] and half angle [deg].
-    sensor
-        Frequency and longest range.
-    on_axis_cm
-        Range at which a wall is at least detected on the axis [cm].
-
-    Returns
-    -------
-    SonarFit or None
-        None with fewer rows than the equation has parameters, and for light and radio.
+    `rows` have range [cm] and half angle [deg], `on_axis_cm` is the range at which a wall is at least detected on the
+    axis [cm]. None with fewer rows than the equation has parameters, and for light and radio.
     """
     if len(rows) < PARAMETERS or sensor.medium != "sound":
         return None
@@ -88,22 +74,18 @@ def sonar_through(
     left_out: Sequence[float | None] = [None] * len(rows)
     if len(rows) > PARAMETERS:
         left_out = leave_one_out(table, sensor.frequency_hz, on_axis_m)
-    radians = [sonar.half_angle_rad(range_m) for range_m in table.ranges_m]
-    fitted = [None if each is None else math.degrees(each) for each in radians]
-    beam = extended_beam(table, sensor.maximum_cm / 100.0, sensor.frequency_hz, on_axis_m)
+    fitted = map(sonar.half_angle_deg, table.ranges_m)
+    beam = extended_beam(table, sonar, sensor.maximum_cm / 100.0)
     known_to_cm = round(100.0 * beam.ranges_m[-1], 6)
-    found = tuple(SonarRow(*row, *angles) for row, *angles in zip(rows, fitted, left_out, strict=True))
     return SonarFit(
         source_level_db=sonar.source_level_db,
         piston_diameter_m=sonar.piston_diameter_m,
         gain_db_per_m=sonar.gain_db_per_m,
-        rows=found,
+        rows=tuple(SonarRow(*row, *angles) for row, *angles in zip(rows, fitted, left_out, strict=True)),
         beyond=tuple(
             (r, math.degrees(beam.half_angle_rad(r / 100.0))) for r in BEYOND_CM if rows[-1][0] < r <= known_to_cm
         ),
-        within_a_step=all(
-            each.fitted_deg is not None and abs(each.fitted_deg - each.measured_deg) <= STEP_DEG for each in found
-        ),
+        within_a_step=sonar.fits(table),
         note=(
             f"{PARAMETERS} parameters for {len(rows)} angles: that the equation passes near them is hardly evidence; "
             "what the other rows predict is, and beyond the table its shape is assumed"
@@ -166,8 +148,7 @@ def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
 def _likely_steps(of_wall: Array, readings: Array) -> list[int]:
     """Numbers of angles after which the share of readings of the wall may drop from reliable to not reliable.
 
-    Those whose binomial likelihood, with one share before and one behind, is not significantly below the best: by 1.92
-    of its logarithm.
+    Those whose binomial likelihood, with one share before and one behind, is not significantly below the best.
     """
     log_likelihood = []
     for count in range(readings.size + 1):
@@ -176,7 +157,7 @@ def _likely_steps(of_wall: Array, readings: Array) -> list[int]:
             share = min(max(of_wall[part].sum() / max(readings[part].sum(), 1), least), most)
             total += float((xlogy(of_wall[part], share) + xlogy(readings[part] - of_wall[part], 1.0 - share)).sum())
         log_likelihood.append(total)
-    return [count for count, each in enumerate(log_likelihood) if each >= max(log_likelihood) - 1.92]
+    return [count for count, each in enumerate(log_likelihood) if each >= max(log_likelihood) - LIKELIHOOD_DROP]
 
 
 def _oblique(points: Sequence[AnglePoint]) -> Oblique:
@@ -188,17 +169,19 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
         return Oblique("unknown", None, None, None, reason)
     excess = np.array([reading.value - each.nearest_cm for each, reading in used])
     ranges, at = np.unique([each.range_cm for each, _ in used], return_inverse=True)
-    # Within each range: how well its distance was set drops out.
-    x, y = (column - (np.bincount(at, column) / np.bincount(at))[at] for column in (growth, excess))
-    freedom = len(used) - ranges.size - 1
-    if freedom < 1 or not float(x @ x) > 0.0:
+    # Each range with a start of its own: how well its distance was set drops out.
+    starts = at[:, None] == np.arange(ranges.size)
+    design = np.column_stack([growth, starts])
+    if len(used) <= design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
         return Oblique("unknown", None, None, None, "too few reliable angles")
-    slope = float(x @ y / (x @ x))
-    half = student(math.sqrt(float(((y - slope * x) ** 2).sum()) / freedom / float(x @ x)), freedom)
-    estimate = IntervalEstimate.about(slope, half, "", len(used), "points")
-    slant_rms, nearest_rms = (float(np.sqrt(((y - s * x) ** 2).mean())) for s in (1.0, 0.0))
-    low, high = slope - half, slope + half
-    reason = f"readings grow by {slope:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"
+    slope = fit_points(design, excess, 0.0).estimate(0, "")
+
+    def rms_cm(share: float) -> float:
+        left = excess - share * growth
+        return float(np.std(left - starts @ (left @ starts / starts.sum(axis=0))))
+
+    low, high = slope.low or 0.0, slope.high or 0.0
+    reason = f"readings grow by {slope.value:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"
     verdict: Literal["slant", "nearest", "unknown"] = "slant" if low > 0.5 else "nearest" if high < 0.5 else "unknown"
     reason += ", which may be nearer to either" if verdict == "unknown" else ""
-    return Oblique(verdict, estimate, slant_rms, nearest_rms, reason)
+    return Oblique(verdict, slope, rms_cm(1.0), rms_cm(0.0), reason)

@@ -6,9 +6,7 @@ is not noise of the sensor; the calibration deals with the differences between s
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,7 +17,7 @@ from msp_lab.characterise.points import PointReadings
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import MIN_WEIGHT, FitError, FitResult, with_floors
+from msp_range.reading_model.fit_result import MIN_WEIGHT, FitResult, with_floors
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.pit import goodness_of_fit
@@ -27,11 +25,6 @@ from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParame
 
 ENOUGH_HITS = 50
 """Set-ups with fewer hits are fitted about the reference: their own mean would lower the variance by 2 % or more."""
-
-AT_FLOOR = (
-    f"hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
-)
-AT_BOUND = "at its bound; the value may lie beyond it"
 
 UNIT = {
     "sigma_cm": "cm",
@@ -44,34 +37,31 @@ GROWTH = {"sigma_growth_cm_per_m": "the spread", "missed_growth_per_m": "the odd
 """Parameters that are 0 where nothing depends on range, and what they change."""
 
 
-class FittedMixture(NamedTuple):
-    """What was found, and what goes into the file."""
-
-    found: Mixture
-    parameters: MixtureParameters
-
-
 def fit_mixture(
-    points: Sequence[PointReadings], calibration: Calibration, sensor: SensorModel, rng: np.random.Generator
-) -> FittedMixture | str:
-    """Fit the mixture to undisturbed readings on the axis; the reason where it cannot be fitted.
+    points: Sequence[PointReadings],
+    calibration: Calibration,
+    sensor: SensorModel,
+    rng: np.random.Generator,
+    correlation: HitCorrelation | None = None,
+) -> tuple[Mixture, MixtureParameters]:
+    """Fit the mixture to undisturbed readings on the axis: what was found, and what goes into the file.
 
-    `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit.
+    `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit;
+    `correlation` is that of neighbouring hits.
+
+    Raises
+    ------
+    ValueError
+        It cannot be fitted; the reason.
     """
-    try:
-        grid = ReadingGrid.of(sensor)
-    except ValueError as error:
-        return str(error)
+    grid = ReadingGrid.of(sensor)
     set_ups = [_placement_error(point, calibration) for point in points]
     reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
     whole, notes = grid.nearest(reading_cm), []
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
-    try:
-        result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
-    except (FitError, ValueError) as error:
-        return str(error)
+    result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
     good = None
     try:
         good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
@@ -79,18 +69,16 @@ def fit_mixture(
     except ValueError as error:
         notes.append(f"how well it fits is not known: {error}")
     moved = tuple(each for each in set_ups if each is not None)
-    if moved:
-        farthest_cm = max(abs(each.error_cm) for each in moved)
-        notes.append(
-            f"{len(moved)} of {len(points)} set-ups are fitted about the mean of their own hits, up to "
-            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
-            "reference was off by"
-        )
+    notes += _placement_notes(moved, len(points))
     fitted, raised = with_floors(result.parameters, saturates=grid.second_no_echo_cm is not None)
     bound = {*result.at_bound, *raised}
-    notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.estimates if name in bound]
-    unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}
+    notes += [_bound_note(name, name in raised) for name in result.estimates if name in bound]
+    unknown = result.not_identified
     notes += [f"{name}: not identifiable from these readings; the starting model's value is kept" for name in unknown]
+    changed = {name: getattr(sensor.reading_model, name) for name in unknown}
+    if correlation is not None:
+        changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
+        notes.append(correlation.note)
     found = Mixture(
         parameters=tuple(
             _parameter(name, result, sensor.reading_model, name in bound)
@@ -105,7 +93,7 @@ def fit_mixture(
         notes=tuple(notes),
         set_ups=moved,
     )
-    return FittedMixture(found, fitted.model_copy(update=unknown))
+    return found, fitted.model_copy(update=changed)
 
 
 def _readings(
@@ -124,17 +112,20 @@ def _readings(
     return reading_cm, expected_cm, std_cm
 
 
-def with_correlation(fitted: FittedMixture, found: HitCorrelation | None) -> FittedMixture:
-    """The mixture with the correlation of neighbouring hits, where there is one."""
-    if found is None:
-        return fitted
-    number = {"correlation": found.correlation, "correlation_spacing_s": found.spacing_s}
-    note = (
-        f"errors of hits {found.spacing_s:.3g} s apart have a correlation of {found.correlation:.2f} ({found.z:.0f} "
-        "standard errors): the simulator draws them so, and intervals that take readings as independent are too narrow"
-    )
-    mixture = replace(fitted.found, notes=(*fitted.found.notes, note))
-    return FittedMixture(mixture, fitted.parameters.model_copy(update=number))
+def _placement_notes(moved: Sequence[PlacementError], set_ups: int) -> Iterator[str]:
+    if moved:
+        farthest_cm = max(abs(each.error_cm) for each in moved)
+        yield (
+            f"{len(moved)} of {set_ups} set-ups are fitted about the mean of their own hits, up to {farthest_cm:.2f} "
+            "cm from the calibration: sigma_cm is the scatter within a set-up, without what the reference was off by"
+        )
+
+
+def _bound_note(name: str, is_floor: bool) -> str:
+    if is_floor:
+        floor = f"the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
+        return f"{name}: hardly seen in these readings; {floor}"
+    return f"{name}: at its bound; the value may lie beyond it"
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
@@ -149,15 +140,14 @@ def _placement_error(point: PointReadings, calibration: Calibration) -> Placemen
 
 def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound: bool) -> MixtureParameter:
     try:
-        low, high = result.interval(name)
+        low, high = (end if math.isfinite(end) else None for end in result.interval(name))
     except ValueError:
         # The profile of the likelihood has no end here.
-        low, high = -math.inf, math.inf
-    known = [end if math.isfinite(end) else None for end in (low, high)]
-    estimate = IntervalEstimate(result.estimates[name], known[0], known[1], UNIT.get(name, ""), result.readings)
+        low, high = None, None
+    estimate = IntervalEstimate(result.estimates[name], low, high, UNIT.get(name, ""), result.readings)
     if name in KINDS:
         return MixtureParameter(f"weights.{name}", estimate, getattr(before.weights, name), at_bound)
-    return MixtureParameter(name, estimate, getattr(before, name, None), at_bound)
+    return MixtureParameter(name, estimate, getattr(before, name), at_bound)
 
 
 def _conditional(result: FitResult, expected_cm: Array) -> str:

@@ -13,7 +13,6 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import to_jsonable_python
 
-from msp_lab.characterise.analysis import provenance
 from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -22,7 +21,6 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 
-_DIGITS = 6
 _SECTIONS = (
     ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
     ("resolution_cm",),
@@ -54,7 +52,8 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
         content["heard_on_axis_cm"] = max(content["heard_on_axis_cm"], content["breakaway"][-1]["range_cm"])
     # The means over a flight and the predicted angles were those of the starting model.
     content |= {"in_flight": None, "predicted_breakaway": None}
-    content["evidence"] = [*content["evidence"], provenance(findings)]
+    data = [{"name": source.name, "sha256": source.sha256, "rows": source.rows} for source in findings.sources]
+    content["evidence"].append({"what": "characterisation", "date": findings.date, "data": data})
     try:
         model = SensorModel.model_validate(_rounded(content))
     except ValidationError as error:
@@ -64,27 +63,8 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
     return model.model_copy(update={"predicted_breakaway": predicted})
 
 
-def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> None:
-    """Write the model file.
-
-    Parameters
-    ----------
-    path
-        Where; there must be no file yet. Folders that are missing are made.
-    sensor
-        The new model, from `changed`.
-    findings, changes
-        For the comments: what was fitted and what was kept.
-    start
-        Name of the starting model's file.
-
-    Raises
-    ------
-    ConfigError
-        There is a file already, or it cannot be written.
-    """
-    text = _model_text(sensor, findings, changes, start)
-    assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
+def write_new(path: Path, text: str) -> None:
+    """Write a file that must not exist yet, and make its folder; ConfigError if it does, or cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
@@ -95,37 +75,48 @@ def write_model(path: Path, sensor: SensorModel, findings: Findings, changes: Ma
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
-    """The model file's text, with a comment over each part on whether it was fitted."""
+def model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
+    """The text of the model file, with a comment over each part on whether it was fitted.
+
+    Parameters
+    ----------
+    sensor
+        The new model, from `changed`.
+    findings, changes
+        For the comments: what was fitted and what was kept.
+    start
+        Name of the starting model's file.
+    """
     content = sensor.model_dump(mode="json")
     named = {name for names in _SECTIONS for name in names}
     assert named == set(content), f"no section for {set(content) ^ named}"
-    kept, fitted = _why_kept(sensor, findings), _how_fitted(findings)
+    comments = _kept(sensor, findings, start)
+    found = _fitted(findings)
+    comments |= {name: found[name] for name in (*changes, "predicted_breakaway", "evidence") if name in comments}
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
     for names in _SECTIONS:
-        why = kept.get(names[0], "")
-        words = [f"Kept from {start}{f': {why}' if why else ''}."]
-        if names[0] in (*changes, "predicted_breakaway", "evidence"):
-            words = fitted[names[0]]
-        lines += [f"# {line}" for each in words for line in _WRAPPER.wrap(each)]
-        lines += [_yaml(name, content[name]) for name in names]
-        lines.append("")
-    return "\n".join(lines)
+        lines += [f"# {line}" for comment in comments[names[0]] for line in _WRAPPER.wrap(comment)]
+        lines += [*(_yaml(name, content[name]) for name in names), ""]
+    text = "\n".join(lines)
+    assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
+    return text
 
 
-def _why_kept(sensor: SensorModel, findings: Findings) -> dict[str, str]:
-    """Why fields of the starting model are as they were; empty: nothing is to be said."""
+def _kept(sensor: SensorModel, findings: Findings, start: str) -> dict[str, list[str]]:
+    """Comments on the sections of the starting model, as if none had changed: why they were kept."""
     view, calibration = findings.field_of_view, findings.calibration
-    return {
+    why = {
         "oblique_reading": view.oblique.reason if view else "no angles were measured",
         "breakaway": "no breakaway angle was measured",
         "calibration": calibration.reason if calibration else "nothing was measured on the axis",
         "reading_model": findings.absent.get("mixture", "nothing was fitted"),
         "effects": "added to another base than this one" if sensor.effects else "",
     }
+    names = [section[0] for section in _SECTIONS]
+    return {name: [f"Kept from {start}{f': {why[name]}' if why.get(name) else ''}."] for name in names}
 
 
-def _how_fitted(findings: Findings) -> dict[str, list[str]]:
+def _fitted(findings: Findings) -> dict[str, list[str]]:
     """How fields of the new model were found, where they can be."""
     found = {
         "predicted_breakaway": ["Beyond these angles, for sound: by the sonar equation that is fitted to them."],
@@ -181,4 +172,4 @@ def _rounded(value: Any) -> Any:
         return {name: _rounded(each) for name, each in value.items()}
     if isinstance(value, list):
         return [_rounded(each) for each in value]
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+    return float(f"{value:.6g}") if isinstance(value, float) else value

@@ -18,7 +18,7 @@ from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_an
 from msp_lab.characterise.point_findings import PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
-from msp_range.arrays import Array, Flags, Texts
+from msp_range.arrays import Array, Flags, Texts, numbered
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
@@ -186,8 +186,8 @@ class PointReadings:
         if self.is_fixed:
             # Readings are whole steps, and errors too where the truth is one number.
             mean, spread = mean_and_spread(self.reading_cm[self.is_hit], self.step_cm, self.usual_spread_cm)
-            return MeanAndSpread(mean.mapped(lambda end: end - float(self.true_range_cm[0])), spread)
-        mean, spread = mean_and_spread(self.error_cm[self.is_hit], 0.0, self.usual_spread_cm)
+            return MeanAndSpread(mean.mapped(lambda end: end - self.range_cm), spread)
+        mean, spread = mean_and_spread(self.error_cm[self.is_hit], 0.0)
         # Where the truth changes, its error and the rounding are part of the scatter.
         other_cm2 = float(np.mean(self.reference_std_cm[self.is_hit] ** 2)) + self.step_cm**2 / 12
         return MeanAndSpread(mean, spread.mapped(lambda end: root_without(other_cm2, end**2)))
@@ -202,9 +202,8 @@ class PointReadings:
         """What was found at this point."""
         echo_error = self.error_cm[self.is_echo]
         other_error = self.error_cm[self.is_echo & ~self.is_hit]
-        short = int((other_error < sum(self.gate_cm) / 2.0).sum())
-        codes = self.reading_cm[self.is_code]
-        no_echo = int((codes == self.sensor_model.maximum_cm).sum())
+        is_short = other_error < sum(self.gate_cm) / 2.0
+        is_no_echo = self.reading_cm == self.sensor_model.maximum_cm
         error, spread = self._statistics or (None, None)
         compensated = None
         if error is not None and not np.isnan(self.compensation[self.is_hit]).all():
@@ -222,10 +221,10 @@ class PointReadings:
             target_temperature_c=_known(self.target_temperature_c),
             readings=self.reading_cm.size,
             hits=self.hits,
-            short=short,
-            long=other_error.size - short,
-            no_echo=no_echo,
-            saturated=int(codes.size) - no_echo,
+            short=int(is_short.sum()),
+            long=int((~is_short).sum()),
+            no_echo=int(is_no_echo.sum()),
+            saturated=int((self.is_code & ~is_no_echo).sum()),
             no_answer=int(np.isnan(self.reading_cm).sum()),
             error=error,
             spread=spread,
@@ -243,28 +242,25 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     known = data.select(rows)
     if not len(known):
         return []
-    condition, truth = conditions(known), known["true_range_cm"]
+    condition = conditions(known)
     words = {name: known.column(name) for name in ("sensor", "run")}
     words |= {"condition": condition, "level": _levels(known, condition, sensor_model.frequency_hz)}
-    numbers = {name: known.column(name) for name in ("incidence_deg", "target_temperature_c")}
     columns = {name: known.column(name) for name in ("reading_cm", "true_range_cm", "air_temperature_c")}
     columns |= {"reference_std_cm": np.nan_to_num(known.column("true_range_std_cm")), "rows": rows}
-    angle = np.where(condition == "field_of_view", np.round(np.nan_to_num(numbers["incidence_deg"]), 1), 0.0)
+    means = {name: known.column(name) for name in ("incidence_deg", "target_temperature_c")}
+    angle = np.where(condition == "field_of_view", np.round(np.nan_to_num(means["incidence_deg"]), 1), 0.0)
     settings = [np.nan_to_num(known.column(name), nan=-1.0) for name in SETTINGS]
-    different = (*words.values(), known.column("target"), _places(truth), angle, *settings)
-    # A whole number for each different value.
-    keys = np.column_stack([np.unique(each, return_inverse=True)[1].ravel() for each in different])
-    _, first, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    different = (*words.values(), known.column("target"), _places(known["true_range_cm"]), angle, *settings)
+    keys = np.column_stack([numbered(column) for column in different])
+    point = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     step_cm = step_of(known["reading_cm"], ON_STEP_SHARE)
-    members = np.split(np.argsort(which.ravel(), kind="stable"), np.cumsum(np.bincount(which.ravel()))[:-1])
-
-    def point(first: int, here: NDArray[np.int64]) -> PointReadings:
-        fields: dict[str, Any] = {name: str(column[first]) for name, column in words.items()}
-        fields |= {name: _mean(column[here]) for name, column in numbers.items()}
+    points = []
+    for here in np.split(np.argsort(point, kind="stable"), np.cumsum(np.bincount(point))[:-1]):
+        fields: dict[str, Any] = {name: str(column[here[0]]) for name, column in words.items()}
         fields |= {name: column[here] for name, column in columns.items()}
-        return PointReadings(sensor_model=sensor_model, step_cm=step_cm, **fields)
-
-    points = [point(first[i], members[i]) for i in np.argsort(first)]
+        fields |= {name: _mean(column[here]) for name, column in means.items()}
+        points.append(PointReadings(sensor_model=sensor_model, step_cm=step_cm, **fields))
+    points.sort(key=lambda each: int(each.rows[0]))
     alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
     usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
     return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
@@ -276,14 +272,10 @@ def conditions(data: MeasuredData) -> Texts:
     for name, word in VARIED.items():
         column = data.column(name)
         found[~np.isnan(column) & (column != 0.0)] = word
-    if "incidence_deg" in data:
+    if (found == "field_of_view").any():
         # The rows straight ahead belong to the same experiment.
-        incidence = data.column("incidence_deg")
-        if (found == "field_of_view").any():
-            found[(incidence == 0.0) & (found == BASELINE)] = "field_of_view"
-    if "condition" not in data:
-        return found
-    named = data["condition"]
+        found[(data.column("incidence_deg") == 0.0) & (found == BASELINE)] = "field_of_view"
+    named = data.column("condition")
     return np.where(named == "", found, named)
 
 

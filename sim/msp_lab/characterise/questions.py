@@ -7,6 +7,7 @@ point at equal ranges; shares of readings get the variance between points where 
 """
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -14,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
-from scipy.optimize import brentq
 from scipy.special import logit
 
 from msp_lab.characterise.estimates import detectable, holm, student
@@ -46,6 +46,8 @@ MAX_CM, MAX_RATIO = 100.0, 1000.0
 """If the smallest detectable effect is larger than this, it is given as unknown [cm, ratio]."""
 MIN_SCATTER_CM = 0.05
 """Smallest scatter between set-ups that is assumed [cm]: equal readings at two points do not prove 0."""
+UNVARIED = {"vibration": ("0 Hz", ""), "external_interference": ("quiet",)}
+"""Levels of an experiment at which nothing is varied, and with which the others are compared."""
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
 """Experiments with two sensors, each with its own question -> name of their level."""
 
@@ -82,43 +84,38 @@ class _Test(NamedTuple):
 
 def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     """All questions that every set-up of the data allows, with p-values corrected for all of them together."""
-    asked = [each for name in QUESTIONS for each in _compared(name, [p for p in points if p.condition == name], points)]
-    tests = [{metric: _test(metric, each) for metric in NAMES} for each in asked]
-    done = [(metric, test) for row in tests for metric, test in row.items() if test is not None]
+    asked = [question for name in QUESTIONS for question in _compared(name, points)]
+    tests = [(question, metric, _test(metric, question)) for question in asked for metric in NAMES]
+    done = [(metric, test) for _, metric, test in tests if test is not None]
     different = iter(holm([test.p_value for _, test in done]))
     alike = iter(holm([test.p_alike(metric) for metric, test in done]))
-    return tuple(
-        _answered(
-            question,
-            tuple(
-                FactorEffect(metric, None, None, None, BOUNDS[metric], "cannot tell", None)
-                if test is None
-                else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
-                for metric, test in row.items()
-            ),
-        )
-        for question, row in zip(asked, tests, strict=True)
-    )
+    effects = [
+        FactorEffect(metric, None, None, None, BOUNDS[metric], "cannot tell", None)
+        if test is None
+        else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
+        for _, metric, test in tests
+    ]
+    return tuple(_answered(question, effects[4 * i : 4 * i + 4]) for i, question in enumerate(asked))
 
 
-def _compared(name: str, points: Sequence[PointResult], everything: Sequence[PointResult]) -> Iterable[Question]:
+def _compared(name: str, everything: Sequence[PointResult]) -> Iterable[Question]:
     """One question for each level of an experiment, and for each sensor where two are at work."""
-    by_sensor = name in CROSSTALK
-    for sensor in sorted({p.sensor for p in points}) if by_sensor else [""]:
-        here = [p for p in points if not by_sensor or p.sensor == sensor]
-        reference_level = _reference_level(name, here)
-        if reference_level is not None:
-            reference_name, reference = reference_level, [p for p in here if p.level == reference_level]
+    points = [p for p in everything if p.condition == name]
+    for sensor in sorted({p.sensor for p in points}) if name in CROSSTALK else [""]:
+        here = [p for p in points if sensor in ("", p.sensor)]
+        own_level = _reference_level(name, here)
+        if own_level is not None:
+            called, reference = own_level, [p for p in here if p.level == own_level]
         else:
-            reference_name, reference = _baseline(name, sensor, everything)
-        for level in dict.fromkeys(p.level for p in here if p.level != reference_level):
+            called, reference = _baseline(name, sensor, everything)
+        for level in dict.fromkeys(p.level for p in here if p.level != own_level):
             varied = [p for p in here if p.level == level]
             ranges = {p.place_cm for p in varied} & {p.place_cm for p in reference}
             yield Question(
                 name=name,
                 question=QUESTIONS[name].question,
                 level=level or CROSSTALK.get(name, name),
-                reference=reference_name,
+                reference=called,
                 sensor=sensor,
                 pairs=len(ranges),
                 effects=(),
@@ -133,9 +130,9 @@ def _baseline(name: str, sensor: str, everything: Sequence[PointResult]) -> tupl
     """What an experiment without a level of reference is compared with: the same sensor's points, where it has some."""
     baseline = [p for p in everything if p.condition == "baseline"]
     own = [p for p in baseline if p.sensor == sensor]
+    waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
     if own or not sensor:
         return "baseline", own or baseline
-    waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
     if name == "crosstalk_simultaneous" and waiting:
         return "sequential", waiting
     return "the baseline of another sensor", baseline
@@ -144,16 +141,15 @@ def _baseline(name: str, sensor: str, everything: Sequence[PointResult]) -> tupl
 def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
     """The level of the experiment itself that the others are compared with; None: the baseline."""
     levels = list(dict.fromkeys(p.level for p in points))
-    if name == "material":
-        return next((each for word in ("plywood", "wood") for each in levels if word in each.lower()), None)
     if name == "temperature":
         known = [(abs(p.air_temperature_c - ROOM_C), p.level) for p in points if p.air_temperature_c is not None]
-        return min(known)[1] if known and min(known)[0] < ROOM_WITHIN_C else None
-    if name == "external_interference":
-        return "quiet" if "quiet" in levels else None
-    if name == "vibration":
-        return next((each for each in levels if each in ("0 Hz", "")), None) if len(levels) > 1 else None
-    return None
+        distance_c, level = min(known, default=(math.inf, ""))
+        return level if distance_c < ROOM_WITHIN_C else None
+    if name == "material":
+        return next((level for word in ("plywood", "wood") for level in levels if word in level.lower()), None)
+    if name == "vibration" and len(levels) == 1:
+        return None
+    return next((level for level in levels if level in UNVARIED.get(name, ())), None)
 
 
 def _test(metric: Metric, question: Question) -> _Test | None:
@@ -161,9 +157,7 @@ def _test(metric: Metric, question: Question) -> _Test | None:
         return _paired(question, lambda p: None if p.error is None else p.error.value)
     if metric == "spread":
         return _paired(question, _log_spread)
-    if metric == "missed":
-        return _odds(question, lambda p: p.missed, lambda p: p.readings)
-    return _odds(question, lambda p: p.outliers, lambda p: p.readings - p.missed)
+    return _odds(metric, question)
 
 
 def _log_spread(point: PointResult) -> float | None:
@@ -175,16 +169,19 @@ def _paired(question: Question, value: Callable[[PointResult], float | None]) ->
     set-ups at one range, of both sides alike: the set-ups of the reference have it too."""
     varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
     common = sorted(varied.keys() & reference.keys())
-    differences = np.array([np.mean(varied[each]) - np.mean(reference[each]) for each in common])
+    if not common:
+        return None
+    sides = [np.array(side[place]) for place in common for side in (varied, reference)]
+    means = np.array([side.mean() for side in sides])
+    differences = means[::2] - means[1::2]
     count, freedom = len(common), len(common) - 1
-    variance = float(differences.var(ddof=1)) / count if freedom > 0 else 0.0
-    sides = [np.array(side[each]) for each in common for side in (varied, reference)]
+    variance = float(differences.var(ddof=1)) / count if freedom else 0.0
     of_set_ups = sum(side.size - 1 for side in sides)
     if len(common) < FEW_RANGES and of_set_ups > freedom:
-        count, freedom = sum(len(varied[each]) for each in common), of_set_ups
-        scatter = sum(float(((side - side.mean()) ** 2).sum()) for side in sides) / freedom
+        count, freedom = sum(side.size for side in sides[::2]), of_set_ups
+        scatter = sum(side.size * float(side.var()) for side in sides) / freedom
         variance = scatter * sum(1.0 / side.size for side in sides) / len(common) ** 2
-    if freedom < 1:
+    if not freedom:
         return None
     error = math.sqrt(variance + MIN_SCATTER_CM**2 / count)
     mean = float(differences.mean())
@@ -192,26 +189,24 @@ def _paired(question: Question, value: Callable[[PointResult], float | None]) ->
 
 
 def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], float | None]) -> dict[float, list[float]]:
-    found: dict[float, list[float]] = {}
+    found = defaultdict(list)
     for point in points:
-        one = value(point)
-        if one is not None:
-            found.setdefault(point.place_cm, []).append(one)
+        known = value(point)
+        if known is not None:
+            found[point.place_cm].append(known)
     return found
 
 
 class _Counts(NamedTuple):
-    """Readings at some points of which something is true, and all readings there."""
+    """Readings at some points of which something is true, and all readings there that can be."""
 
     counts: Array
     of: Array
 
     @classmethod
-    def at(
-        cls, points: Iterable[PointResult], count: Callable[[PointResult], int], of: Callable[[PointResult], int]
-    ) -> "_Counts":
-        rows = np.array([(count(p), of(p)) for p in points if of(p)], dtype=float).reshape(-1, 2)
-        return cls(rows[:, 0], rows[:, 1])
+    def at(cls, points: Iterable[PointResult], metric: Metric) -> "_Counts":
+        rows = [(p.missed, p.readings) if metric == "missed" else (p.outliers, p.readings - p.missed) for p in points]
+        return cls(*np.array([row for row in rows if row[1]], dtype=float).reshape(-1, 2).T)
 
     @property
     def table(self) -> tuple[int, int]:
@@ -220,57 +215,52 @@ class _Counts(NamedTuple):
         return true, int(self.of.sum()) - true
 
     @property
-    def share(self) -> float:
-        return float(self.counts.sum() / self.of.sum())
-
-    @property
     def overdispersion(self) -> float:
         """Variance of the points' counts over that of independent readings, at least 1."""
-        if self.of.size < 2 or not 0.0 < self.share < 1.0:
+        share = self.counts.sum() / self.of.sum()
+        if self.of.size < 2 or not 0.0 < share < 1.0:
             return 1.0
-        expected = self.share * self.of
-        squares = float(((self.counts - expected) ** 2 / (expected * (1.0 - self.share))).sum())
+        squares = float(((self.counts - share * self.of) ** 2 / (share * self.of * (1.0 - share))).sum())
         return max(squares / (self.of.size - 1), 1.0)
 
 
-def _odds(question: Question, count: Callable[[PointResult], int], of: Callable[[PointResult], int]) -> _Test | None:
+def _odds(metric: Metric, question: Question) -> _Test | None:
     """Logarithm of the odds ratio over all readings at equal ranges, with the variance between points."""
     ranges = {p.place_cm for p in question.reference_points}
-    varied = _Counts.at((p for p in question.points if p.place_cm in ranges), count, of)
-    reference = _Counts.at(question.reference_points, count, of)
+    varied = _Counts.at((p for p in question.points if p.place_cm in ranges), metric)
+    reference = _Counts.at(question.reference_points, metric)
     if not varied.of.size or not reference.of.size:
         return None
     over_reference = reference.overdispersion
     # The points of an external source differ by their dose, which is the effect itself and no reason to doubt it.
     over = over_reference if question.name == "external_interference" else varied.overdispersion
-    (a, b), (c, d) = varied.table, reference.table
-    n, m = a + b, c + d
-    value = math.log((a + 0.5) * (d + 0.5) / ((b + 0.5) * (c + 0.5)))
-    error = math.sqrt(over * (1.0 / (a + 0.5) + 1.0 / (b + 0.5)) + over_reference * (1.0 / (c + 0.5) + 1.0 / (d + 0.5)))
+    table = np.array([varied.table, reference.table])
+    # Half a reading more of each kind: none of a kind is no certainty.
+    (a, b), (c, d) = (table + 0.5).tolist()
+    n, m = table.sum(axis=1).tolist()
+    error = math.sqrt(over * (1.0 / a + 1.0 / b) + over_reference * (1.0 / c + 1.0 / d))
     freedom = varied.of.size + reference.of.size - 2.0
     if max(over, over_reference) > MAX_VARIANCE_RATIO and freedom >= 1.0:
         # By ranks: one point that is unlike all others is no evidence.
-        shares = varied.counts / varied.of, reference.counts / reference.of
-        p_value = float(stats.mannwhitneyu(*shares, method="asymptotic").pvalue)
+        p_value = stats.mannwhitneyu(varied.counts / varied.of, reference.counts / reference.of, method="asymptotic")[1]
     else:
-        freedom, p_value = math.inf, float(stats.fisher_exact([[a, b], [c, d]])[1])
-    width = 1.645 * math.sqrt(over * (a + 0.5) * (b + 0.5) / n**3 + over_reference * (c + 0.5) * (d + 0.5) / m**3)
-    small = abs(varied.share - reference.share) + width < SHARE_BOUND
-    shown = partial(_detectable_odds, (c + 0.5) / (m + 1.0), n / over, m / over_reference)
-    return _Test(value, error, freedom, n + m, "readings", p_value, small, shown)
+        freedom, p_value = math.inf, stats.fisher_exact(table)[1]
+    width = 1.645 * math.sqrt(over * a * b / n**3 + over_reference * c * d / m**3)
+    small = abs(table[0, 0] / n - table[1, 0] / m) + width < SHARE_BOUND
+    shown = partial(_detectable_odds, c / (m + 1.0), n / over, m / over_reference)
+    return _Test(math.log(a * d / (b * c)), error, freedom, n + m, "readings", float(p_value), small, shown)
 
 
 def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
-    """Logarithm of the smallest odds ratio above 1 that these many readings show with 80 % probability."""
-    z = detectable(1.0, math.inf, level)
+    """Logarithm of the smallest odds ratio above 1 that these many readings show with 80 % probability.
 
-    def excess(other: float) -> float:
-        return other - share - z * math.sqrt(other * (1.0 - other) / n + share * (1.0 - share) / m)
-
-    if excess(1.0) <= 0.0:
-        return math.inf
-    other = min(float(brentq(excess, share, 1.0)), 1.0 - 1e-9)
-    return float(logit(other) - logit(share))
+    The other share x is where (x - share)^2 = z^2 (x (1 - x) / n + share (1 - share) / m).
+    """
+    z2 = detectable(1.0, math.inf, level) ** 2
+    half = share + z2 / n / 2.0
+    root = math.sqrt(half**2 - (1.0 + z2 / n) * (share**2 - z2 * share * (1.0 - share) / m))
+    other = (half + root) / (1.0 + z2 / n)
+    return float(logit(min(other, 1.0 - 1e-9)) - logit(share)) if other < 1.0 else math.inf
 
 
 def _effect(metric: Metric, test: _Test, different: float, alike: float, level: float) -> FactorEffect:
@@ -297,7 +287,7 @@ def _exp(value: float) -> float:
     return math.exp(min(max(value, -500.0), 500.0))
 
 
-def _answered(question: Question, effects: tuple[FactorEffect, ...]) -> Question:
+def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
     by: dict[Verdict, list[FactorEffect]] = {"matters": [], "does not matter": [], "cannot tell": []}
     for each in effects:
         by[each.verdict].append(each)
@@ -317,7 +307,7 @@ def _answered(question: Question, effects: tuple[FactorEffect, ...]) -> Question
         answer += f": {'; '.join(map(_doubt, by['cannot tell']))}"
         settled = ", ".join(each.metric for each in by["does not matter"])
         answer += f"; {settled}: does not matter" if settled else ""
-    return replace(question, effects=effects, verdict=verdict, answer=answer)
+    return replace(question, effects=tuple(effects), verdict=verdict, answer=answer)
 
 
 def _size(effect: FactorEffect) -> str:

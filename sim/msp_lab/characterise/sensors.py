@@ -14,7 +14,7 @@ from numpy.random import default_rng
 
 from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Findings, as_json
-from msp_lab.characterise.model_file import changed, write_model
+from msp_lab.characterise.model_file import changed, model_text, write_new
 from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import LoadedReadings, load_readings, sensors_in, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
@@ -65,16 +65,11 @@ class SensorResult:
 
     def write(self, path: Path) -> None:
         """Write the model file; ConfigError if there is a file already, or it cannot be written."""
-        write_model(path, self.model, self.findings, self.changes, self.start)
+        write_new(path, model_text(self.model, self.findings, self.changes, self.start))
 
     def publish(self, folder: Path) -> Path:
         """Write all numbers and the page, and return the page; ConfigError if they cannot be written."""
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with (folder / NUMBERS).open("x", encoding="utf-8") as file:
-                file.write(as_json(self.findings))
-        except OSError as error:
-            raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
+        write_new(folder / NUMBERS, as_json(self.findings))
         from msp_lab.characterise.page.write import write_report
 
         return write_report(self.findings, self.data, self.model, folder)

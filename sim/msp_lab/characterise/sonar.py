@@ -6,13 +6,14 @@ An echo is detected if its level (`msp_sim.acoustics.echo`) is above the detecti
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy.optimize import least_squares
 
 from msp_range.acoustics.beam import NARROWEST_HALF_ANGLE_DEG, BreakawayTable
 from msp_sim.acoustics.atmosphere import Atmosphere
-from msp_sim.acoustics.echo import WALL, Target, echo_level_db
+from msp_sim.acoustics.echo import WALL, echo_level_db
 from msp_sim.acoustics.piston import main_lobe_x
 
 STEP_DEG = 1.8
@@ -34,66 +35,67 @@ one slope over range, so an error of the absorption is compensated by the fitted
 class Sonar:
     """A sonar equation, EL(R, theta) >= DT(R).
 
-    Parameters
-    ----------
-    source_level_db
-        Level on the axis at 1 m, relative to the detection threshold at range 0 [dB].
-    piston_diameter_m
-        Diameter of the flat circular piston with the same directivity [m].
-    gain_db_per_m
-        How much the receiver's gain grows, or its threshold falls, with each metre of range [dB/m].
-    frequency_hz
-        Frequency of the ping [Hz].
-
-    Notes
-    -----
     Breakaway angles of a wall determine how the level falls off the axis, but hardly the level on the axis: the fit to
     the report's table has 3 to 10 dB above the threshold, by which grass or snow would hardly be detected, yet
     ultrasonic sensors measure snow depth. Use it for half angles, and not for weak targets.
     """
 
     source_level_db: float
+    """Level on the axis at 1 m, relative to the detection threshold at range 0 [dB]."""
     piston_diameter_m: float
+    """Diameter of the flat circular piston with the same directivity [m]."""
     gain_db_per_m: float
+    """How much the receiver's gain grows, or its threshold falls, with each metre of range [dB/m]."""
     frequency_hz: float
+    """Frequency of the ping [Hz]."""
 
-    def threshold_db(self, range_m: float) -> float:
-        """Detection threshold DT(R) = -g R relative to that at range 0 [dB].
+    def excess_db(self, range_m: float, off_axis_rad: float = 0.0) -> float:
+        """EL(R, theta) - DT(R) of a wall in the air of `ROOM` [dB]: detected if 0 or more.
 
-        Such sensors raise their gain while they wait for the echo, because a late echo is weak. A gain that is linear
-        in dB over time is assumed; the sensor's actual gain is not published.
+        The detection threshold is DT(R) = -g R relative to that at range 0: such sensors raise their gain while they
+        wait for the echo, because a late echo is weak. A gain that is linear in dB over time is assumed; the sensor's
+        actual gain is not published.
         """
-        return -self.gain_db_per_m * range_m
-
-    def excess_db(
-        self, range_m: float, off_axis_rad: float = 0.0, target: Target = WALL, air: Atmosphere = ROOM
-    ) -> float:
-        """EL(R, theta) - DT(R) [dB]: detected if 0 or more. Arguments as in `echo_level_db`."""
-        level = echo_level_db(
-            self.source_level_db, range_m, off_axis_rad, target, air, self.piston_diameter_m, self.frequency_hz
+        level_db = echo_level_db(
+            self.source_level_db, range_m, off_axis_rad, WALL, ROOM, self.piston_diameter_m, self.frequency_hz
         )
-        return level - self.threshold_db(range_m)
+        return level_db + self.gain_db_per_m * range_m
 
-    def half_angle_rad(self, range_m: float, target: Target = WALL, air: Atmosphere = ROOM) -> float | None:
-        """Largest angle off the axis at which the target is detected.
+    def half_angle_rad(self, range_m: float) -> float | None:
+        """Largest angle off the axis at which a wall is detected, at a perpendicular distance above 0 [rad].
 
-        Parameters
-        ----------
-        range_m
-            Perpendicular distance, above 0 [m].
-        target, air
-            What reflects, and what is between.
-
-        Returns
-        -------
-        float or None
-            0 up to the piston's first null, or to pi / 2 if it has none [rad]; None if the target is not detected even
-            on the axis. Side lobes do not count.
+        Up to the piston's first null, or to pi / 2 if it has none; None if the wall is not detected even on the axis.
+        Side lobes do not count.
         """
-        excess_db = self.excess_db(range_m, 0.0, target, air)
-        if excess_db < 0.0:
-            return None
-        return _angle_rad(excess_db, self.piston_diameter_m, air.wavelength_m(self.frequency_hz))
+        excess_db = self.excess_db(range_m)
+        return None if excess_db < 0.0 else self._angle_rad(excess_db)
+
+    def half_angle_deg(self, range_m: float) -> float | None:
+        """`half_angle_rad` [deg]."""
+        angle_rad = self.half_angle_rad(range_m)
+        return None if angle_rad is None else math.degrees(angle_rad)
+
+    def _angle_rad(self, excess_db: float) -> float:
+        """Angle in the main lobe at which the two-way level is so much (0 or more) below that on the axis [rad]."""
+        wavelength_m = ROOM.wavelength_m(self.frequency_hz)
+        sine = main_lobe_x(excess_db / 2.0) * wavelength_m / (math.pi * self.piston_diameter_m)
+        return math.asin(sine) if sine < 1.0 else math.pi / 2
+
+    def misses_deg(self, table: BreakawayTable) -> list[float]:
+        """How far the half angles are from those of a table [deg].
+
+        Below the threshold the angle is continued as its mirror image, so that a fit can recover.
+        """
+        excesses_db = [self.excess_db(range_m) for range_m in table.ranges_m]
+        return [
+            math.degrees(math.copysign(self._angle_rad(abs(excess_db)), excess_db)) - angle_deg
+            for excess_db, angle_deg in zip(excesses_db, table.half_angles_deg, strict=True)
+        ]
+
+    def fits(self, table: BreakawayTable) -> bool:
+        """Whether every angle of a table is met within a step of the motor."""
+        is_heard = all(self.excess_db(range_m) >= 0.0 for range_m in table.ranges_m)
+        return is_heard and all(abs(miss_deg) <= STEP_DEG for miss_deg in self.misses_deg(table))
 
 
 def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> Sonar:
@@ -105,16 +107,11 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     Parameters
     ----------
     table
-        Breakaway angles against a large flat wall that reflects nearly all, at least three rows.
+        Breakaway angles against a large flat wall that reflects nearly all, in air as `ROOM`.
     frequency_hz
         Frequency of the ping [Hz].
     on_axis_m
         Range up to which a wall is detected on the axis [m]; a constraint of the fit. None: the table's last range.
-
-    Returns
-    -------
-    Sonar
-        Fitted with the air of `ROOM`.
 
     Raises
     ------
@@ -134,117 +131,66 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
             "the sonar equation has that many parameters"
         )
     kept_m = max(on_axis_m or 0.0, table.ranges_m[-1])
-    wavelength_m = ROOM.wavelength_m(frequency_hz)
 
     def sonar_of(parameters: Sequence[float]) -> Sonar:
         # The first parameter is the excess on the axis at that range: at least 0 dB.
         excess_db, log_diameter, gain_db_per_m = parameters
         silent = Sonar(0.0, math.exp(log_diameter), gain_db_per_m, frequency_hz)
-        source_level_db = excess_db - silent.excess_db(kept_m)
-        return Sonar(source_level_db, silent.piston_diameter_m, gain_db_per_m, frequency_hz)
-
-    def misses_deg(parameters: Sequence[float]) -> list[float]:
-        sonar = sonar_of(parameters)
-        # Below the threshold the angle is continued as its mirror image, so that the fit can recover.
-        excesses_db = [sonar.excess_db(range_m) for range_m in table.ranges_m]
-        angles_rad = [
-            math.copysign(_angle_rad(abs(excess_db), sonar.piston_diameter_m, wavelength_m), excess_db)
-            for excess_db in excesses_db
-        ]
-        return [
-            math.degrees(angle_rad) - angle_deg
-            for angle_rad, angle_deg in zip(angles_rad, table.half_angles_deg, strict=True)
-        ]
+        return replace(silent, source_level_db=excess_db - silent.excess_db(kept_m))
 
     # A piston that is 12 dB down (two-way), x = 2.2, at the widest angle of the table.
-    diameter_m = 2.2 * wavelength_m / (math.pi * math.sin(math.radians(table.half_angles_deg[0])))
+    diameter_m = 2.2 * ROOM.wavelength_m(frequency_hz) / (math.pi * math.sin(math.radians(table.half_angles_deg[0])))
     start = [3.0, math.log(diameter_m), 5.0]
-    exact = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15)
-    lower = [0.0, -math.inf, 0.0]
-    return sonar_of(least_squares(misses_deg, start, "3-point", (lower, math.inf), x_scale="jac", **exact).x.tolist())
+    best = least_squares(
+        lambda parameters: sonar_of(parameters).misses_deg(table),
+        start,
+        jac="3-point",
+        bounds=([0.0, -math.inf, 0.0], math.inf),
+        x_scale="jac",
+        **dict.fromkeys(("ftol", "xtol", "gtol"), 1e-15),
+    )
+    return sonar_of(best.x.tolist())
 
 
 def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> list[float | None]:
-    """Predict each half angle of a table from its other rows.
+    """Predict each half angle of a table from its other rows [deg]; None if no echo is predicted.
 
     With four rows and three parameters each prediction comes from an exact fit to the three others, so it tests the
-    shape of the equation only.
-
-    Parameters
-    ----------
-    table, frequency_hz, on_axis_m
-        As in `fit_sonar`, at least four rows.
-
-    Returns
-    -------
-    list of float or None
-        Predicted half angle of each row [deg]; None if no echo is predicted.
-
-    Raises
-    ------
-    ValueError
-        Without one row there are too few.
+    shape of the equation only. Arguments and errors are those of `fit_sonar`, of one row less.
     """
     predicted: list[float | None] = []
-    for i, range_m in enumerate(table.ranges_m):
-        others = BreakawayTable(_without(table.ranges_m, i), _without(table.half_angles_deg, i))
-        angle_rad = fit_sonar(others, frequency_hz, on_axis_m).half_angle_rad(range_m)
-        predicted.append(None if angle_rad is None else math.degrees(angle_rad))
+    for i, left_out_m in enumerate(table.ranges_m):
+        ranges_m, angles_deg = np.delete([table.ranges_m, table.half_angles_deg], i, axis=1).tolist()
+        others = BreakawayTable(tuple(ranges_m), tuple(angles_deg))
+        predicted.append(fit_sonar(others, frequency_hz, on_axis_m).half_angle_deg(left_out_m))
     return predicted
 
 
-def extended_beam(
-    table: BreakawayTable, maximum_m: float, frequency_hz: float, on_axis_m: float | None = None
-) -> BreakawayTable:
-    """A measured table, extended by the sonar equation that is fitted to it.
+def extended_beam(table: BreakawayTable, sonar: Sonar | None, maximum_m: float) -> BreakawayTable:
+    """A measured table, extended by the sonar equation that is fitted to it, with a row each 25 cm.
 
     The measured rows are unchanged. Beyond them the angle is the equation's, but never increases with range: a gain
     that exceeds the losses would widen the beam, which has not been observed. The table ends where the equation
-    predicts no echo, and with the measured rows if it cannot be fitted (too few rows, or an error of more than a step):
-    beyond that its last angle is only assumed.
+    predicts no echo, and with the measured rows if it does not fit (an error of more than a step): beyond that its last
+    angle is only assumed.
 
     Parameters
     ----------
     table
         Measured breakaway angles.
+    sonar
+        From `fit_sonar`; None: the table has too few rows for a fit.
     maximum_m
         Longest range of the sensor [m].
-    frequency_hz, on_axis_m
-        As in `fit_sonar`.
-
-    Returns
-    -------
-    BreakawayTable
-        The table with a row each 25 cm up to the longest range.
     """
+    if sonar is None or not sonar.fits(table):
+        return table
     ranges_m, angles_deg = list(table.ranges_m), list(table.half_angles_deg)
-    sonar = _trusted_fit(table, frequency_hz, on_axis_m)
-    while sonar is not None and ranges_m[-1] < maximum_m:
+    while ranges_m[-1] < maximum_m:
         range_m = min(ranges_m[-1] + STEP_M, maximum_m)
-        angle_rad = sonar.half_angle_rad(range_m)
-        if angle_rad is None:
+        angle_deg = sonar.half_angle_deg(range_m)
+        if angle_deg is None:
             break
         ranges_m.append(range_m)
-        angles_deg.append(min(angles_deg[-1], max(math.degrees(angle_rad), NARROWEST_HALF_ANGLE_DEG)))
+        angles_deg.append(min(angles_deg[-1], max(angle_deg, NARROWEST_HALF_ANGLE_DEG)))
     return BreakawayTable(tuple(ranges_m), tuple(angles_deg))
-
-
-def _trusted_fit(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None) -> Sonar | None:
-    if len(table.ranges_m) < PARAMETERS:
-        return None
-    sonar = fit_sonar(table, frequency_hz, on_axis_m)
-    for range_m, angle_deg in zip(table.ranges_m, table.half_angles_deg, strict=True):
-        angle_rad = sonar.half_angle_rad(range_m)
-        if angle_rad is None or abs(math.degrees(angle_rad) - angle_deg) > STEP_DEG:
-            return None
-    return sonar
-
-
-def _angle_rad(excess_db: float, diameter_m: float, wavelength_m: float) -> float:
-    """Angle in the main lobe at which a piston's two-way level is ``excess_db`` (0 or more) down [rad]."""
-    sine = main_lobe_x(excess_db / 2.0) * wavelength_m / (math.pi * diameter_m)
-    return math.asin(sine) if sine < 1.0 else math.pi / 2
-
-
-def _without(values: Sequence[float], i: int) -> tuple[float, ...]:
-    return (*values[:i], *values[i + 1 :])

@@ -1,19 +1,29 @@
 """Air at the sensor and air on the way: the hot box, and temperature compensation.
 
-Points with air temperatures enter; how long the box's air must be to explain the errors, and mean errors with and
-without compensation, leave. Speeds of sound are those of `msp_range.acoustics.air`.
+Questions about the temperature and points with air temperatures enter; how long the box's air must be to explain the
+errors, and mean errors with and without compensation, leave. Speeds of sound are those of `msp_range.acoustics.air`.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import CONFIDENCE, Z, half_of_mean, mean_of_points, standard_error, student
-from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow
-from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.estimates import (
+    CONFIDENCE,
+    LIKELIHOOD_DROP,
+    Z,
+    fit_points,
+    half_of_mean,
+    line_design,
+    mean_of_points,
+    standard_error,
+)
+from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.arrays import Array
@@ -31,7 +41,7 @@ class _Air(NamedTuple):
     room_c: float
     calibration_c: float
 
-    def confined_cm(self, range_cm: Array, depth_cm: float) -> Array:
+    def confined_cm(self, range_cm: Array, depth_cm: Array | float = math.inf) -> Array:
         """Shift of a reading [cm] where the box's air fills the first so many centimetres."""
         speed, box, room = self._speeds()
         return (speed / box - speed / room) * np.minimum(range_cm, depth_cm)
@@ -48,99 +58,90 @@ class _Air(NamedTuple):
         return speed_of_sound(self.calibration_c), speed_of_sound(self.box_c), speed_of_sound(self.room_c)
 
 
-def hot_boxes(points: Sequence[PointResult], calibration_c: float) -> tuple[HotBox, ...]:
+def hot_boxes(questions: Sequence[Question], calibration_c: float) -> tuple[HotBox, ...]:
     """One finding for each level of the temperature experiment that is not room temperature.
 
-    `points` is every set-up of the data, `calibration_c` the air temperature that the sensor assumes [deg C].
+    `questions` have what each level is compared with, `calibration_c` is the air temperature that the sensor assumes
+    [deg C].
     """
-    here = [p for p in points if p.condition == "temperature" and p.air_temperature_c is not None and p.error]
-    room = [p for p in here if abs((p.air_temperature_c or 0.0) - ROOM_C) < ROOM_WITHIN_C]
-    reference = room or [p for p in points if p.condition == "baseline" and p.error]
-    levels = dict.fromkeys(p.level for p in here if p not in room)
-    found = [_hot_box(level, [p for p in here if p.level == level], reference, calibration_c) for level in levels]
-    return tuple(each for each in found if each is not None)
+    boxes = [_hot_box(question, calibration_c) for question in questions if question.name == "temperature"]
+    return tuple(box for box in boxes if box is not None)
 
 
-def _hot_box(
-    level: str, points: Sequence[PointResult], reference: Sequence[PointResult], calibration_c: float
-) -> HotBox | None:
-    zero = {p.place_cm: p.error for p in reversed(reference)}
-    pairs = [(p, p.error, other) for p in points if p.error and (other := zero.get(p.place_cm))]
+def _hot_box(question: Question, calibration_c: float) -> HotBox | None:
+    points = [(p, p.air_temperature_c) for p in question.points if p.error and p.air_temperature_c is not None]
+    zero = {p.place_cm: p.error for p in reversed(question.reference_points) if p.error}
+    pairs = [(p, p.error, other) for p, _ in points if p.error and (other := zero.get(p.place_cm))]
     if len(pairs) < 3:
         return None
-    far = [p.target_temperature_c for p in points if p.target_temperature_c is not None]
-    near = [p.air_temperature_c for p in reference if p.air_temperature_c is not None]
-    box_c = float(np.mean([p.air_temperature_c for p in points]))
-    air = _Air(box_c, float(np.mean(far or near or [ROOM_C])), calibration_c)
+    far = [p.target_temperature_c for p, _ in points if p.target_temperature_c is not None]
+    near = [p.air_temperature_c for p in question.reference_points if p.air_temperature_c is not None]
+    box_c, room_c = float(np.mean([air_c for _, air_c in points])), float(np.mean(far or near or [ROOM_C]))
+    if abs(box_c - ROOM_C) < ROOM_WITHIN_C:
+        return None
+    air = _Air(box_c, room_c, calibration_c)
     range_cm = np.array([p.true_range_cm for p, _, _ in pairs])
-    shift_cm = np.array([error.value - other.value for _, error, other in pairs])
+    shifts = [
+        IntervalEstimate.about(
+            error.value - other.value, Z * math.hypot(standard_error(error), standard_error(other)), "cm", p.hits
+        )
+        for p, error, other in pairs
+    ]
+    shift_cm = np.array([shift.value for shift in shifts])
     n, mean, depth = shift_cm.size, mean_of_points(shift_cm, "cm"), _depth(range_cm, shift_cm, air)
     # Correction that the readings call for: slope of -shift over range, in per cent.
-    fit = stats.linregress(range_cm, -100.0 * shift_cm)
-    per_cent = IntervalEstimate.about(float(fit.slope), student(float(fit.stderr), n - 2), "%", n, "points")
-    uniform_per_cent = -float(air.confined_cm(np.array([100.0]), math.inf)[0])
+    per_cent = fit_points(line_design(range_cm), -100.0 * shift_cm, 0.0).estimate(1, "%")
+    uniform_per_cent = -float(air.confined_cm(np.array(100.0)))
     ideas: dict[AirBefore, Array] = {
-        "uniform": air.confined_cm(range_cm, math.inf),
+        "uniform": air.confined_cm(range_cm),
         "gradient": air.gradient_cm(range_cm),
         "confined": air.confined_cm(range_cm, depth.value),
     }
     squares = {name: float(((shift_cm - idea) ** 2).sum()) for name, idea in ideas.items()}
-    # The confined air has a parameter: it must explain significantly more (1.92 in the log-likelihood).
-    squares["confined"] *= math.exp(2 * 1.92 / n)
+    # The confined air has a parameter: it must explain significantly more.
+    squares["confined"] *= math.exp(2.0 * LIKELIHOOD_DROP / n)
     # A shift that grows with range has a wide mean and a slope.
     is_none = mean.holds(0.0) and per_cent.holds(0.0)
-    nearest = min(squares, key=lambda name: squares[name])
+    nearest: AirBefore = min(ideas, key=lambda name: squares[name])
     best: AirBefore | Literal["none"] = "none" if is_none else nearest
     compared: Literal["as", "and not"] = "as" if per_cent.holds(uniform_per_cent) else "and not"
-    explained = {
-        "none": "no shift is seen",
-        "confined": f"air like that over the first {depth.value:.0f} cm explains it ({_ends(depth)})",
-    }.get(best, f"a {best} temperature explains it best")
     return HotBox(
-        level=level,
+        level=question.level,
         box_c=box_c,
-        room_c=air.room_c,
+        room_c=room_c,
         room_is_assumed=not far and not near,
         depth=depth,
         per_cent=per_cent,
         uniform_per_cent=uniform_per_cent,
         compared=compared,
-        rows=tuple(_rows(pairs, ideas)),
+        rows=tuple(map(HotBoxRow, range_cm.tolist(), shifts, *(idea.tolist() for idea in ideas.values()))),
         best=best,
         answer=(
-            f"{box_c:.0f} C at the sensor, {air.room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
+            f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
             f"({mean.low:+.2f} to {mean.high:+.2f}) over {range_cm.min():g} to {range_cm.max():g} cm, which is "
             f"{per_cent.value:.1f} % of range {compared} the {uniform_per_cent:.1f} % of air like that all the way; "
-            f"{explained}"
+            f"{_explanation(best, depth)}"
         ),
     )
 
 
-def _rows(
-    pairs: Sequence[tuple[PointResult, IntervalEstimate, IntervalEstimate]], ideas: Mapping[AirBefore, Array]
-) -> Iterator[HotBoxRow]:
-    """Shift of the error of each point from its reference, and what each idea expects."""
-    for i, (point, error, other) in enumerate(pairs):
-        half = Z * math.hypot(standard_error(error), standard_error(other))
-        shift = IntervalEstimate.about(error.value - other.value, half, "cm", point.hits)
-        expected = (float(ideas[name][i]) for name in ("uniform", "gradient", "confined"))
-        yield HotBoxRow(point.true_range_cm, shift, *expected)
-
-
-def _ends(estimate: IntervalEstimate) -> str:
-    low, high = ("any" if end is None else f"{end:.0f}" for end in (estimate.low, estimate.high))
-    return f"{low} to {high} cm"
+def _explanation(best: AirBefore | Literal["none"], depth: IntervalEstimate) -> str:
+    if best == "none":
+        return "no shift is seen"
+    if best != "confined":
+        return f"a {best} temperature explains it best"
+    low, high = ("any" if end is None else f"{end:.0f}" for end in (depth.low, depth.high))
+    return f"air like that over the first {depth.value:.0f} cm explains it ({low} to {high} cm)"
 
 
 def _depth(range_cm: Array, shift_cm: Array, air: _Air) -> IntervalEstimate:
     """Length of the box's air by least squares, with its interval from the sum of squares."""
     depths_cm = np.linspace(0.0, float(range_cm.max()), 1041)
-    squares = np.array([float(((shift_cm - air.confined_cm(range_cm, depth)) ** 2).sum()) for depth in depths_cm])
-    best, freedom = int(squares.argmin()), range_cm.size - 1
-    limit = squares[best] * (1.0 + float(stats.f.ppf(CONFIDENCE, 1, freedom)) / freedom)
-    inside = depths_cm[squares <= limit]
-    high_cm = None if inside[-1] == depths_cm[-1] else float(inside[-1])
-    return IntervalEstimate(float(depths_cm[best]), float(inside[0]), high_cm, "cm", range_cm.size, "points")
+    squares = ((shift_cm - air.confined_cm(range_cm, depths_cm[:, None])) ** 2).sum(axis=1)
+    freedom = range_cm.size - 1
+    inside = depths_cm[squares <= squares.min() * (1.0 + stats.f.ppf(CONFIDENCE, 1, freedom) / freedom)].tolist()
+    high_cm = None if inside[-1] == depths_cm[-1] else inside[-1]
+    return IntervalEstimate(float(depths_cm[squares.argmin()]), inside[0], high_cm, "cm", range_cm.size, "points")
 
 
 def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:
@@ -154,27 +155,27 @@ def compensation_table(points: Sequence[PointReadings], calibration: Calibration
 
 
 def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibration) -> CompensationRow | None:
-    hits = np.concatenate([calibration.inverse(p.reading_cm[p.is_hit]) for p in points])
-    if hits.size < 3:
+    columns = [np.array([calibration.inverse(p.reading_cm), p.air_temperature_c, p.compensation]) for p in points]
+    hit_cm, air_c, factor = np.concatenate([each[:, p.is_hit] for each, p in zip(columns, points, strict=True)], axis=1)
+    if hit_cm.size < 3:
         return None
-    air_c = np.concatenate([p.air_temperature_c[p.is_hit] for p in points])
-    mean, half = float(hits.mean()), half_of_mean(hits, points[0].step_cm)
-    compensated, thermometer_c, notes = None, None, []
+    half, compensated, thermometer_c, notes = half_of_mean(hit_cm, points[0].step_cm), None, None, []
+    uncompensated = IntervalEstimate.about(float(hit_cm.mean()) - range_cm, half, "cm", hit_cm.size)
     if np.isnan(air_c).any():
         notes.append("no thermometer here, so nothing to compensate with")
     else:
         thermometer_c = float(air_c.mean())
-        corrected = hits * np.concatenate([p.compensation[p.is_hit] for p in points])
-        compensated = IntervalEstimate.about(float(corrected.mean()) - range_cm, half, "cm", hits.size)
+        compensated = IntervalEstimate.about(float((hit_cm * factor).mean()) - range_cm, half, "cm", hit_cm.size)
     if not calibration.is_identity:
         notes.append("after the calibration")
     calibration_k = points[0].sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
-    implied_c = [calibration_k * (range_cm / each) ** 2 - ZERO_CELSIUS_K for each in (mean, mean + half, mean - half)]
+    implied = uncompensated.mapped(lambda error: calibration_k / (1.0 + error / range_cm) ** 2 - ZERO_CELSIUS_K)
     return CompensationRow(
         range_cm=range_cm,
-        uncompensated=IntervalEstimate.about(mean - range_cm, half, "cm", hits.size),
+        uncompensated=uncompensated,
         compensated=compensated,
         thermometer_c=thermometer_c,
-        implied_c=IntervalEstimate(implied_c[0], implied_c[1], implied_c[2], "deg C", hits.size),
+        # The farther it reads, the colder.
+        implied_c=replace(implied, low=implied.high, high=implied.low, unit="deg C"),
         note="; ".join(notes),
     )
