@@ -28,7 +28,7 @@ def replay(
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
     from msp_range.mavlink.transport import open_transport
-    from msp_range.recording.pings import recorded_air, recorded_attitudes, recorded_motion, recorded_pings
+    from msp_range.recording.pings import read_recorded
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
@@ -41,13 +41,12 @@ def replay(
     else:
         raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)
-    pings = recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
+    recorded = read_recorded(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
     transport = replaying.Nowhere() if link is None else open_transport(link, SystemClock())
-    first_s = replaying.first_ping_s(pings)
+    first_s = replaying.first_ping_s(recorded.pings)
     clock = replaying.PacedClock(first_s) if realtime else VirtualClock(first_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    air, attitudes, motion = recorded_air(source, run_name), recorded_attitudes(source), recorded_motion(source)
-    outcome = replaying.replay(airframe, pings, file, clock, transport, recorder, air, attitudes, motion)
+    outcome = replaying.replay(airframe, recorded, file, clock, transport, recorder)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file, None if recording is None else recording.losses)

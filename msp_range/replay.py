@@ -23,7 +23,7 @@ from msp_range.mavlink.transport import Transport, TransportStats
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
-from msp_range.recording.pings import Pings
+from msp_range.recording.pings import Pings, Recorded
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
@@ -133,14 +133,11 @@ def first_ping_s(pings: Pings) -> float:
 
 def replay(
     airframe: Airframe,
-    pings: Pings,
+    recorded: Recorded,
     source: Path,
     clock: Clock,
     transport: Transport,
     recorder: Records | None = None,
-    recorded_air: Sequence[tuple[float, Air]] = (),
-    attitudes: Sequence[tuple[float, Angles]] = (),
-    motion: Sequence[Moved] = (),
 ) -> ReplayOutcome:
     """Play the pings through a bridge of their own, to the last one.
 
@@ -148,38 +145,33 @@ def replay(
     ----------
     airframe
         Its sensors have the names of the record's.
-    pings
-        By sensor name.
+    recorded
+        The record. Its air takes the place of the airframe's sources, which are not those of this computer now; without
+        any it is the airframe's fixed temperature.
     source
         The file, for messages.
     clock
         Starts at the record's beginning.
     transport, recorder
         As of a bridge.
-    recorded_air
-        The recorded air, (time [s], air) by time: it takes the place of the airframe's sources, which are not those of
-        this computer now. None: the airframe's fixed temperature.
-    attitudes
-        When each recorded attitude was received [s], and the attitude, by that time.
-    motion
-        Recorded accelerations and pressures, by time.
 
     Raises
     ------
     RecordingError
         The record has a sensor that the airframe has not.
     """
+    pings = recorded.pings
     _refuse_gaps(pings, source)
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
     order = RecordedOrder(airframe, bus)
     fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
-    times_s = [time_s for time_s, _ in recorded_air]
+    times_s = [time_s for time_s, _ in recorded.air]
 
     def air(now_s: float) -> Air:
-        if not recorded_air:
+        if not recorded.air:
             return fixed
-        return recorded_air[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
+        return recorded.air[max(bisect_right(times_s, now_s + ROUNDING_S) - 1, 0)][1]
 
     bridge = Bridge(
         airframe.without_thermometers,
@@ -189,8 +181,8 @@ def replay(
         recorder=recorder,
         schedule=order,
         air=air,
-        attitude=RecordedAttitude(attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
-        motion=RecordedMotion(motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
+        attitude=RecordedAttitude(recorded.attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
+        motion=RecordedMotion(recorded.motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
     )
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from msp_range.arrays import Column
-from msp_range.input_file import CONTROL, UTF_16, making, open_input
+from msp_range.input_file import CONTROL, UTF_16, open_input
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
-from msp_range.recording.error import RecordingError
+from msp_range.recording.error import RecordingError, new_file
 
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
@@ -167,15 +167,10 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *,
     known = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS, *BRIDGE_COLUMNS) if name in data]
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
-    try:
-        with making(path, replacing=replacing) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as out:
-            writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows(zip(*cells, strict=True))
-    except FileExistsError:
-        raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    with new_file(path, replacing=replacing) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(zip(*cells, strict=True))
 
 
 def csv_rows(path: Path, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:

@@ -16,7 +16,7 @@ from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
-from msp_range.recording.pings import MEASURED_STD_C, Pings, recorded_air, recorded_pings
+from msp_range.recording.pings import MEASURED_STD_C, Pings, read_recorded
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
 from msp_range.sensors.base import RecordedPing
@@ -122,7 +122,7 @@ def test_a_csv_file_gives_pings(tmp_path: Path) -> None:
     path = write_csv_text(
         tmp_path / "a.csv", "1,left,200\n2,left,765\n3,left,\n4,left,33168\n4.5,right,81.6\n5,left,0.4"
     )
-    pings = recorded_pings(path)
+    pings = read_recorded(path).pings
     # The ping is half a time of flight of 58 us/cm before the echo, where there was one.
     assert pings == {
         "left": [
@@ -142,7 +142,7 @@ def test_a_recorded_answer_is_there_from_the_time_at_which_it_was_read(tmp_path:
     message = {"time_s": 1.0087, "ping_s": 1.0, "read_s": 1.0372 + 0.0005, "status": "ok", "raw": 300, "range_m": 3.0}
     recorder.write("/range/left", 1.04, message)
     recorder.close()
-    ((ping_s, word, ready_s),) = recorded_pings(tmp_path / "flight.mcap")["left"]
+    ((ping_s, word, ready_s),) = read_recorded(tmp_path / "flight.mcap").pings["left"]
     assert (ping_s, word) == (1.0, 300)
     assert ready_s == pytest.approx(0.0377)
 
@@ -151,10 +151,10 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
     path = write_csv_text(
         tmp_path / "a.csv", "1,left,200,4.5\n2,left,200,\n", "time_s,sensor,reading_cm,air_temperature_c"
     )
-    assert recorded_air(path) == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
+    assert read_recorded(path).air == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
     header = "time_s,sensor,reading_cm,air_temperature_c,humidity_pct"
     path = write_csv_text(tmp_path / "humid.csv", "1,left,200,4.5,80\n2,left,200,5,\n", header)
-    assert [each for _, each in recorded_air(path)] == [
+    assert [each for _, each in read_recorded(path).air] == [
         Air(4.5, MEASURED_STD_C, "recorded", 80.0),
         Air(5.0, MEASURED_STD_C, "recorded"),
     ]
@@ -168,7 +168,7 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
     recorder.write("/range/left", 5.0, {"time_s": 5.0} | air | {"humidity_pct": 70.0})
     recorder.close()
     # What is no humidity comes from a damaged file.
-    assert [each for _, each in recorded_air(tmp_path / "flight.mcap")] == [
+    assert [each for _, each in read_recorded(tmp_path / "flight.mcap").air] == [
         Air(20.0, 12.0, "fixed"),
         Air(20.0, MEASURED_STD_C, "SCALED_PRESSURE.temperature"),
         Air(20.0, 3.5, "held"),
@@ -179,12 +179,12 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
 def test_one_run_at_a_time(tmp_path: Path) -> None:
     header = "time_s,sensor,reading_cm,run"
     path = write_csv_text(tmp_path / "a.csv", "1,left,200,one\n2,left,201,one\n1,left,300,two\n", header)
-    assert [each.word for each in recorded_pings(path, run="one")["left"]] == [200, 201]
-    assert [each.word for each in recorded_pings(path, run="two")["left"]] == [300]
+    assert [each.word for each in read_recorded(path, run="one").pings["left"]] == [200, 201]
+    assert [each.word for each in read_recorded(path, run="two").pings["left"]] == [300]
     with pytest.raises(RecordingError, match=r"a\.csv: choose one run; found: one, two"):
-        recorded_pings(path)
+        read_recorded(path)
     with pytest.raises(RecordingError, match="no run 'three'; found: one, two"):
-        recorded_pings(path, run="three")
+        read_recorded(path, run="three")
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
 def test_csv_that_cannot_be_replayed(tmp_path: Path, rows: str, message: str) -> None:
     path = write_csv_text(tmp_path / "a.csv", rows)
     with pytest.raises(RecordingError, match=message):
-        recorded_pings(path)
+        read_recorded(path)
 
 
 class RecordedOrder:
@@ -261,7 +261,7 @@ def test_the_driver_gets_every_word_at_its_own_time(readings: list[tuple[int | N
 def test_csv_times_come_back_from_the_driver(tmp_path: Path) -> None:
     rows = [(1.0, "left", 200), (1.1, "right", 764), (1.2, "left", 765), (1.3, "right", 20), (1.45, "left", 699)]
     path = write_csv_text(tmp_path / "a.csv", "\n".join(f"{time_s},{name},{cm}" for time_s, name, cm in rows))
-    readings = [each.reading for each in replay(recorded_pings(path))]
+    readings = [each.reading for each in replay(read_recorded(path).pings)]
     assert [(each.sensor, each.raw) for each in readings] == [(name, cm) for _, name, cm in rows]
     # The driver adds what was taken off: equal but for the rounding of doubles.
     assert [each.time_s for each in readings] == pytest.approx([time_s for time_s, _, _ in rows], abs=1e-12)
@@ -308,12 +308,12 @@ def test_a_replayed_recording_is_the_recording(tmp_path: Path) -> None:
         Status.AT_MINIMUM,
     ]
     record(tmp_path / "flight.mcap", first)
-    second = replay(recorded_pings(tmp_path / "flight.mcap"))
+    second = replay(read_recorded(tmp_path / "flight.mcap").pings)
     assert [each.reading for each in second] == [each.reading for each in first]
     assert [(each.ping_s, each.answered_s) for each in second] == [(each.ping_s, each.answered_s) for each in first]
     # Exported, it has the same words. A CSV file does not say when an answer came, so not that it came too early.
     export(tmp_path / "flight.mcap", tmp_path / "flight.csv")
-    third = replay(recorded_pings(tmp_path / "flight.csv"))
+    third = replay(read_recorded(tmp_path / "flight.csv").pings)
     assert [each.reading.raw for each in third] == [each.reading.raw for each in first]
     pings = [(again.ping_s, each.ping_s) for again, each in zip(third, first, strict=True)]
     assert all(again_s == pytest.approx(ping_s, abs=1e-12) for again_s, ping_s in pings[:1] + pings[2:])
