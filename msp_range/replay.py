@@ -75,23 +75,22 @@ class RecordedOrder:
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         """The sensors that come next in the record; at infinity where it has ended."""
-        pings = {address: self._bus.next_ping_s(address) for address in self._sensors}
-        times_s = {address: ping_s for address, ping_s in pings.items() if ping_s is not None}
-        if not times_s:
+        pings = [(ping, each) for address, each in self._sensors.items() if (ping := self._bus.next_ping(address))]
+        if not pings:
             return float("inf"), ()
-        first_s = min(times_s.values())
-        return first_s, [self._asked_once(each) for each, ping_s in times_s.items() if ping_s - first_s <= TOGETHER_S]
-
-    def _asked_once(self, address: int) -> PolledSensor:
-        """A sensor whose first try to read is the one that succeeded, whatever the bridge's interval was then."""
-        sensor = self._sensors[address]
-        return replace(sensor, timing=replace(sensor.timing, first_answer_s=self._bus.next_ready_s(address)))
+        first_s = min(ping.ping_s for ping, _ in pings)
+        return first_s, [_asked_once(each, ping) for ping, each in pings if ping.ping_s - first_s <= TOGETHER_S]
 
     def on_reading(self, reading: Reading) -> None:
         """A record does not change with what is received."""
 
     def again(self, sensor: str) -> None:
         """Nor with what does not fit."""
+
+
+def _asked_once(sensor: PolledSensor, ping: RecordedPing) -> PolledSensor:
+    """A sensor whose first try to read is the one that succeeded, whatever the bridge's interval was then."""
+    return replace(sensor, timing=replace(sensor.timing, first_answer_s=ping.ready_s))
 
 
 class PacedClock:

@@ -50,7 +50,7 @@ class Chain:
     def __init__(self, filters: Sequence[Filter], memory_s: float = MEMORY_S) -> None:
         self._filters = filters
         self._memory_s = memory_s
-        self._first: Reading | None = None
+        self._first: tuple[Reading, float] | None = None
         self._last: Estimate | None = None
         self._last_s = float("-inf")
         self._rate_m_s = 0.0
@@ -58,28 +58,24 @@ class Chain:
 
     def update(self, reading: Reading) -> Filtered:
         """Filter one reading; readings must be in order of time."""
-        if reading.range_m is None:
+        time_s, range_m = reading.time_s, reading.range_m
+        if range_m is None:
             return _REJECTED[reading.status]
-        time_s = reading.time_s
-        if reading.suspect and not self._contains(time_s, reading.range_m):
+        if reading.suspect and not self._contains(time_s, range_m):
             return _SUSPECT
         if time_s - self._accepted_s > self._memory_s:
-            first, self._first = self._first, reading
-            if first is None or first.range_m is None or not self._confirms(first, reading):
+            first, self._first = self._first, (reading, range_m)
+            if first is None:
+                return _UNCONFIRMED
+            elapsed_s, apart_m = time_s - first[0].time_s, abs(range_m - first[1])
+            if elapsed_s > self._memory_s or apart_m > CONFIRM_M + CONFIRM_M_S * elapsed_s:
                 return _UNCONFIRMED
             self._last, self._rate_m_s = None, 0.0
             for each in self._filters:
                 each.reset()
-            self._filter(first, first.range_m)
+            self._filter(*first)
         self._first, self._accepted_s = None, time_s
-        return self._filter(reading, reading.range_m)
-
-    def _confirms(self, first: Reading, second: Reading) -> bool:
-        if first.range_m is None or second.range_m is None:
-            return False
-        elapsed_s = second.time_s - first.time_s
-        apart_m = abs(second.range_m - first.range_m)
-        return elapsed_s <= self._memory_s and apart_m <= CONFIRM_M + CONFIRM_M_S * elapsed_s
+        return self._filter(reading, range_m)
 
     def _filter(self, reading: Reading, range_m: float) -> Filtered:
         time_s = reading.time_s

@@ -138,14 +138,21 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
     header = [name.strip() for name in next(rows, (0, []))[1]]
     _check_header(path, header, required)
     parts: list[list[Column]] = [[] for _ in header]
-    whole_rows = _whole_rows(path, rows, len(header))
-    while block := list(itertools.islice(whole_rows, BLOCK)):
+    while block := list(itertools.islice(rows, BLOCK)):
+        for line, row in block:
+            if len(row) != len(header):
+                raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {len(header)} as in the header")
         lines, block_rows = zip(*block, strict=True)
         for name, cells, column in zip(header, zip(*block_rows, strict=True), parts, strict=True):
             column.append(_column(path, name, cells, lines))
     columns = {}
-    for name, blocks in zip(header, parts, strict=True):
-        columns[name] = _joined(path, header, name, blocks)
+    for index, (name, blocks) in enumerate(zip(header, parts, strict=True)):
+        if len({each.dtype.kind for each in blocks}) > 1:
+            # Numbers at first, and words further on: it was words all along.
+            words = [row[index] for _, row in itertools.islice(csv_rows(path), 1, None)]
+            columns[name] = word_column(str(path), name, words)
+        else:
+            columns[name] = join_columns(str(path), name, blocks)
         # Many readings are there once, and not twice.
         blocks.clear()
     return MeasuredData(columns)
@@ -253,23 +260,6 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
             near = difflib.get_close_matches(name, [each[:64] for each in header if each not in required], n=1)
             hint = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
-
-
-def _whole_rows(path: Path, rows: Iterator[tuple[int, list[str]]], width: int) -> Iterator[tuple[int, list[str]]]:
-    for line, row in rows:
-        if len(row) != width:
-            raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {width} as in the header")
-        yield line, row
-
-
-def _joined(path: Path, header: list[str], name: str, parts: list[Column]) -> Column:
-    if len({part.dtype.kind for part in parts}) > 1:
-        # Numbers at first, and words further on: it was words all along.
-        index = header.index(name)
-        rows = csv_rows(path)
-        next(rows)
-        return word_column(str(path), name, [row[index] for _, row in rows])
-    return join_columns(str(path), name, parts)
 
 
 def join_columns(source: str, name: str, parts: Sequence[Column]) -> Column:

@@ -179,20 +179,13 @@ def _parsed(opcode: int, content: bytes) -> Record | None:
         if opcode == Opcode.MESSAGE:
             channel_id, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(content)
             return RawMessage(channel_id, sequence, log_time_ns, publish_time_ns, content[_MESSAGE.size :])
-        kind = _KINDS.get(opcode)
-        if kind is None:
+        checksum = int.from_bytes(content[-4:], "little")
+        if opcode not in _KINDS or (opcode == Opcode.ATTACHMENT and checksum not in (0, zlib.crc32(content[:-4]))):
             return None
-        if opcode == Opcode.ATTACHMENT and not _has_checksum(content):
-            return None
-        record: Record = kind.read(ReadDataStream(io.BytesIO(content)))
+        record: Record = _KINDS[opcode].read(ReadDataStream(io.BytesIO(content)))
         return record
     except (McapError, ValueError, struct.error):
         return None
-
-
-def _has_checksum(content: bytes) -> bool:
-    checksum = int.from_bytes(content[-4:], "little")
-    return checksum in (0, zlib.crc32(content[:-4]))
 
 
 def _unpacked(content: bytes, most_bytes: int) -> bytes | None:
@@ -264,9 +257,10 @@ def _record_at(file: BinaryIO, position: int, size: int) -> tuple[int, int] | No
     if position + _HEAD.size + length > size:
         return None
     if opcode in _FORMS:
-        return (opcode, length) if _has_form(file, opcode, position + _HEAD.size, length) else None
-    is_plausible = opcode >= _PRIVATE or (opcode == Opcode.MESSAGE and length >= _MESSAGE.size)
-    return (opcode, length) if is_plausible else None
+        is_whole = _has_form(file, opcode, position + _HEAD.size, length)
+    else:
+        is_whole = opcode >= _PRIVATE or (opcode == Opcode.MESSAGE and length >= _MESSAGE.size)
+    return (opcode, length) if is_whole else None
 
 
 def _has_form(file: BinaryIO, opcode: int, position: int, length: int) -> bool:

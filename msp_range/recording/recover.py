@@ -54,9 +54,8 @@ def _copy(recording: Recording, file: IO[bytes]) -> tuple[int, int]:
                 messages += 1
             else:
                 recording.losses.messages += 1
-        elif isinstance(record, Schema):
-            if record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Schema) and record.id not in schemas:
+            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel):
             # The format numbers channels from 1 to 65535, and has one more number.
             if record.id not in channels and len(channels) < 0xFFFF:

@@ -31,6 +31,12 @@ near: Any = pytest.approx
 TIMING = AnswerTiming(first_answer_s=0.0212, deadline_s=80 / 1024)
 
 
+def next_ping_s(bus: ReplayBus, address: int) -> float:
+    ping = bus.next_ping(address)
+    assert ping is not None
+    return ping.ping_s
+
+
 def played(pings: dict[int, list[RecordedPing]], clock: VirtualClock) -> ReplayBus:
     return ReplayBus(pings, clock, dict.fromkeys(pings, MB1242.playback))
 
@@ -46,11 +52,11 @@ def refused(bus: Bus, verb: str, address: int) -> bool:
 def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     clock = VirtualClock()
     bus = played({LEFT: [RecordedPing(1.0, 258, 0.035), RecordedPing(2.0, 300, 0.037)]}, clock)
-    assert bus.next_ping_s(LEFT) == 1.0
+    assert next_ping_s(bus, LEFT) == 1.0
     assert MB1242(bus, LEFT).answer().status is Status.PART_INFO
     clock.sleep_until(1.0)
     bus.write(LEFT, COMMAND_RANGE)
-    assert bus.next_ping_s(LEFT) == 2.0
+    assert next_ping_s(bus, LEFT) == 2.0
     assert refused(bus, "read", LEFT)
     assert refused(bus, "write", LEFT)
     clock.sleep_until(1.0349)
@@ -59,7 +65,7 @@ def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     assert bus.read(LEFT, 2) == bytes([1, 2])
     assert bus.read(LEFT, 2) == bytes([1, 2])
     bus.write(LEFT, b"\xaa\xa5\xe2")
-    assert bus.next_ping_s(LEFT) == 2.0
+    assert next_ping_s(bus, LEFT) == 2.0
     bus.reopen()
     bus.close()
 
@@ -70,7 +76,7 @@ def test_a_ping_that_was_not_acknowledged_is_not_acknowledged_again() -> None:
     bus = played({LEFT: [RecordedPing(1.0, None, 0.0), RecordedPing(2.0, 300, 0.037)]}, clock)
     clock.sleep_until(1.0)
     assert refused(bus, "write", LEFT)
-    assert bus.next_ping_s(LEFT) == 2.0
+    assert next_ping_s(bus, LEFT) == 2.0
     bus.write(LEFT, COMMAND_RANGE)
     clock.sleep_until(1.1)
     assert bus.read(LEFT, 2) == (300).to_bytes(2, "big")
@@ -92,11 +98,11 @@ def test_after_the_last_reading_and_where_there_was_no_sensor() -> None:
     clock = VirtualClock()
     bus = played({LEFT: [RecordedPing(0.0, 300, 0.037)]}, clock)
     bus.write(LEFT, COMMAND_RANGE)
-    assert bus.next_ping_s(LEFT) is None
+    assert bus.next_ping(LEFT) is None
     clock.sleep_until(1.0)
     assert bus.read(LEFT, 2) == (300).to_bytes(2, "big")
     assert refused(bus, "write", LEFT)
-    assert bus.next_ping_s(RIGHT) is None
+    assert bus.next_ping(RIGHT) is None
     assert refused(bus, "write", RIGHT)
     assert refused(bus, "read", RIGHT)
 
@@ -216,9 +222,9 @@ class RecordedOrder:
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         due = {
-            ping_s: sensor
+            ping.ping_s: sensor
             for address, sensor in self._sensors.items()
-            if (ping_s := self._bus.next_ping_s(address)) is not None
+            if (ping := self._bus.next_ping(address)) is not None
         }
         return (min(due), [due[min(due)]]) if due else (math.inf, [])
 

@@ -190,7 +190,7 @@ class _Session:
                 if self._before is not None and self._visit(self._before, anew=True) is Decision.STOP:
                     return Decision.STOP
                 continue
-            if arranged.decision in (Decision.SKIP, Decision.STOP):
+            if arranged.decision is not Decision.GO:
                 return arranged.decision
             self._before = point
             decision, watches = self._read(point, {**point.columns, **arranged.measured}, anew=anew)

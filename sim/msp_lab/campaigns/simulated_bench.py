@@ -29,11 +29,8 @@ from msp_sim.model.model import Model, load_model
 from msp_sim.model.streams import RandomStreams
 
 BIT_S = 1 / 50_000
-"""Time of a bit on the bus [s]: 50 kHz, the maker's highest clock without clock stretching."""
-BITS_OVERHEAD = 2
-"""Bits of a transfer besides its bytes: start and stop."""
-BITS_PER_BYTE = 9
-"""Bits of a byte on the bus: eight and the acknowledgement."""
+"""Time of a bit on the bus [s]: 50 kHz, the maker's highest clock without clock stretching. A byte has nine, with its
+acknowledgement, and a transfer two more, for start and stop."""
 MAX_DRAWN = 1024
 """Readings drawn at a time, at most: more costs memory, fewer cost time."""
 MARGIN = 1.3
@@ -74,7 +71,7 @@ class TimedBus(EmulatedBus):
         return answer
 
     def _pass(self, count: int) -> None:
-        self._clock.sleep_until(self._clock.now() + (BITS_OVERHEAD + count * BITS_PER_BYTE) * BIT_S)
+        self._clock.sleep_until(self._clock.now() + (2 + 9 * count) * BIT_S)
 
 
 class SimulatedBench:
@@ -165,13 +162,12 @@ class _Scene:
         """Return what gives the sensor's reading at the time of a ping [s]."""
 
         def echo(ping_s: float) -> int:
-            columns = dict(self._columns)
-            columns |= {"sensor": name, "run": self._run}
-            columns["true_range_cm"] = self._range_cm(ping_s)
-            others = [last_s for other, last_s in self._last_s.items() if other != name]
-            if others:
-                columns["neighbour_lag_ms"] = round((ping_s - max(others)) * 1e3, 6)
-                columns["neighbour_range_cm"] = self._range_cm(max(others))
+            columns = {**self._columns, "sensor": name, "run": self._run, "true_range_cm": self._range_cm(ping_s)}
+            self._last_s.pop(name, None)
+            if self._last_s:
+                other_s = max(self._last_s.values())
+                columns["neighbour_lag_ms"] = round((ping_s - other_s) * 1e3, 6)
+                columns["neighbour_range_cm"] = self._range_cm(other_s)
             self._last_s[name] = ping_s
             return draw(columns)
 

@@ -28,7 +28,7 @@ from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, Me
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_range.arrays import Array, Flags
-from msp_range.correction.calibration import PiecewiseLinear, curve_through
+from msp_range.correction.calibration import curve_through, piecewise_linear
 
 MIN_RANGES = 4
 """Ranges that a straight line needs: it predicts each from the others, and three determine it with an error."""
@@ -245,7 +245,7 @@ def _fitted(data: _Points, pieces: int) -> tuple[Array, Array]:
 
 
 def _extended(x: Array, places: Array, values: Array) -> Array:
-    return PiecewiseLinear(tuple(places.tolist()), tuple(values.tolist()))(x)
+    return piecewise_linear(tuple(places.tolist()), tuple(values.tolist()), x)
 
 
 def _knots(data: _Points, pieces: int) -> tuple[MeasuredKnot, ...]:

@@ -1,14 +1,12 @@
 """Effect: a surface nearer than the sensor can measure gives the sensor's minimum."""
 
-import numpy as np
-
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Code
 
 
 def _apply(scene: Scene, values: Values) -> Contribution:
     inside = scene.range_cm < values["depth_cm"]
-    return Contribution(component=Code(scene.sensor.minimum_cm), share=np.where(inside, values["share"], 0.0))
+    return Contribution(component=Code(scene.sensor.minimum_cm), share=values["share"] * inside)
 
 
 DEAD_ZONE_MINIMUM = Effect(

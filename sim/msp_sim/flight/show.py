@@ -29,10 +29,8 @@ class FlightDisplay:
     def update(self, steps: list[Step]) -> None:
         """Update with the bridge's newest steps."""
         for step in steps:
-            reading = step.ranging.reading
             estimate = step.filtered.estimate or step.corrected
-            shown = step.filtered.rejected or f"{estimate.range_m:.2f} m"
-            self._last[reading.sensor] = shown
+            self._last[step.ranging.reading.sensor] = step.filtered.rejected or f"{estimate.range_m:.2f} m"
             if step.fused is not None:
                 self._fused_m = step.fused.range_m
 
@@ -96,8 +94,7 @@ def print_table(console: Console, summary: dict[str, Any]) -> None:
     if fused["over_edges"]:
         console.print(f"  {fused['over_edges']} fused distances over edges of the ground are not in the errors\n")
     link = plain_table("message sent", "messages", "rate Hz", "dropped")
-    dropped = summary["link"]["dropped"]
-    sent = summary["link"]["sent"]
+    sent, dropped = summary["link"]["sent"], summary["link"]["dropped"]
     for name in sorted(sent | dropped):
         each = sent.get(name, {"messages": 0, "rate_hz": 0.0})
         link.add_row(name, str(each["messages"]), f"{each['rate_hz']:.2f}", str(dropped.get(name, 0)))
