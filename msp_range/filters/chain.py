@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from msp_range.filters.base import Estimate, Filter
-from msp_range.reading import Reading, Status
+from msp_range.reading import Reading
 
 MEMORY_S = 1.5
 """Time without an accepted reading after which the filters restart [s], unless the polling cycle requires longer."""
@@ -60,16 +60,16 @@ class Chain:
         """Filter one reading; readings must be in order of time."""
         time_s, range_m = reading.time_s, reading.range_m
         if range_m is None:
-            return _REJECTED[reading.status]
+            return Filtered(None, reading.status.value)
         if reading.suspect and not self._contains(time_s, range_m):
-            return _SUSPECT
+            return Filtered(None, "suspect")
         if time_s - self._accepted_s > self._memory_s:
             first, self._first = self._first, (reading, range_m)
             if first is None:
-                return _UNCONFIRMED
+                return Filtered(None, UNCONFIRMED)
             elapsed_s, apart_m = time_s - first[0].time_s, abs(range_m - first[1])
             if elapsed_s > self._memory_s or apart_m > CONFIRM_M + CONFIRM_M_S * elapsed_s:
-                return _UNCONFIRMED
+                return Filtered(None, UNCONFIRMED)
             self._last, self._rate_m_s = None, 0.0
             for each in self._filters:
                 each.reset()
@@ -84,7 +84,7 @@ class Chain:
         for each in self._filters:
             outcome = each.update(time_s, estimate)
             if outcome is None:
-                return _UNEXPECTED
+                return Filtered(None, UNEXPECTED)
             estimate = outcome
         if self._last is not None and time_s > self._last_s:
             rate_m_s = (estimate.range_m - self._last.range_m) / (time_s - self._last_s)
@@ -100,9 +100,3 @@ class Chain:
         before_m = self._last.range_m
         moved_m = before_m + self._rate_m_s * elapsed_s
         return min(before_m, moved_m) - margin_m <= range_m <= max(before_m, moved_m) + margin_m
-
-
-_REJECTED = {status: Filtered(None, status.value) for status in Status if not status.has_range}
-_SUSPECT = Filtered(None, "suspect")
-_UNCONFIRMED = Filtered(None, UNCONFIRMED)
-_UNEXPECTED = Filtered(None, UNEXPECTED)

@@ -8,6 +8,7 @@ been, and a change of one point does not change the others.
 import random
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -224,33 +225,25 @@ class _ModelReadings:
         return int(reading_cm)
 
 
+@dataclass
 class AutoOperator:
-    """A `msp_lab.campaigns.collect.Operator` that sets up at once, accepts every point, and counts.
+    """A `msp_lab.campaigns.collect.Operator` that sets up at once, accepts every point, and counts."""
 
-    Parameters
-    ----------
-    progress
-        Called with (point, readings so far).
-    stopped
-        Whether the collection should end.
-    """
-
-    def __init__(
-        self,
-        progress: Callable[[Point, int], None] = lambda point, readings: None,
-        stopped: Callable[[], bool] = lambda: False,
-    ) -> None:
-        self._progress = progress
-        self._stopped = stopped
-        self.readings = 0
-        self.outliers = 0
-        self.failed = 0
-        self.texts: list[str] = []
+    progress: Callable[[Point, int], None] = lambda point, readings: None
+    """Called with the point and the readings so far."""
+    stopped: Callable[[], bool] = lambda: False
+    """Whether the collection should end."""
+    readings: int = 0
+    outliers: int = 0
+    failed: int = 0
+    """Numbers of usable answers, of outliers among them, and of pings without one."""
+    texts: list[str] = field(default_factory=list)
+    """Reports on silent sensors."""
 
     def arrange(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
         """Accept the set-up as planned."""
-        self._progress(point, self.readings)
-        return Arranged(Decision.STOP if self._stopped() else Decision.GO)
+        self.progress(point, self.readings)
+        return Arranged(Decision.STOP if self.stopped() else Decision.GO)
 
     def on_reading(
         self, point: Point, watches: Mapping[str, PointWatch], reading: Reading, outlier: Outlier | None
@@ -262,8 +255,8 @@ class AutoOperator:
             self.readings += 1
             self.outliers += outlier is not None
         if self.readings % 500 == 0:
-            self._progress(point, self.readings)
-            if self._stopped():
+            self.progress(point, self.readings)
+            if self.stopped():
                 return Decision.STOP
         return Decision.GO
 

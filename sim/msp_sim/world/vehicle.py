@@ -5,7 +5,7 @@ is called for every ping. World frame NED with its origin on the ground, body fr
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple
 
 from numpy.random import Generator
@@ -161,8 +161,7 @@ def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
     return min(HOVER_THROTTLE * thrust_m_s2 / GRAVITY_M_S2, 1.0)
 
 
-_Swing = tuple[float, float, float]
-_Swings = tuple[_Swing, _Swing, _Swing]
+_Swings = Sequence[tuple[float, float, float]]
 
 
 def _swings(rms: float, period_s: float, generator: Generator) -> _Swings:
@@ -170,18 +169,11 @@ def _swings(rms: float, period_s: float, generator: Generator) -> _Swings:
     rates = 2 * math.pi / period_s * generator.uniform(0.7, 1.4, 3)
     phases = generator.uniform(0.0, 2 * math.pi, 3)
     swing = rms * math.sqrt(2 / 3)
-    one, two, three = [(swing, float(rate), float(phase)) for rate, phase in zip(rates, phases, strict=True)]
-    return one, two, three
+    return [(swing, rate, phase) for rate, phase in zip(rates.tolist(), phases.tolist(), strict=True)]
 
 
 def _swing_at(swings: _Swings, time_s: float) -> float:
-    # Written out, because it is asked for every message of the autopilot.
-    (a, rate_a, phase_a), (b, rate_b, phase_b), (c, rate_c, phase_c) = swings
-    return (
-        a * math.sin(rate_a * time_s + phase_a)
-        + b * math.sin(rate_b * time_s + phase_b)
-        + c * math.sin(rate_c * time_s + phase_c)
-    )
+    return sum([size * math.sin(rate * time_s + phase) for size, rate, phase in swings])
 
 
 def _swing_motion(swings: _Swings, time_s: float) -> Motion:
