@@ -152,13 +152,12 @@ class McapWriter:
         if not self._messages:
             return
         content = bytearray(self._definitions)
+        fields_bytes = _MESSAGE_HEAD.size - _HEAD_BYTES
         indexes: dict[int, bytearray] = {}  # for each channel, time [ns] and place in the chunk of its messages
         for channel, time_ns, data in self._messages:
             indexes.setdefault(channel, bytearray()).extend(_PLACE.pack(time_ns, len(content)))
-            length = _MESSAGE_HEAD.size - _HEAD_BYTES + len(data)
-            content += _MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns)
+            content += _MESSAGE_HEAD.pack(Opcode.MESSAGE, fields_bytes + len(data), channel, 0, time_ns, time_ns)
             content += data
-            self._message_counts[channel] += 1
         times_ns = [time_ns for _, time_ns, _ in self._messages]
         chunk = Chunk(
             compression=COMPRESSION,
@@ -172,6 +171,7 @@ class McapWriter:
         chunk_length = len(record)
         offsets = {}
         for channel, index in indexes.items():
+            self._message_counts[channel] += len(index) // _PLACE.size
             offsets[channel] = start + len(record)
             length = _INDEX_HEAD.size - _HEAD_BYTES + len(index)
             record += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, len(index))
