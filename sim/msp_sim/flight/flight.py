@@ -181,7 +181,8 @@ class Simulation(EmulatedFlight):
         super().__init__(airframe, clock, world, self.vehicle.pose, model, recorder)
         self._duration_s = scenario.duration_s
         self._thermometer = scenario.thermometer
-        plan = scenario.autopilot or AutopilotSection(first_heartbeat_s=math.inf)
+        # Without one, nothing is ever received.
+        plan = scenario.autopilot or AutopilotSection().model_copy(update={"first_heartbeat_s": math.inf})
         self._autopilot = LoopbackAutopilot(
             clock,
             self.vehicle.pose,
