@@ -28,7 +28,7 @@ def replay(
     from msp_range.clock import SystemClock, VirtualClock
     from msp_range.config import load_airframe, load_airframe_from
     from msp_range.mavlink.transport import open_transport
-    from msp_range.recording.pings import recorded_air, recorded_attitudes, recorded_motion, recorded_pings
+    from msp_range.recording.pings import read_recorded
     from msp_range.recording.reader import Recording, is_recording
     from msp_range.recording.writer import Recorder
 
@@ -41,16 +41,11 @@ def replay(
     else:
         raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)
-    played = replaying.Record(
-        recorded_pings(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors}),
-        recorded_air(source, run_name),
-        recorded_attitudes(source),
-        recorded_motion(source),
-    )
+    recorded = read_recorded(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
     transport = replaying.Nowhere() if link is None else open_transport(link, SystemClock())
-    clock = (replaying.PacedClock if realtime else VirtualClock)(played.first_ping_s)
+    clock = (replaying.PacedClock if realtime else VirtualClock)(recorded.first_ping_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)
-    outcome = replaying.replay(airframe, played, file, clock, transport, recorder)
+    outcome = replaying.replay(airframe, recorded, file, clock, transport, recorder)
     if recorder is not None:
         recorder.close()
     replaying.show(outcome, file, None if recording is None else recording.losses)

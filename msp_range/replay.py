@@ -4,14 +4,11 @@ The readings are played through a bus whose sensors answer with them, at their o
 change to a filter or a gate is tried on what really happened.
 """
 
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
 
 from rich.progress import BarColumn, TimeRemainingColumn
 
@@ -25,7 +22,7 @@ from msp_range.mavlink.transport import Transport, TransportStats
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
-from msp_range.recording.pings import Pings
+from msp_range.recording.pings import Pings, Recorded
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
@@ -34,8 +31,6 @@ from msp_range.terminal import Bar, PlainConsole, console, plain_table
 
 TOGETHER_S = 0.005
 """Pings of several sensors that are no farther apart than this were one group's [s]."""
-ROUNDING_S = 1e-6
-"""Recorded times are rounded to nanoseconds [s]."""
 LONGEST_GAP_S = 3600.0
 """A record with a longer gap is two records, or has a wrong time [s]."""
 LATE_S = 0.5
@@ -77,23 +72,22 @@ class RecordedOrder:
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         """The sensors that come next in the record; at infinity where it has ended."""
-        pings = {address: self._bus.next_ping_s(address) for address in self._sensors}
-        times_s = {address: ping_s for address, ping_s in pings.items() if ping_s is not None}
-        if not times_s:
+        pings = [(ping, each) for address, each in self._sensors.items() if (ping := self._bus.next_ping(address))]
+        if not pings:
             return float("inf"), ()
-        first_s = min(times_s.values())
-        return first_s, [self._asked_once(each) for each, ping_s in times_s.items() if ping_s - first_s <= TOGETHER_S]
-
-    def _asked_once(self, address: int) -> PolledSensor:
-        """A sensor whose first try to read is the one that succeeded, whatever the bridge's interval was then."""
-        sensor = self._sensors[address]
-        return replace(sensor, timing=replace(sensor.timing, first_answer_s=self._bus.next_ready_s(address)))
+        first_s = min(ping.ping_s for ping, _ in pings)
+        return first_s, [_asked_once(each, ping) for ping, each in pings if ping.ping_s - first_s <= TOGETHER_S]
 
     def on_reading(self, reading: Reading) -> None:
         """A record does not change with what is received."""
 
     def again(self, sensor: str) -> None:
         """Nor with what does not fit."""
+
+
+def _asked_once(sensor: PolledSensor, ping: RecordedPing) -> PolledSensor:
+    """A sensor whose first try to read is the one that succeeded, whatever the bridge's interval was then."""
+    return replace(sensor, timing=replace(sensor.timing, first_answer_s=ping.ready_s))
 
 
 class PacedClock:
@@ -128,32 +122,9 @@ class ReplayOutcome:
     behind_s: float
 
 
-class Record(NamedTuple):
-    """What was recorded or measured."""
-
-    pings: Pings
-    """By sensor name; the airframe's sensors have these names."""
-    air: Sequence[tuple[float, Air]] = ()
-    """(time [s], air) by time: it takes the place of the airframe's sources, which are not those of this computer now.
-    None: the airframe's fixed temperature."""
-    attitudes: Sequence[tuple[float, Angles]] = ()
-    """When each attitude was received [s], and the attitude, by that time."""
-    motion: Sequence[Moved] = ()
-    """Accelerations and pressures, by time."""
-
-    @property
-    def first_ping_s(self) -> float:
-        """When it begins [s]."""
-        return min(each[0].ping_s for each in self.pings.values())
-
-    def air_at(self, now_s: float) -> Air:
-        """The air at a time [s]."""
-        return self.air[max(bisect_right(self.air, now_s + ROUNDING_S, key=itemgetter(0)) - 1, 0)][1]
-
-
 def replay(
     airframe: Airframe,
-    record: Record,
+    recorded: Recorded,
     source: Path,
     clock: Clock,
     transport: Transport,
@@ -163,6 +134,11 @@ def replay(
 
     Parameters
     ----------
+    airframe
+        Its sensors have the names of the record's.
+    recorded
+        The record. Its air takes the place of the airframe's sources, which are not those of this computer now; without
+        any it is the airframe's fixed temperature.
     source
         The file, for messages.
     clock
@@ -175,13 +151,13 @@ def replay(
     RecordingError
         The record has a sensor that the airframe has not.
     """
-    pings = record.pings
+    pings = recorded.pings
     _refuse_gaps(pings, source)
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
     fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
-    if not record.air:
-        record = record._replace(air=[(0.0, fixed)])
+    if not recorded.air:
+        recorded = recorded._replace(air=[(0.0, fixed)])
     bridge = Bridge(
         airframe.without_thermometers,
         bus,
@@ -189,9 +165,9 @@ def replay(
         transport,
         recorder=recorder,
         schedule=RecordedOrder(airframe, bus),
-        air=record.air_at,
-        attitude=RecordedAttitude(record.attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
-        motion=RecordedMotion(record.motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
+        air=recorded.air_at,
+        attitude=RecordedAttitude(recorded.attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
+        motion=RecordedMotion(recorded.motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
     )
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()

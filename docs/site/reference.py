@@ -141,7 +141,8 @@ def _csv() -> str:
 
 
 def _mcap() -> str:
-    topics = [RANGE_PREFIX + "<sensor>", TRUTH_PREFIX + "<sensor>", *TOPICS]
+    topics = [f"{each}<sensor>" for each in (RANGE_PREFIX, TRUTH_PREFIX)]
+    topics += [each for each in TOPICS if not each.endswith("/")]
     parts = [
         "# MCAP form",
         "A recording holds JSON messages on these topics, each with its JSON Schema. An absent key is unknown.",

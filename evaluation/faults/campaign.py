@@ -49,13 +49,15 @@ def fly_plan(plan: Plan, out: Path | None = None) -> dict[str, Any]:
         folder.mkdir(parents=True, exist_ok=True)
         scenario = load_scenario(plan.write(folder))
         clock = VirtualClock()
-        recorder = tlog = None
+        recorder = None
         if out is not None:
             recording = out / "flight.mcap"
             recording.unlink(missing_ok=True)
-            recorder, tlog = Recorder(recording, clock, files=scenario.airframe.files, waits=True), out / "link.tlog"
+            recorder = Recorder(recording, clock, files=scenario.airframe.files, waits=True)
         log = _BridgeLog(scenario, clock)
-        simulation = Simulation(scenario, clock, plan.flight_seed, recorder=recorder, link=log.on_link, tlog=tlog)
+        simulation = Simulation(scenario, clock, plan.flight_seed, recorder=recorder, link=log.on_link)
+        if out is not None:
+            simulation.transport.open_log(out / "link.tlog")
         crashed = None
         try:
             for steps in simulation.fly():

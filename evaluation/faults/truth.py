@@ -76,7 +76,7 @@ class Truth:
         pose = self._vehicle.pose(time_s)
         north_m_s, east_m_s, down_m_s = pose.velocity_ned_m_s
         lean_rad = math.acos(min(math.cos(pose.roll_rad) * math.cos(pose.pitch_rad), 1.0))
-        if self._vehicle.clearance_m(time_s) < STANDS_M:
+        if self._vehicle.pose(time_s).clearance_m < STANDS_M:
             return lean_rad, "standing"
         if abs(down_m_s) > MOVES_M_S:
             return lean_rad, "climb"

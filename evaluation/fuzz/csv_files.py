@@ -21,7 +21,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.columns import CONTEXT_COLUMNS
 from msp_range.recording.csv_form import csv_rows, read_csv, write_csv
 from msp_range.recording.error import RecordingError
-from msp_range.recording.pings import recorded_air, recorded_pings
+from msp_range.recording.pings import read_recorded
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import load_model
 
@@ -56,7 +56,7 @@ def prepare(folder: Path) -> base.Check:
             assert not len(data) or np.array_equal(column, again[name], equal_nan=column.dtype.kind == "f"), name
 
     def replayed(path: Path) -> None:
-        played.play(airframe, recorded_pings(path), path, recorded_air(path))
+        played.play(airframe, read_recorded(path), path)
 
     def mapped(path: Path) -> None:
         read_mapped(path, maps[path.stat().st_size % len(maps)], 765)

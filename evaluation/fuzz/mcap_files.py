@@ -28,7 +28,7 @@ from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
 from msp_range.recording.mcap_records import RawMessage
-from msp_range.recording.pings import recorded_air, recorded_attitudes, recorded_motion, recorded_pings
+from msp_range.recording.pings import read_recorded
 from msp_range.recording.reader import Recording
 from msp_range.recording.recover import recover
 from msp_range.recording.writer import Recorder
@@ -124,14 +124,13 @@ def prepare(folder: Path) -> base.Check:
 
     def replayed() -> None:
         recording = Recording(path)
-        pings = recorded_pings(recording)
-        air, attitudes, motion = recorded_air(recording), recorded_attitudes(recording), recorded_motion(recording)
+        recorded = read_recorded(recording)
         try:
             flown = load_airframe_from(recording.files, path)
         except ConfigError as error:
             _check_message(str(error), path)
             flown = airframe
-        played.play(flown, pings, path, air, attitudes, motion)
+        played.play(flown, recorded, path)
 
     def check(data: bytes) -> None:
         path.write_bytes(data)

@@ -1,15 +1,12 @@
 """A recorded flight played through the bridge again, as `msp-range replay` does."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from msp_range import replay
-from msp_range.acoustics.air import Air
 from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
-from msp_range.fusion import Angles, Moved
+from msp_range.recording.pings import Recorded
 from msp_range.replay import Nowhere
-from msp_range.sensors.base import RecordedPing
 
 LONGEST_S = 600.0
 MOST_PINGS = 400
@@ -18,19 +15,15 @@ MOST_PINGS = 400
 
 def play(
     airframe: Airframe,
-    pings: Mapping[str, Sequence[RecordedPing]],
+    recorded: Recorded,
     source: Path,
-    air: Sequence[tuple[float, Air]] = (),
-    attitudes: Sequence[tuple[float, Angles]] = (),
-    motion: Sequence[Moved] = (),
 ) -> None:
     """Replay the pings, all of which have to come to their end."""
-    record = replay.Record(pings, air, attitudes, motion)
-    first_s = record.first_ping_s
+    pings, first_s = recorded.pings, recorded.first_ping_s
     last_s = max(each.ping_s for some in pings.values() for each in some)
     count = sum(map(len, pings.values()))
     if last_s - first_s > LONGEST_S or count > MOST_PINGS:
         return
     clock = VirtualClock(first_s)
-    outcome = replay.replay(airframe, record, source, clock, Nowhere())
+    outcome = replay.replay(airframe, recorded, source, clock, Nowhere())
     assert sum(each.readings for each in outcome.counts.values()) >= count

@@ -14,7 +14,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import FAULT_KINDS, Fault
 from msp_sim.device.mb1242 import NO_ECHO_CM, TIMING, EmulatedMB1242
-from msp_sim.flight.autopilot import LoopbackAutopilot
+from msp_sim.flight.autopilot import AutopilotSection, LoopbackAutopilot
 from msp_sim.world.vehicle import Pose
 from tests.support.bench import CALIBRATED_C, FUSED_ID, airframe
 
@@ -81,7 +81,7 @@ class Judge(LoopbackAutopilot):
     """An autopilot that compares each fused distance with the truth, and keeps counts only."""
 
     def __init__(self, clock: Clock, draws: random.Random, faults: list[Fault]) -> None:
-        super().__init__(clock, pose, lambda _: CALIBRATED_C, draw=draws)
+        super().__init__(clock, pose, lambda _: CALIBRATED_C, AutopilotSection(), draw=draws)
         self.messages = self.wrong = 0
         self.worst_m = 0.0
         self.longest_gap_s = 0.0

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 from msp_range.numbers import Numbers
@@ -71,19 +70,11 @@ class Calibration:
 
     def forward(self, true_cm: Numbers) -> Numbers:
         """Mean reading [cm], before rounding and limits, at a true range [cm]; NaN and infinity are kept."""
-        return true_cm if self.is_identity else self._forward(true_cm)
+        return true_cm if self.is_identity else piecewise_linear(self.true_cm, self.reading_cm, true_cm)
 
     def inverse(self, reading_cm: Numbers) -> Numbers:
         """Range [cm] with this mean reading: the inverse of `forward`."""
-        return reading_cm if self.is_identity else self._inverse(reading_cm)
-
-    @cached_property
-    def _forward(self) -> PiecewiseLinear:
-        return PiecewiseLinear(self.true_cm, self.reading_cm)
-
-    @cached_property
-    def _inverse(self) -> PiecewiseLinear:
-        return PiecewiseLinear(self.reading_cm, self.true_cm)
+        return reading_cm if self.is_identity else piecewise_linear(self.reading_cm, self.true_cm, reading_cm)
 
 
 IDENTITY = Calibration()
@@ -104,20 +95,14 @@ def curve_through(knots: Sequence[Knot]) -> Calibration:
     return Calibration(tuple(knot.true_cm for knot in knots), tuple(knot.reading_cm for knot in knots))
 
 
-class PiecewiseLinear:
-    """Piecewise linear function through points, extrapolated beyond them."""
+def piecewise_linear(x: tuple[float, ...], y: tuple[float, ...], at: Numbers) -> Numbers:
+    """Value of the piecewise linear function through points, extrapolated beyond them."""
+    if isinstance(at, int | float):
+        i = bisect_right(x[1:-1], at)
+        return y[i] + (y[i + 1] - y[i]) / (x[i + 1] - x[i]) * (at - x[i])
+    import numpy as np  # A vehicle needs single ranges only, and starts faster without this package.
 
-    def __init__(self, x: tuple[float, ...], y: tuple[float, ...]) -> None:
-        self._inner = x[1:-1]
-        self._x, self._y = x[:-1], y[:-1]
-        self._slope = tuple((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in range(len(self._x)))
-
-    def __call__(self, x: Numbers) -> Numbers:
-        if not isinstance(x, int | float):
-            import numpy as np  # A vehicle needs single ranges only, and starts faster without this package.
-
-            starts, values, slopes = (np.array(each) for each in (self._x, self._y, self._slope))
-            piece = np.searchsorted(self._inner, x, side="right")
-            return np.asarray(values[piece] + slopes[piece] * (x - starts[piece]))
-        i = bisect_right(self._inner, x)
-        return self._y[i] + self._slope[i] * (x - self._x[i])
+    places, values = np.array(x), np.array(y)
+    pieces = np.searchsorted(places[1:-1], at, side="right")
+    slopes = np.diff(values) / np.diff(places)
+    return np.asarray(values[pieces] + slopes[pieces] * (at - places[pieces]))

@@ -152,7 +152,7 @@ class TemperatureTrack:
             self._departures.append((time_s, self._good.value_c))
             self._start(time_s, air_c)
         elif self.jump is None or not self.jump.reaches(time_s, air_c, allowed_c):
-            since_s = time_s if self.jump is None else self.jump.since_s
+            since_s = self.jump.since_s if self.jump else time_s
             if self.jump is None:
                 self._departures.append((time_s, air_c))
                 self._values = 0 if self._values < FIRST_VALUES else self._values

@@ -11,6 +11,7 @@ import os
 import stat
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple, Protocol
 
 from msp_range.clock import Clock
@@ -57,14 +58,12 @@ def read_thermometer(source: FileSource) -> float:
         content = os.read(descriptor, LONGEST_NUMBER_BYTES + 1)
     finally:
         os.close(descriptor)
-    try:
-        if len(content) > LONGEST_NUMBER_BYTES:
-            raise ValueError
-        number = float(content)
-        if not math.isfinite(number):
-            raise ValueError
-    except ValueError:
-        raise ValueError(f"{path}: found {content[:20]!r}, expected a number") from None
+    number = math.nan
+    if len(content) <= LONGEST_NUMBER_BYTES:
+        with suppress(ValueError):
+            number = float(content)
+    if not math.isfinite(number):
+        raise ValueError(f"{path}: found {content[:20]!r}, expected a number")
     return number
 
 

@@ -1,5 +1,7 @@
 """The interface of a filter: one estimate in, one estimate out, or None if it rejects the reading."""
 
+from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 
@@ -18,3 +20,24 @@ class Filter(Protocol):
 
     def reset(self) -> None:
         """Forget everything, as after a long gap."""
+
+
+class Windowed:
+    """A filter that combines the last ``window`` readings; fewer until there are as many."""
+
+    def __init__(self, window: int) -> None:
+        self._recent: deque[Estimate] = deque(maxlen=window)
+
+    def update(self, time_s: float, measured: Estimate) -> Estimate:
+        """Variance of the mean of independent readings: sum of the variances / M^2."""
+        self._recent.append(measured)
+        mean_variance_m2 = sum([each.variance_m2 for each in self._recent]) / len(self._recent) ** 2
+        return self.combined([each.range_m for each in self._recent], mean_variance_m2)
+
+    def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
+        """The estimate, from the ranges [m] and the variance of their mean [m^2]."""
+        raise NotImplementedError
+
+    def reset(self) -> None:
+        """Forget all readings."""
+        self._recent.clear()

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from msp_range.filters.base import Estimate, Filter
-from msp_range.reading import Reading, Status
+from msp_range.reading import Reading
 
 MEMORY_S = 1.5
 """Time without an accepted reading after which the filters restart [s], unless the polling cycle requires longer."""
@@ -50,7 +50,7 @@ class Chain:
     def __init__(self, filters: Sequence[Filter], memory_s: float = MEMORY_S) -> None:
         self._filters = filters
         self._memory_s = memory_s
-        self._first: Reading | None = None
+        self._first: tuple[Reading, float] | None = None
         self._last: Estimate | None = None
         self._last_s = float("-inf")
         self._rate_m_s = 0.0
@@ -58,28 +58,24 @@ class Chain:
 
     def update(self, reading: Reading) -> Filtered:
         """Filter one reading; readings must be in order of time."""
-        if reading.range_m is None:
-            return _REJECTED[reading.status]
-        time_s = reading.time_s
-        if reading.suspect and not self._contains(time_s, reading.range_m):
-            return _SUSPECT
+        time_s, range_m = reading.time_s, reading.range_m
+        if range_m is None:
+            return Filtered(None, reading.status.value)
+        if reading.suspect and not self._contains(time_s, range_m):
+            return Filtered(None, "suspect")
         if time_s - self._accepted_s > self._memory_s:
-            first, self._first = self._first, reading
-            if first is None or first.range_m is None or not self._confirms(first, reading):
-                return _UNCONFIRMED
+            first, self._first = self._first, (reading, range_m)
+            if first is None:
+                return Filtered(None, UNCONFIRMED)
+            elapsed_s, apart_m = time_s - first[0].time_s, abs(range_m - first[1])
+            if elapsed_s > self._memory_s or apart_m > CONFIRM_M + CONFIRM_M_S * elapsed_s:
+                return Filtered(None, UNCONFIRMED)
             self._last, self._rate_m_s = None, 0.0
             for each in self._filters:
                 each.reset()
-            self._filter(first, first.range_m)
+            self._filter(*first)
         self._first, self._accepted_s = None, time_s
-        return self._filter(reading, reading.range_m)
-
-    def _confirms(self, first: Reading, second: Reading) -> bool:
-        if first.range_m is None or second.range_m is None:
-            return False
-        elapsed_s = second.time_s - first.time_s
-        apart_m = abs(second.range_m - first.range_m)
-        return elapsed_s <= self._memory_s and apart_m <= CONFIRM_M + CONFIRM_M_S * elapsed_s
+        return self._filter(reading, range_m)
 
     def _filter(self, reading: Reading, range_m: float) -> Filtered:
         time_s = reading.time_s
@@ -88,7 +84,7 @@ class Chain:
         for each in self._filters:
             outcome = each.update(time_s, estimate)
             if outcome is None:
-                return _UNEXPECTED
+                return Filtered(None, UNEXPECTED)
             estimate = outcome
         if self._last is not None and time_s > self._last_s:
             rate_m_s = (estimate.range_m - self._last.range_m) / (time_s - self._last_s)
@@ -104,9 +100,3 @@ class Chain:
         before_m = self._last.range_m
         moved_m = before_m + self._rate_m_s * elapsed_s
         return min(before_m, moved_m) - margin_m <= range_m <= max(before_m, moved_m) + margin_m
-
-
-_REJECTED = {status: Filtered(None, status.value) for status in Status if not status.has_range}
-_SUSPECT = Filtered(None, "suspect")
-_UNCONFIRMED = Filtered(None, UNCONFIRMED)
-_UNEXPECTED = Filtered(None, UNEXPECTED)

@@ -60,8 +60,6 @@ class Kalman:
         self._kalman.inv = np.reciprocal
         self._transition = np.eye(size)
         self._noise = np.empty((size, size))
-        self._measured = np.empty((1, 1))
-        self._measurement_variance = np.empty((1, 1))
         self._time_s: float | None = None
         self._waiting: tuple[float, Estimate] | None = None
 
@@ -86,9 +84,7 @@ class Kalman:
             if innovation_m * innovation_m > bound_m2:
                 return self._wait(time_s, measured, parameters.gate_sigmas)
         self._waiting = None
-        self._measured[0, 0] = measured.range_m
-        self._measurement_variance[0, 0] = measured.variance_m2
-        kalman.update(self._measured, R=self._measurement_variance)
+        kalman.update(measured.range_m, R=measured.variance_m2)
         return Estimate(float(kalman.x[0, 0]), float(kalman.P[0, 0]))
 
     def _predict(self, elapsed_s: float) -> None:
@@ -108,12 +104,10 @@ class Kalman:
         self._time_s = time_s
         self._waiting = None
         kalman = self._kalman
-        kalman.x[:] = 0.0
+        kalman.x[:, 0] = (measured.range_m, speed_m_s)[: kalman.dim_x]
         kalman.P[:] = 0.0
-        kalman.x[0, 0] = measured.range_m
         kalman.P[0, 0] = measured.variance_m2
         if self._moving:
-            kalman.x[1, 0] = speed_m_s
             kalman.P[1, 1] = speed_variance
         return measured
 

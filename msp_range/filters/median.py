@@ -1,13 +1,13 @@
 """Moving median (report eq 14, made causal: the report's window includes later readings)."""
 
 import math
-from collections import deque
+from collections.abc import Sequence
 from statistics import median
 from typing import Literal
 
 from pydantic import Field
 
-from msp_range.filters.base import Estimate
+from msp_range.filters.base import Estimate, Windowed
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import Section
 
@@ -25,21 +25,9 @@ class MedianParameters(Section):
         return Median(self.window)
 
 
-class Median:
+class Median(Windowed):
     """y[i] = median of x[i - M + 1] ... x[i]; of fewer until there are M readings."""
 
-    def __init__(self, window: int) -> None:
-        self._recent: deque[Estimate] = deque(maxlen=window)
-
-    def update(self, time_s: float, measured: Estimate) -> Estimate:
+    def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
         """Variance of the median of M independent normal readings, about (pi / 2) sigma^2 / M, for M of 3 or more."""
-        self._recent.append(measured)
-        count = len(self._recent)
-        variance_m2 = sum([each.variance_m2 for each in self._recent]) / count**2
-        if count > 2:
-            variance_m2 *= math.pi / 2
-        return Estimate(median([each.range_m for each in self._recent]), variance_m2)
-
-    def reset(self) -> None:
-        """Forget all readings."""
-        self._recent.clear()
+        return Estimate(median(ranges_m), mean_variance_m2 * (math.pi / 2 if len(ranges_m) > 2 else 1.0))

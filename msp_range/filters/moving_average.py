@@ -1,11 +1,11 @@
 """Moving average (report eq 13, causal: the mean of the newest readings, not of later ones)."""
 
-from collections import deque
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
 
-from msp_range.filters.base import Estimate
+from msp_range.filters.base import Estimate, Windowed
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import Section
 
@@ -23,21 +23,9 @@ class MovingAverageParameters(Section):
         return MovingAverage(self.window)
 
 
-class MovingAverage:
+class MovingAverage(Windowed):
     """y[i] = (1/M) sum over j = 0..M-1 of x[i - j]; of fewer until there are M readings."""
 
-    def __init__(self, window: int) -> None:
-        self._recent: deque[Estimate] = deque(maxlen=window)
-
-    def update(self, time_s: float, measured: Estimate) -> Estimate:
-        """Variance of the mean of independent readings: sum of the variances / M^2."""
-        self._recent.append(measured)
-        count = len(self._recent)
-        return Estimate(
-            sum([each.range_m for each in self._recent]) / count,
-            sum([each.variance_m2 for each in self._recent]) / count**2,
-        )
-
-    def reset(self) -> None:
-        """Forget all readings."""
-        self._recent.clear()
+    def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
+        """The mean."""
+        return Estimate(sum(ranges_m) / len(ranges_m), mean_variance_m2)

@@ -209,10 +209,9 @@ class RunHistories:
         """
         likelihood = self.likelihood
         reading, noise = reading_m[:, None], variance_m2[:, None]
-        moved = self._predict(elapsed_s[:, None])
-        before, x, v, p_xx, p_xv, p_vv, _, _ = moved.runs
-        spread = p_xx + noise
-        deviation = reading - x
+        runs, unbounded, started = self._predict(elapsed_s[:, None])
+        before, x, p_xx = runs[0], runs[1], runs[3]
+        spread, deviation = p_xx + noise, reading - x
         hit = likelihood.hit * Hit.density(deviation * deviation, spread)
         outlier_density = likelihood.outlier_density(reading, x)
         outlier = (before * outlier_density).sum(axis=1, keepdims=True)
@@ -222,43 +221,22 @@ class RunHistories:
         hit[:, soft:] *= np.minimum(1.0, limit / np.maximum(turn, 1e-300))
         either = hit + outlier_density
         # For a reading that no history explains all products are 0, and the level change below explains it.
-        beta = hit / np.maximum(either, 1e-300)
-        gain_x, gain_v = p_xx / spread, p_xv / spread
-        step = beta * deviation
-        shrink = beta * ((1.0 - beta) * deviation * deviation - spread)
+        moments = _moments(runs, either, hit / np.maximum(either, 1e-300), deviation, spread)
 
-        level_change = moved.level_change * (likelihood.hit / likelihood.length_m)
-        unbounded = level_change
-        level_change = np.where(outlier > 0.0, np.minimum(level_change, limit), level_change)
+        unbounded = unbounded * (likelihood.hit / likelihood.length_m)
+        level_change = np.where(outlier > 0.0, np.minimum(unbounded, limit), unbounded)
         unlocated = self.unlocated[:, None]
         found = level_change + unlocated * (likelihood.hit / likelihood.length_m)
         lost = (
             level_change * (likelihood.length_m / likelihood.hit) + unlocated
         ) * likelihood.unlocated_outlier_density(reading)
-
-        size = before.shape[1]
-        after = np.empty((8, before.shape[0], size + 2))
-        after[0, :, :size] = before * either
-        after[1, :, :size] = x + gain_x * step
-        after[2, :, :size] = v + gain_v * step
-        after[3, :, :size] = p_xx + gain_x * gain_x * shrink
-        after[4, :, :size] = p_xv + gain_x * gain_v * shrink
-        after[5, :, :size] = p_vv + gain_v * gain_v * shrink
-        after[6:, :, :size] = moved.runs[6:]
-        after[0, :, size:] = 0.5 * found
-        after[1, :, size:] = reading
-        after[2, :, size] = after[5, :, size] = 0.0
-        after[2, :, size + 1 :], after[5, :, size + 1 :] = moved.rate_m_s, moved.rate_m2_s2
-        after[3, :, size:] = noise
-        after[4, :, size:] = 0.0
+        started[0], started[1], started[3] = 0.5 * found, reading, noise
         # The very first range is not a level change.
-        after[6, :, size:], after[7, :, size:] = (
-            moved.slope_changes,
-            moved.level_changes + level_change / np.maximum(found, 1e-300),
-        )
+        started[7] += level_change / np.maximum(found, 1e-300)
 
-        best = np.argpartition(after[0], size + 2 - HYPOTHESES, axis=1)[:, size + 2 - HYPOTHESES :]
-        self.state = after[:, self._rows, best]
+        after = np.concatenate((moments, started), axis=2)
+        most = after.shape[2] - HYPOTHESES
+        self.state = after[:, self._rows, np.argpartition(after[0], most, axis=1)[:, most:]]
         total = self.state[0].sum(axis=1, keepdims=True) + lost
         self.state[0] /= total
         self.unlocated = (lost / total)[:, 0]
@@ -275,37 +253,46 @@ class RunHistories:
         model without outliers.
         """
         state, time_s = self.state, self.time_s
-        moved = self._predict(elapsed_s[:, None])
+        runs, level_change, _ = self._predict(elapsed_s[:, None])
         self.state, self.time_s = state, time_s
-        probability, x, _, p_xx, _, _, _, _ = moved.runs
+        probability, x, p_xx = runs[0], runs[1], runs[3]
         likelihood = self.likelihood
         below = normal_cdf((reading_m[:, None] - x) / np.sqrt(p_xx + variance_m2[:, None]))
         share = np.clip((reading_m - likelihood.minimum_m) / likelihood.length_m, 0.0, 1.0)
-        cumulative = (probability * below).sum(axis=1) + (moved.level_change[:, 0] + self.unlocated) * share
+        cumulative = (probability * below).sum(axis=1) + (level_change[:, 0] + self.unlocated) * share
         deviate: Array = normal_quantile(np.clip(cumulative, 1e-12, 1.0 - 1e-12))
         return deviate
 
-    def _predict(self, elapsed_s: Array) -> "_Moved":
-        """Predict the histories at the next reading: those that continue, those with a new slope, and those that
-        stop."""
-        probability, x, v, p_xx, p_xv, p_vv, slope_changes, level_changes = self.state
+    def _predict(self, elapsed_s: Array) -> tuple[Array, Array, Array]:
+        """Predict the histories at the next reading.
+
+        Returns
+        -------
+        runs
+            Those that continue, bend, turn and stop, shape (8, streams, 4 HYPOTHESES).
+        level_change
+            Probability of a level change, shape (streams, 1).
+        started
+            What is known of the two that begin with it, stationary and with the rate kept, shape (8, streams, 2).
+        """
+        probability, x, v, p_xx, p_xv, p_vv = self.state[:6]
         fade = np.exp(-elapsed_s / RATES_MEMORY_S)
-        slope_changes, level_changes = slope_changes * fade, level_changes * fade
+        # Row by row in memory, as the sums below add them.
+        counts = self.state[6:].copy() * fade
         self.time_s = self.time_s * fade[:, 0] + elapsed_s[:, 0]
-        time_s = self.time_s[:, None]
-        slope_change = -np.expm1(-elapsed_s * (PRIOR_CHANGES + slope_changes) / (PRIOR_TIME_S + time_s))
-        level_change = probability * -np.expm1(-elapsed_s * (PRIOR_CHANGES + level_changes) / (PRIOR_TIME_S + time_s))
+        time_s = PRIOR_TIME_S + self.time_s[:, None]
+        slope_share, level_share = -np.expm1(-elapsed_s * (PRIOR_CHANGES + counts) / time_s)
+        level_change = probability * level_share
         # The probability without a level change is divided among the other cases.
         probability = probability - level_change
-        stop = probability * slope_change * STOP_SHARE * (p_vv > 0.0)
-        turn = probability * slope_change - stop
-
+        slope_change = probability * slope_share
+        stop = slope_change * STOP_SHARE * (p_vv > 0.0)
+        turn = slope_change - stop
         bend = BEND_SHARE * turn
-        # Continued, bent, turned, stopped: the range is the same just before and after the change.
+        # The range is the same just before and after the change.
         runs = np.zeros((8, x.shape[0], 4, HYPOTHESES))
-        for index, share in enumerate((probability - turn - stop, bend, turn - bend, stop)):
-            runs[0, :, index] = share
-        runs[1:4] = np.stack((x, np.zeros_like(x), p_xx))[:, :, None]
+        runs[0] = np.stack((probability - turn - stop, bend, turn - bend, stop), axis=1)
+        runs[1], runs[3] = x[:, None], p_xx[:, None]
         runs[1, :, :2] += (v * elapsed_s)[:, None]
         runs[2, :, :2] = v[:, None]
         runs[4, :, :2] = p_xv[:, None]
@@ -315,25 +302,21 @@ class RunHistories:
         longer_s = elapsed_s[:, None]
         runs[3] += (2.0 * runs[4] + runs[5] * longer_s) * longer_s
         runs[4] += runs[5] * longer_s
-        runs[6] = slope_changes[:, None]
+        runs[6:] = counts[:, :, None]
         runs[6, :, 1:] += 1.0
-        runs[7] = level_changes[:, None]
 
         any_level_change = level_change.sum(axis=1, keepdims=True)
         share = level_change / np.maximum(any_level_change, 1e-300)
         rate = (share * v).sum(axis=1, keepdims=True)
-        return _Moved(
-            runs.reshape(8, x.shape[0], 4 * HYPOTHESES),
-            level_change=any_level_change,
-            rate_m_s=rate,
-            rate_m2_s2=(share * (self.state[5] + (v - rate) ** 2)).sum(axis=1, keepdims=True),
-            slope_changes=(share * slope_changes).sum(axis=1, keepdims=True),
-            level_changes=(share * level_changes).sum(axis=1, keepdims=True),
-        )
+        started = np.zeros((8, x.shape[0], 2))
+        started[2, :, 1:] = rate
+        started[5, :, 1:] = (share * (p_vv + (v - rate) ** 2)).sum(axis=1, keepdims=True)
+        started[6:] = (share * counts).sum(axis=2, keepdims=True)
+        return runs.reshape(8, x.shape[0], 4 * HYPOTHESES), any_level_change, started
 
     def _posterior(self, reading_m: Array, doubt: Array, is_hit: Flags) -> Posterior:
         likelihood = self.likelihood
-        probability, x, _, p_xx, _, _, _, _ = self.state
+        probability, x, p_xx = self.state[0], self.state[1], self.state[3]
         median = _median(probability, x, np.sqrt(p_xx), self.unlocated, likelihood.minimum_m, likelihood.length_m)
         deviation = x - median[:, None]
         middle = (likelihood.minimum_m + likelihood.maximum_m) / 2 - median
@@ -347,16 +330,23 @@ class RunHistories:
         return Posterior(median, variance, self.known & is_hit)
 
 
-class _Moved(NamedTuple):
-    """Predicted histories, shape (8, streams, 4 HYPOTHESES), and the start of one after a level change, shape (streams,
-    1)."""
-
-    runs: Array
-    level_change: Array
-    rate_m_s: Array
-    rate_m2_s2: Array
-    slope_changes: Array
-    level_changes: Array
+def _moments(runs: Array, weight: Array, beta: Array, deviation: Array, spread: Array) -> Array:
+    """Histories after a reading that is a hit with the probability beta; the equations are the module's."""
+    before, x, v, p_xx, p_xv, p_vv, *changes = runs
+    gain_x, gain_v = p_xx / spread, p_xv / spread
+    step = beta * deviation
+    shrink = beta * ((1.0 - beta) * deviation * deviation - spread)
+    return np.stack(
+        (
+            before * weight,
+            x + gain_x * step,
+            v + gain_v * step,
+            p_xx + gain_x * gain_x * shrink,
+            p_xv + gain_x * gain_v * shrink,
+            p_vv + gain_v * gain_v * shrink,
+            *changes,
+        )
+    )
 
 
 def _median(probability: Array, x: Array, std: Array, unlocated: Array, minimum_m: float, length_m: float) -> Array:

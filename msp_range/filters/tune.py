@@ -118,10 +118,8 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     )
     best = np.asarray(found.x)
     reach = np.where(np.isclose(best, limits, atol=0.02).any(axis=0), np.inf, _reach(cost, best))
-    low, high = np.exp(best - reach), np.exp(best + reach)
-    fitted = [
-        FittedParameter(names[i], given[i], float(np.exp(best[i])), float(low[i]), float(high[i])) for i in range(2)
-    ]
+    low, high = np.exp(best - reach).tolist(), np.exp(best + reach).tolist()
+    fitted = [FittedParameter(*row) for row in zip(names, given, np.exp(best).tolist(), low, high, strict=True)]
     changed = parameters.model_copy(update={each.name: float(f"{each.value:.3g}") for each in fitted})
     return Tuned(changed, (fitted[0], fitted[1]), count, outliers, -cost(start), -float(found.fun))
 
@@ -167,7 +165,7 @@ def _reach(cost: Callable[[np.ndarray], float], best: np.ndarray) -> np.ndarray:
     both, apart = ahead[0] + ahead[1], ahead[0] - ahead[1]
     mixed = cost(best + both) + cost(best - both) - cost(best + apart) - cost(best - apart)
     hessian[0, 1] = hessian[1, 0] = mixed / (4 * step**2)
-    if hessian[0, 0] <= 0 or hessian[1, 1] <= 0 or np.linalg.det(hessian) <= 0:
+    if np.diag(hessian).min() <= 0 or np.linalg.det(hessian) <= 0:
         alone = np.where(np.diag(hessian) > 1e-3, np.diag(hessian), 0.0)
         with np.errstate(divide="ignore"):
             return NORMAL_95 / np.sqrt(alone)

@@ -75,13 +75,11 @@ class BackgroundFile:
         """Whether the thread has ended: the file is complete, or `error` says why it is not."""
         return not self._thread.is_alive()
 
-    def wait_until_open(self) -> Path:
+    def wait_until_open(self) -> None:
         """Wait for the disk to open the file; raises OSError where it cannot be opened."""
         self._opened.wait()
-        if self.path is None:
-            assert self.error is not None
+        if self.path is None and self.error is not None:
             raise self.error
-        return self.path
 
     def tell(self) -> int:
         """Bytes that were written so far, as their writer counts them."""

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from msp_range.arrays import Column
-from msp_range.input_file import CONTROL, UTF_16, making, open_input
+from msp_range.input_file import CONTROL, UTF_16, open_input
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
-from msp_range.recording.error import RecordingError
+from msp_range.recording.error import RecordingError, new_file
 
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
@@ -138,14 +138,21 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
     header = [name.strip() for name in next(rows, (0, []))[1]]
     _check_header(path, header, required)
     parts: list[list[Column]] = [[] for _ in header]
-    whole_rows = _whole_rows(path, rows, len(header))
-    while block := list(itertools.islice(whole_rows, BLOCK)):
+    while block := list(itertools.islice(rows, BLOCK)):
+        for line, row in block:
+            if len(row) != len(header):
+                raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {len(header)} as in the header")
         lines, block_rows = zip(*block, strict=True)
         for name, cells, column in zip(header, zip(*block_rows, strict=True), parts, strict=True):
             column.append(_column(path, name, cells, lines))
     columns = {}
-    for name, blocks in zip(header, parts, strict=True):
-        columns[name] = _joined(path, header, name, blocks)
+    for index, (name, blocks) in enumerate(zip(header, parts, strict=True)):
+        if len({each.dtype.kind for each in blocks}) > 1:
+            # Numbers at first, and words further on: it was words all along.
+            words = [row[index] for _, row in itertools.islice(csv_rows(path), 1, None)]
+            columns[name] = word_column(str(path), name, words)
+        else:
+            columns[name] = join_columns(str(path), name, blocks)
         # Many readings are there once, and not twice.
         blocks.clear()
     return MeasuredData(columns)
@@ -167,15 +174,10 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *,
     known = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS, *BRIDGE_COLUMNS) if name in data]
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
-    try:
-        with making(path, replacing=replacing) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as out:
-            writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(names)
-            writer.writerows(zip(*cells, strict=True))
-    except FileExistsError:
-        raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    with new_file(path, replacing=replacing) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as out:
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(zip(*cells, strict=True))
 
 
 def csv_rows(path: Path, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
@@ -258,23 +260,6 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
             near = difflib.get_close_matches(name, [each[:64] for each in header if each not in required], n=1)
             hint = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
-
-
-def _whole_rows(path: Path, rows: Iterator[tuple[int, list[str]]], width: int) -> Iterator[tuple[int, list[str]]]:
-    for line, row in rows:
-        if len(row) != width:
-            raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {width} as in the header")
-        yield line, row
-
-
-def _joined(path: Path, header: list[str], name: str, parts: list[Column]) -> Column:
-    if len({part.dtype.kind for part in parts}) > 1:
-        # Numbers at first, and words further on: it was words all along.
-        index = header.index(name)
-        rows = csv_rows(path)
-        next(rows)
-        return word_column(str(path), name, [row[index] for _, row in rows])
-    return join_columns(str(path), name, parts)
 
 
 def join_columns(source: str, name: str, parts: Sequence[Column]) -> Column:

@@ -73,12 +73,15 @@ def measured_data(recording: Recording, *, faults: bool = True, stages: bool = F
                 if "humidity_pct" in message:
                     row.setdefault("humidity_pct", message["humidity_pct"])
             if stages:
-                row |= _stages(message)
+                row |= {key: message.get(key) for key in ("status", "rejected")}
+                row |= {f"{key}_cm": _cm(message.get(f"{key}_m")) for key in ("corrected", "filtered")}
             rows.append(row)
             pings_s.append(message["ping_s"])
         elif stages and topic == FUSED_TOPIC and rows:
             # The bridge records it right after the reading that it follows from.
-            rows[-1] |= _fused(message)
+            variance_m2 = message.get("variance_m2", -1.0)
+            std_m = math.sqrt(variance_m2) if variance_m2 >= 0.0 else None
+            rows[-1] |= {"fused_cm": _cm(message.get("range_m")), "fused_std_cm": _cm(std_m)}
     sensors, runs = [row["sensor"] for row in rows], np.zeros(len(rows))
     lags_ms = neighbour_lags_ms(np.array(pings_s, dtype=float), sensors, runs)
     for row, lag_ms in zip(rows, lags_ms.tolist(), strict=True):
@@ -89,22 +92,6 @@ def measured_data(recording: Recording, *, faults: bool = True, stages: bool = F
         raise RecordingError(f"{recording.path}: found {len(names)} kinds of context, expected at most {MOST_COLUMNS}")
     columns = {name: column_of(str(recording.path), name, [row.get(name) for row in rows]) for name in names}
     return MeasuredData(columns)
-
-
-def _stages(message: dict[str, Any]) -> dict[str, Any]:
-    """What the bridge made of a reading."""
-    return {
-        "status": message["status"],
-        "rejected": message.get("rejected"),
-        "corrected_cm": _cm(message.get("corrected_m")),
-        "filtered_cm": _cm(message.get("filtered_m")),
-    }
-
-
-def _fused(message: dict[str, Any]) -> dict[str, Any]:
-    variance_m2 = message.get("variance_m2")
-    std_m = math.sqrt(variance_m2) if variance_m2 is not None and variance_m2 >= 0.0 else None
-    return {"fused_cm": _cm(message.get("range_m")), "fused_std_cm": _cm(std_m)}
 
 
 def _cm(value_m: float | None) -> float | None:

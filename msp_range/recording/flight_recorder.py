@@ -109,9 +109,9 @@ class FlightRecorder:
             self._end(recorder)
             self._recorder = None
             return
-        if not self._is_reported and recorder.file.kept_bytes and recorder.path is not None:
+        if not self._is_reported and recorder.file.kept_bytes and recorder.file.path is not None:
             self._is_reported, self.fault = True, None
-            self._on_file(recorder.path)
+            self._on_file(recorder.file.path)
         utc_moved_s = abs(self._clock.utc() - now_s - self._utc_offset_s)
         if now_s - self._began_s >= FILE_LASTS_S or recorder.file.tell() >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:
             self._end(recorder)
@@ -143,9 +143,9 @@ class FlightRecorder:
 
     def _drop_ended(self) -> None:
         for recorder in self._ending:
-            if recorder.has_ended and recorder.fault is None and not recorder.is_complete:
+            if recorder.file.has_ended and recorder.fault is None and recorder.file.error is not None:
                 self._on_failure(recorder.failure())
-        self._ending = [recorder for recorder in self._ending if not recorder.has_ended]
+        self._ending = [recorder for recorder in self._ending if not recorder.file.has_ended]
 
 
 def new_file(folder: Path, name: str, utc_s: float) -> FileIO:

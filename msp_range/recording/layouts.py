@@ -51,10 +51,10 @@ def plots_of(recording: Recording) -> list[Plot]:
 def foxglove(plots: Sequence[Plot]) -> str:
     """A layout for Foxglove: the plots below each other, then states of the readings, and reports to the pilot."""
     panels = [_plot_panel(each) for each in plots]
-    sensors = [each for each in plots if each.topic.startswith(RANGE_PREFIX)]
     states = [
         {"value": f"{each.topic}.{key}", "label": f"{each.title} {key}"}
-        for each in sensors
+        for each in plots
+        if each.topic.startswith(RANGE_PREFIX)
         for key in ("status", "rejected")
     ]
     panels.append(_panel("StateTransitions", "what became of the readings", {"paths": states, "isSynced": True}))
@@ -68,10 +68,9 @@ def plotjuggler(plots: Sequence[Plot]) -> str:
     root = ElementTree.Element("root")
     main = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = ElementTree.SubElement(main, "Tab", tab_name="ranges", containers="1")
-    count = len(plots)
-    sizes = ";".join([f"{1 / count:.6g}"] * count)
+    sizes = ";".join([f"{1 / len(plots):.6g}"] * len(plots))
     container = ElementTree.SubElement(tab, "Container")
-    splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", count=str(count), sizes=sizes)
+    splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=sizes)
     for each in plots:
         area = ElementTree.SubElement(splitter, "DockArea", name=each.title)
         plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="LinesAndDots")

@@ -45,8 +45,8 @@ _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 """What a message begins with: channel, sequence, log time [ns], publish time [ns]."""
 _CHUNK_TIMES = struct.Struct("<QQ")
-_TEXT, _LONG = "text", "long"
-_FORMS: dict[int, tuple[int | str, ...]] = {
+_TEXT, _LONG = -4, -8
+_FORMS: dict[int, tuple[int, ...]] = {
     Opcode.HEADER: (_TEXT, _TEXT),
     Opcode.FOOTER: (20,),
     Opcode.SCHEMA: (2, _TEXT, _TEXT, _TEXT),
@@ -62,7 +62,7 @@ _FORMS: dict[int, tuple[int | str, ...]] = {
     Opcode.SUMMARY_OFFSET: (17,),
     Opcode.DATA_END: (4,),
 }
-"""What each record consists of: so many bytes, or as many as the number in front of them says (4 or 8 bytes of it).
+"""What each record consists of: so many bytes, or as many as the number in front of them says (-4 or -8: its bytes).
 That these fill the record's length exactly tells a record from what only looks like one. Messages have no such form."""
 _KINDS: dict[int, Any] = {
     Opcode.HEADER: Header,
@@ -179,26 +179,19 @@ def _parsed(opcode: int, content: bytes) -> Record | None:
         if opcode == Opcode.MESSAGE:
             channel_id, sequence, log_time_ns, publish_time_ns = _MESSAGE.unpack_from(content)
             return RawMessage(channel_id, sequence, log_time_ns, publish_time_ns, content[_MESSAGE.size :])
-        kind = _KINDS.get(opcode)
-        if kind is None:
+        checksum = int.from_bytes(content[-4:], "little")
+        if opcode not in _KINDS or (opcode == Opcode.ATTACHMENT and checksum not in (0, zlib.crc32(content[:-4]))):
             return None
-        if opcode == Opcode.ATTACHMENT and not _has_checksum(content):
-            return None
-        record: Record = kind.read(_as_stream(content))
+        record: Record = _KINDS[opcode].read(ReadDataStream(io.BytesIO(content)))
         return record
     except (McapError, ValueError, struct.error):
         return None
 
 
-def _has_checksum(content: bytes) -> bool:
-    checksum = int.from_bytes(content[-4:], "little")
-    return checksum in (0, zlib.crc32(content[:-4]))
-
-
 def _unpacked(content: bytes, most_bytes: int) -> bytes | None:
     """What a chunk holds; None where it is damaged, or more than it may be."""
     try:
-        chunk = Chunk.read(_as_stream(content))
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
         size = chunk.uncompressed_size
         if size > min(most_bytes, LARGEST_RECORD_BYTES):
             return None
@@ -264,19 +257,18 @@ def _record_at(file: BinaryIO, position: int, size: int) -> tuple[int, int] | No
     if position + _HEAD.size + length > size:
         return None
     if opcode in _FORMS:
-        return (opcode, length) if _has_form(file, opcode, position + _HEAD.size, length) else None
-    is_plausible = opcode >= _PRIVATE or (opcode == Opcode.MESSAGE and length >= _MESSAGE.size)
-    return (opcode, length) if is_plausible else None
+        is_whole = _has_form(file, opcode, position + _HEAD.size, length)
+    else:
+        is_whole = opcode >= _PRIVATE or (opcode == Opcode.MESSAGE and length >= _MESSAGE.size)
+    return (opcode, length) if is_whole else None
 
 
 def _has_form(file: BinaryIO, opcode: int, position: int, length: int) -> bool:
     used = 0
     for part in _FORMS[opcode]:
-        if isinstance(part, int):
-            used += part
-        else:
-            width = 4 if part == _TEXT else 8
-            used += width + int.from_bytes(os.pread(file.fileno(), width, position + used), "little")
+        if part < 0:
+            used += int.from_bytes(os.pread(file.fileno(), -part, position + used), "little")
+        used += abs(part)
         if used > length:
             return False
     return used == length
@@ -312,8 +304,3 @@ def _summary(file: BinaryIO) -> Iterator[Schema | Channel]:
             if isinstance(record, Schema | Channel):
                 yield record
         position += length
-
-
-def _as_stream(content: bytes) -> ReadDataStream:
-    """What the mcap package's records are read from."""
-    return ReadDataStream(io.BytesIO(content))

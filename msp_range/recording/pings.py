@@ -5,11 +5,12 @@ the ping follows by half the time of flight.
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,21 +27,46 @@ from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TO
 from msp_range.sensors.base import Driver, RecordedPing
 from msp_range.sensors.table import default_driver
 
+ROUNDING_S = 1e-6
+"""Recorded times are rounded to nanoseconds [s]."""
 LONGEST_READY_S = 1.0
 """A sensor was not busy for longer than this, whatever the record says [s]: the program that recorded stood still."""
 
 MEASURED_STD_C = math.hypot(THERMOMETER_STD_C, GRADIENT_STD_C)
 """Standard deviation of a temperature that was recorded without its own [deg C]: a thermometer's."""
-Source = Path | str | Recording
-"""A recording or a table of readings, or its path."""
 Pings = Mapping[str, Sequence[RecordedPing]]
 """Recorded pings by the name of their sensor."""
 
 
-def recorded_pings(
-    source: Source, run: str | None = None, drivers: Mapping[str, type[Driver]] = MappingProxyType({})
-) -> Pings:
-    """The pings of every sensor in a recording or a CSV file, by the sensor's name.
+class Recorded(NamedTuple):
+    """What a bridge received, to be played again; of a table only pings and air."""
+
+    pings: Pings
+    """Pings of every sensor."""
+    air: Sequence[tuple[float, Air]] = ()
+    """The air that readings were corrected for, or that a table has, and its time [s], by time. A deviation that was
+    not recorded is that of a thermometer, or of a fixed temperature."""
+    attitudes: Sequence[tuple[float, Angles]] = ()
+    """Attitudes that the autopilot sent, and when each was received [s], by that time."""
+    motion: Sequence[Moved] = ()
+    """Accelerations and pressures that the autopilot sent, by time."""
+
+    @property
+    def first_ping_s(self) -> float:
+        """When it begins [s]."""
+        return min(each[0].ping_s for each in self.pings.values())
+
+    def air_at(self, now_s: float) -> Air:
+        """The air at a time [s]."""
+        return self.air[max(bisect_right(self.air, now_s + ROUNDING_S, key=itemgetter(0)) - 1, 0)][1]
+
+
+def read_recorded(
+    source: Path | str | Recording,
+    run: str | None = None,
+    drivers: Mapping[str, type[Driver]] = MappingProxyType({}),
+) -> Recorded:
+    """Read a recording or a CSV file.
 
     Parameters
     ----------
@@ -57,55 +83,26 @@ def recorded_pings(
         The file cannot be read, holds no readings or several runs, its times go backwards, or a reading is not one
         that two bytes can hold.
     """
-    recording, path = _opened(source)
-    pings = _of_csv(path, run, drivers) if recording is None else _of_recording(recording)
-    if not pings:
-        raise RecordingError(f"{path}: no readings to replay")
-    return pings
-
-
-def recorded_air(source: Source, run: str | None = None) -> list[tuple[float, Air]]:
-    """The air that readings were corrected for, or that a CSV file has: (time [s], air), by time.
-
-    Where the deviation was not recorded, it is that of a thermometer, or of a fixed temperature.
-
-    Raises
-    ------
-    RecordingError
-        As `recorded_pings`.
-    """
-    recording, path = _opened(source)
-    if recording is not None:
-        pairs = [
-            (time_s, _air_of(message))
-            for topic, time_s, message in recording
-            if topic.startswith(RANGE_PREFIX) and "temperature_c" in message
-        ]
+    if not isinstance(source, Recording) and is_recording(source):
+        source = Recording(source)
+    if isinstance(source, Recording):
+        path, recorded = source.path, _of_recording(source)
     else:
-        data = _one_run(path, read_csv(path), run)
-        if "air_temperature_c" not in data:
-            return []
-        known = data.select(~np.isnan(data["air_temperature_c"]))
-        humidity_pct = known["humidity_pct"] if "humidity_pct" in known else np.zeros(known["time_s"].size)
-        rows = np.column_stack((known["time_s"], known["air_temperature_c"], np.nan_to_num(humidity_pct))).tolist()
-        pairs = [(time_s, Air(air_c, MEASURED_STD_C, "recorded", percent)) for time_s, air_c, percent in rows]
+        path = Path(source)
+        recorded = _of_table(path, _one_run(path, read_csv(path), run), drivers)
+    if not recorded.pings:
+        raise RecordingError(f"{path}: no readings to replay")
     # What no thermometer of the bridge is believed is not believed here.
     believed = [
         (time_s, air)
-        for time_s, air in pairs
+        for time_s, air in recorded.air
         if COLDEST_C <= air.temperature_c <= HOTTEST_C and 0.0 <= air.humidity_percent <= 100.0
     ]
-    return sorted(believed, key=itemgetter(0))
+    return recorded._replace(air=sorted(believed, key=itemgetter(0)))
 
 
-def _air_of(message: dict[str, Any]) -> Air:
-    source = message.get("temperature_source", "recorded")
-    std_c = message.get("temperature_std_c", FIXED_STD_C if source == FIXED else MEASURED_STD_C)
-    return Air(message["temperature_c"], std_c, source, message.get("humidity_pct", 0.0))
-
-
-def recorded_attitudes(source: Source) -> list[tuple[float, Angles]]:
-    """Attitudes that the autopilot sent, and when each was received [s], by that time; none in a CSV file.
+def recorded_attitudes(recording: Recording) -> list[tuple[float, Angles]]:
+    """Attitudes that the autopilot sent, and when each was received [s], by that time.
 
     Raises
     ------
@@ -114,84 +111,53 @@ def recorded_attitudes(source: Source) -> list[tuple[float, Angles]]:
     """
     return sorted(
         (received_s, Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"]))
-        for received_s, message in _messages(source, ATTITUDE_TOPIC)
+        for topic, received_s, message in recording
+        if topic == ATTITUDE_TOPIC
     )
 
 
-def _opened(source: Source) -> tuple[Recording | None, Path]:
-    """The recording, None where it is a table; and its file."""
-    if isinstance(source, Recording):
-        return source, source.path
-    return Recording(source) if is_recording(source) else None, Path(source)
-
-
-def _messages(source: Source, topic: str) -> list[tuple[float, dict[str, Any]]]:
-    """Messages of a topic, and when each was received [s]; none of a table."""
-    recording, _ = _opened(source)
-    return [(time_s, message) for each, time_s, message in recording or () if each == topic]
-
-
-def recorded_motion(source: Source) -> list[Moved]:
-    """Accelerations and pressures that the autopilot sent, by time; none in a CSV file.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read.
-    """
-    moved = (
-        Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m"))
-        for _, message in _messages(source, MOTION_TOPIC)
-    )
-    return sorted(moved, key=attrgetter("time_s"))
-
-
-def _of_recording(recording: Recording) -> Pings:
+def _of_recording(recording: Recording) -> Recorded:
     pings: dict[str, list[RecordedPing]] = {}
-    for topic, _, message in recording:
-        if not topic.startswith(RANGE_PREFIX) or message["status"] == Status.PART_INFO.value:
-            continue
-        sensor = topic.removeprefix(RANGE_PREFIX)
-        word = None if message["status"] == Status.NO_ANSWER.value else message.get("raw")
-        ready_s = max(0.0, message["read_s"] - message["ping_s"])
-        pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, min(ready_s, LONGEST_READY_S)))
+    air: list[tuple[float, Air]] = []
+    motion: list[Moved] = []
+    for topic, time_s, message in recording:
+        if topic == MOTION_TOPIC:
+            motion.append(Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m")))
+        elif topic.startswith(RANGE_PREFIX):
+            if "temperature_c" in message:
+                air.append((time_s, _air_of(message)))
+            if message["status"] != Status.PART_INFO.value:
+                word = None if message["status"] == Status.NO_ANSWER.value else message.get("raw")
+                ready_s = min(max(0.0, message["read_s"] - message["ping_s"]), LONGEST_READY_S)
+                sensor = topic.removeprefix(RANGE_PREFIX)
+                pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, ready_s))
     for sensor, each in pings.items():
-        _check_order(recording.path, sensor, np.array([ping.ping_s for ping in each]), "ping_s")
+        ping_s = np.array([ping.ping_s for ping in each])
         words = np.array([math.nan if ping.word is None else float(ping.word) for ping in each])
-        _check_words(recording.path, sensor, np.array([ping.ping_s for ping in each]), words, "raw")
-    return pings
+        _check(recording.path, sensor, ping_s, words, ("ping_s", "raw"))
+    return Recorded(pings, air, recorded_attitudes(recording), sorted(motion, key=attrgetter("time_s")))
 
 
-def _check_order(path: Path, sensor: str, time_s: Column, name: str) -> None:
-    far = np.flatnonzero(~(np.abs(time_s) <= LARGEST_TIME_S))  # also what is not a number
-    if far.size:
-        raise RecordingError(
-            f"{path}: sensor {sensor!r}: found {name} {time_s[far[0]]:g}, expected seconds, at most {LARGEST_TIME_S:g}"
-        )
-    back = np.flatnonzero(np.diff(time_s) < 0)
-    if back.size:
-        before_s, after_s = time_s[back[0] : back[0] + 2]
-        raise RecordingError(
-            f"{path}: sensor {sensor!r}: {name} goes back from {before_s} to {after_s}; "
-            "expected the readings in order, and several sessions with different names in the column 'run'"
-        )
+def _air_of(message: dict[str, Any]) -> Air:
+    source = message.get("temperature_source", "recorded")
+    std_c = message.get("temperature_std_c", FIXED_STD_C if source == FIXED else MEASURED_STD_C)
+    return Air(message["temperature_c"], std_c, source, message.get("humidity_pct", 0.0))
 
 
-def _check_words(path: Path, sensor: str, time_s: Column, words: Column, name: str) -> None:
-    odd = np.flatnonzero((np.rint(words) < 0) | (np.rint(words) > 0xFFFF))
-    if odd.size:
-        raise RecordingError(
-            f"{path}: sensor {sensor!r} at {time_s[odd[0]]} s: {name} {words[odd[0]]:g} is not a number that the "
-            "sensor's two bytes can hold; expected 0 to 65535"
-        )
-
-
-def _of_csv(path: Path, run: str | None, drivers: Mapping[str, type[Driver]]) -> Pings:
-    data = _one_run(path, read_csv(path), run)
-    return {
-        name: _of_sensor(path, data.select(data["sensor"] == name), drivers.get(name, default_driver()))
-        for name in np.unique(data["sensor"]).tolist()
-    }
+def _of_table(path: Path, data: MeasuredData, drivers: Mapping[str, type[Driver]]) -> Recorded:
+    pings: dict[str, list[RecordedPing]] = {}
+    for name in np.unique(data["sensor"]).tolist():
+        own, driver = data.select(data["sensor"] == name), drivers.get(name, default_driver())
+        _check(path, name, own["time_s"], own["reading_cm"], ("time_s", "reading_cm"))
+        pings[name] = [
+            driver.recorded_ping(time_s, None if word != word else int(word))
+            for time_s, word in zip(own["time_s"].tolist(), np.rint(own["reading_cm"]).tolist(), strict=True)
+        ]
+    known = data.select(~np.isnan(data.column("air_temperature_c")))
+    humidity_pct = np.nan_to_num(known.column("humidity_pct"))
+    rows = np.column_stack((known["time_s"], known.column("air_temperature_c"), humidity_pct)).tolist()
+    air = [(time_s, Air(air_c, MEASURED_STD_C, "recorded", percent)) for time_s, air_c, percent in rows]
+    return Recorded(pings, air)
 
 
 def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:
@@ -204,12 +170,24 @@ def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:
     return data.select(data["run"] == run)
 
 
-def _of_sensor(path: Path, data: MeasuredData, driver: type[Driver]) -> list[RecordedPing]:
-    time_s, reading_cm = data["time_s"], data["reading_cm"]
-    sensor = str(data["sensor"][0])
-    _check_order(path, sensor, time_s, "time_s")
-    _check_words(path, sensor, time_s, reading_cm, "reading_cm")
-    return [
-        driver.recorded_ping(each_s, None if word != word else int(word))
-        for each_s, word in zip(time_s.tolist(), np.rint(reading_cm).tolist(), strict=True)
-    ]
+def _check(path: Path, sensor: str, time_s: Column, words: Column, names: tuple[str, str]) -> None:
+    """Refuse times that are none or go back, and answers of more than two bytes; ``names``: those of both columns."""
+    far = np.flatnonzero(~(np.abs(time_s) <= LARGEST_TIME_S))  # also what is not a number
+    if far.size:
+        raise RecordingError(
+            f"{path}: sensor {sensor!r}: found {names[0]} {time_s[far[0]]:g}, expected seconds, at most "
+            f"{LARGEST_TIME_S:g}"
+        )
+    back = np.flatnonzero(np.diff(time_s) < 0)
+    if back.size:
+        before_s, after_s = time_s[back[0] : back[0] + 2]
+        raise RecordingError(
+            f"{path}: sensor {sensor!r}: {names[0]} goes back from {before_s} to {after_s}; "
+            "expected the readings in order, and several sessions with different names in the column 'run'"
+        )
+    odd = np.flatnonzero((np.rint(words) < 0) | (np.rint(words) > 0xFFFF))
+    if odd.size:
+        raise RecordingError(
+            f"{path}: sensor {sensor!r} at {time_s[odd[0]]} s: {names[1]} {words[odd[0]]:g} is not a number that the "
+            "sensor's two bytes can hold; expected 0 to 65535"
+        )

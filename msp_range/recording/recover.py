@@ -7,8 +7,7 @@ from typing import IO, NamedTuple
 from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from msp_range.input_file import making
-from msp_range.recording.error import RecordingError
+from msp_range.recording.error import RecordingError, new_file
 from msp_range.recording.mcap_records import Losses, RawMessage
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import LIBRARY
@@ -31,17 +30,12 @@ def recover(path: Path | str, out: Path | str) -> Recovered:
         ``path`` is not an MCAP file or nothing in it is whole, or ``out`` is there already or cannot be written.
     """
     recording = Recording(path, salvage=True)
-    try:
-        with making(out) as unfinished, unfinished.open("xb") as file:
-            messages, files = _copy(recording, file)
-            if not (recording.has_magic or messages or files):
-                raise RecordingError(f"{path}: not an MCAP recording: it does not begin as one, and holds no messages")
-            file.flush()
-            os.fsync(file.fileno())
-    except FileExistsError:
-        raise RecordingError(f"{out}: there is a file already, and recovering never overwrites one") from None
-    except OSError as error:
-        raise RecordingError(f"{out}: cannot be written: {error.strerror}") from None
+    with new_file(out) as unfinished, unfinished.open("xb") as file:
+        messages, files = _copy(recording, file)
+        if not (recording.has_magic or messages or files):
+            raise RecordingError(f"{path}: not an MCAP recording: it does not begin as one, and holds no messages")
+        file.flush()
+        os.fsync(file.fileno())
     return Recovered(messages, files, recording.losses)
 
 
@@ -60,9 +54,8 @@ def _copy(recording: Recording, file: IO[bytes]) -> tuple[int, int]:
                 messages += 1
             else:
                 recording.losses.messages += 1
-        elif isinstance(record, Schema):
-            if record.id not in schemas:
-                schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Schema) and record.id not in schemas:
+            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel):
             # The format numbers channels from 1 to 65535, and has one more number.
             if record.id not in channels and len(channels) < 0xFFFF:

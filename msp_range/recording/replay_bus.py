@@ -1,7 +1,7 @@
 """A bus whose sensors answer with readings that were measured before.
 
 Recorded pings by 7-bit address enter; the bridge's own driver pings and reads as ever, and gets the recorded answers in
-their order. When to ping is in the record too: `ReplayBus.next_ping_s` says it, and whoever drives the polling sleeps
+their order. When to ping is in the record too: `ReplayBus.next_ping` says it, and whoever drives the polling sleeps
 until then, so that on a virtual clock the readings get their own times back.
 """
 
@@ -46,15 +46,9 @@ class ReplayBus:
         self._sensors = {address: _Sensor(each, playbacks[address]()) for address, each in pings.items()}
         self.behind_s = 0.0
 
-    def next_ping_s(self, address: int) -> float | None:
-        """When the sensor was pinged next [s]; None where the record has no more of it."""
-        sensor = self._sensors.get(address)
-        return None if sensor is None or sensor.next is None else sensor.next.ping_s
-
-    def next_ready_s(self, address: int) -> float:
-        """How long after its next ping the sensor answers [s]; 0 where the record has no more of it."""
-        sensor = self._sensors.get(address)
-        return 0.0 if sensor is None or sensor.next is None else sensor.next.ready_s
+    def next_ping(self, address: int) -> RecordedPing | None:
+        """The sensor's next ping; None where the record has no more of it."""
+        return self._sensors[address].next if address in self._sensors else None
 
     def write(self, address: int, data: bytes) -> None:
         """Start the next recorded ranging where ``data`` is the range command; anything else does nothing."""

@@ -2,8 +2,8 @@
 
 Topics of a sensor are ``/range/<sensor>``, every stage of a reading in one message, and, from a simulator or a bench,
 ``/truth/<sensor>``; the rest are ``/fused``, ``/attitude``, ``/motion``, ``/mavlink/sent``, ``/mavlink/withheld``,
-``/health``, ``/mark`` and ``/campaign``. A key that is absent is unknown, and a reading without those of `REQUIRED` is
-none. Every property has one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
+``/health``, ``/mark`` and ``/campaign``. A key that is absent is unknown, and a message without the required ones is
+left out. Every key has one plain type, because Foxglove and Lichtblick refuse schemas with unions and with null.
 """
 
 import json
@@ -13,14 +13,12 @@ from typing import Any, NamedTuple
 from msp_range.input_file import CONTROL
 from msp_range.recording.columns import CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 
-_TIME_S = ("number", "time of the echo, or of the ping where there was none, on the bridge's clock [s]")
-_RANGE_M = ("number", "distance along the beam [m]")
+_TIME_S = "time of the echo, or of the ping where there was none, on the bridge's clock [s]"
+_RANGE_M = "distance along the beam [m]"
 _MAVLINK = {
-    "name": ("string", "name of the MAVLink message"),
-    "hex": ("string", "the whole frame as it is on the link, in hexadecimal; of one not sent, unnumbered and unsigned"),
+    "name": "name of the MAVLink message",
+    "hex": "the whole frame as it is on the link, in hexadecimal; of one not sent, unnumbered and unsigned",
 }
-
-_PropertyTable = dict[str, tuple[str, str]]
 
 LONGEST_TOPIC = 200
 """Characters of a topic; a sensor's name has 32 at most."""
@@ -34,113 +32,110 @@ SENT_TOPIC, WITHHELD_TOPIC = "/mavlink/sent", "/mavlink/withheld"
 HEALTH_TOPIC, MARK_TOPIC, CAMPAIGN_TOPIC = "/health", "/mark", "/campaign"
 RANGE_PREFIX = "/range/"
 TRUTH_PREFIX = "/truth/"
-_RANGE: tuple[str, _PropertyTable] = (
-    "one ranging of a sensor, and what became of it stage by stage",
-    {
-        "time_s": _TIME_S,
-        "ping_s": ("number", "time of the ping on the bridge's clock [s]"),
-        "read_s": ("number", "time of the last try to read the answer on the bridge's clock [s]"),
-        "status": ("string", "what the answer means"),
-        "raw": ("integer", "the sensor's 16-bit answer; absent where there was none"),
-        "suspect": ("boolean", "a legal range that is also a known fault code"),
-        "range_m": _RANGE_M,
-        "std_m": ("number", "standard deviation of range_m [m]"),
-        "temperature_c": ("number", "air temperature of the correction [deg C]"),
-        "temperature_std_c": (
-            "number",
-            "standard deviation of its error, with that of the humidity as degrees [deg C]",
-        ),
-        "humidity_pct": ("number", "relative humidity of the correction [%]; absent where none was measured"),
-        "temperature_source": ("string", "where it is from; fixed: the airframe file's constant; held: an old value"),
-        "corrected_m": ("number", "range_m after the correction for air temperature [m]"),
-        "filtered_m": ("number", "what the filter chain made of it [m]; absent where it was rejected"),
-        "variance_m2": ("number", "variance of the error of filtered_m [m^2]"),
-        "rejected": ("string", "why the reading was not used; absent where it was"),
-    },
-)
+_TYPES: dict[str, type] = {
+    "suspect": bool,
+    **dict.fromkeys(("raw", "attempt", "readings"), int),
+    **dict.fromkeys(("status", "temperature_source", "rejected", "name", "hex", "text", "severity"), str),
+    **dict.fromkeys(("event", "point", "planned", *WORD_COLUMNS), str),
+}
+"""Type of a key; the others are numbers."""
+_JSON_TYPES = {float: "number", int: "integer", str: "string", bool: "boolean"}
 
-TOPICS: dict[str, tuple[str, _PropertyTable]] = {
-    FUSED_TOPIC: (
+
+class Topic(NamedTuple):
+    """What is recorded on a topic."""
+
+    meaning: str
+    """What a message is."""
+    keys: Mapping[str, str]
+    """What each of its keys means."""
+    required: frozenset[str] | None = None
+    """Keys without which a message is of no use; None: nobody reads the topic back."""
+
+
+TOPICS = {
+    FUSED_TOPIC: Topic(
         "the ground from all downward sensors",
         {
             "time_s": _TIME_S,
-            "range_m": ("number", "distance along the vehicle's down axis [m]"),
-            "variance_m2": ("number", "variance of its error [m^2]"),
-            "height_m": ("number", "height above the plane of the ground, straight up [m]"),
-            "climb_m_s": ("number", "how fast that grows [m/s]"),
-            "rise_north": ("number", "rise of the ground per metre north; forward where the attitude is not known"),
-            "rise_east": ("number", "rise of the ground per metre east; right where the attitude is not known"),
-            "probability": ("number", "that this is the ground, and no object or fault"),
+            "range_m": "distance along the vehicle's down axis [m]",
+            "variance_m2": "variance of its error [m^2]",
+            "height_m": "height above the plane of the ground, straight up [m]",
+            "climb_m_s": "how fast that grows [m/s]",
+            "rise_north": "rise of the ground per metre north; forward where the attitude is not known",
+            "rise_east": "rise of the ground per metre east; right where the attitude is not known",
+            "probability": "that this is the ground, and no object or fault",
         },
+        frozenset(),
     ),
-    ATTITUDE_TOPIC: (
+    ATTITUDE_TOPIC: Topic(
         "how the vehicle is turned, as the autopilot says",
         {
-            "time_s": ("number", "when the vehicle was turned so, on the bridge's clock [s]"),
-            "roll_rad": ("number", "Euler angles, intrinsic yaw, pitch, roll [rad]"),
-            "pitch_rad": ("number", "see roll_rad [rad]"),
-            "yaw_rad": ("number", "see roll_rad [rad]"),
+            "time_s": "when the vehicle was turned so, on the bridge's clock [s]",
+            "roll_rad": "Euler angles, intrinsic yaw, pitch, roll [rad]",
+            "pitch_rad": "see roll_rad [rad]",
+            "yaw_rad": "see roll_rad [rad]",
         },
+        frozenset({"time_s", "roll_rad", "pitch_rad", "yaw_rad"}),
     ),
-    MOTION_TOPIC: (
+    MOTION_TOPIC: Topic(
         "how the vehicle moves up and down, by the autopilot's accelerometer or barometer",
         {
-            "time_s": ("number", "when it was received, on the bridge's clock [s]"),
-            "up_m_s2": ("number", "acceleration upwards, gravity taken off [m/s^2]; absent in a pressure"),
-            "pressure_height_m": ("number", "the pressure as a height over any level [m]; absent in an acceleration"),
+            "time_s": "when it was received, on the bridge's clock [s]",
+            "up_m_s2": "acceleration upwards, gravity taken off [m/s^2]; absent in a pressure",
+            "pressure_height_m": "the pressure as a height over any level [m]; absent in an acceleration",
         },
+        frozenset({"time_s"}),
     ),
-    SENT_TOPIC: ("a MAVLink message that went out", _MAVLINK),
-    WITHHELD_TOPIC: ("a distance that would have gone out, but the airframe file says: send nothing", _MAVLINK),
-    HEALTH_TOPIC: (
-        "a change of health",
-        {"text": ("string", "what changed"), "severity": ("string", "how bad it is")},
-    ),
-    MARK_TOPIC: ("what somebody noted while it flew", {"text": ("string", "the note")}),
-    CAMPAIGN_TOPIC: (
+    SENT_TOPIC: Topic("a MAVLink message that went out", _MAVLINK),
+    WITHHELD_TOPIC: Topic("a distance that would have gone out, but the airframe file says: send nothing", _MAVLINK),
+    HEALTH_TOPIC: Topic("a change of health", {"text": "what changed", "severity": "how bad it is"}),
+    MARK_TOPIC: Topic("what somebody noted while it flew", {"text": "the note"}),
+    CAMPAIGN_TOPIC: Topic(
         "a step of a campaign at the bench",
         {
-            "event": ("string", "begin or done"),
-            "point": ("string", "name of the point in the campaign"),
-            "attempt": ("integer", "1, or more where the point was read again"),
-            "run": ("string", "run of the readings that follow"),
-            "readings": ("integer", "planned readings of each sensor"),
-            "planned": ("string", "the point's set-up as the campaign has it, as JSON"),
+            "event": "begin or done",
+            "point": "name of the point in the campaign",
+            "attempt": "1, or more where the point was read again",
+            "run": "run of the readings that follow",
+            "readings": "planned readings of each sensor",
+            "planned": "the point's set-up as the campaign has it, as JSON",
         },
+        frozenset({"event", "point", "attempt", "run", "planned"}),
     ),
-}
-"""Topics that are not one sensor's."""
-
-_TRUTH: tuple[str, _PropertyTable] = (
-    "what a simulator or a bench knows of a ping; written before its reading",
-    {
-        name: ("string" if name in WORD_COLUMNS else "number", meaning)
-        for name, meaning in {
+    TRUTH_PREFIX: Topic(
+        "what a simulator or a bench knows of a ping; written before its reading",
+        {
             "run": "which set-up of a campaign, and which session",
             "true_range_cm": "perpendicular distance to the surface [cm]",
             **CONTEXT_COLUMNS,
-        }.items()
-    },
-)
-
-
-REQUIRED: dict[str, frozenset[str]] = {
-    RANGE_PREFIX: frozenset({"time_s", "ping_s", "read_s", "status"}),
-    TRUTH_PREFIX: frozenset(),
-    FUSED_TOPIC: frozenset(),
-    ATTITUDE_TOPIC: frozenset({"time_s", "roll_rad", "pitch_rad", "yaw_rad"}),
-    MOTION_TOPIC: frozenset({"time_s"}),
-    CAMPAIGN_TOPIC: frozenset({"event", "point", "attempt", "run", "planned"}),
+        },
+        frozenset(),
+    ),
+    RANGE_PREFIX: Topic(
+        "one ranging of a sensor, and what became of it stage by stage",
+        {
+            "time_s": _TIME_S,
+            "ping_s": "time of the ping on the bridge's clock [s]",
+            "read_s": "time of the last try to read the answer on the bridge's clock [s]",
+            "status": "what the answer means",
+            "raw": "the sensor's 16-bit answer; absent where there was none",
+            "suspect": "a legal range that is also a known fault code",
+            "range_m": _RANGE_M,
+            "std_m": "standard deviation of range_m [m]",
+            "temperature_c": "air temperature of the correction [deg C]",
+            "temperature_std_c": "standard deviation of its error, with that of the humidity as degrees [deg C]",
+            "humidity_pct": "relative humidity of the correction [%]; absent where none was measured",
+            "temperature_source": "where it is from; fixed: the airframe file's constant; held: an old value",
+            "corrected_m": "range_m after the correction for air temperature [m]",
+            "filtered_m": "what the filter chain made of it [m]; absent where it was rejected",
+            "variance_m2": "variance of the error of filtered_m [m^2]",
+            "rejected": "why the reading was not used; absent where it was",
+        },
+        frozenset({"time_s", "ping_s", "read_s", "status"}),
+    ),
 }
-"""Topics, or their prefixes, whose messages are read back -> keys without which a message is of no use."""
-
-_TYPES: dict[str, frozenset[type]] = {
-    "number": frozenset({int, float}),
-    "integer": frozenset({int}),
-    "string": frozenset({str}),
-    "boolean": frozenset({bool}),
-}
-_ANY = frozenset({int, float, str, bool})
+"""Topics, and the prefixes of those of one sensor."""
 
 
 class Message(NamedTuple):
@@ -154,14 +149,15 @@ class Message(NamedTuple):
 class Form(NamedTuple):
     """What the messages of a topic hold: the type of each key, and the keys that each message has."""
 
-    types: Mapping[str, frozenset[type]]
+    types: Mapping[str, type]
     required: frozenset[str]
 
     def fits(self, message: Mapping[str, Any]) -> bool:
         """Whether a message has this form; keys that it does not name hold one number, text or truth value."""
         for key, value in message.items():
             kind = type(value)
-            if kind not in self.types.get(key, _ANY):
+            expected = self.types.get(key, kind)
+            if kind not in _JSON_TYPES or not (kind is expected or (kind is int and expected is float)):
                 return False
             if kind is str:
                 if len(value) > LONGEST_TEXT or not (value.isprintable() or CONTROL.search(value) is None):
@@ -173,21 +169,15 @@ class Form(NamedTuple):
 
 def form_of(topic: str) -> Form | None:
     """The form of a topic's messages; None for topics that nobody reads back, of this program or another."""
-    found = _topic(topic)
-    if found is None or found[0] not in REQUIRED:
+    found = TOPICS.get(_known(topic))
+    if found is None or found.required is None:
         return None
-    key, (_, properties) = found
-    return Form({name: _TYPES[kind] for name, (kind, _) in properties.items()}, REQUIRED[key])
+    return Form({key: _TYPES.get(key, float) for key in found.keys}, found.required)
 
 
-def _topic(topic: str) -> tuple[str, tuple[str, _PropertyTable]] | None:
-    """The topic, or the prefix of a sensor's, with what its messages hold."""
-    if topic in TOPICS:
-        return topic, TOPICS[topic]
-    for prefix, each in ((TRUTH_PREFIX, _TRUTH), (RANGE_PREFIX, _RANGE)):
-        if topic.startswith(prefix):
-            return prefix, each
-    return None
+def _known(topic: str) -> str:
+    """The topic, or its prefix if it is one of a sensor."""
+    return next((prefix for prefix in (TRUTH_PREFIX, RANGE_PREFIX) if topic.startswith(prefix)), topic)
 
 
 def schema_of(topic: str) -> tuple[str, bytes]:
@@ -203,20 +193,18 @@ def schema_of(topic: str) -> tuple[str, bytes]:
     >>> schema_of("/range/front_left")[0]
     'msp_range.Range'
     """
-    found = _topic(topic)
-    if found is None:
-        known = [*TOPICS, TRUTH_PREFIX + "<sensor>", RANGE_PREFIX + "<sensor>"]
+    key = _known(topic)
+    if key not in TOPICS:
+        known = [f"{each}<sensor>" if each.endswith("/") else each for each in TOPICS]
         raise ValueError(f"no topic {topic!r}; known: {', '.join(known)}")
-    key, (meaning, properties) = found
-    name = key.strip("/").replace("/", "_")
+    meaning, keys, _ = TOPICS[key]
+    words = key.strip("/").replace("/", "_").split("_")
     schema: dict[str, Any] = {
-        "title": "msp_range." + "".join(part.capitalize() for part in name.split("_")),
+        "title": "msp_range." + "".join(word.capitalize() for word in words),
         "description": meaning,
         "type": "object",
-        "properties": {key: _property(*each) for key, each in properties.items()},
+        "properties": {
+            name: {"type": _JSON_TYPES[_TYPES.get(name, float)], "description": each} for name, each in keys.items()
+        },
     }
     return schema["title"], json.dumps(schema).encode()
-
-
-def _property(json_type: str, meaning: str) -> dict[str, Any]:
-    return {"type": json_type, "description": meaning}

@@ -67,6 +67,8 @@ class Recorder:
 
     Attributes
     ----------
+    file
+        Its path, and what the disk has kept of it.
     fault : str or None
         What is wrong with the disk, in a few words for the pilot; checked by `flush_if_due`. Nothing is recorded any
         more then, and `close` raises an error with the details.
@@ -99,21 +101,6 @@ class Recorder:
         self._mcap.flush()
         self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
         self._waits = waits
-
-    @property
-    def path(self) -> Path | None:
-        """The file; None while it is not open."""
-        return self.file.path
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether nothing more will be written: the file is complete, or its disk has failed."""
-        return self.file.has_ended
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether the disk has kept all of the file."""
-        return self.file.has_ended and self.file.error is None
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record ``message`` at ``time_s`` on the bridge's clock.
@@ -164,7 +151,7 @@ class Recorder:
         """Finish the file, and wait until the disk has it; raises RecordingError where it does not."""
         self.finish()
         self.file.join(CLOSE_TIMEOUT_S)
-        if not self.is_complete or self.fault is not None:
+        if not self.file.has_ended or self.file.error is not None or self.fault is not None:
             raise RecordingError(self.failure())
 
     def failure(self) -> str:

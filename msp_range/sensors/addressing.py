@@ -44,14 +44,9 @@ def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None 
 
 def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]]) -> FoundDevice:
     """The result of the first of these kinds that recognises the device; otherwise the result of the first kind."""
-    first: FoundDevice | None = None
-    for driver in drivers:
-        found = driver.identify(bus, clock, address)
-        if found.ranged:
-            return found
-        first = first or found
-    assert first is not None
-    return first
+    found = (driver.identify(bus, clock, address) for driver in drivers)
+    first = next(found)
+    return first if first.ranged else next((each for each in found if each.ranged), first)
 
 
 def _present(bus: Bus, clock: Clock, address: int) -> bool:

@@ -49,11 +49,10 @@ class _Pending:
     It is busy for ``busy_s`` [s], and probably until ``expected_s``.
     """
 
-    __slots__ = ("expected_s", "from_s", "next_try_s", "ping_s", "sensor", "tried_s")
-
     def __init__(self, sensor: PolledSensor, from_s: float, ping_s: float, busy_s: float, expected_s: float) -> None:
         self.sensor = sensor
         self.from_s, self.ping_s, self.expected_s = from_s, ping_s, expected_s
+        self.deadline_s = ping_s + sensor.timing.deadline_s
         self.tried_s = -math.inf
         next_try_s = ping_s + sensor.timing.first_answer_s
         until_s = ping_s + busy_s
@@ -67,11 +66,7 @@ class _Pending:
         self._try_from(now_s + POLL_INTERVAL_S, now_s)
 
     def _try_from(self, soonest_s: float, none_until_s: float) -> None:
-        deadline_s = self.ping_s + self.sensor.timing.deadline_s
-        self.next_try_s = min(max(soonest_s, min(self.expected_s, none_until_s + LONGEST_WAIT_S)), deadline_s)
-
-
-_next_try_s = attrgetter("next_try_s")
+        self.next_try_s = min(max(soonest_s, min(self.expected_s, none_until_s + LONGEST_WAIT_S)), self.deadline_s)
 
 
 class _Duration(NamedTuple):
@@ -152,7 +147,7 @@ class Poller:
         if self._to_reopen is not None:
             self.next_event_s = self._to_reopen.answered_s
         elif self._pending and not self._unpinged:
-            self._next = self._pending[0] if len(self._pending) == 1 else min(self._pending, key=_next_try_s)
+            self._next = min(self._pending, key=attrgetter("next_try_s"))
             self.next_event_s = self._next.next_try_s
         else:
             if not self._unpinged:
@@ -185,8 +180,7 @@ class Poller:
 
     def _ask(self, pending: _Pending, now_s: float) -> Ranging | None:
         sensor = pending.sensor
-        timing = sensor.timing
-        if now_s > pending.ping_s + timing.deadline_s + LATE_S:
+        if now_s > pending.deadline_s + LATE_S:
             # The program or the bus was blocked: the sensor's answer would be old.
             self._pending.remove(pending)
             late = BusError(errno.ETIME, "read", sensor.device.address)
@@ -195,8 +189,7 @@ class Poller:
             decoded = sensor.device.answer()
         except BusError as error:
             # Compare sums, not differences: in virtual time an attempt exactly at the deadline has to count.
-            deadline_s = pending.ping_s + timing.deadline_s
-            if now_s < deadline_s and not error.bus_at_fault:
+            if now_s < pending.deadline_s and not error.bus_at_fault:
                 pending.tried(now_s)
                 return None
             self._pending.remove(pending)

@@ -4,6 +4,7 @@ Groups of sensors ping in turn; the members of a group ping together, which is a
 other's echoes. The turns of sensors that do not answer are given to those that do.
 """
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,6 +87,19 @@ class Schedule(Protocol):
         """Give a sensor whose reading did not fit an extra turn soon, if there are other sensors."""
 
 
+@dataclass(slots=True, eq=False)
+class _Turns:
+    """A sensor, and what decides its turns."""
+
+    sensor: PolledSensor
+    is_near: bool = False
+    faults: int = 0
+    pinged_s: float = -math.inf
+    again_since_s: float = -math.inf
+    again: int = 0
+    """Extra turns since that time [s]."""
+
+
 class RoundRobin:
     """Endless turns of all groups, with the times of `Spacing`; turns of dead sensors are given to the others.
 
@@ -115,16 +129,11 @@ class RoundRobin:
     ) -> None:
         if not groups or not all(groups):
             raise ValueError(f"every polling group needs at least one sensor; found {groups!r}")
-        self._groups = groups
+        self._groups = [[_Turns(sensor) for sensor in group] for group in groups]
+        self._of = {each.sensor.name: each for group in self._groups for each in group}
         self._spacing = spacing
         self._dead_after = dead_after
-        sensors = [sensor for group in groups for sensor in group]
-        self._near = {sensor.name: False for sensor in sensors}
-        self._faults = {sensor.name: 0 for sensor in sensors}
-        self._pinged_s = {sensor.name: float("-inf") for sensor in sensors}
-        self._round: deque[Sequence[PolledSensor]] = deque()
-        self._of = {sensor.name: sensor for sensor in sensors}
-        self._again: dict[str, tuple[float, int]] = {}
+        self._round: deque[Sequence[_Turns]] = deque()
         self._start_s: float | None = start_s
         self._counts_from_s = start_s
         self._is_retry = False
@@ -140,62 +149,57 @@ class RoundRobin:
         if not self._round:
             self._round.extend(self._next_round(at_s))
         group = self._round.popleft()
-        self._pinged_s.update({sensor.name: at_s for sensor in group})
-        self._is_retry = self._is_dead_group(group) and bool(self._living_groups())
-        return at_s, group
+        for each in group:
+            each.pinged_s = at_s
+        self._is_retry = self._are_dead(group) and bool(self._living_groups())
+        return at_s, [each.sensor for each in group]
 
     def on_reading(self, reading: Reading) -> None:
         """Record whether the sensor works, and whether it is near the ground."""
-        name = reading.sensor
-        below_m = self._spacing.near_below_m or 0.0
-        self._near[name] = reading.range_m is not None and reading.range_m < below_m
+        turns = self._of[reading.sensor]
+        turns.is_near = reading.range_m is not None and reading.range_m < (self._spacing.near_below_m or 0.0)
         if reading.status.is_fault:
-            self._faults[name] += 1
+            turns.faults += 1
             return
-        if self._is_dead(name):
+        if self._is_dead(turns):
             # The cause of its recovery (a plug, the supply, the bus) may have affected others too: retry them now.
-            self._pinged_s = dict.fromkeys(self._pinged_s, float("-inf"))
-        self._faults[name] = 0
+            for each in self._of.values():
+                each.pinged_s = -math.inf
+        turns.faults = 0
 
     def again(self, sensor: str) -> None:
         """Give the sensor the turn after the next one, alone, if other sensors have turns."""
-        since_s, count = self._again.get(sensor, (float("-inf"), 0))
-        now_s = self._pinged_s[sensor]
-        if now_s - since_s > AGAIN_EVERY_S:
-            since_s, count = now_s, 0
-        if count < AGAIN and len(self._living_groups()) > 1:
-            self._again[sensor] = since_s, count + 1
-            self._round.appendleft([self._of[sensor]])
+        turns = self._of[sensor]
+        if turns.pinged_s - turns.again_since_s > AGAIN_EVERY_S:
+            turns.again_since_s, turns.again = turns.pinged_s, 0
+        if turns.again < AGAIN and len(self._living_groups()) > 1:
+            turns.again += 1
+            self._round.appendleft([turns])
 
-    def _is_dead(self, name: str) -> bool:
-        return self._faults[name] >= self._dead_after
+    def _is_dead(self, turns: _Turns) -> bool:
+        return turns.faults >= self._dead_after
 
-    def _is_dead_group(self, group: Sequence[PolledSensor]) -> bool:
-        return all(self._is_dead(sensor.name) for sensor in group)
+    def _are_dead(self, group: Sequence[_Turns]) -> bool:
+        return all(map(self._is_dead, group))
 
-    def _living_groups(self) -> list[Sequence[PolledSensor]]:
-        return [group for group in self._groups if not self._is_dead_group(group)]
+    def _living_groups(self) -> list[list[_Turns]]:
+        return [group for group in self._groups if not self._are_dead(group)]
 
-    def _next_round(self, at_s: float) -> Sequence[Sequence[PolledSensor]]:
-        are_dead = [self._is_dead(name) for name in self._faults]
-        if all(are_dead) or not any(are_dead):
-            return self._groups
+    def _next_round(self, at_s: float) -> Sequence[Sequence[_Turns]]:
         living = self._living_groups()
-        due = [group for group in self._groups if self._is_dead_group(group) and self._is_due(group[0], at_s)]
+        if not living or not any(map(self._is_dead, self._of.values())):
+            return self._groups
+        due = [group for group in self._groups if self._are_dead(group) and at_s - group[0].pinged_s >= RETRY_S]
         # One retry per cycle: if retries are acknowledged, more of them would delay the working sensors.
-        retried = sorted(due, key=lambda group: self._pinged_s[group[0].name])[:1]
+        retried = sorted(due, key=lambda group: group[0].pinged_s)[:1]
         return retried + [
-            [each for each in group if not self._is_dead(each.name) or self._is_due(each, at_s)] for group in living
+            [each for each in group if not self._is_dead(each) or at_s - each.pinged_s >= RETRY_S] for group in living
         ]
-
-    def _is_due(self, sensor: PolledSensor, at_s: float) -> bool:
-        return at_s - self._pinged_s[sensor.name] >= RETRY_S
 
     def _spacing_s(self) -> float:
         """Time from the previous turn to the next one [s]."""
         spacing = self._spacing
-        if spacing.near_interval_s is None:
+        near = [each.is_near for each in self._of.values() if not self._is_dead(each)]
+        if spacing.near_interval_s is None or not near or not all(near):
             return spacing.ping_interval_s
-        living = [name for name in self._near if not self._is_dead(name)]
-        is_near = living and all(self._near[name] for name in living)
-        return spacing.near_interval_s if is_near else spacing.ping_interval_s
+        return spacing.near_interval_s

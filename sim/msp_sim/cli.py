@@ -95,7 +95,8 @@ def fly(
     """
     require("sim", "msp-sim fly", but=DRAWING)
     from msp_sim.effects.own import add_own_effects
-    from msp_sim.flight.flying import fly_scenario
+    from msp_sim.flight.flying import fly_scenario, planned_flight
+    from msp_sim.flight.results import Results
 
     if realtime and speed is not None:
         raise ConfigError("--realtime and --speed: give one of them")
@@ -104,7 +105,8 @@ def fly(
         require("web", "msp-sim fly --web")
         speed = speed if speed is not None or realtime else 1.0
     add_own_effects(effects or ())
-    fly_scenario(scenario_file, model, seed, out, link, realtime, speed, force, web, sample)
+    planned = planned_flight(scenario_file, model, seed, sample)
+    fly_scenario(planned, None if out is None else Results(out, force), link, realtime, speed, web)
 
 
 @app.command("monte-carlo")
@@ -194,11 +196,15 @@ def sitl(
     and parameters.
     """
     require("sim", "msp-sim sitl", but=DRAWING)
+    from msp_range.config import load_airframe
     from msp_sim.effects.own import add_own_effects
-    from msp_sim.sitl.flying import fly_sitl
+    from msp_sim.flight.results import Results
+    from msp_sim.sitl.flying import fly_sitl, load_scene
 
     add_own_effects(effects or ())
-    fly_sitl(airframe_file, link, autopilot, model, seed, ground, ground_clearance, duration, record, out, force)
+    airframe = load_airframe(airframe_file).changed(link=link, autopilot=autopilot)
+    scene = load_scene(ground, ground_clearance, airframe, airframe_file)
+    fly_sitl(airframe, scene, model, seed, duration, record, None if out is None else Results(out, force))
 
 
 @app.command()

@@ -10,7 +10,8 @@ import typer
 import yaml
 
 from msp_sim.flight import results
-from msp_sim.flight.flying import fly_scenario
+from msp_sim.flight.flying import fly_scenario, planned_flight
+from msp_sim.flight.results import Results
 from msp_sim.monte_carlo import command
 from msp_sim.monte_carlo.command import fly_monte_carlo
 from msp_sim.monte_carlo.outcome import Flights, draw_sample, fly_sample
@@ -73,7 +74,7 @@ def test_a_flight_of_the_table_is_flown_again_to_the_byte(
     again = worst[0]["fly_again"].split()
     assert again == ["msp-sim", "fly", str(scenario), "--seed", "5", "--sample", str(worst[0]["flight"])]
     folder = tmp_path / "again"
-    fly_scenario(scenario, None, 5, folder, None, False, None, False, None, int(again[-1]))
+    fly_scenario(planned_flight(scenario, None, 5, int(again[-1])), Results(folder, False))
     found = json.loads((folder / "summary.json").read_text())
     assert found["link"]["sha256"] == worst[0]["sha256"] == rows[int(again[-1])]["sha256"]
     assert found["sample"]["values"]["ground.surface"] == worst[0]["ground.surface"]

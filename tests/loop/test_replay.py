@@ -17,10 +17,10 @@ from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
-from msp_range.recording.pings import recorded_air, recorded_pings
+from msp_range.recording.pings import read_recorded
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
-from msp_range.replay import Nowhere, Record, replay
+from msp_range.replay import Nowhere, replay
 from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.support.bench import FUSED_ID, START_S, Bench, airframe
@@ -74,10 +74,10 @@ def test_a_replay_has_the_air_of_the_flight_and_how_well_it_was_known(tmp_path: 
     bench.fly(200.0)
     recorder.close()
     path, again = tmp_path / "flight.mcap", tmp_path / "again.mcap"
-    pings = recorded_pings(path)
-    clock = VirtualClock(Record(pings).first_ping_s)
+    recorded = read_recorded(path)
+    clock = VirtualClock(recorded.first_ping_s)
     recorder = Recorder(again, clock)
-    replay(vehicle, Record(pings, recorded_air(path)), path, clock, Nowhere(), recorder)
+    replay(vehicle, recorded, path, clock, Nowhere(), recorder)
     recorder.close()
 
     def stages(recording: Path, *keys: str) -> list[list[Any]]:
@@ -109,7 +109,7 @@ def test_a_flight_with_send_nothing_replays(tmp_path: Path) -> None:
     trial = airframe(send=streams | {"nothing": True})
     Bench(trial, lambda name, time_s: 300 + round(2 * math.sin(7 * time_s)), recorder=recorder).fly(10.0)
     recorder.close()
-    pings = recorded_pings(path)
+    recorded = read_recorded(path)
 
     def distances(recording: Path, topic: str) -> list[bytes]:
         frames = [bytes.fromhex(each["hex"]) for found, _, each in Recording(recording) if found == topic]
@@ -121,10 +121,10 @@ def test_a_flight_with_send_nothing_replays(tmp_path: Path) -> None:
         (True, "/mavlink/withheld", "/mavlink/sent"),
         (False, "/mavlink/sent", "/mavlink/withheld"),
     ):
-        clock = VirtualClock(Record(pings).first_ping_s)
+        clock = VirtualClock(recorded.first_ping_s)
         recorder = Recorder(again, clock)
         vehicle = airframe(send=streams | {"nothing": nothing})
-        outcome = replay(vehicle, Record(pings, recorded_air(path)), path, clock, Nowhere(), recorder)
+        outcome = replay(vehicle, recorded, path, clock, Nowhere(), recorder)
         recorder.close()
         assert distances(again, topic) == withheld
         assert distances(again, other) == []

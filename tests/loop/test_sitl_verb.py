@@ -26,10 +26,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from msp_range.config import load_airframe
 from msp_range.recording.reader import Recording
 from msp_range.yaml_file import ConfigError
 from msp_sim.flight.flight_log import SensorTrack
-from msp_sim.sitl.flying import fly_sitl
+from msp_sim.sitl.flying import load_scene
 from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle, status_line
 from tests.support.known import known
 from tests.support.waiting import LIMIT_S, until
@@ -388,7 +389,7 @@ def test_a_fault_of_a_sensor_that_the_airframe_does_not_have_is_refused(tmp_path
     scenario.write_text(SILENT_SENSOR)
     quad = CONFIGS / "proximity.yaml"
     with pytest.raises(ConfigError, match=r"silent.yaml: faults: found sensor 'rear_left'; expected one of .*front"):
-        fly_sitl(quad, "udpout:127.0.0.1:1", None, None, 1, scenario, None, 0.0, None, None, False)
+        load_scene(scenario, None, load_airframe(quad), quad)
 
 
 def test_the_status_line_has_what_a_sensor_that_is_only_fused_reads() -> None:

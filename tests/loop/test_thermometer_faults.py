@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common
 
 from msp_range.acoustics.air import air_variance_m2
 from msp_range.clock import VirtualClock
-from msp_range.recording.pings import recorded_air
+from msp_range.recording.pings import read_recorded
 from msp_range.recording.writer import Recorder
 from msp_sim.acoustics.atmosphere import Atmosphere
 from tests.support.bench import CALIBRATED_C, FUSED_ID, Bench, airframe
@@ -189,7 +189,7 @@ def test_the_humidity_that_an_autopilot_sends_counts(tmp_path: Path) -> None:
     assert [humid_cm, dry_cm] == pytest.approx([700, 700 / faster_by], abs=1.0)
     unknown, measured = (math.sqrt(message.covariance) for _, message in (bench.sent()[30], bench.sent()[-1]))
     assert unknown > 1.5 * measured
-    airs = [air for _, air in recorded_air(tmp_path / "a.mcap")]
+    airs = [air for _, air in read_recorded(tmp_path / "a.mcap").air]
     assert [airs[0].humidity_percent, airs[-1].humidity_percent] == pytest.approx([0.0, 100.0])
     assert airs[-1] == bench.steps[-1].air
 

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from msp_range.clock import VirtualClock
 from msp_range.reading import Status
-from msp_range.recording.pings import recorded_air, recorded_pings
+from msp_range.recording.pings import read_recorded
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
 from msp_range.replay import RecordedOrder
@@ -300,10 +300,10 @@ def test_it_flies_higher_than_sound_and_a_replay_has_the_same_answers(tmp_path: 
     assert max(truth for truth in fused.truth_m if truth is not None) > 29
     # 10 degrees below zero would be 6 % of a range of sound: 1.8 m.
     assert sorted(off_m)[len(off_m) * 95 // 100] < 0.15
-    assert recorded_air(path) == []
+    assert read_recorded(path).air == []
     vehicle = scenario.airframe
     clock = VirtualClock(first[0].time_s)
-    bus = ReplayBus({ADDRESS: recorded_pings(path)["down"]}, clock, {ADDRESS: LidarLiteV3.playback})
+    bus = ReplayBus({ADDRESS: read_recorded(path).pings["down"]}, clock, {ADDRESS: LidarLiteV3.playback})
     poller = Poller(bus, clock, RecordedOrder(vehicle, bus))
     again = []
     while poller.next_event_s < math.inf:

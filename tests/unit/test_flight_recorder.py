@@ -81,7 +81,7 @@ class Flight:
 
     def _is_idle(self) -> bool:
         recorder = self.recorder._recorder
-        return recorder is None or recorder.has_ended or not recorder.file._given_s
+        return recorder is None or recorder.file.has_ended or not recorder.file._given_s
 
     def times_s(self) -> list[list[float]]:
         """What was recorded, file by file in the order of their names."""

@@ -24,7 +24,7 @@ from msp_range.config import load_airframe_from
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
 from msp_range.recording.mcap_records import Losses, RawMessage
-from msp_range.recording.pings import recorded_pings
+from msp_range.recording.pings import read_recorded
 from msp_range.recording.reader import Recording
 from msp_range.recording.recover import recover
 from msp_range.recording.writer import Recorder
@@ -258,12 +258,12 @@ def test_times_that_are_none_are_reported_and_can_be_recovered(tmp_path: Path, k
 )
 def test_a_record_that_cannot_be_replayed(tmp_path: Path, messages: list[dict[str, Any]], message: str) -> None:
     with pytest.raises(RecordingError, match=message):
-        recorded_pings(ranges(tmp_path / "a.mcap", *messages))
+        read_recorded(ranges(tmp_path / "a.mcap", *messages))
 
 
 def test_a_sensor_was_not_busy_for_years(tmp_path: Path) -> None:
     path = ranges(tmp_path / "a.mcap", reading(1.0, raw=100) | {"read_s": 1e9})
-    assert recorded_pings(path)["left"][0].ready_s == 1.0
+    assert read_recorded(path).pings["left"][0].ready_s == 1.0
 
 
 def test_messages_without_a_chunk_are_read_and_an_index_is_not_taken_for_one(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from msp_sim.world.profiles import (
     ClimbSegment,
     Course,
+    Height,
     HoldSegment,
     LandSegment,
     Leg,
@@ -23,7 +24,6 @@ from msp_sim.world.profiles import (
     StepSegment,
     TerrainSegment,
     TrackSection,
-    altitude,
 )
 from msp_sim.world.vehicle import AttitudeSection, FlightSection, Heave, Lean, Sway, Vehicle
 
@@ -35,7 +35,10 @@ def flat(time_s: float) -> float:
 
 
 def fly(*segments: Segment, surface_m: Callable[[float], float] = flat, seed: int = 0) -> Course:
-    return altitude(segments, surface_m, np.random.default_rng(seed))
+    height = Height(surface_m, np.random.default_rng(seed))
+    for segment in segments:
+        segment.fly(height)
+    return height
 
 
 def sampled(course: Course, step_s: float = FINE_S) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -308,7 +311,7 @@ def test_a_vehicle_starts_on_the_surface_and_its_velocity_is_that_of_its_positio
     )
     flying = Vehicle(flight, lambda north_m, east_m: 0.1 * north_m, np.random.default_rng(0))
     assert flying.pose(0.0).position_ned_m == pytest.approx((5.0, 2.0, -0.7))
-    assert flying.clearance_m(0.0) == pytest.approx(0.0)
+    assert flying.pose(0.0).clearance_m == pytest.approx(0.0)
     for time_s in (0.5, 1.4, 3.0, 20.0):
         before, after = flying.pose(time_s - 1e-5), flying.pose(time_s + 1e-5)
         moved_m = np.subtract(after.position_ned_m, before.position_ned_m)

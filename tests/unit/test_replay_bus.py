@@ -16,7 +16,7 @@ from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import export
-from msp_range.recording.pings import MEASURED_STD_C, Pings, recorded_air, recorded_pings
+from msp_range.recording.pings import MEASURED_STD_C, Pings, read_recorded
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
 from msp_range.sensors.base import RecordedPing
@@ -29,6 +29,12 @@ near: Any = pytest.approx
 """A number that one of another type is compared with."""
 # Times of no answer are sums of binary fractions, which are exact.
 TIMING = AnswerTiming(first_answer_s=0.0212, deadline_s=80 / 1024)
+
+
+def next_ping_s(bus: ReplayBus, address: int) -> float:
+    ping = bus.next_ping(address)
+    assert ping is not None
+    return ping.ping_s
 
 
 def played(pings: dict[int, list[RecordedPing]], clock: VirtualClock) -> ReplayBus:
@@ -46,11 +52,11 @@ def refused(bus: Bus, verb: str, address: int) -> bool:
 def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     clock = VirtualClock()
     bus = played({LEFT: [RecordedPing(1.0, 258, 0.035), RecordedPing(2.0, 300, 0.037)]}, clock)
-    assert bus.next_ping_s(LEFT) == 1.0
+    assert next_ping_s(bus, LEFT) == 1.0
     assert MB1242(bus, LEFT).answer().status is Status.PART_INFO
     clock.sleep_until(1.0)
     bus.write(LEFT, COMMAND_RANGE)
-    assert bus.next_ping_s(LEFT) == 2.0
+    assert next_ping_s(bus, LEFT) == 2.0
     assert refused(bus, "read", LEFT)
     assert refused(bus, "write", LEFT)
     clock.sleep_until(1.0349)
@@ -59,7 +65,7 @@ def test_a_sensor_answers_when_it_is_ready_and_again(tmp_path: Path) -> None:
     assert bus.read(LEFT, 2) == bytes([1, 2])
     assert bus.read(LEFT, 2) == bytes([1, 2])
     bus.write(LEFT, b"\xaa\xa5\xe2")
-    assert bus.next_ping_s(LEFT) == 2.0
+    assert next_ping_s(bus, LEFT) == 2.0
     bus.reopen()
     bus.close()
 
@@ -70,7 +76,7 @@ def test_a_ping_that_was_not_acknowledged_is_not_acknowledged_again() -> None:
     bus = played({LEFT: [RecordedPing(1.0, None, 0.0), RecordedPing(2.0, 300, 0.037)]}, clock)
     clock.sleep_until(1.0)
     assert refused(bus, "write", LEFT)
-    assert bus.next_ping_s(LEFT) == 2.0
+    assert next_ping_s(bus, LEFT) == 2.0
     bus.write(LEFT, COMMAND_RANGE)
     clock.sleep_until(1.1)
     assert bus.read(LEFT, 2) == (300).to_bytes(2, "big")
@@ -92,11 +98,11 @@ def test_after_the_last_reading_and_where_there_was_no_sensor() -> None:
     clock = VirtualClock()
     bus = played({LEFT: [RecordedPing(0.0, 300, 0.037)]}, clock)
     bus.write(LEFT, COMMAND_RANGE)
-    assert bus.next_ping_s(LEFT) is None
+    assert bus.next_ping(LEFT) is None
     clock.sleep_until(1.0)
     assert bus.read(LEFT, 2) == (300).to_bytes(2, "big")
     assert refused(bus, "write", LEFT)
-    assert bus.next_ping_s(RIGHT) is None
+    assert bus.next_ping(RIGHT) is None
     assert refused(bus, "write", RIGHT)
     assert refused(bus, "read", RIGHT)
 
@@ -122,7 +128,7 @@ def test_a_csv_file_gives_pings(tmp_path: Path) -> None:
     path = write_csv_text(
         tmp_path / "a.csv", "1,left,200\n2,left,765\n3,left,\n4,left,33168\n4.5,right,81.6\n5,left,0.4"
     )
-    pings = recorded_pings(path)
+    pings = read_recorded(path).pings
     # The ping is half a time of flight of 58 us/cm before the echo, where there was one.
     assert pings == {
         "left": [
@@ -142,7 +148,7 @@ def test_a_recorded_answer_is_there_from_the_time_at_which_it_was_read(tmp_path:
     message = {"time_s": 1.0087, "ping_s": 1.0, "read_s": 1.0372 + 0.0005, "status": "ok", "raw": 300, "range_m": 3.0}
     recorder.write("/range/left", 1.04, message)
     recorder.close()
-    ((ping_s, word, ready_s),) = recorded_pings(tmp_path / "flight.mcap")["left"]
+    ((ping_s, word, ready_s),) = read_recorded(tmp_path / "flight.mcap").pings["left"]
     assert (ping_s, word) == (1.0, 300)
     assert ready_s == pytest.approx(0.0377)
 
@@ -151,10 +157,10 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
     path = write_csv_text(
         tmp_path / "a.csv", "1,left,200,4.5\n2,left,200,\n", "time_s,sensor,reading_cm,air_temperature_c"
     )
-    assert recorded_air(path) == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
+    assert read_recorded(path).air == [(1.0, Air(4.5, MEASURED_STD_C, "recorded"))]
     header = "time_s,sensor,reading_cm,air_temperature_c,humidity_pct"
     path = write_csv_text(tmp_path / "humid.csv", "1,left,200,4.5,80\n2,left,200,5,\n", header)
-    assert [each for _, each in recorded_air(path)] == [
+    assert [each for _, each in read_recorded(path).air] == [
         Air(4.5, MEASURED_STD_C, "recorded", 80.0),
         Air(5.0, MEASURED_STD_C, "recorded"),
     ]
@@ -168,7 +174,7 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
     recorder.write("/range/left", 5.0, {"time_s": 5.0} | air | {"humidity_pct": 70.0})
     recorder.close()
     # What is no humidity comes from a damaged file.
-    assert [each for _, each in recorded_air(tmp_path / "flight.mcap")] == [
+    assert [each for _, each in read_recorded(tmp_path / "flight.mcap").air] == [
         Air(20.0, 12.0, "fixed"),
         Air(20.0, MEASURED_STD_C, "SCALED_PRESSURE.temperature"),
         Air(20.0, 3.5, "held"),
@@ -179,12 +185,12 @@ def test_air_that_was_recorded_without_its_deviation_has_that_of_its_source(tmp_
 def test_one_run_at_a_time(tmp_path: Path) -> None:
     header = "time_s,sensor,reading_cm,run"
     path = write_csv_text(tmp_path / "a.csv", "1,left,200,one\n2,left,201,one\n1,left,300,two\n", header)
-    assert [each.word for each in recorded_pings(path, run="one")["left"]] == [200, 201]
-    assert [each.word for each in recorded_pings(path, run="two")["left"]] == [300]
+    assert [each.word for each in read_recorded(path, run="one").pings["left"]] == [200, 201]
+    assert [each.word for each in read_recorded(path, run="two").pings["left"]] == [300]
     with pytest.raises(RecordingError, match=r"a\.csv: choose one run; found: one, two"):
-        recorded_pings(path)
+        read_recorded(path)
     with pytest.raises(RecordingError, match="no run 'three'; found: one, two"):
-        recorded_pings(path, run="three")
+        read_recorded(path, run="three")
 
 
 @pytest.mark.parametrize(
@@ -204,7 +210,7 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
 def test_csv_that_cannot_be_replayed(tmp_path: Path, rows: str, message: str) -> None:
     path = write_csv_text(tmp_path / "a.csv", rows)
     with pytest.raises(RecordingError, match=message):
-        recorded_pings(path)
+        read_recorded(path)
 
 
 class RecordedOrder:
@@ -216,9 +222,9 @@ class RecordedOrder:
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         due = {
-            ping_s: sensor
+            ping.ping_s: sensor
             for address, sensor in self._sensors.items()
-            if (ping_s := self._bus.next_ping_s(address)) is not None
+            if (ping := self._bus.next_ping(address)) is not None
         }
         return (min(due), [due[min(due)]]) if due else (math.inf, [])
 
@@ -261,7 +267,7 @@ def test_the_driver_gets_every_word_at_its_own_time(readings: list[tuple[int | N
 def test_csv_times_come_back_from_the_driver(tmp_path: Path) -> None:
     rows = [(1.0, "left", 200), (1.1, "right", 764), (1.2, "left", 765), (1.3, "right", 20), (1.45, "left", 699)]
     path = write_csv_text(tmp_path / "a.csv", "\n".join(f"{time_s},{name},{cm}" for time_s, name, cm in rows))
-    readings = [each.reading for each in replay(recorded_pings(path))]
+    readings = [each.reading for each in replay(read_recorded(path).pings)]
     assert [(each.sensor, each.raw) for each in readings] == [(name, cm) for _, name, cm in rows]
     # The driver adds what was taken off: equal but for the rounding of doubles.
     assert [each.time_s for each in readings] == pytest.approx([time_s for time_s, _, _ in rows], abs=1e-12)
@@ -308,12 +314,12 @@ def test_a_replayed_recording_is_the_recording(tmp_path: Path) -> None:
         Status.AT_MINIMUM,
     ]
     record(tmp_path / "flight.mcap", first)
-    second = replay(recorded_pings(tmp_path / "flight.mcap"))
+    second = replay(read_recorded(tmp_path / "flight.mcap").pings)
     assert [each.reading for each in second] == [each.reading for each in first]
     assert [(each.ping_s, each.answered_s) for each in second] == [(each.ping_s, each.answered_s) for each in first]
     # Exported, it has the same words. A CSV file does not say when an answer came, so not that it came too early.
     export(tmp_path / "flight.mcap", tmp_path / "flight.csv")
-    third = replay(recorded_pings(tmp_path / "flight.csv"))
+    third = replay(read_recorded(tmp_path / "flight.csv").pings)
     assert [each.reading.raw for each in third] == [each.reading.raw for each in first]
     pings = [(again.ping_s, each.ping_s) for again, each in zip(third, first, strict=True)]
     assert all(again_s == pytest.approx(ping_s, abs=1e-12) for again_s, ping_s in pings[:1] + pings[2:])

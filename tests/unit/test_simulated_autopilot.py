@@ -24,7 +24,7 @@ def pressure_heights_m(
 
     def pose(time_s: float) -> Pose:
         height_m = heights_m[min(round(time_s), len(heights_m) - 1)]
-        return Pose(time_s, (0.0, 0.0, -height_m), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), throttle)
+        return Pose(time_s, (0.0, 0.0, -height_m), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), throttle, height_m)
 
     draw = None if seed is None else random.Random(seed)
     autopilot = LoopbackAutopilot(
@@ -34,7 +34,6 @@ def pressure_heights_m(
         AutopilotSection(barometer=errors),
         draw=draw,
         ground_c=ground_c,
-        clearance_m=lambda time_s: -pose(time_s).position_ned_m[2],
     )
     received, parser = [], mavlink.MAVLink(None)
     for _ in heights_m:

@@ -120,28 +120,17 @@ class KnownRanging(NamedTuple):
     columns: dict[str, float | str]
 
 
-class _LastPings:
-    """Time of each sensor's last ping, taken right after its command was written."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._last_s: dict[str, float] = {}
-
-    def record(self, sensor: str) -> float | None:
-        """Record a ping; return the time since the last one of another sensor [s], if there is one."""
-        now_s = self._clock.now()
-        others_s = [ping_s for name, ping_s in self._last_s.items() if name != sensor]
-        self._last_s[sensor] = now_s
-        return now_s - max(others_s) if others_s else None
-
-
 class _RecordedSensor:
-    """A `RangeSensor` whose pings are recorded."""
+    """A `RangeSensor` that keeps the time since the last ping of another sensor.
 
-    def __init__(self, name: str, device: RangeSensor, pings: _LastPings) -> None:
+    ``pings_s`` has the time of each sensor's last ping [s], taken right after its command was written.
+    """
+
+    def __init__(self, name: str, device: RangeSensor, clock: Clock, pings_s: dict[str, float]) -> None:
         self._name = name
         self._device = device
-        self._pings = pings
+        self._clock = clock
+        self._pings_s = pings_s
         self.address = device.address
         self.pinged = False
         self.lag_s: float | None = None
@@ -151,7 +140,10 @@ class _RecordedSensor:
         self.pinged = False
         self._device.ping()
         self.pinged = True
-        self.lag_s = self._pings.record(self._name)
+        now_s = self._clock.now()
+        self._pings_s.pop(self._name, None)
+        self.lag_s = now_s - max(self._pings_s.values()) if self._pings_s else None
+        self._pings_s[self._name] = now_s
 
     def answer(self) -> Decoded:
         """Return the result of the ranging."""
@@ -175,7 +167,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
     KnownRanging
         In the order in which they ended, unanswered ones included.
     """
-    pings = _LastPings(clock)
+    pings_s: dict[str, float] = {}
     devices: dict[str, _RecordedSensor] = {}
     polled: list[PolledSensor] = []
     interval_s = 0.0
@@ -183,7 +175,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         sensor = campaign.sensor(name)
         model = sensor.sensor_model
         timing = model.timing
-        devices[name] = _RecordedSensor(name, sensor.driver(bus, sensor.address), pings)
+        devices[name] = _RecordedSensor(name, sensor.driver(bus, sensor.address), clock, pings_s)
         first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm
         asked = AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
         polled.append(PolledSensor(name, devices[name], asked))

@@ -7,9 +7,9 @@ in which a person sets them up.
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from msp_range.correction.temperature import FileSource
 from msp_range.sensor_on_bus import Name, SensorOnBus
@@ -53,9 +53,8 @@ class Span(Section):
         return tuple(round(self.first + self.step * each, 6) for each in range(count + 1))
 
 
-def _spread(given: Any) -> Any:
-    """A span's values in place of the span."""
-    return Span.model_validate(given).values if isinstance(given, dict) else given
+_Spread = BeforeValidator(lambda given: Span.model_validate(given).values if isinstance(given, dict) else given)
+"""A span's values in place of the span."""
 
 
 class BenchSensor(SensorOnBus):
@@ -150,9 +149,9 @@ class Experiment(Section):
     """the question that it answers, and the report's section"""
     setup: str = ""
     """instructions for its start"""
-    ranges_cm: tuple[RangeCm, ...] = Field(min_length=1)
+    ranges_cm: Annotated[tuple[RangeCm, ...], _Spread] = Field(min_length=1)
     """perpendicular distances from sensor to target [cm]: a list, or {first, last, step}"""
-    angles_deg: tuple[AngleDeg, ...] = Field((0.0,), min_length=1)
+    angles_deg: Annotated[tuple[AngleDeg, ...], _Spread] = Field((0.0,), min_length=1)
     """angles between the beam and the target's normal, signed [deg]: a list, or {first, last, step}"""
     targets: tuple[BenchTarget, ...] = Field(min_length=1)
     """what the beam meets"""
@@ -172,11 +171,6 @@ class Experiment(Section):
     """a target that moves; left out: it stands still"""
     readings: int | None = Field(None, ge=1, le=10_000_000)
     """readings per point and sensor; left out: the campaign's"""
-
-    @field_validator("ranges_cm", "angles_deg", mode="before")
-    @classmethod
-    def _spans(cls, given: Any) -> Any:
-        return _spread(given)
 
     @model_validator(mode="after")
     def _once_each(self) -> "Experiment":

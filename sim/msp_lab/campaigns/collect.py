@@ -16,7 +16,7 @@ from typing import Protocol
 from msp_lab.campaigns.bench import Bench, rangings
 from msp_lab.campaigns.campaign import Campaign, load_campaign
 from msp_lab.campaigns.plan import Point, changes, make_plan
-from msp_lab.campaigns.store import Store
+from msp_lab.campaigns.store import Attempt, Store
 from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.reading import Reading
 from msp_range.yaml_file import ConfigError
@@ -182,18 +182,17 @@ class _Session:
         """Set up and read a point until it is kept."""
         while True:
             attempt = self._store.next_attempt(point, again=anew)
-            had = attempt.readings[point.setup.sensors[0]]
-            place = Place(self._numbers[point.name], len(self._numbers), had)
+            place = Place(self._numbers[point.name], len(self._numbers), had=attempt.readings[point.setup.sensors[0]])
             arranged = self._operator.arrange(point, changes(self._before, point), place)
             if arranged.decision is Decision.AGAIN:
                 # Before the first point of a session there is none to read again.
                 if self._before is not None and self._visit(self._before, anew=True) is Decision.STOP:
                     return Decision.STOP
                 continue
-            if arranged.decision in (Decision.SKIP, Decision.STOP):
+            if arranged.decision is not Decision.GO:
                 return arranged.decision
             self._before = point
-            decision, watches = self._read(point, {**point.columns, **arranged.measured}, anew=anew)
+            decision, watches = self._read(point, attempt, {**point.columns, **arranged.measured})
             if decision is Decision.GO:
                 decision = self._operator.review(point, watches)
             if decision is not Decision.AGAIN:
@@ -201,9 +200,8 @@ class _Session:
             anew = True
 
     def _read(
-        self, point: Point, columns: dict[str, float | str], *, anew: bool
+        self, point: Point, attempt: Attempt, columns: dict[str, float | str]
     ) -> tuple[Decision, dict[str, PointWatch]]:
-        attempt = self._store.next_attempt(point, again=anew)
         bus, passed_over = self._bench.begin(point, attempt.number, columns, attempt.rangings)
         self._store.begin(point, attempt, resumed=passed_over > 0)
         nearest_cm = float(columns["true_range_cm"])
@@ -219,7 +217,7 @@ class _Session:
             if reading.time_s > end_s:
                 break
             if number >= passed_over:
-                self._store.keep(known)
+                self._store.keep(attempt, known)
                 outlier = watches[reading.sensor].update(reading)
                 if self._operator.on_reading(point, watches, reading, outlier) is Decision.STOP:
                     return Decision.STOP, watches
@@ -237,7 +235,7 @@ class _Session:
                 if decision is not Decision.GO or reports >= GIVE_UP_AFTER:
                     return Decision.SKIP if decision is Decision.GO else decision, watches
             self._update_air(fresh, clock.now())
-        self._store.done(point)
+        self._store.done(point, attempt)
         return Decision.GO, watches
 
     def _end_s(self, point: Point, start_cm: float) -> float:

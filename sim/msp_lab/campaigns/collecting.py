@@ -13,13 +13,12 @@ from msp_lab.campaigns.flights import FlightArchive, load_flights, show_flights
 from msp_lab.campaigns.plan import Point
 from msp_lab.campaigns.simulated_bench import AutoOperator, SimulatedBench, readings_of
 from msp_lab.campaigns.terminal import show_plan
-from msp_range.clock import SystemClock, VirtualClock
+from msp_range.clock import SystemClock
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.writer import Recorder
 from msp_range.service import stop_signals
 from msp_range.terminal import Bar, PlainConsole
-from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.simulate import fly_through
 
 
 class Collecting(Bar):
@@ -88,13 +87,7 @@ def fly_flights(campaign_file: Path, out: Path, model: Path | None, seed: int, p
         if scenario is None or archive.recordings(flight):
             continue
         print(f"{number} of {len(campaign.flights)}: {flight.flight}, {scenario.duration_s:g} s of {scenario.name}")
-        clock = VirtualClock()
         with archive.making(flight) as path:
-            files = scenario.airframe.files
-            recorder = Recorder(path, clock, files=files, metadata={"scenario": scenario.name, "seed": str(seed)})
-            simulation = Simulation(scenario, clock, seed + number, model=sensor_model, recorder=recorder)
-            for _ in simulation.fly():
-                pass
-            recorder.close()
+            fly_through(scenario, seed + number, sensor_model, path)
     table, rows = archive.write_table()
     print(f"{table}: {rows} readings of {len(scenarios)} flights")

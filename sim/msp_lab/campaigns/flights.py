@@ -16,12 +16,13 @@ from pydantic import Field, model_validator
 from rich.console import Console
 
 from msp_lab.campaigns.campaign import Reference
+from msp_lab.campaigns.store import READINGS_NAME
 from msp_lab.logs.log import between_samples
 from msp_range.arrays import Column
 from msp_range.config import NamedAirframe
-from msp_range.input_file import making, open_input
+from msp_range.input_file import open_input
 from msp_range.recording.csv_form import MeasuredData, join_tables, read_csv, write_csv
-from msp_range.recording.error import RecordingError
+from msp_range.recording.error import RecordingError, new_file
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import LARGEST_FILE_BYTES, Recording
 from msp_range.sensor_on_bus import Name
@@ -32,7 +33,6 @@ GAP_S = 1.0
 """The true range is unknown between two values of the reference that are farther apart [s]: at 1 m/s it changes by a
 metre. A larger gap interpolates over manoeuvres, a smaller one drops the readings of a slow reference."""
 SCENARIO = "scenario"
-READINGS = "readings.csv"
 TRUTH, TIME, UTC = "true_range_cm", "time_s", "utc_s"
 
 
@@ -112,7 +112,7 @@ class FlightArchive:
     def __init__(self, folder: Path, campaign: FlightCampaign) -> None:
         self.folder = folder
         self._campaign = campaign
-        table = folder / READINGS
+        table = folder / READINGS_NAME
         if table.exists() and not any(self.recordings(flight) for flight in campaign.flights):
             raise RecordingError(
                 f"{table}: not collected here, since there is no recording of these flights in {folder / 'flights'}, "
@@ -133,7 +133,7 @@ class FlightArchive:
     def making(self, flight: Flight) -> Iterator[Path]:
         """Give the path for the next recording of a flight; it gets its name when it is complete."""
         self._refuse_other_kind(simulated=True)
-        with _adding(self._next_path(flight)) as unfinished:
+        with new_file(self._next_path(flight)) as unfinished:
             yield unfinished
 
     def _refuse_other_kind(self, *, simulated: bool) -> None:
@@ -179,7 +179,7 @@ class FlightArchive:
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv``; return its path and its number of rows."""
-        path, data = self.folder / READINGS, self.readings()
+        path, data = self.folder / READINGS_NAME, self.readings()
         write_csv(path, data, replacing=True)
         return path, len(data)
 
@@ -268,26 +268,13 @@ def collect_flights(
             return
 
 
-@contextmanager
-def _adding(path: Path) -> Iterator[Path]:
-    """`making` a file; RecordingError if there is one of that name."""
-    try:
-        with making(path) as unfinished:
-            yield unfinished
-    except FileExistsError:
-        raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
-
-
 def _copy(source: Path, path: Path) -> None:
     """Copy a file completely or not at all."""
-    try:
-        with (
-            open_input(source, LARGEST_FILE_BYTES) as read,
-            _adding(path) as unfinished,
-            unfinished.open("wb") as written,
-        ):
-            shutil.copyfileobj(read, written)
-            written.flush()
-            os.fsync(written.fileno())
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+    with (
+        new_file(path) as unfinished,
+        open_input(source, LARGEST_FILE_BYTES) as read,
+        unfinished.open("wb") as written,
+    ):
+        shutil.copyfileobj(read, written)
+        written.flush()
+        os.fsync(written.fileno())

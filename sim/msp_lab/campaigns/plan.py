@@ -121,12 +121,11 @@ def make_plan(campaign: Campaign) -> tuple[Point, ...]:
     for condition in campaign.conditions:
         points.extend(_points_of(campaign, condition, points[-1].setup if points else None))
     repeated = Counter[str]()
-    unique = []
-    for point in points:
+    for number, point in enumerate(points):
         repeated[point.name] += 1
-        again = repeated[point.name]
-        unique.append(point if again == 1 else replace(point, name=f"{point.name}-again{again}"))
-    return tuple(unique)
+        if (again := repeated[point.name]) > 1:
+            points[number] = replace(point, name=f"{point.name}-again{again}")
+    return tuple(points)
 
 
 def reading_interval_s(campaign: Campaign, sensors: Sequence[str], firing: Firing) -> float:
@@ -142,8 +141,7 @@ def reading_s(campaign: Campaign, point: Point) -> float:
 
 def setup_s(before: Point | None, after: Point) -> float:
     """Time that a person may need from one point to the next [s]."""
-    changed = _changed(before, after)
-    return sum(seconds for key, seconds in SETUP_S.items() if key in changed)
+    return sum(SETUP_S.get(key, 0.0) for key in _changed(before, after))
 
 
 def _changed(before: Point | None, after: Point) -> set[str]:
@@ -156,19 +154,19 @@ def _changed(before: Point | None, after: Point) -> set[str]:
 
 def _points_of(campaign: Campaign, condition: Experiment, before: Setup | None) -> Iterator[Point]:
     sensors = condition.sensors or (campaign.sensors[0].name,)
-    factors: list[tuple[str, Sequence[Any]]] = [
-        ("air", _from(condition.air or (campaign.room,), before and before.air)),
-        ("target", _from(condition.targets, before and before.target)),
-        ("vibration_hz", _from(condition.vibrations_hz, before and before.vibration_hz)),
-        ("range_cm", _from(condition.ranges_cm, before and before.range_cm)),
-        ("source", _from(_sources(condition.external), before and before.source)),
-        ("angle_deg", _from(condition.angles_deg, before and before.angle_deg)),
-    ]
-    varied = {key for key, levels in factors if len(levels) > 1}
+    levels_of: dict[str, Sequence[Any]] = {
+        "air": condition.air or (campaign.room,),
+        "target": condition.targets,
+        "vibration_hz": condition.vibrations_hz,
+        "range_cm": condition.ranges_cm,
+        "source": _sources(condition.external),
+        "angle_deg": condition.angles_deg,
+    }
+    factors = {key: _from(levels, before and getattr(before, key)) for key, levels in levels_of.items()}
+    varied = {key for key, levels in factors.items() if len(levels) > 1}
     readings = condition.readings or campaign.readings
-    for levels in _there_and_back([each for _, each in factors]):
-        named = dict(zip([key for key, _ in factors], levels, strict=True))
-        standing = Setup(sensors=sensors, apart_cm=condition.apart_cm, **named)
+    for levels in _there_and_back([*factors.values()]):
+        standing = Setup(sensors=sensors, apart_cm=condition.apart_cm, **dict(zip(factors, levels, strict=True)))
         for firing in condition.firing:
             interval_s = reading_interval_s(campaign, sensors, firing)
             for setup, of_setup in _movements(condition, standing, readings, interval_s):
@@ -267,7 +265,7 @@ def changes(before: Point | None, after: Point) -> list[str]:
     ['Move the target to 60 cm (it was at 40 cm).']
     """
     old, new = before.setup if before is not None else None, after.setup
-    found = [after.note] if after.note and (before is None or before.note != after.note) else []
+    found = [after.note] if after.note and not (before and before.note == after.note) else []
     changed = _changed(before, after)
     if changed & {"sensors", "apart_cm"}:
         found.append(_sensors_words(new))

@@ -8,6 +8,7 @@ been, and a change of one point does not change the others.
 import random
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,8 @@ from msp_sim.model.model import Model, load_model
 from msp_sim.model.streams import RandomStreams
 
 BIT_S = 1 / 50_000
-"""Time of a bit on the bus [s]: 50 kHz, the maker's highest clock without clock stretching."""
-BITS_OVERHEAD = 2
-"""Bits of a transfer besides its bytes: start and stop."""
-BITS_PER_BYTE = 9
-"""Bits of a byte on the bus: eight and the acknowledgement."""
+"""Time of a bit on the bus [s]: 50 kHz, the maker's highest clock without clock stretching. A byte has nine, with its
+acknowledgement, and a transfer two more, for start and stop."""
 MAX_DRAWN = 1024
 """Readings drawn at a time, at most: more costs memory, fewer cost time."""
 MARGIN = 1.3
@@ -74,7 +72,7 @@ class TimedBus(EmulatedBus):
         return answer
 
     def _pass(self, count: int) -> None:
-        self._clock.sleep_until(self._clock.now() + (BITS_OVERHEAD + count * BITS_PER_BYTE) * BIT_S)
+        self._clock.sleep_until(self._clock.now() + (2 + 9 * count) * BIT_S)
 
 
 class SimulatedBench:
@@ -165,13 +163,12 @@ class _Scene:
         """Return what gives the sensor's reading at the time of a ping [s]."""
 
         def echo(ping_s: float) -> int:
-            columns = dict(self._columns)
-            columns |= {"sensor": name, "run": self._run}
-            columns["true_range_cm"] = self._range_cm(ping_s)
-            others = [last_s for other, last_s in self._last_s.items() if other != name]
-            if others:
-                columns["neighbour_lag_ms"] = round((ping_s - max(others)) * 1e3, 6)
-                columns["neighbour_range_cm"] = self._range_cm(max(others))
+            columns = {**self._columns, "sensor": name, "run": self._run, "true_range_cm": self._range_cm(ping_s)}
+            self._last_s.pop(name, None)
+            if self._last_s:
+                other_s = max(self._last_s.values())
+                columns["neighbour_lag_ms"] = round((ping_s - other_s) * 1e3, 6)
+                columns["neighbour_range_cm"] = self._range_cm(other_s)
             self._last_s[name] = ping_s
             return draw(columns)
 
@@ -228,33 +225,25 @@ class _ModelReadings:
         return int(reading_cm)
 
 
+@dataclass
 class AutoOperator:
-    """A `msp_lab.campaigns.collect.Operator` that sets up at once, accepts every point, and counts.
+    """A `msp_lab.campaigns.collect.Operator` that sets up at once, accepts every point, and counts."""
 
-    Parameters
-    ----------
-    progress
-        Called with (point, readings so far).
-    stopped
-        Whether the collection should end.
-    """
-
-    def __init__(
-        self,
-        progress: Callable[[Point, int], None] = lambda point, readings: None,
-        stopped: Callable[[], bool] = lambda: False,
-    ) -> None:
-        self._progress = progress
-        self._stopped = stopped
-        self.readings = 0
-        self.outliers = 0
-        self.failed = 0
-        self.texts: list[str] = []
+    progress: Callable[[Point, int], None] = lambda point, readings: None
+    """Called with the point and the readings so far."""
+    stopped: Callable[[], bool] = lambda: False
+    """Whether the collection should end."""
+    readings: int = 0
+    outliers: int = 0
+    failed: int = 0
+    """Numbers of usable answers, of outliers among them, and of pings without one."""
+    texts: list[str] = field(default_factory=list)
+    """Reports on silent sensors."""
 
     def arrange(self, point: Point, to_change: Sequence[str], place: Place) -> Arranged:
         """Accept the set-up as planned."""
-        self._progress(point, self.readings)
-        return Arranged(Decision.STOP if self._stopped() else Decision.GO)
+        self.progress(point, self.readings)
+        return Arranged(Decision.STOP if self.stopped() else Decision.GO)
 
     def on_reading(
         self, point: Point, watches: Mapping[str, PointWatch], reading: Reading, outlier: Outlier | None
@@ -266,8 +255,8 @@ class AutoOperator:
             self.readings += 1
             self.outliers += outlier is not None
         if self.readings % 500 == 0:
-            self._progress(point, self.readings)
-            if self._stopped():
+            self.progress(point, self.readings)
+            if self.stopped():
                 return Decision.STOP
         return Decision.GO
 

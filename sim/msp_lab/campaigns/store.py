@@ -6,7 +6,7 @@ recordings, in the order of the plan: for each point its last complete attempt, 
 """
 
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -81,9 +81,7 @@ class Store:
         self._clock = clock
         self._files = dict(files)
         self._recorder: Recorder | None = None
-        self._attempts: dict[str, list[Attempt]] = {}
-        self._now: Attempt | None = None
-        self._run = ""
+        self._attempts: defaultdict[str, list[Attempt]] = defaultdict(list)
         recordings = self.recordings
         if not recordings and (folder / READINGS_NAME).exists():
             raise RecordingError(
@@ -100,7 +98,7 @@ class Store:
 
     def attempts(self, point: Point) -> list[Attempt]:
         """Attempts at a point."""
-        return self._attempts.get(point.name, [])
+        return self._attempts[point.name]
 
     def is_done(self, point: Point) -> bool:
         """Whether a point has been read to its end."""
@@ -118,24 +116,21 @@ class Store:
 
     def begin(self, point: Point, attempt: Attempt, *, resumed: bool) -> None:
         """Start an attempt; with ``resumed`` its readings are in the same run as those before the interruption."""
-        attempts = self._attempts.setdefault(point.name, [])
+        attempts = self.attempts(point)
         if attempt not in attempts:
             attempts.append(attempt)
-        self._now = attempt
         if not (resumed and attempt.runs):
             again = f".{attempt.number}" if attempt.number > 1 else ""
             part = f"+{len(attempt.runs)}" if attempt.runs else ""
             attempt.runs.append(f"{point.name}{again}{part}")
-        self._run = attempt.runs[-1]
         self._write_event("begin", point, attempt)
 
-    def keep(self, known: KnownRanging) -> None:
-        """Record a ranging of the current attempt; raises RecordingError if the disk has failed."""
-        assert self._now is not None
+    def keep(self, attempt: Attempt, known: KnownRanging) -> None:
+        """Record a ranging of an attempt; raises RecordingError if the disk has failed."""
         ranging, _, columns = known
         reading = ranging.reading
         recorder = self._recording()
-        recorder.write(TRUTH_PREFIX + reading.sensor, ranging.ping_s, {"run": self._run, **columns})
+        recorder.write(TRUTH_PREFIX + reading.sensor, ranging.ping_s, {"run": attempt.runs[-1], **columns})
         message: dict[str, Any] = {
             "time_s": reading.time_s,
             "ping_s": ranging.ping_s,
@@ -151,15 +146,14 @@ class Store:
         recorder.flush_if_due(ranging.answered_s)
         if recorder.fault is not None:
             self.close()
-        self._now.rangings += 1
+        attempt.rangings += 1
         if not reading.status.is_fault:
-            self._now.readings[reading.sensor] += 1
+            attempt.readings[reading.sensor] += 1
 
-    def done(self, point: Point) -> None:
-        """Record that the current attempt is complete."""
-        assert self._now is not None
-        self._now.done = True
-        self._write_event("done", point, self._now)
+    def done(self, point: Point, attempt: Attempt) -> None:
+        """Record that an attempt is complete."""
+        attempt.done = True
+        self._write_event("done", point, attempt)
 
     def close(self) -> None:
         """End the recording of this session; raises RecordingError if the disk did not accept it."""
@@ -171,7 +165,7 @@ class Store:
         """Return the readings of the attempts that count, in the order of the plan; empty where there was no answer."""
         rank: dict[str, int] = {}
         for name in self._points:
-            attempts = self._attempts.get(name, [])
+            attempts = self._attempts[name]
             complete = [attempt for attempt in attempts if attempt.done]
             for chosen in (complete or attempts)[-1:]:
                 rank |= {run: len(rank) + number for number, run in enumerate(chosen.runs)}
@@ -206,7 +200,7 @@ class Store:
             "event": event,
             "point": point.name,
             "attempt": attempt.number,
-            "run": self._run,
+            "run": attempt.runs[-1],
             "readings": point.readings,
             "planned": _planned(point),
         }
@@ -239,7 +233,7 @@ class Store:
                 f"{path}: the campaign has changed since: point {name} {how}; continue with the campaign file of that "
                 "time (msp-lab collect keeps it in the recording), or name another folder with --out"
             )
-        attempts = self._attempts.setdefault(name, [])
+        attempts = self._attempts[name]
         if not 1 <= message["attempt"] <= MOST_ATTEMPTS:
             raise RecordingError(
                 f"{path}: point {name}: found attempt {message['attempt']}, expected 1 to {MOST_ATTEMPTS}"

@@ -115,33 +115,38 @@ class Terminal:
                 self._live.start()
             self._live.update(self._screen(point, watches), refresh=True)
         if self._stopped():
-            self._end_live()
+            self.close()
             return Decision.STOP
         return Decision.GO
 
     def review(self, point: Point, watches: Mapping[str, PointWatch]) -> Decision:
         """Show the histogram; ask only if something looks wrong."""
-        self._end_live()
+        self.close()
         self._console.print(self._screen(point, watches))
         warnings = [warning for watch in watches.values() for warning in watch.warnings()]
         if not warnings:
             return Decision.GO
         for warning in warnings:
             self._console.print(f"  ! {warning}", style="yellow")
-        answer = self._ask("Enter: keep it.  r: read this point again.  q: stop > ").strip().lower()
+        answer = self._answer("Enter: keep it.  r: read this point again.  q: stop > ")
         return {"r": Decision.AGAIN, "q": Decision.STOP}.get(answer, Decision.GO)
 
     def on_trouble(self, text: str) -> Decision:
         """Report a silent sensor, and wait for an answer."""
-        self._end_live()
+        self.close()
         self._console.print(f"  ! {text}", style="red")
         self._console.print("    Check power, the two bus wires and the address (msp-range scan).")
-        answer = self._ask("Enter: try again.  s: leave this point for later.  q: stop > ").strip().lower()
+        answer = self._answer("Enter: try again.  s: leave this point for later.  q: stop > ")
         return {"s": Decision.SKIP, "q": Decision.STOP}.get(answer, Decision.GO)
 
     def close(self) -> None:
         """End the live display."""
-        self._end_live()
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
+
+    def _answer(self, prompt: str) -> str:
+        return self._ask(prompt).strip().lower()
 
     def _wait(self, point: Point, to_change: Sequence[str]) -> Arranged:
         if not to_change and point.name not in self._visited:
@@ -150,7 +155,7 @@ class Terminal:
         if self._ask_air(point) is Decision.STOP:
             return Arranged(Decision.STOP)
         while True:
-            answer = self._ask(f"  {HELP} > ").strip().lower()
+            answer = self._answer(f"  {HELP} > ")
             if answer == "r" and not self._has_read:
                 self._console.print(
                     "  no point was read before this one; --repeat NAME reads a point of an earlier session again"
@@ -171,11 +176,7 @@ class Terminal:
         self._air_asked = (planned,)
         expected = "unknown" if planned is None else f"{planned:g}"
         while True:
-            answer = (
-                self._ask(f"  Air temperature at the sensor, from your thermometer \\[{expected}] deg C > ")
-                .strip()
-                .lower()
-            )
+            answer = self._answer(f"  Air temperature at the sensor, from your thermometer \\[{expected}] deg C > ")
             if answer == "q":
                 return Decision.STOP
             wrong = self._store_measured(point, f"air={answer}") if answer else None
@@ -234,11 +235,6 @@ class Terminal:
             lines.append(histogram(watch))
         lines.extend(Text(f"  ! {text}", style="yellow") for text in self._noticed[-4:])
         return Group(*lines)
-
-    def _end_live(self) -> None:
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
 
 
 def histogram(watch: PointWatch) -> Table:

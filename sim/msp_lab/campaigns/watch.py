@@ -65,7 +65,7 @@ class PointWatch:
         self.failed: Counter[Status] = Counter()
         self.outliers: list[Outlier] = []
         self.read = 0
-        self._core = (-math.inf, math.inf)
+        self._core_cm = (-math.inf, math.inf)
         self._look_at = FIRST_LOOK
 
     def update(self, reading: Reading) -> Outlier | None:
@@ -80,8 +80,8 @@ class PointWatch:
         self.counts[reading.raw] += 1
         if self.read >= self._look_at:
             self._look_at *= 2
-            self._core = self._find_core()
-        low_cm, high_cm = self._core
+            self._core_cm = self._find_core()
+        low_cm, high_cm = self._core_cm
         if low_cm <= reading.raw <= high_cm:
             return None
         outlier = Outlier(self.read, self.sensor, reading.raw, self._why(reading))

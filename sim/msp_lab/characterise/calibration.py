@@ -30,7 +30,7 @@ from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, Me
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_range.arrays import Array, Flags, numbered
-from msp_range.correction.calibration import PiecewiseLinear, curve_through
+from msp_range.correction.calibration import curve_through, piecewise_linear
 
 MIN_RANGES = 4
 """Ranges that a straight line needs: it predicts each from the others, and three determine it with an error."""
@@ -226,8 +226,8 @@ def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
     errors = np.empty_like(data.true_cm)
     for unit in np.unique(group):
         out = group == unit
-        curve = PiecewiseLinear(*_fitted(data.select(~out), pieces))
-        errors[out] = data.reading_cm[out] - curve(data.true_cm[out])
+        places, readings = _fitted(data.select(~out), pieces)
+        errors[out] = data.reading_cm[out] - piecewise_linear(places, readings, data.true_cm[out])
     return errors
 
 
@@ -243,7 +243,7 @@ def _fitted(data: _Points, pieces: int) -> tuple[tuple[float, ...], tuple[float,
     if pieces == 0:
         return places, places
     # Hat functions; the outer ones go on beyond the ends as straight lines.
-    hats = np.array([PiecewiseLinear(places, tuple(hat))(data.true_cm) for hat in np.eye(len(places)).tolist()])
+    hats = np.array([piecewise_linear(places, tuple(hat), data.true_cm) for hat in np.eye(len(places)).tolist()])
     root_weight = 1.0 / np.sqrt(data.variance_cm2 + 1e-12)
     readings, *_ = np.linalg.lstsq((hats * root_weight).T, data.reading_cm * root_weight, rcond=None)
     return places, tuple(readings.tolist())

@@ -115,7 +115,7 @@ class Fault:
         if not 0.0 < self.probability <= 1.0 or (self.kind in ALWAYS_HAPPEN and self.probability != 1.0):
             expected = "1, it always happens" if self.kind in ALWAYS_HAPPEN else "more than 0 and at most 1"
             raise ValueError(f"fault {self.kind}: probability {self.probability}: expected {expected}")
-        if not 0 <= self.word <= 0xFFFF:
+        if not 0 <= self.word <= LARGEST_CODE:
             raise ValueError(f"fault {self.kind}: word 0x{self.word:x}: expected 16 bits")
         for name in ("spread_cm", "constant_cm", "object_cm", "swing_period_s", "dust_cm"):
             if not getattr(self, name) > 0:

@@ -91,9 +91,9 @@ class EmulatedSensor:
         context["uptime_s"] = ping_s
         if pose.throttle is not None:
             context["throttle"] = pose.throttle
-        neighbours = [each for name, each in self._others.items() if name != self._name]
-        if neighbours:
-            neighbour_s, neighbour_cm = max(neighbours)
+        self._others.pop(self._name, None)
+        if self._others:
+            neighbour_s, neighbour_cm = max(self._others.values())
             context["neighbour_lag_ms"] = 1e3 * (ping_s - neighbour_s)
             if neighbour_cm is not None:
                 context["neighbour_range_cm"] = neighbour_cm

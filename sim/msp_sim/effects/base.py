@@ -163,9 +163,15 @@ class Contribution(NamedTuple):
 
 def damage(fault: CodeFault) -> Callable[[Scene, Values], Contribution]:
     """What an effect does that turns a share of the codes into others, as the fault says."""
+    return lambda scene, values: Contribution(fault=fault, fault_share=values["share"])
+
+
+def everywhere(field: str, parameter: str) -> Callable[[Scene, Values], Contribution]:
+    """What an effect does that sets a field of the `Contribution` to its parameter, whatever the context."""
 
     def apply(scene: Scene, values: Values) -> Contribution:
-        return Contribution(fault=fault, fault_share=values["share"])
+        changed: dict[str, Any] = {field: values[parameter]}
+        return Contribution(**changed)
 
     return apply
 

@@ -1,7 +1,5 @@
 """Effect: a fixed object in front of the sensor, such as landing gear or a cable, or the transducer's ring-down."""
 
-import numpy as np
-
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Normal
 
@@ -10,7 +8,7 @@ def _apply(scene: Scene, values: Values) -> Contribution:
     own_cm = scene.optional("true_range_cm", scene.sensor.maximum_cm)
     nearer = values["location_cm"] < own_cm
     component = Normal(values["location_cm"], values["sigma_cm"])
-    return Contribution(component=component, share=np.where(nearer, values["share"], 0.0))
+    return Contribution(component=component, share=values["share"] * nearer)
 
 
 CLUTTER = Effect(

@@ -13,14 +13,13 @@ import numpy as np
 
 from msp_range.arrays import Array, Indices
 from msp_range.reading_model.kernel import on_grid
+from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT
 
 Origins = list[tuple[Array, Array]]
 """Ranges of sent codes, the first and the last of each, for each received code."""
 PHASES = 10
 """So many places in a step, the multiples among them, are compared. More: slower, and the largest of more gains by
 chance; fewer: chance is known less well."""
-CLOCK_FAULT = 0x8000
-"""Bit 15, which reads as one if the master samples while the sensor still stretches the clock."""
 
 
 class CodeFault(Protocol):
@@ -166,7 +165,7 @@ class ClockFault:
     order = 4
 
     def arrives(self, code: Array) -> Array:
-        return code + CLOCK_FAULT
+        return code + CLOCK_FAULT_BIT
 
     def origins(self, first: Array, last: Array) -> Origins:
-        return [(first - CLOCK_FAULT, last - CLOCK_FAULT)]
+        return [(first - CLOCK_FAULT_BIT, last - CLOCK_FAULT_BIT)]

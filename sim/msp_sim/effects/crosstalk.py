@@ -11,7 +11,7 @@ def _apply(scene: Scene, values: Values) -> Contribution:
     false_cm = scene["neighbour_range_cm"] - scene.assumed_m_s * 100.0 * scene["neighbour_lag_ms"] / 1000.0 / 2.0
     own_cm = np.where(np.isnan(scene.range_cm), scene.sensor.maximum_cm, scene.range_cm)
     audible = (false_cm > scene.sensor.minimum_cm) & (false_cm < own_cm)
-    return Contribution(component=Normal(false_cm, values["sigma_cm"]), share=np.where(audible, values["share"], 0.0))
+    return Contribution(component=Normal(false_cm, values["sigma_cm"]), share=values["share"] * audible)
 
 
 CROSSTALK = Effect(

@@ -1,14 +1,20 @@
 """Effect: a surface nearer than the sensor can measure gives the sensor's minimum."""
 
-import numpy as np
+from collections.abc import Callable
 
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Code
 
 
-def _apply(scene: Scene, values: Values) -> Contribution:
-    inside = scene.range_cm < values["depth_cm"]
-    return Contribution(component=Code(scene.sensor.minimum_cm), share=np.where(inside, values["share"], 0.0))
+def dead_zone(code_cm: Callable[[SensorModel], float]) -> Callable[[Scene, Values], Contribution]:
+    """What an effect does that gives this code of the sensor [cm] in place of hits within its zone."""
+
+    def apply(scene: Scene, values: Values) -> Contribution:
+        inside = scene.range_cm < values["depth_cm"]
+        return Contribution(component=Code(code_cm(scene.sensor)), share=values["share"] * inside)
+
+    return apply
 
 
 DEAD_ZONE_MINIMUM = Effect(
@@ -24,5 +30,5 @@ DEAD_ZONE_MINIMUM = Effect(
     requires=("true_range_cm",),
     channels=("component",),
     experiment="a plate from 10 to 60 cm in steps of 2 cm",
-    apply=_apply,
+    apply=dead_zone(lambda sensor: sensor.minimum_cm),
 )

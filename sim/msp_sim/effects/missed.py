@@ -1,11 +1,6 @@
 """Effect: more echoes are missed, without a known cause."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(log_odds_missed=values["log_odds"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 MISSED = Effect(
     name="missed",
@@ -16,6 +11,6 @@ MISSED = Effect(
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
     channels=("missed",),
     experiment="a thousand readings of a wall at 1 m",
-    apply=_apply,
+    apply=everywhere("log_odds_missed", "log_odds"),
     base="reading_model.weights.missed",
 )

@@ -1,11 +1,6 @@
 """Effect: a material that absorbs the ping."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(log_odds_missed=values["log_odds"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 MISSED_BY_TARGET = Effect(
     name="missed_by_target",
@@ -16,7 +11,7 @@ MISSED_BY_TARGET = Effect(
     parameters=(Parameter("log_odds", "1", "change of the log odds over this target", -10.0, 10.0),),
     channels=("missed",),
     experiment="this target and a plate side by side at the same range",
-    apply=_apply,
+    apply=everywhere("log_odds_missed", "log_odds"),
     media=("sound", "light"),
     per="target",
 )

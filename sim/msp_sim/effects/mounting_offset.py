@@ -1,11 +1,6 @@
 """Effect: a sensor is not mounted where the airframe file says."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(bias_cm=values["offset_cm"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 MOUNTING_OFFSET = Effect(
     name="mounting_offset",
@@ -17,7 +12,7 @@ MOUNTING_OFFSET = Effect(
     requires=("true_range_cm",),
     channels=("bias",),
     experiment="all sensors in front of one wall, then two of them swapped: the offset stays with the position",
-    apply=_apply,
+    apply=everywhere("bias_cm", "offset_cm"),
     per="sensor",
     equivalent_causes=("the reference's offset for this sensor",),
 )

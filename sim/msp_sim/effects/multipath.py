@@ -1,7 +1,5 @@
 """Effect: an echo that travelled twice between ground and vehicle."""
 
-import numpy as np
-
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values, share_of_readings
 from msp_sim.effects.component import Normal
 
@@ -9,7 +7,7 @@ from msp_sim.effects.component import Normal
 def _apply(scene: Scene, values: Values) -> Contribution:
     twice_cm = 2.0 * scene.range_cm
     in_range = twice_cm < scene.sensor.maximum_cm
-    return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=np.where(in_range, values["share"], 0.0))
+    return Contribution(component=Normal(twice_cm, values["sigma_cm"]), share=values["share"] * in_range)
 
 
 MULTIPATH = Effect(

@@ -1,11 +1,6 @@
 """Effect: readings anywhere in the range, without a known cause."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(log_odds_random=values["log_odds"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 RANDOM_READINGS = Effect(
     name="random_readings",
@@ -16,6 +11,6 @@ RANDOM_READINGS = Effect(
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
     channels=("random",),
     experiment="a thousand readings of a wall at 1 m",
-    apply=_apply,
+    apply=everywhere("log_odds_random", "log_odds"),
     base="reading_model.weights.random",
 )

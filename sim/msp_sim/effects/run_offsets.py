@@ -1,11 +1,6 @@
 """Effect: a constant error that differs from run to run."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(run_offset_cm=values["deviation_cm"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 RUN_OFFSETS = Effect(
     name="run_offsets",
@@ -17,5 +12,5 @@ RUN_OFFSETS = Effect(
     requires=("true_range_cm", "run"),
     channels=("spread",),
     experiment="the same arrangement, dismantled and rebuilt ten times",
-    apply=_apply,
+    apply=everywhere("run_offset_cm", "deviation_cm"),
 )

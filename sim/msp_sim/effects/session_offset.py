@@ -1,11 +1,6 @@
 """Effect: in one session everything was measured from another zero."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(bias_cm=values["offset_cm"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 SESSION_OFFSET = Effect(
     name="session_offset",
@@ -17,7 +12,7 @@ SESSION_OFFSET = Effect(
     requires=("true_range_cm",),
     channels=("bias",),
     experiment="repeat the session with the reference arranged again",
-    apply=_apply,
+    apply=everywhere("bias_cm", "offset_cm"),
     per="run",
     equivalent_causes=("the reference's zero in that session",),
 )

@@ -1,7 +1,5 @@
 """Effect: the previous reading is reported again."""
 
-import numpy as np
-
 from msp_range.reading_model.kernel import is_on_grid
 from msp_sim.effects.base import Contribution, Effect, Scene, Values, share_of_readings
 from msp_sim.effects.component import Code
@@ -11,7 +9,7 @@ def _apply(scene: Scene, values: Values) -> Contribution:
     previous_cm = scene["previous_reading_cm"]
     is_reading = is_on_grid(previous_cm, scene.sensor.resolution_cm)
     within = (previous_cm >= scene.sensor.minimum_cm) & (previous_cm <= scene.sensor.maximum_cm)
-    return Contribution(component=Code(previous_cm), share=np.where(is_reading & within, values["share"], 0.0))
+    return Contribution(component=Code(previous_cm), share=values["share"] * (is_reading & within))
 
 
 STALE = Effect(

@@ -1,11 +1,6 @@
 """Effect: objects in the beam that are nearer than the surface."""
 
-from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
-
-
-def _apply(scene: Scene, values: Values) -> Contribution:
-    return Contribution(log_odds_short=values["log_odds"])
-
+from msp_sim.effects.base import Effect, Parameter, everywhere
 
 UNEXPECTED_OBJECTS = Effect(
     name="unexpected_objects",
@@ -16,6 +11,6 @@ UNEXPECTED_OBJECTS = Effect(
     parameters=(Parameter("log_odds", "1", "change of the log odds", -10.0, 10.0),),
     channels=("short",),
     experiment="an empty hall and a furnished one",
-    apply=_apply,
+    apply=everywhere("log_odds_short", "log_odds"),
     base="reading_model.weights.short",
 )

@@ -108,16 +108,10 @@ class AutopilotSection(Section):
     """whether it sends accelerations and pressures; without pressures it does not send its barometer's temperature
     either"""
 
-    def sent_pose(self, pose: Pose) -> Pose:
-        """The pose that its messages contain."""
-        for fault in self.attitude_faults:
-            if fault.from_s <= pose.time_s < fault.to_s:
-                pose = pose._replace(roll_rad=fault.roll_rad)
-        return pose
-
-
-DEFAULT_PLAN = AutopilotSection()
-"""A healthy autopilot that is there from the beginning."""
+    def sent_roll_rad(self, pose: Pose) -> float:
+        """The roll that its messages contain [rad]: that of the last fault of this time."""
+        faults = [each.roll_rad for each in self.attitude_faults if each.from_s <= pose.time_s < each.to_s]
+        return faults[-1] if faults else pose.roll_rad
 
 
 class LoopbackAutopilot:
@@ -130,13 +124,9 @@ class LoopbackAutopilot:
     pose, air_c
         The vehicle's pose and the air temperature [deg C] at a time of the flight [s].
     plan
-        What it does; None: no message of it is ever received.
-    kind
-        Which autopilot it claims to be, where the plan does not say it.
+        What it does; without a ``kind`` it is an ArduPilot.
     draw
         Source of its accelerometer's and barometer's noise; None: no noise.
-    clearance_m
-        Height of the vehicle's feet above the ground at a time [s], on which the barometer's ground effect depends [m].
     ground_c
         Temperature of the air at the ground [deg C].
     """
@@ -151,36 +141,31 @@ class LoopbackAutopilot:
         clock: Clock,
         pose: Callable[[float], Pose],
         air_c: Callable[[Pose], float],
-        plan: AutopilotSection | None = DEFAULT_PLAN,
+        plan: AutopilotSection,
         *,
-        kind: Autopilot = "ardupilot",
         draw: random.Random | None = None,
-        clearance_m: Callable[[float], float] = lambda time_s: math.inf,
         ground_c: float = STANDARD_C,
     ) -> None:
-        plan = plan or DEFAULT_PLAN.model_copy(update={"first_heartbeat_s": math.inf})
         self.stats = TransportStats()
         self._frames: list[tuple[float, bytes]] = []
         self._decoded: list[tuple[float, Any]] = []
         self._clock = clock
         self._start_s = clock.now()
         self._pose = pose
-        self._sent_pose: Callable[[Pose], Pose] = plan.sent_pose
+        self._plan = plan
         self._air_c = air_c
-        is_px4 = (plan.kind or kind) == "px4"
+        is_px4 = plan.kind == "px4"
         self._kind = dialect.MAV_AUTOPILOT_PX4 if is_px4 else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA
         self._first_heartbeat_s = plan.first_heartbeat_s
         self._reboots_at_s = sorted(plan.reboots_at_s)
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
         self._refused = () if plan.sends_motion else _MOTION
-        self._intervals_s = {what: each_s for what, each_s in _INTERVALS_S.items() if what not in self._refused}
+        self._intervals_s = {what: each for what, each in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
         self._gauss = draw.gauss if draw else lambda mean, std: mean
         self._drift_m = self._gust_m = self._drift_s = 0.0
-        self._barometer = plan.barometer
         self._barometer_c = ground_c if plan.barometer.in_air_temperature else STANDARD_C
-        self._clearance_m = clearance_m
         self._sampled = pose(0.0)
         self._force_bias = [self._gauss(0.0, ACCELEROMETER_BIAS_M_S2) for _ in range(3)]
         self._outgoing = bytearray()
@@ -259,9 +244,8 @@ class LoopbackAutopilot:
 
     def _put_measured(self, what: str, boot_ms: int, now_s: float, pose: Pose) -> None:
         if what == "attitude":
-            pose = self._sent_pose(pose)
-            angles = pose.roll_rad, pose.pitch_rad, pose.yaw_rad
-            self._put(dialect.MAVLink_attitude_message, boot_ms, *angles, 0.0, 0.0, 0.0)
+            roll_rad = self._plan.sent_roll_rad(pose)
+            self._put(dialect.MAVLink_attitude_message, boot_ms, roll_rad, pose.pitch_rad, pose.yaw_rad, 0.0, 0.0, 0.0)
         elif what == "pressure":
             self._put(dialect.MAVLink_scaled_pressure_message, boot_ms, *self._pressure(now_s, pose), 0)
         elif what == "raw_imu":
@@ -278,21 +262,17 @@ class LoopbackAutopilot:
         """
         before, self._sampled = self._sampled, pose
         elapsed_s = (pose.time_s - before.time_s) or math.inf
-        (north, east, down), (north_before, east_before, down_before) = pose.velocity_ned_m_s, before.velocity_ned_m_s
-        net = (
-            (north - north_before) / elapsed_s,
-            (east - east_before) / elapsed_s,
-            (down - down_before) / elapsed_s - GRAVITY_M_S2,
-        )
-        x, y, z = rotate_back(rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad), net)
-        bias_x, bias_y, bias_z = self._force_bias
-        gauss, std = self._gauss, ACCELEROMETER_STD_M_S2
-        return x + bias_x + gauss(0.0, std), y + bias_y + gauss(0.0, std), z + bias_z + gauss(0.0, std)
+        velocities = zip(pose.velocity_ned_m_s, before.velocity_ned_m_s, strict=True)
+        north, east, down = ((now - earlier) / elapsed_s for now, earlier in velocities)
+        rotation = rotation_matrix(pose.roll_rad, pose.pitch_rad, pose.yaw_rad)
+        force = zip(rotate_back(rotation, (north, east, down - GRAVITY_M_S2)), self._force_bias, strict=True)
+        x, y, z = (axis + bias + self._gauss(0.0, ACCELEROMETER_STD_M_S2) for axis, bias in force)
+        return x, y, z
 
     def _pressure(self, now_s: float, pose: Pose) -> tuple[float, float, int]:
         """Pressure by the barometric formula p = p0 exp(-h / H) [hPa], H = 8434 m T / 288 K the scale height of the
         air; the difference that is not measured; and the temperature of the barometer's chip [1/100 deg C]."""
-        of = self._barometer
+        of = self._plan.barometer
         elapsed_s = now_s - self._drift_s
         self._drift_m += self._gauss(0.0, BAROMETER_DRIFT_M * math.sqrt(elapsed_s))
         self._drift_s = now_s
@@ -303,7 +283,7 @@ class LoopbackAutopilot:
             self._gust_m = kept * self._gust_m + self._gauss(0.0, of.gust_m * math.sqrt(1.0 - kept * kept))
             height_m += self._gust_m
         if of.ground_effect_m and pose.throttle is not None:
-            near = max(1.0 - max(self._clearance_m(now_s), 0.0) / of.ground_effect_height_m, 0.0)
+            near = max(1.0 - max(pose.clearance_m, 0.0) / of.ground_effect_height_m, 0.0)
             height_m += of.ground_effect_m * near * pose.throttle / HOVER_THROTTLE
         temperature_cdeg = round((self._air_c(pose) + BAROMETER_WARMER_C) * 100)
         pressure_hpa = SEA_LEVEL_HPA * math.exp(-height_m / SCALE_HEIGHT_M)

@@ -5,10 +5,11 @@ link. The result is a `FlightResult`: what became of each reading, together with
 """
 
 import hashlib
+import math
 import random
 from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from numpy.random import SeedSequence, default_rng
 
@@ -16,30 +17,35 @@ from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import LoopReader
+from msp_range.health import Severity
 from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.device import Fault
 from msp_sim.device.emulated import Surroundings, emulated_bus
-from msp_sim.flight.autopilot import LoopbackAutopilot
+from msp_sim.flight.autopilot import AutopilotSection, LoopbackAutopilot
 from msp_sim.flight.flight_log import FlightLog, FlightResult
 from msp_sim.flight.scenario import Scenario
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import World
 
 
-class _LoggingTransport(Wrapped):
-    """A transport that also hashes what is sent and writes the frames to a telemetry log.
+class LoggingTransport(Wrapped):
+    """A transport that also hashes what is sent and, where asked, writes the frames to a telemetry log.
 
     The log has the format of ground stations' tlog files: before each frame the microseconds since 1970 as eight bytes,
     most significant first.
     """
 
-    def __init__(self, transport: Transport, clock: Clock, tlog: Path | None) -> None:
+    def __init__(self, transport: Transport, clock: Clock) -> None:
         super().__init__(transport)
         self._clock = clock
         self._utc_s = clock.utc() - clock.now()
-        self._tlog = tlog.open("wb") if tlog is not None else None
+        self._tlog: BinaryIO | None = None
         self.sha256 = hashlib.sha256()
+
+    def open_log(self, tlog: Path) -> None:
+        """Write the frames to this file too."""
+        self._tlog = tlog.open("wb")
 
     def send(self, frame: bytes) -> bool:
         self.sha256.update(frame)
@@ -59,7 +65,7 @@ class EmulatedFlight:
     Parameters
     ----------
     airframe, clock
-        The vehicle; its time starts at the clock's present one.
+        The vehicle; its time starts at the clock's present one, and it flies by that clock.
     world
         The true world.
     pose
@@ -79,7 +85,7 @@ class EmulatedFlight:
         model: SensorModel | None,
         recorder: Records | None,
     ) -> None:
-        self._clock = clock
+        self.clock = clock
         self._start_s = clock.now()
         self.world = world
         self._pose = pose
@@ -102,11 +108,14 @@ class EmulatedFlight:
         bus = emulated_bus(self._airframe, self._models, around, self.now_s, seed, faults)
         thermometer = LoopReader(lambda source: self._displayed_c() / source.scale)
         options |= {"recorder": self._recorder, "thermometer": thermometer}
-        self.bridge = Bridge(self._airframe, bus, self._clock, transport, **options)
+        self.bridge = Bridge(self._airframe, bus, self.clock, transport, **options)
 
     def now_s(self) -> float:
         """Time of the flight [s]."""
-        return self._clock.now() - self._start_s
+        return self.clock.now() - self._start_s
+
+    def _record_text(self, severity: Severity, text: str) -> None:
+        self._log.record_text(self.now_s(), severity, text)
 
     def step(self) -> list[Step]:
         """Run one step of the bridge and record it."""
@@ -146,8 +155,6 @@ class Simulation(EmulatedFlight):
         Records every stage of every reading, and the truth.
     link
         Opens a real link that also gets all messages; None: no real link.
-    tlog
-        File for the frames sent; None: no file.
 
     Attributes
     ----------
@@ -166,7 +173,6 @@ class Simulation(EmulatedFlight):
         model: SensorModel | None = None,
         recorder: Records | None = None,
         link: Callable[[LoopbackAutopilot], Transport] | None = None,
-        tlog: Path | None = None,
     ) -> None:
         airframe = scenario.airframe
         for_vehicle, for_sensors, for_autopilot = SeedSequence(seed).spawn(3)
@@ -175,24 +181,24 @@ class Simulation(EmulatedFlight):
         super().__init__(airframe, clock, world, self.vehicle.pose, model, recorder)
         self._duration_s = scenario.duration_s
         self._thermometer = scenario.thermometer
+        # Without one, nothing is ever received.
+        plan = scenario.autopilot or AutopilotSection().model_copy(update={"first_heartbeat_s": math.inf})
         self._autopilot = LoopbackAutopilot(
             clock,
             self.vehicle.pose,
             lambda pose: self._thermometer.reading_c(pose.time_s, self._air_c),
-            scenario.autopilot,
-            kind=airframe.link.autopilot,
+            plan.model_copy(update={"kind": plan.kind or airframe.link.autopilot}),
             draw=random.Random(int(for_autopilot.generate_state(1)[0])),
-            clearance_m=self.vehicle.clearance_m,
             ground_c=scenario.air.ground_c,
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
-        self.transport = _LoggingTransport(transport, clock, tlog)
+        self.transport = LoggingTransport(transport, clock)
         self._make_bridge(
             self.transport,
             for_sensors,
             scenario.device_faults(),
             self.vehicle.pose,
-            report=lambda severity, text: self._log.record_text(self.now_s(), severity, text),
+            report=self._record_text,
         )
 
     def height_m(self) -> float:
@@ -203,7 +209,7 @@ class Simulation(EmulatedFlight):
         """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""
         end_s = self._start_s + self._duration_s
         try:
-            while self._clock.now() < end_s:
+            while self.clock.now() < end_s:
                 yield self.step()
         finally:
             self.finish()

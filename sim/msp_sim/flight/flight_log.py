@@ -24,6 +24,8 @@ a larger difference no single distance is true. A larger value counts edges as e
 EDGE_S = 0.5
 """Time without comparison after the ground below the vehicle's middle has changed by `LEVEL_M` [s]: a polling cycle of
 four sensors, during which they still see the old ground."""
+USED = (None, Status.AT_MINIMUM.value)
+"""Values of `SensorTrack.why` for readings that the bridge used."""
 
 
 @dataclass(slots=True)
@@ -106,8 +108,7 @@ class FlightLog:
         recorder: Records | None,
     ) -> None:
         self.flight = FlightResult({sensor.name: SensorTrack() for sensor in airframe.sensors}, SensorTrack(), [])
-        self._by_sound = {name: model.medium == "sound" for name, model in models.items()}
-        self._slant = {name: model.oblique_reading == "slant" for name, model in models.items()}
+        self._models = models
         self._downward = {sensor.name: sensor for sensor in airframe.downward}
         self._reference_down_m = airframe.reference_down_m
         self._world = world
@@ -182,10 +183,11 @@ class FlightLog:
         ping = self._truths.get(sensor)
         if ping is None or not ping.has_echo:
             return None
-        range_cm = ping.slant_range_cm if self._slant[sensor] else ping.true_range_cm
+        model = self._models[sensor]
+        range_cm = ping.slant_range_cm if model.oblique_reading == "slant" else ping.true_range_cm
         if range_cm is None:
             return None
         range_m = range_cm / 100
-        if not self._by_sound[sensor]:
+        if model.medium != "sound":
             return range_m
         return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)

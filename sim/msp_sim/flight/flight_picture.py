@@ -11,13 +11,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from msp_range.arrays import Array
-from msp_sim.flight.flight_log import FlightResult, SensorTrack
+from msp_sim.flight.flight_log import USED, FlightResult, SensorTrack
 from msp_sim.page.style import GREY, INK, PALE, SERIES, new_figure, save, shaded, style
 
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
-USED = (None, "at_minimum")
-"""Values of `SensorTrack.why` for readings that the bridge used."""
 GAP_S = 1.0
 """Where nothing was known for longer than this the lines are interrupted [s]: the time after which the bridge itself
 reports that there is no distance."""

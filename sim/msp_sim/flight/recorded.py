@@ -11,11 +11,7 @@ from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, MARK_TOPIC, RANGE_PREFIX, SENT_TOPIC, TRUTH_PREFIX
-from msp_sim.flight.flight_log import FlightResult, SensorTrack
-
-CM_PER_M = 100
-NOT_REJECTED = (Status.AT_MINIMUM.value,)
-"""What a track says of a reading that the bridge used."""
+from msp_sim.flight.flight_log import USED, FlightResult, SensorTrack
 
 
 def recorded_flight(path: Path) -> FlightResult:
@@ -35,8 +31,8 @@ def recorded_flight(path: Path) -> FlightResult:
     sent: Counter[str] = Counter()
     for topic, time_s, message in Recording(path):
         if topic.startswith(TRUTH_PREFIX):
-            range_m = message.get("true_range_cm", float("nan")) / CM_PER_M
-            speed_m_s = message.get("range_rate_cm_s", 0.0) / CM_PER_M
+            range_m = message.get("true_range_cm", float("nan")) / 100
+            speed_m_s = message.get("range_rate_cm_s", 0.0) / 100
             # The vehicle moves while the sound travels; see `FlightLog`.
             moved_m = speed_m_s * range_m / speed_of_sound(message.get("air_temperature_c", 20.0))
             truths_m[topic.removeprefix(TRUTH_PREFIX)] = range_m + moved_m if range_m == range_m else None
@@ -58,7 +54,6 @@ def recorded_flight(path: Path) -> FlightResult:
     if not tracks:
         raise RecordingError(f"{path}: holds no readings; expected what msp-range run or msp-sim fly recorded")
     rejected: dict[str, dict[str, int]] = {
-        name: Counter(why for why in track.why if why is not None and why not in NOT_REJECTED)
-        for name, track in tracks.items()
+        name: Counter(why for why in track.why if why is not None and why not in USED) for name, track in tracks.items()
     }
     return FlightResult(dict(tracks), fused, texts, rejected, sent=dict(sent), duration_s=last_s)

@@ -7,7 +7,6 @@ exist.
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -105,9 +104,8 @@ class PlannedFault(Section):
 
     def on_device(self) -> device.Fault:
         """The fault in the form that the emulated sensor uses."""
-        fault = device.Fault(self.kind, self.from_s, self.to_s, self.probability)
         given = {name: value for name in _VALUE_OF_KIND if (value := getattr(self, name)) is not None}
-        return replace(fault, **given)
+        return device.Fault(self.kind, self.from_s, self.to_s, self.probability, **given)
 
 
 class ThermometerFault(Section):
@@ -211,7 +209,7 @@ class Scenario(Section):
             )
         every_s = max(CHECK_EVERY_S, self.duration_s / MAX_CHECKS)
         for i in range(math.ceil(self.duration_s / every_s)):
-            clearance_m = vehicle.clearance_m(i * every_s)
+            clearance_m = vehicle.pose(i * every_s).clearance_m
             if clearance_m < -GROUND_TOLERANCE_M:
                 raise ImpossibleFlight(
                     f"flight: at {i * every_s:.1f} s the vehicle would stand {-clearance_m:.2f} m deep in what "

@@ -29,10 +29,8 @@ class FlightDisplay:
     def update(self, steps: list[Step]) -> None:
         """Update with the bridge's newest steps."""
         for step in steps:
-            reading = step.ranging.reading
             estimate = step.filtered.estimate or step.corrected
-            shown = step.filtered.rejected or f"{estimate.range_m:.2f} m"
-            self._last[reading.sensor] = shown
+            self._last[step.ranging.reading.sensor] = step.filtered.rejected or f"{estimate.range_m:.2f} m"
             if step.fused is not None:
                 self._fused_m = step.fused.range_m
 

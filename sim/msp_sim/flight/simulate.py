@@ -9,13 +9,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from msp_range.arrays import Array, Column
-from msp_range.clock import VirtualClock
-from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.clock import Clock, VirtualClock
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import config_path
 from msp_sim.flight.flight import Simulation
-from msp_sim.flight.flight_log import SensorTrack
-from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
+from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 
 
@@ -68,20 +68,37 @@ def simulate_flight(
     True
     """
     loaded = load_scenario(config_path(scenario, "scenarios"))
-    clock = VirtualClock()
-    recorder = None
-    if recording is not None:
-        metadata = {"scenario": loaded.name, "seed": str(seed)}
-        recorder = Recorder(Path(recording), clock, files=loaded.airframe.files, metadata=metadata, waits=True)
     sensor_model = None if model is None else load_sensor_model(model)
-    simulation = Simulation(loaded, clock, seed, model=sensor_model, recorder=recorder)
-    with threadpool_limits(limits=1), closing(simulation.fly()) as flying:
+    with threadpool_limits(limits=1):
+        flight = fly_through(loaded, seed, sensor_model, recording)
+    return SimulatedFlight(summarise(flight, loaded.name, seed), _readings(flight.tracks), _track(flight.fused))
+
+
+def recorder_of(path: Path | str, scenario: Scenario, clock: Clock, seed: int, *, waits: bool = True) -> Recorder:
+    """A recorder of a scenario's flight, which names both; raises RecordingError as `Recorder`."""
+    metadata = {"scenario": scenario.name, "seed": str(seed)}
+    return Recorder(path, clock, files=scenario.airframe.files, metadata=metadata, waits=waits)
+
+
+def fly_through(
+    scenario: Scenario, seed: int, model: SensorModel | None = None, recording: Path | str | None = None
+) -> FlightResult:
+    """Fly a scenario to its end in virtual time, and record it if a file is named.
+
+    Raises
+    ------
+    RecordingError
+        The recording exists already, or cannot be made.
+    """
+    clock = VirtualClock()
+    recorder = None if recording is None else recorder_of(recording, scenario, clock, seed)
+    simulation = Simulation(scenario, clock, seed, model=model, recorder=recorder)
+    with closing(simulation.fly()) as flying:
         for _ in flying:
             pass
     if recorder is not None:
         recorder.close()
-    flight = simulation.flight
-    return SimulatedFlight(summarise(flight, loaded.name, seed), _readings(flight.tracks), _track(flight.fused))
+    return simulation.flight
 
 
 def _readings(tracks: dict[str, SensorTrack]) -> dict[str, Column]:

@@ -260,21 +260,21 @@ def places(values: Mapping[str, Any], path: str) -> list[Place]:
     """
     if not re.fullmatch(r"\w+(\[(\*|\d+)\])*(\.\w+(\[(\*|\d+)\])*)*", path):
         raise ValueError("expected the path of a parameter, such as air.ground_c or flight.altitude[1].to_m")
-    found: list[tuple[Place, Any]] = [((), values)]
+    found: list[Place] = [()]
     for step in re.findall(r"\w+|\[\*\]", re.sub(r"\[(\d+)\]", r".\1", path)):
-        following: list[tuple[Place, Any]] = []
-        for place, value in found:
+        following: list[Place] = []
+        for place in found:
+            value = value_at(values, place)
             if isinstance(value, list | tuple):
                 if step != EACH and not (step.isdigit() and int(step) < len(value)):
                     raise ValueError(f"{step.strip('[]')} is not an element of the list, which has {len(value)}")
-                indices = range(len(value)) if step == EACH else [int(step)]
-                following += [((*place, i), value[i]) for i in indices]
+                following += [(*place, i) for i in (range(len(value)) if step == EACH else [int(step)])]
             elif step == EACH or step.isdigit():
                 raise ValueError(f"{step.strip('[]')} stands behind what is not a list")
             else:
-                following.append(((*place, step), value.get(step) if isinstance(value, dict) else None))
+                following.append((*place, step))
         found = following
-    return [place for place, _ in found]
+    return found
 
 
 def value_at(values: Any, place: Sequence[int | str]) -> Any:

@@ -16,8 +16,8 @@ from msp_range.arrays import Array, Column, numbered
 from msp_range.reading_model.kernel import on_grid
 from msp_range.reading_model.rows import FREE
 from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT
 from msp_sim.effects.base import TRUE_RANGE, Channel, Effect
-from msp_sim.effects.codes import CLOCK_FAULT
 from msp_sim.effects.plain import plain_finding
 from msp_sim.model.model import Model
 from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, slopes
@@ -33,7 +33,7 @@ def codes(sensor: SensorModel) -> Array:
     """Every number that a sensor or a fault of its bus can send [cm]; probabilities over them sum to one."""
     step_cm = sensor.resolution_cm
     sent = on_grid(np.arange(round(sensor.maximum_cm / step_cm) + 1) * step_cm, step_cm)
-    return np.concatenate([sent, CLOCK_FAULT + sent])
+    return np.concatenate([sent, CLOCK_FAULT_BIT + sent])
 
 
 @dataclass(frozen=True)

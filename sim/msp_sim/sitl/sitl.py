@@ -16,7 +16,8 @@ landed vehicle. Before the first one the vehicle may be in flight at any height,
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from numpy.random import SeedSequence
 
@@ -24,11 +25,10 @@ from msp_range.bridge import Records
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.geometry import Vector
-from msp_range.health import Report, Severity
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.signing import signing_of
-from msp_range.mavlink.transport import Transport
+from msp_range.mavlink.transport import open_transport
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.device import Fault, NotAcknowledged
 from msp_sim.flight.flight import EmulatedFlight
@@ -160,8 +160,8 @@ class AutopilotVehicle:
         north_m, east_m, down_m = self._last.position_ned_m
         landed_m = self._landed_down_m(north_m, east_m)
         self._last = self._last._replace(position_ned_m=(north_m, east_m, landed_m))
-        origin = self._origin_m
-        self._origin_m = (origin[0], origin[1], origin[2] + down_m - landed_m)
+        north_0_m, east_0_m, down_0_m = self._origin_m
+        self._origin_m = (north_0_m, east_0_m, down_0_m + down_m - landed_m)
 
     def _set_pose(self, source: str, now_s: float, place: Vector, angles: EulerAngles, velocity: Vector) -> None:
         if source != self.source:
@@ -198,6 +198,19 @@ def landed_clearance_m(airframe: Airframe) -> float:
     return max(sensor.position_m[2] + sensor.sensor_model.minimum_cm / 100 for sensor in airframe.sensors)
 
 
+class Scene(NamedTuple):
+    """What surrounds a vehicle that its autopilot simulates."""
+
+    world: World
+    """Ground, objects and air."""
+    clearance_m: float
+    """Height of the vehicle's reference point above the ground when landed [m]."""
+    start_m: tuple[float, float] = (0.0, 0.0)
+    """North and east of the vehicle in the world at the first pose [m]."""
+    faults: Mapping[str, Sequence[Fault]] = MappingProxyType({})
+    """Faults by sensor; times count from the start."""
+
+
 class Sitl(EmulatedFlight):
     """The real bridge with emulated sensors on a vehicle that its autopilot simulates.
 
@@ -206,56 +219,37 @@ class Sitl(EmulatedFlight):
     Parameters
     ----------
     airframe
-        The vehicle.
+        The vehicle; its link is the one to the autopilot.
     clock
         The system's clock: the autopilot's simulator runs in real time.
-    transport
-        The link to the autopilot.
-    world
-        Ground, objects and air.
+    scene
+        What surrounds it.
     seed
         Random seed.
     model
         Sensor model for all sensors; None: each sensor's own model file.
-    clearance_m
-        Height of the vehicle's reference point above the ground when landed [m]; None: such that the lowest sensor
-        reads its minimum.
-    start_m
-        North and east of the vehicle in the world at the first pose [m].
-    faults
-        Faults by sensor; times count from the start.
     recorder
         Records every stage of every reading, and the truth.
-    report
-        Called with (severity, text) for every health message.
     """
 
     def __init__(
         self,
         airframe: Airframe,
         clock: Clock,
-        transport: Transport,
-        world: World,
+        scene: Scene,
         seed: int,
-        *,
         model: SensorModel | None,
-        clearance_m: float | None,
-        start_m: tuple[float, float],
-        faults: Mapping[str, Sequence[Fault]],
         recorder: Records | None,
-        report: Report,
     ) -> None:
-        if clearance_m is None:
-            clearance_m = landed_clearance_m(airframe)
-        self.vehicle = AutopilotVehicle(world.elevation_m, clearance_m, start_m)
-        super().__init__(airframe, clock, world, self.vehicle.pose, model, recorder)
-        self._report = report
+        self.vehicle = AutopilotVehicle(scene.world.elevation_m, scene.clearance_m, scene.start_m)
+        super().__init__(airframe, clock, scene.world, self.vehicle.pose, model, recorder)
+        self._transport = open_transport(airframe.link.url, clock)
         self._make_bridge(
-            transport,
+            self._transport,
             SeedSequence(seed),
-            faults,
+            scene.faults,
             self._known_pose,
-            report=self._on_health,
+            report=self._record_text,
             on_message=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
             wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
             signing=signing_of(airframe.link.signing_key, clock),
@@ -274,9 +268,9 @@ class Sitl(EmulatedFlight):
             raise NotAcknowledged
         return self.vehicle.pose(time_s)
 
-    def _on_health(self, severity: Severity, text: str) -> None:
-        self._log.record_text(self.now_s(), severity, text)
-        self._report(severity, text)
+    def close(self) -> None:
+        """Close the link to the autopilot."""
+        self._transport.close()
 
 
 def start_line(vehicle: AutopilotVehicle) -> str | None:

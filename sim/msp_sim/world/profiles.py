@@ -8,7 +8,7 @@ change speed along a smooth step with bounded acceleration. The kinds `step`, `r
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 from numpy.random import Generator
@@ -127,6 +127,24 @@ class Course:
         self.end_m, self.end_m_s, _ = end
 
 
+class Height(Course):
+    """Height above the starting point, from there on.
+
+    Parameters
+    ----------
+    surface_m
+        Height of the surface below the vehicle at a time [s], relative to the starting point [m]; used by landing and
+        terrain following only.
+    generator
+        Draws random levels.
+    """
+
+    def __init__(self, surface_m: SurfaceHeight, generator: Generator) -> None:
+        super().__init__(0.0)
+        self.surface_m = surface_m
+        self.generator = generator
+
+
 class HoldSegment(Section):
     """Keep the present height."""
 
@@ -134,7 +152,7 @@ class HoldSegment(Section):
     duration_s: Positive
     """duration [s]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``."""
         height.coast(self.duration_s)
 
@@ -150,7 +168,7 @@ class ClimbSegment(Section):
     acceleration_m_s2: Positive = 1.0
     """largest vertical acceleration [m/s^2]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``."""
         height.move_to(self.to_m, self.speed_m_s, self.acceleration_m_s2)
 
@@ -164,9 +182,9 @@ class LandSegment(Section):
     acceleration_m_s2: Positive = 1.0
     """largest vertical acceleration [m/s^2]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``; the surface is that below the vehicle when the segment starts."""
-        height.move_to(surface_m(height.end_s), self.speed_m_s, self.acceleration_m_s2)
+        height.move_to(height.surface_m(height.end_s), self.speed_m_s, self.acceleration_m_s2)
 
 
 class StepSegment(Section):
@@ -176,7 +194,7 @@ class StepSegment(Section):
     to_m: float
     """height above the starting point [m]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``; it takes no time."""
         height.set(self.to_m)
 
@@ -190,7 +208,7 @@ class RampSegment(Section):
     duration_s: Positive
     """duration [s]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``."""
         _ramp(height, self.to_m, self.duration_s)
 
@@ -206,7 +224,7 @@ class SinusoidSegment(Section):
     cycles: Annotated[int, Field(ge=1, le=100_000)]
     """number of whole cycles"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``."""
         height.swing(self.swing_m, self.period_s, self.cycles)
 
@@ -224,7 +242,7 @@ class TerrainSegment(Section):
     acceleration_m_s2: Positive = 2.0
     """largest vertical acceleration [m/s^2]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``.
 
         Near the goal the speed is proportional to the error; further away it is that from which half of the
@@ -232,7 +250,7 @@ class TerrainSegment(Section):
         """
         most_change_m_s = self.acceleration_m_s2 * TERRAIN_STEP_S / MAX_STEP_SLOPE
         for _ in range(round(self.duration_s / TERRAIN_STEP_S)):
-            error_m = surface_m(height.end_s) + self.height_m - height.end_m
+            error_m = height.surface_m(height.end_s) + self.height_m - height.end_m
             near_m_s, far_m_s = TERRAIN_GAIN_HZ * abs(error_m), math.sqrt(self.acceleration_m_s2 * abs(error_m))
             wanted_m_s = math.copysign(min(near_m_s, far_m_s, self.speed_m_s), error_m)
             change_m_s = min(max(wanted_m_s - height.end_m_s, -most_change_m_s), most_change_m_s)
@@ -256,14 +274,14 @@ class RandomSegment(Section):
     high_m: float = 3.6
     """highest level [m]"""
 
-    def fly(self, height: Course, surface_m: SurfaceHeight, generator: Generator) -> None:
+    def fly(self, height: Height) -> None:
         """Append this segment to ``height``."""
         fewest, most = SAMPLES_PER_SECTION
         end_s = height.end_s + self.duration_s
         while height.end_s < end_s - 1e-9:
-            section_s = int(generator.integers(fewest, most, endpoint=True)) / RANDOM_RATE_HZ
-            is_ramp = generator.random() < 0.5
-            level_m = float(generator.uniform(self.low_m, self.high_m))
+            section_s = int(height.generator.integers(fewest, most, endpoint=True)) / RANDOM_RATE_HZ
+            is_ramp = height.generator.random() < 0.5
+            level_m = float(height.generator.uniform(self.low_m, self.high_m))
             flown_s = min(section_s, end_s - height.end_s)
             if is_ramp:
                 _ramp(height, height.end_m + (level_m - height.end_m) * flown_s / section_s, flown_s)
@@ -289,25 +307,6 @@ def _ramp(height: Course, to_m: float, duration_s: float) -> None:
     height.set(height.end_m, (to_m - height.end_m) / duration_s)
     height.coast(duration_s)
     height.set(to_m)
-
-
-def altitude(segments: Sequence[Segment], surface_m: SurfaceHeight, generator: Generator) -> Course:
-    """Height above the starting point as a function of time.
-
-    Parameters
-    ----------
-    segments
-        Segments in order.
-    surface_m
-        Height of the surface below the vehicle at a time [s], relative to the starting point [m]; used by landing and
-        terrain following only.
-    generator
-        Draws random levels.
-    """
-    height = Course(0.0)
-    for segment in segments:
-        segment.fly(height, surface_m, generator)
-    return height
 
 
 class Leg(Section):

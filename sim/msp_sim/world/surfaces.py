@@ -135,9 +135,9 @@ def edge_echo(
     on_axis, axis_along, square, across = dot(point, axis), dot(along, axis), dot(point, point), dot(point, along)
     nearest_t = min(max(-across, low_m), high_m)
     t = nearest_t
-    range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
-    cos_half = math.cos(half_angle_rad(range_m))
     for _ in range(MAX_ITERATIONS):
+        range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
+        cos_half = math.cos(half_angle_rad(range_m))
         if on_axis + t * axis_along >= (range_m - TOUCH_M) * cos_half:
             break
         # The point is outside the beam at this range. The nearest point inside a cone of this angle is further away,
@@ -147,8 +147,6 @@ def edge_echo(
         if not inside:
             return None
         t = min(inside, key=lambda end: abs(end - nearest_t))
-        range_m = math.sqrt(max(square + t * (2 * across + t), 0.0))
-        cos_half = math.cos(half_angle_rad(range_m))
     if range_m == 0:
         return 0.0, axis, 0.0
     direction = (
@@ -196,12 +194,14 @@ class RoughSurface:
 
 class _Wall(NamedTuple):
     """The upright face of a step: its distance along the steps' heading, and the heights of its foot and edge [m].
-    ``up`` is 1 if the ground is higher beyond it, -1 if lower; the surface is that of the higher side."""
+    ``up`` is 1 if the ground is higher beyond it, -1 if lower, and ``into`` the horizontal unit vector into it; the
+    surface is that of the higher side."""
 
     at_m: float
     low_m: float
     high_m: float
     up: float
+    into: Vector
     surface: str
 
 
@@ -231,10 +231,11 @@ class Terrain:
         for step in ground.steps:
             before_m, after_m = rises_m[-1], rises_m[-1] + step.rise_m
             before, after = surfaces[-1], step.surface or surfaces[-1]
-            if step.rise_m > 0:
-                self._walls.append(_Wall(step.at_m, before_m, after_m, 1.0, after))
-            elif step.rise_m < 0:
-                self._walls.append(_Wall(step.at_m, after_m, before_m, -1.0, before))
+            if step.rise_m:
+                up = math.copysign(1.0, step.rise_m)
+                into = (up * self._heading_n, up * self._heading_e, 0.0)
+                low_m, high_m, surface = min((before_m, after_m, after), (after_m, before_m, before))
+                self._walls.append(_Wall(step.at_m, low_m, high_m, up, into, surface))
             rises_m.append(after_m)
             surfaces.append(after)
         self._strips = list(zip(starts_m, [*starts_m[1:], math.inf], rises_m, surfaces, strict=True))
@@ -269,15 +270,14 @@ class Terrain:
     def step_echoes(self, sensor: Vector, axis: Vector, half_angle_rad: HalfAngle, within_m: float) -> Iterator[Echo]:
         """Echoes of the steps; parameters as for `strip_echoes`."""
         x, base_m = self._above_start(sensor)
-        for at_m, low_m, high_m, up, surface in self._walls:
+        for at_m, low_m, high_m, up, into, surface in self._walls:
             ahead_m = at_m - x
             if abs(ahead_m) >= within_m:
                 continue
             faces = up * ahead_m > 0
             over_m = base_m - self._grade_along * ahead_m
             if faces and low_m < over_m < high_m:
-                toward = (up * self._heading_n, up * self._heading_e, 0.0)
-                wall = face_echo(abs(ahead_m), toward, axis, half_angle_rad)
+                wall = face_echo(abs(ahead_m), into, axis, half_angle_rad)
                 if wall:
                     yield Echo(*wall, surface, None)
             if faces or base_m > high_m:
@@ -301,13 +301,12 @@ class Terrain:
                 if slant_m < first_m and over_m >= -TOUCH_M and start_m <= x + slant_m * ahead < end_m:
                     first_m = slant_m
                     first = Echo(slant_m * sinks * self._cos_slope, self._into, slant_m, surface, None)
-        for at_m, low_m, high_m, up, surface in self._walls:
+        for at_m, low_m, high_m, up, into, surface in self._walls:
             if up * ahead > 0 and up * (at_m - x) > 0:
                 slant_m = (at_m - x) / ahead
                 if slant_m < first_m and low_m < base_m - slant_m * sinks < high_m:
                     first_m = slant_m
-                    toward = (up * self._heading_n, up * self._heading_e, 0.0)
-                    first = Echo(abs(at_m - x), toward, slant_m, surface, None)
+                    first = Echo(abs(at_m - x), into, slant_m, surface, None)
         return first
 
     def _above_start(self, sensor: Vector) -> tuple[float, float]:

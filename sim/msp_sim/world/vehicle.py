@@ -5,7 +5,7 @@ is called for every ping. World frame NED with its origin on the ground, body fr
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple
 
 from numpy.random import Generator
@@ -13,7 +13,7 @@ from pydantic import Field
 
 from msp_range.geometry import Vector
 from msp_range.yaml_file import Section
-from msp_sim.world.profiles import Motion, Positive, Segment, TrackSection, altitude
+from msp_sim.world.profiles import Height, Motion, Positive, Segment, TrackSection
 
 GRAVITY_M_S2 = 9.80665
 HOVER_THROTTLE = 0.5
@@ -39,6 +39,8 @@ class Pose(NamedTuple):
     """Velocity north, east and down [m/s]."""
     throttle: float | None = None
     """0 to 1; None if unknown."""
+    clearance_m: float = math.inf
+    """Height of the vehicle's feet above the surface below [m]; negative: below it; infinite if unknown."""
 
 
 class Sway(Section):
@@ -113,7 +115,7 @@ class AttitudeModel:
     """
 
     def __init__(self, section: AttitudeSection, generator: Generator) -> None:
-        self._mean = EulerAngles(*(math.radians(a) for a in (section.roll_deg, section.pitch_deg, section.yaw_deg)))
+        self._mean = EulerAngles(*map(math.radians, (section.roll_deg, section.pitch_deg, section.yaw_deg)))
         self._cos_yaw, self._sin_yaw = math.cos(self._mean.yaw_rad), math.sin(self._mean.yaw_rad)
         self._tilts = section.tilt_with_acceleration
         self._leans = section.leans
@@ -159,8 +161,7 @@ def _throttle(north_m_s2: float, east_m_s2: float, up_m_s2: float) -> float:
     return min(HOVER_THROTTLE * thrust_m_s2 / GRAVITY_M_S2, 1.0)
 
 
-_Swing = tuple[float, float, float]
-_Swings = tuple[_Swing, _Swing, _Swing]
+_Swings = Sequence[tuple[float, float, float]]
 
 
 def _swings(rms: float, period_s: float, generator: Generator) -> _Swings:
@@ -168,18 +169,11 @@ def _swings(rms: float, period_s: float, generator: Generator) -> _Swings:
     rates = 2 * math.pi / period_s * generator.uniform(0.7, 1.4, 3)
     phases = generator.uniform(0.0, 2 * math.pi, 3)
     swing = rms * math.sqrt(2 / 3)
-    one, two, three = [(swing, float(rate), float(phase)) for rate, phase in zip(rates, phases, strict=True)]
-    return one, two, three
+    return [(swing, rate, phase) for rate, phase in zip(rates.tolist(), phases.tolist(), strict=True)]
 
 
 def _swing_at(swings: _Swings, time_s: float) -> float:
-    # Written out, because it is asked for every message of the autopilot.
-    (a, rate_a, phase_a), (b, rate_b, phase_b), (c, rate_c, phase_c) = swings
-    return (
-        a * math.sin(rate_a * time_s + phase_a)
-        + b * math.sin(rate_b * time_s + phase_b)
-        + c * math.sin(rate_c * time_s + phase_c)
-    )
+    return sum([size * math.sin(rate * time_s + phase) for size, rate, phase in swings])
 
 
 def _swing_motion(swings: _Swings, time_s: float) -> Motion:
@@ -230,7 +224,9 @@ class Vehicle:
         self._standing_height_m = flight.standing_height_m
         self._north, self._east = flight.track.courses()
         self._start_elevation_m = elevation_m(*flight.track.start_m)
-        self._height = altitude(flight.altitude, self._surface_m, altitude_generator)
+        self._height = Height(self._surface_m, altitude_generator)
+        for segment in flight.altitude:
+            segment.fly(self._height)
         self._attitude = AttitudeModel(flight.attitude, attitude_generator)
         heave = flight.heave
         self._heave = _swings(heave.rms_m, heave.period_s, heave_generator) if heave else None
@@ -249,7 +245,8 @@ class Vehicle:
         east_m, east_m_s, east_m_s2 = self._east.at(time_s)
         height_m, climb_m_s, climb_m_s2 = self._height.at(time_s)
         elevation_m = self._start_elevation_m + height_m
-        above_surface_m = elevation_m - self._elevation_m(north_m, east_m)
+        surface_m = self._elevation_m(north_m, east_m)
+        above_surface_m = elevation_m - surface_m
         sways = 1.0 if above_surface_m >= FULL_SWAY_HEIGHT_M else max(above_surface_m / FULL_SWAY_HEIGHT_M, 0.0)
         if self._heave is not None and sways > 0.0:
             heave_m, heave_m_s, heave_m_s2 = _swing_motion(self._heave, time_s)
@@ -258,21 +255,15 @@ class Vehicle:
             elevation_m += sways * heave_m
             climb_m_s += sways * heave_m_s + growing_hz * heave_m
             climb_m_s2 += sways * heave_m_s2 + 2 * growing_hz * heave_m_s
-        roll_rad, pitch_rad, yaw_rad = self._attitude.at(time_s, north_m_s2, east_m_s2, sways)
+        down_m = -elevation_m - self._standing_height_m
         return Pose(
             time_s,
-            (north_m, east_m, -elevation_m - self._standing_height_m),
-            roll_rad,
-            pitch_rad,
-            yaw_rad,
+            (north_m, east_m, down_m),
+            *self._attitude.at(time_s, north_m_s2, east_m_s2, sways),
             (north_m_s, east_m_s, -climb_m_s),
             _throttle(north_m_s2, east_m_s2, climb_m_s2) if above_surface_m > 0.0 else IDLE_THROTTLE,
+            -down_m - self._standing_height_m - surface_m,
         )
-
-    def clearance_m(self, time_s: float) -> float:
-        """Height of the vehicle's feet above the surface below [m]; negative: below it."""
-        north_m, east_m, down_m = self.pose(time_s).position_ned_m
-        return -down_m - self._standing_height_m - self._elevation_m(north_m, east_m)
 
     def _surface_m(self, time_s: float) -> float:
         """Height of the surface below the vehicle relative to its starting point [m]."""
