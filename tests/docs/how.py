@@ -24,11 +24,6 @@ SMALLER: Changes = {
         (r"duration_s: 50", "duration_s: 18"),
         (r"duration_s: 40", "duration_s: 12"),
     ],
-    "configs/scenarios/rough_grass.yaml": [
-        (r"duration_s: 60", "duration_s: 26"),
-        (r"duration_s: 50", "duration_s: 16"),
-        (r"duration_s: 1\d", "duration_s: 4"),
-    ],
     "configs/campaigns/table_4_1.yaml": [
         (r"readings: 20000", "readings: 400"),
         (r"readings: \d00\b", "readings: 8"),

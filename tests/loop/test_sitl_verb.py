@@ -320,6 +320,7 @@ def is_hover(heights_m: np.ndarray, climbs_m_s: np.ndarray, errors_m: np.ndarray
 
 
 @both
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
@@ -339,6 +340,7 @@ def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> No
 
 
 @both
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_no_distance_is_made_up_when_no_poses_come(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
@@ -352,6 +354,7 @@ def test_no_distance_is_made_up_when_no_poses_come(flights: dict[str, Flown], na
 
 
 @both
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str) -> None:
     flown = flights[name]
@@ -364,6 +367,7 @@ def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str
     assert re.findall(r"DISTANCE_SENSOR +(\d+)", flown.printed)[0] == str(len(flown.autopilot.distances))
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dict[str, Flown]) -> None:
     flown = flights["in flight"]
@@ -374,6 +378,7 @@ def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dic
     assert {round(message.current_distance, -1) for _, message in autopilot.distances} == {20}
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_faults_of_the_scenario_are_flown(flights: dict[str, Flown]) -> None:
     printed = flights["in flight"].printed
@@ -401,6 +406,7 @@ def test_the_status_line_has_what_a_sensor_that_is_only_fused_reads() -> None:
     assert status_line(sitl).endswith("fused -, good 2.01 m, missed no_echo, single 1.98 m")
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown], out: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
@@ -411,7 +417,7 @@ def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown]
     assert summary["fused"]["over_edges"] == 0
     assert summary["fused"]["error"]["count"] > 40
     assert (out / "flight.png").read_bytes().startswith(b"\x89PNG")
-    (recording,) = out.glob("*.mcap")
+    recording, *_ = out.glob("*.mcap")
     topics = {message.topic for message in Recording(recording)}
     assert {"/truth/front_left", "/fused", "/mavlink/sent"} <= topics
 

@@ -22,7 +22,6 @@ from msp_lab.filter_study.statistics import delay_samples, error_statistics, mir
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
 from tests.docs.shown import shown
-from tests.support.slow import slow
 
 READINGS = np.random.default_rng(5).normal(300.0, 20.0, (3, 40)).round()
 
@@ -216,51 +215,20 @@ def changes_of(verdict: FilterResult) -> list[tuple[str, object]]:
     return [(change.kind, change.value) for change in verdict.changes]
 
 
-@pytest.mark.parametrize("seed", [1, *slow(2)])
-def test_a_table_made_as_stated_needs_no_explanation(tmp_path: Path, seed: int) -> None:
+def test_a_table_made_as_stated_needs_no_explanation(tmp_path: Path) -> None:
     text = table_of(
-        {"kalman 2": lambda x: kalman(x, 1.0), "moving average 11": lambda x: trailing(x, 11, plain.fmean)}, seed
+        {"kalman 2": lambda x: kalman(x, 1.0), "moving average 11": lambda x: trailing(x, 11, plain.fmean)}, 1
     )
     reverse, verdicts = verdicts_of(text, tmp_path)
     assert not reverse
     assert [verdict.changes for verdict in verdicts.values()] == [(), ()]
 
 
-@pytest.mark.parametrize(
-    ("factor", "seed"),
-    [(0.2, 2), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((10.0, 1), (3.0, 3), (30.0, 4)))],
-)
-def test_a_factor_in_a_variance_is_found(tmp_path: Path, factor: float, seed: int) -> None:
-    _, verdicts = verdicts_of(table_of({"kalman 2": lambda x: kalman(x, factor)}, seed), tmp_path)
+def test_a_factor_in_a_variance_is_found(tmp_path: Path) -> None:
+    _, verdicts = verdicts_of(table_of({"kalman 2": lambda x: kalman(x, 0.2)}, 2), tmp_path)
     [(kind, value)] = changes_of(verdicts["kalman 2"])
     assert kind == "q_factor"
-    assert value == pytest.approx(factor, rel=0.2)
-
-
-@pytest.mark.slow
-def test_a_factor_in_r_is_the_inverse_one_in_q(tmp_path: Path) -> None:
-    _, verdicts = verdicts_of(table_of({"kalman 3": lambda x: kalman(x, 0.01, 37.811)}, 5), tmp_path)
-    [(kind, value)] = changes_of(verdicts["kalman 3"])
-    assert kind == "q_factor"
-    assert value == pytest.approx(0.1, rel=0.2)
-
-
-@pytest.mark.parametrize(("delay", "sign", "seed"), [(2, 1, 1), (7, -1, 2)])
-@pytest.mark.slow
-def test_a_delay_and_the_sign_of_the_table_are_found(tmp_path: Path, delay: int, sign: int, seed: int) -> None:
-    text = table_of(
-        {
-            "moving average 5": lambda x: delayed(trailing(x, 5, plain.fmean), x, delay),
-            "moving average 15": lambda x: trailing(x, 15, plain.fmean),
-            "kalman 3": lambda x: kalman(x, 0.01),
-        },
-        seed,
-        sign,
-    )
-    reverse, verdicts = verdicts_of(text, tmp_path)
-    assert reverse == (sign < 0)
-    assert changes_of(verdicts["moving average 5"]) == [("delay", delay)]
-    assert changes_of(verdicts["moving average 15"]) == changes_of(verdicts["kalman 3"]) == []
+    assert value == pytest.approx(0.2, rel=0.2)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def pallet(sensors: int, interval_s: float) -> Bench:
 
 
 @pytest.mark.parametrize("sensors", slow_but({1, 4, 8}, range(1, 9)))
-@pytest.mark.parametrize("interval_s", [0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("interval_s", [0.05, 0.1, 0.5, 2.0, 10.0])
 def test_the_fused_stream_lives_at_every_polling(sensors: int, interval_s: float) -> None:
     """Each reading but the first is a distance, none is far off, and nothing is reported to be silent."""
     bench = pallet(sensors, interval_s)
