@@ -6,30 +6,6 @@ from msp_range.reading import Reading, Status
 from msp_range.sensors.mb1242 import decode
 
 
-@pytest.mark.parametrize(
-    ("word", "status", "range_m"),
-    [
-        (0, Status.IMPOSSIBLE, None),
-        (19, Status.IMPOSSIBLE, None),
-        (20, Status.AT_MINIMUM, 0.20),
-        (21, Status.OK, 0.21),
-        (255, Status.OK, 2.55),
-        (0x01F7, Status.OK, 5.03),
-        (764, Status.OK, 7.64),
-        (765, Status.NO_ECHO, None),
-        (766, Status.IMPOSSIBLE, None),
-        (0x7FFF, Status.IMPOSSIBLE, None),
-        (0x8000 + 20, Status.CLOCK_FAULT, None),
-        (0x8000 + 765, Status.CLOCK_FAULT, None),
-        (0xFFFF, Status.CLOCK_FAULT, None),
-    ],
-)
-def test_most_significant_byte_first_in_whole_centimetres(word: int, status: Status, range_m: float | None) -> None:
-    decoded = decode(bytes([word // 256, word % 256]))
-    assert (decoded.status, decoded.range_m, decoded.raw) == (status, range_m, word)
-    assert decoded.suspect is (word == 255)
-
-
 @pytest.mark.parametrize("word", [b"\x01\x2c", b"\x02\xfd", b"\x81\x2c"])
 def test_before_the_first_ping_nothing_is_a_distance(word: bytes) -> None:
     decoded = decode(word, pinged=False)

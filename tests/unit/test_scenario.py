@@ -126,15 +126,11 @@ def test_every_kind_of_fault_is_planned_once() -> None:
         assert (planned.kind, planned.start_s, planned.end_s) == (fault.kind, fault.from_s, fault.to_s)
 
 
-def test_a_planned_fault_keeps_its_size() -> None:
-    planned = PlannedFault(sensor="a", kind="noisy", from_s=1.0, to_s=2.0, spread_cm=40.0)
-    assert planned.on_device().spread_cm == 40.0
-    assert PlannedFault(sensor="a", kind="offset", from_s=1.0, to_s=2.0, offset_cm=-30.0).on_device().offset_cm == -30.0
-
-
 @pytest.mark.parametrize(
     ("kind", "values"),
     [
+        ("noisy", {"spread_cm": 40.0}),
+        ("offset", {"offset_cm": -30.0}),
         ("drift", {"rate_cm_s": -2.5}),
         ("constant", {"constant_cm": 333}),
         ("fixed_object", {"object_cm": 31.0, "jitter_cm": 1.5, "swing_cm": 4.0, "swing_period_s": 3.0}),
@@ -163,11 +159,6 @@ def test_a_thermometer_flaps_between_two_values() -> None:
     thermometer = Thermometer.model_validate({"faults": [fault]})
     read_c = [thermometer.reading_c(time_s, lambda time_s: 5.0) for time_s in (9.9, 10.0, 11.4, 11.6, 12.9, 13.1, 20.0)]
     assert read_c == pytest.approx([5.0, 5.0, 5.0, -3.0, -3.0, 5.0, 5.0])
-
-
-def test_a_barometer_has_no_errors_unless_the_scenario_says_so() -> None:
-    errors = ("ground_effect_m", "gust_m", "in_air_temperature")
-    assert not any(getattr(AutopilotSection().barometer, name) for name in errors)
 
 
 def test_a_thermometer_is_warmer_jumps_and_freezes() -> None:

@@ -1,7 +1,7 @@
 """What a ping meets, against formulas and brute force that share nothing with the code."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from msp_range.yaml_file import Section
 from msp_sim.flight.scenario import Thermometer, ThermometerFault
 from msp_sim.world.surfaces import Box, GroundSection, GroundStep, HalfAngle, Roughness
 from msp_sim.world.vehicle import Pose
-from msp_sim.world.world import AirSection, MountedBeam, Ping, WarmLayer, World
+from msp_sim.world.world import AirSection, MountedBeam, WarmLayer, World
 from tests.support.known import known
 
 DOWN = (0.0, 0.0, 1.0)
@@ -170,183 +170,12 @@ def test_surfaces_follow_the_steps() -> None:
         assert (ping.target, ping.true_range_cm) == pytest.approx((surface, 300 - 100 * height_m))
 
 
-def test_the_edge_of_a_step_is_heard_before_the_vehicle_is_above_it() -> None:
-    ground = world(surface="grass", steps=(GroundStep(at_m=0.0, rise_m=0.5, surface="concrete"),))
-    beam = looking(half_angle=degrees(12))
-    reach_m = 1.5 * math.tan(math.radians(12))
-    before = ground.ping(at(-reach_m - 0.001), beam)
-    assert (before.target, before.true_range_cm) == pytest.approx(("grass", 200))
-    edge = ground.ping(at(-reach_m + 0.001), beam)
-    assert edge.target == "concrete"
-    assert edge.true_range_cm == pytest.approx(100 * math.hypot(1.5, reach_m - 0.001))
-    assert edge.slant_range_cm == edge.true_range_cm
-    assert edge.incidence_deg == pytest.approx(12, abs=0.05)
-    # Seen from above, the lower side is further than the edge until the edge has left the beam.
-    assert ground.ping(at(0.001), beam).true_range_cm == pytest.approx(150)
-
-
-def test_the_edges_and_corners_of_a_box() -> None:
+def test_a_box_has_a_size_and_the_ground_has_none() -> None:
     ground = world(surface="grass", boxes=(Box(surface="crate", centre_m=(5.0, 1.0), size_m=(2.0, 1.0), height_m=0.6),))
-    beam = looking(half_angle=degrees(20))
-    over_m = 1.4
-
-    def ping(north_m: float, east_m: float) -> Ping:
-        return ground.ping(at(north_m, east_m), beam)
-
-    assert ping(5.9, 0.6)[:2] == pytest.approx((True, 140))
-    assert ping(6.3, 1.2).true_range_cm == pytest.approx(100 * math.hypot(over_m, 0.3))
-    assert ping(5.0, 0.3).true_range_cm == pytest.approx(100 * math.hypot(over_m, 0.2))
-    assert ping(6.3, 1.7).true_range_cm == pytest.approx(100 * math.hypot(over_m, 0.3, 0.2))
-    reach_m = over_m * math.tan(math.radians(20))
-    assert ping(6.0 + reach_m - 0.001, 1.0).target == "crate"
-    away = ping(6.0 + reach_m + 0.001, 1.0)
-    assert (away.target, away.true_range_cm, away.target_size_cm) == pytest.approx(("grass", 200, None))
-    assert ping(5.0, 1.0).target_size_cm == pytest.approx(100)
-
-
-@pytest.mark.slow
-def test_a_level_sensor_hears_the_nearest_point_of_anything_in_its_cone() -> None:
-    """Every centimetre of all level surfaces, turned boxes and steps, as the brute force."""
-    steps = (GroundStep(at_m=-0.5, rise_m=0.4, surface="concrete"), GroundStep(at_m=0.9, rise_m=-0.7, surface="gravel"))
-    boxes = (
-        Box(surface="crate", centre_m=(0.3, 0.6), size_m=(0.8, 0.5), height_m=0.5, heading_deg=25),
-        Box(surface="table", centre_m=(-1.3, -0.4), size_m=(0.6, 1.1), height_m=0.7, heading_deg=-70),
-    )
-    ground = world(surface="grass", steps_heading_deg=40, steps=steps, boxes=boxes)
-    norths, easts = np.meshgrid(np.arange(-3.0, 3.0, 0.01), np.arange(-3.0, 3.0, 0.01))
-    along = norths * math.cos(math.radians(40)) + easts * math.sin(math.radians(40))
-    heights = 0.4 * (along >= -0.5) - 0.7 * (along >= 0.9)
-    names = np.where(along >= 0.9, "gravel", np.where(along >= -0.5, "concrete", "grass"))
-    for box in boxes:
-        turned = Rotation.from_euler("z", -box.heading_deg, degrees=True).as_matrix()[:2, :2]
-        offset = np.stack([norths - box.centre_m[0], easts - box.centre_m[1]], -1) @ turned.T
-        inside = (np.abs(offset[..., 0]) <= box.size_m[0] / 2) & (np.abs(offset[..., 1]) <= box.size_m[1] / 2)
-        foot_m = heights[np.unravel_index(np.argmin(np.hypot(*np.moveaxis(offset, -1, 0))), heights.shape)]
-        heights = np.where(inside, foot_m + box.height_m, heights)
-        names = np.where(inside, box.surface, names)
-    rng = np.random.default_rng(2)
-    targets, compared = set(), 0
-    for _ in range(150):
-        north_m, east_m, height_m = *rng.uniform(-1.5, 1.5, 2), rng.uniform(1.6, 3.5)
-        distances = np.sqrt((norths - north_m) ** 2 + (easts - east_m) ** 2 + (height_m - heights) ** 2)
-        half_angles = narrowing_array(distances)
-        in_cone = height_m - heights >= distances * np.cos(half_angles)
-        nearest = np.where(in_cone, distances, np.inf)
-        ping = ground.ping(at(north_m, east_m, height_m), looking())
-        if not in_cone.any():
-            continue
-        i = np.unravel_index(np.argmin(nearest), nearest.shape)
-        angle_rad = np.arccos((height_m - heights[i]) / distances[i])
-        own_spare_rad = narrowing(known(ping.true_range_cm) / 100) - math.radians(known(ping.incidence_deg))
-        if min(half_angles[i] - angle_rad, own_spare_rad) < 0.01:
-            continue  # the grid decides whether the last centimetre is inside the cone
-        compared += 1
-        assert ping.has_echo
-        # Half a cell's diagonal off to the side, at 20 deg at most: 0.25 cm.
-        assert ping.true_range_cm == pytest.approx(100 * nearest[i], abs=0.3)
-        if np.partition(nearest[names != names[i]], 0)[0] > nearest[i] + 0.01:
-            assert ping.target == names[i]
-        targets.add(ping.target)
-    assert compared > 100
-    assert targets == {"grass", "concrete", "gravel", "crate", "table"}
-
-
-def test_a_tilted_sensor_hears_the_part_of_an_edge_that_is_in_its_beam() -> None:
-    """The nearest point of the edge is outside the cone, a point further along is inside: every millimetre of it."""
-    ground = world(boxes=(Box(surface="crate", centre_m=(0.0, 5.0), size_m=(6.0, 10.0), height_m=1.0),))
-    # The edge runs north at east = 0; the sensor stands 0.2 m to its west and looks 20 deg to the north.
-    pose = at(0.0, -0.2, 2.5, pitch_deg=20)
-    beam = looking()
-    axis = np.array([math.sin(math.radians(20)), 0.0, math.cos(math.radians(20))])
-    points = np.array([[north, 0.2, 1.5] for north in np.arange(-3.0, 3.0, 0.001)])
-    distances = np.linalg.norm(points, axis=1)
-    angles = np.arccos(points @ axis / distances)
-    in_cone = angles <= [narrowing(distance) for distance in distances]
-    assert not in_cone[np.argmin(distances)]
-    ping = ground.ping(pose, beam)
-    assert ping.target == "crate"
-    assert ping.true_range_cm == pytest.approx(100 * distances[in_cone].min(), abs=0.1)
-    assert not ground.ping(pose, looking(half_angle=degrees(5))).has_echo
-
-
-def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end() -> None:
-    wall = Box(surface="brick", centre_m=(4.0, 0.0), size_m=(0.2, 4.0), height_m=3.0)
-    ground = world(boxes=(wall,))
-    beam = looking(FORWARD, degrees(12), (0.3, 0.0, 0.0))
-    ping = ground.ping(at(1.0, velocity=(0.5, 0.0, 0.0), pitch_deg=-4), beam)
-    distance_m = 3.9 - 1.0 - 0.3 * math.cos(math.radians(4))
-    assert (ping.has_echo, ping.target) == (True, "brick")
-    assert ping.true_range_cm == pytest.approx(100 * distance_m)
-    assert ping.slant_range_cm == pytest.approx(100 * distance_m / math.cos(math.radians(4)))
-    assert ping.incidence_deg == pytest.approx(4)
-    assert ping.range_rate_cm_s == pytest.approx(-50)
-    assert not ground.ping(at(1.0, 3.0), beam).has_echo
-    assert not ground.ping(at(1.0, yaw_deg=90), beam).has_echo
-    assert not ground.ping(at(6.0), beam).has_echo
-    # Aslant it gives no echo and is still described.
-    for north_m, yaw_deg in ((2.0, 30.0), (6.0, 150.0)):
-        aslant = ground.ping(at(north_m, yaw_deg=yaw_deg, velocity=(0.5, 0.0, 0.0)), looking(FORWARD, degrees(12)))
-        assert (aslant.has_echo, aslant.target) == (False, "brick")
-        assert (aslant.true_range_cm, aslant.incidence_deg) == pytest.approx((190, 30))
-        assert aslant.range_rate_cm_s == pytest.approx(-50 if north_m < 4 else 50)
-    # Above its top and looking over it there is nothing; just above, its upper edge.
-    assert not ground.ping(at(1.0, height_m=4.0), beam).has_echo
-    over = ground.ping(at(1.0, height_m=3.2), beam)
-    assert over.true_range_cm == pytest.approx(100 * math.hypot(2.6, 0.2))
-
-
-def test_a_forward_sensor_sees_the_face_of_a_step_up_and_not_of_one_down() -> None:
-    ground = world(surface="grass", steps=(GroundStep(at_m=3.0, rise_m=2.0, surface="rock"),))
-    ping = ground.ping(at(1.0, height_m=1.0), looking(FORWARD, degrees(10)))
-    assert (ping.has_echo, ping.target, ping.true_range_cm) == pytest.approx((True, "rock", 200))
-    back = ground.ping(at(5.0, height_m=3.0, yaw_deg=180), looking(FORWARD, degrees(10)))
-    assert not back.has_echo
-    other_way = world(surface="rock", steps=(GroundStep(at_m=3.0, rise_m=-2.0, surface="grass"),))
-    ping = other_way.ping(at(4.5, height_m=-1.0, yaw_deg=180), looking(FORWARD, degrees(10)))
-    assert (ping.has_echo, ping.target, ping.true_range_cm) == pytest.approx((True, "rock", 150))
-
-
-@pytest.mark.parametrize("turn_deg", [37.0, 120.0, -75.0])
-def test_nothing_changes_when_everything_is_turned_together(turn_deg: float) -> None:
-    """A world and its vehicle turned about the vertical: an error of a sign or of a frame shows."""
-
-    def turned(north_m: float, east_m: float) -> tuple[float, float]:
-        cosine, sine = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
-        return cosine * north_m - sine * east_m, sine * north_m + cosine * east_m
-
-    def ground(by_deg: float, place: Callable[[float, float], tuple[float, float]]) -> World:
-        return world(
-            slope_deg=6,
-            uphill_deg=20 + by_deg,
-            steps_heading_deg=-30 + by_deg,
-            steps=(
-                GroundStep(at_m=0.5, rise_m=0.4, surface="concrete"),
-                GroundStep(at_m=2.5, rise_m=-0.6, surface="gravel"),
-            ),
-            boxes=(Box(centre_m=place(1.0, 1.0), size_m=(1.0, 0.6), height_m=0.9, heading_deg=15 + by_deg),),
-        )
-
-    straight, around = ground(0.0, lambda *place: place), ground(turn_deg, turned)
-    beam = MountedBeam(
-        (0.2, 0.1, 0.05),
-        (math.sin(0.1), math.sin(0.05), math.sqrt(1 - math.sin(0.1) ** 2 - math.sin(0.05) ** 2)),
-        narrowing,
-    )
-    rng = np.random.default_rng(4)
-    targets = set()
-    for _ in range(300):
-        north_m, east_m, height_m = *rng.uniform(-1, 4, 2), rng.uniform(2.0, 4.0)
-        roll_deg, pitch_deg, yaw_deg = *rng.uniform(-10, 10, 2), rng.uniform(-180, 180)
-        velocity = (0.3, -0.8, 0.2)
-        before = at(north_m, east_m, height_m, roll_deg, pitch_deg, yaw_deg, velocity)
-        there_m, moving_m_s = turned(north_m, east_m), (*turned(*velocity[:2]), 0.2)
-        after = at(there_m[0], there_m[1], height_m, roll_deg, pitch_deg, yaw_deg + turn_deg, moving_m_s)
-        one, other = straight.ping(before, beam), around.ping(after, beam)
-        targets.add(one.target)
-        assert (one.has_echo, one.target, one.target_size_cm) == (other.has_echo, other.target, other.target_size_cm)
-        assert one[1:6] == pytest.approx(other[1:6], abs=1e-5)
-        assert heights_m(straight, before) == pytest.approx(heights_m(around, after))
-    assert targets == {"grass", "concrete", "gravel", "box"}
+    over, away = (ground.ping(at(north_m, 1.0), looking(half_angle=degrees(20))) for north_m in (5.0, 7.0))
+    assert over.target == "crate"
+    assert over.target_size_cm == pytest.approx(100)
+    assert (away.target, away.target_size_cm) == ("grass", None)
 
 
 class Polygons:
@@ -487,7 +316,7 @@ def polygons() -> Polygons:
             {"grass", "concrete", "gravel", "crate", "table"},
             marks=pytest.mark.slow,
         ),
-        pytest.param(FORWARD, 12, {"concrete", "crate", "table"}, marks=pytest.mark.slow),
+        (FORWARD, 12, {"concrete", "crate", "table"}),
     ],
     ids=["down", "canted", "forward"],
 )
