@@ -60,7 +60,7 @@ DISCONTENT = "{} || test $? = 1"
 """It finds something wrong, as its document shows."""
 NOTHING_INSTALLED = "{} --dry-run --no-index --no-build-isolation"
 AROUND = {
-    "make test": "PYTEST_ADDOPTS='tests/unit/test_frames.py' {}",
+    "make test": "PYTEST_ADDOPTS='tests/unit/msp_range/mavlink/test_frames.py' {}",
     "msp-lab filters --table mine.csv": "{} --seeds 10",
     "python -m pytest tests/sitl": "env -u MSP_RANGE_ARDUCOPTER -u MSP_RANGE_PX4 {}",
     "pip install '.[lab,logs]'": NOTHING_INSTALLED,
@@ -98,7 +98,7 @@ ELSEWHERE = {
     "msp-lab collect gaps/june/design/1-*/campaign.yaml --out new": "tests/loop/test_design.py",
     "msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july": "tests/loop/test_design.py",
     "arducopter --model + ...": "tests/sitl/arducopter.py",
-    "msp-lab filters --out study": "tests/unit/test_filter_study.py",
+    "msp-lab filters --out study": "tests/unit/msp_lab/filter_study/test_filter_study.py",
     "make gap-demo": "tests/loop/test_gap_demo.py",
     "python -m tests.peers.fetch_flights flights/public": "tests/peers/test_public_logs.py",
     "sim_vehicle.py -N -v ArduCopter --add-param-file=range.parm ...": "tests/sitl/shown.py",

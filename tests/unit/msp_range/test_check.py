@@ -21,7 +21,7 @@ from msp_range.sensors.polling import Ranging
 from msp_range.yaml_file import ConfigError
 from msp_sim.flight.scenario import load_scenario
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 
 
 def airframe(name: str, folder: Path, *changes: tuple[str, str]) -> Airframe:

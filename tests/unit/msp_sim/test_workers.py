@@ -18,7 +18,7 @@ from msp_sim import workers as module
 from msp_sim.workers import ItemOutcome, Workers, workers
 from tests.support.waiting import LIMIT_S, until
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def square(add: int, item: int) -> int:

@@ -10,7 +10,7 @@ from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.own import add_own_effects, effects_of_file, find_effect
 
-EXAMPLE = Path(__file__).parents[1] / "third_party" / "package" / "sonar_extras" / "supply_sag.py"
+EXAMPLE = Path(__file__).parents[3] / "third_party" / "package" / "sonar_extras" / "supply_sag.py"
 ACT = 'return Contribution(bias_cm=-values["sag_pct"] / 100.0 * scene["throttle"] * scene.range_cm)'
 NORMAL = """
 from msp_sim.effects.component import Normal

@@ -339,7 +339,7 @@ def test_the_command_says_that_px4_cannot_sign(tmp_path: Path) -> None:
     assert "another key" not in done.stderr
 
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[4] / "configs"
 
 
 def msp_range(verb: str, airframe: Path, folder: Path, *options: str) -> "subprocess.CompletedProcess[str]":

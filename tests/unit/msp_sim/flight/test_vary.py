@@ -16,7 +16,7 @@ from msp_sim.flight.vary import Choice, Factor, LogUniform, RandomFaults, Trunca
 
 CONTENT: dict[str, Any] = {
     "name": "short",
-    "airframe": str(Path(__file__).parents[2] / "configs" / "quad_pallet.yaml"),
+    "airframe": str(Path(__file__).parents[4] / "configs" / "quad_pallet.yaml"),
     "duration_s": 9,
     "flight": {"altitude": [{"kind": "climb", "to_m": 1.0}, {"kind": "hold", "duration_s": 2}, {"kind": "land"}]},
 }

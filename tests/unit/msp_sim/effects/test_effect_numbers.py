@@ -11,7 +11,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+SENSOR = load_sensor_model(Path(__file__).parents[4] / "configs" / "sensors" / "mb1242.yaml")
 BASE = Model.of(SENSOR.model_copy(update={"effects": ()}))
 BEYOND = "beyond_field_of_view"
 CHANNELS = ("bias", "spread", "short", "missed", "random")

@@ -17,7 +17,7 @@ from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import MountedBeam, Ping
 from tests.support.known import known
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 SCENARIOS = sorted((CONFIGS / "scenarios").glob("*.yaml"))
 
 Change = Callable[[dict[str, Any]], object]

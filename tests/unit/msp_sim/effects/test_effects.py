@@ -21,7 +21,7 @@ from msp_sim.model.streams import RandomStreams
 from tests.property.test_effects import strong
 from tests.support.humid_air import speed_of_sound_humid
 
-SENSORS = Path(__file__).parents[2] / "configs" / "sensors"
+SENSORS = Path(__file__).parents[4] / "configs" / "sensors"
 
 
 def sensor(*effects: dict[str, Any], **changes: Any) -> SensorModel:

@@ -11,7 +11,7 @@ from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
 from msp_range.fusion.modes import SensorMode, ground_prior, noise_density, object_prior
 from msp_range.fusion.vertical import VerticalMotion
 from msp_range.reading import Reading, Status
-from tests.unit.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
+from tests.unit.msp_range.fusion.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
 
 
 def sent_m(range_m: Callable[[str, float], float], until_s: float = 20.0) -> dict[float, float]:

@@ -20,7 +20,7 @@ from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, S
 from msp_sim.device.bus import EmulatedBus
 from tests.support.scripted_bus import ScriptedBus
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[4] / "configs"
 FIRST_S, DEADLINE_S = 0.021, 0.080
 READY_S = 0.0301
 """From ping to answer unless a test says otherwise."""
