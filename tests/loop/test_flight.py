@@ -89,7 +89,6 @@ FLOWN = (
     "faults",
     "flat",
     "hover",
-    "report_random",
     "rough_grass",
     "sinusoid",
     "slope",
@@ -141,20 +140,6 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Pa
         one, two, other = ((folder / name).read_bytes() for folder in folders)
         assert one == two
         assert one != other
-
-
-@pytest.mark.slow
-def test_the_seed_is_of_the_vehicles_motion_too() -> None:
-    """The report's random heights, ten times in a flight."""
-    heights_m: list[list[float]] = []
-    for seed in (5, 5, 6):
-        simulation = Simulation(load_scenario(SCENARIOS / "report_random.yaml"), VirtualClock(), seed)
-        heights_m.append([])
-        for _ in simulation.fly():
-            if simulation.now_s() > 6.0 * len(heights_m[-1]):
-                heights_m[-1].append(round(simulation.height_m(), 6))
-    assert heights_m[0] == heights_m[1]
-    assert heights_m[0] != heights_m[2]
 
 
 def test_the_sensors_count_in_the_air_that_there_is(tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
-from msp_sim.device.device import DeviceTiming, Fault, NotAcknowledged
-from msp_sim.device.mb1242 import NO_ECHO_CM, PART_INFO, RANGE_COMMAND, EmulatedMB1242
+from msp_sim.device.device import Fault, NotAcknowledged
+from msp_sim.device.mb1242 import PART_INFO, RANGE_COMMAND, EmulatedMB1242
 from tests.support.plain_device import PlainDevice
 
 AFTER_ANY_RANGING_S = 0.07
@@ -425,13 +425,6 @@ def test_other_adapters_use_other_numbers() -> None:
         EmulatedBus([], lambda: 0.0, nack_errno=errno.ENXIO).read(0x70, 2)
 
 
-def test_a_device_that_is_not_a_sonar() -> None:
-    wires = Wires(PlainDevice(0x70, b"\x0a"))
-    wires.bus.write(0x70, RANGE_COMMAND)
-    assert wires.bus.read(0x70, 2) == b"\x0a\xff"
-    assert wires.bus.read(0x70, 0) == b""
-
-
 def test_two_sensors_at_one_address_get_the_same_and_answer_with_the_and() -> None:
     near, far = Bench([0x0102]), Bench([0x00F6])
     bus = EmulatedBus([near.sonar, far.sonar], lambda: 0.0)
@@ -533,9 +526,3 @@ def test_a_lock_up_that_nobody_saw_begin_still_needs_a_reopen() -> None:
     wires.bus.close()
     wires.bus.close()
     assert wires.errno_of_read(0x70) is None
-
-
-def test_timing_is_a_parameter() -> None:
-    timing = DeviceTiming(ready_s=0.001, s_per_cm=1e-4, no_echo_s=0.5)
-    assert timing.ranging_s(100, NO_ECHO_CM) == pytest.approx(0.011)
-    assert timing.ranging_s(765, NO_ECHO_CM) == 0.5

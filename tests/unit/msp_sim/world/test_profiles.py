@@ -189,15 +189,6 @@ def test_a_shorter_random_profile_is_the_beginning_of_a_longer_one(seed: int) ->
         assert short.at(time_s) == pytest.approx(long.at(time_s))
 
 
-def test_the_random_profile_follows_its_seed() -> None:
-    def heights_m(seed: int) -> list[float]:
-        course = fly(RandomSegment(kind="random", duration_s=60), seed=seed)
-        return [course.at(0.1 * i)[0] for i in range(600)]
-
-    assert heights_m(3) == heights_m(3)
-    assert heights_m(3) != heights_m(4)
-
-
 def test_a_track_changes_speed_smoothly_and_comes_to_rest() -> None:
     track = TrackSection(
         start_m=(3.0, -2.0),
