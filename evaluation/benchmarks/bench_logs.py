@@ -20,7 +20,8 @@ from rosbags.typesys import Stores
 
 from evaluation import ROOT
 from evaluation.benchmarks.figure import Figures, at_least, figure, under
-from msp_lab.logs.ardupilot import WANTED, read_ardupilot
+from msp_lab.logs.ardupilot import WANTED
+from msp_lab.logs.opening import open_log
 from msp_range.mavlink.dialect import dialect
 from tests.support.flight_logs import START_S, START_US, Types, telemetry
 
@@ -53,7 +54,7 @@ def run() -> Figures:
                 pass
         peer_s = time.process_time() - started_s
         started_s = time.process_time()
-        read_ardupilot(path, lambda share: None)
+        open_log(path, lambda share: None)
         faster = peer_s / (time.process_time() - started_s)
     return [
         figure("import_dataflash_over_recv_match", faster, "times as fast", at_least(3)),

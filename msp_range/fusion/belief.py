@@ -15,6 +15,7 @@ from msp_range.fusion.modes import (
     ANSWERED,
     APART_M,
     APART_MOST,
+    AWAY_M,
     BLIND_M_S,
     BLIND_NEAR_M,
     COMMON,
@@ -31,6 +32,7 @@ from msp_range.fusion.modes import (
     P_OUTLIER,
     PER_M,
     RETURNS_M,
+    RISES_M,
     SAME_M,
     SAME_RAW,
     SAME_RAW_MOST,
@@ -48,7 +50,7 @@ from msp_range.fusion.modes import (
 )
 from msp_range.fusion.mounting import View
 from msp_range.fusion.response import MotionResponse
-from msp_range.fusion.vertical import Known, Rate, VerticalMotion
+from msp_range.fusion.vertical import Known, Mark, Rate, VerticalMotion
 from msp_range.fusion.windows import Windows
 
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
@@ -77,7 +79,8 @@ class Surface:
         self.prior, self.common = prior, common
         self.response = response
         self.evidence = 0.0
-        self.steps_m = 0.0
+        self.steps_m = self.marked_m = 0.0
+        self.mark: Mark | None = None
         self.seen_s = self.kept_s = float("-inf")
         self.raw: int | None = None
         self.same = 0.0
@@ -123,7 +126,7 @@ class Belief:
         self.proven: Surface | None = None
         self._known: Known | None = None
         self._time_s = float("-inf")
-        self._is_measured = False
+        self._is_measured = self._was_fixed = False
         self.ground: Surface | None = None
         self.sure = self.noise = 0.0
         self.is_doubted = False
@@ -206,9 +209,10 @@ class Belief:
         gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
-        if surface is self.proven and surface.response.log_odds > ANSWERED:
+        answers = surface.response.log_odds > ANSWERED or surface.filter.height_m > AWAY_M
+        if surface is self.proven and answers:
             surface.common = math.log(COMMON) if least else _common(surface)
-            surface.response.is_in_doubt = False
+            surface.response.is_in_doubt = self._was_fixed = False
         elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
             surface.response.is_in_doubt = True
         self.seen(surface)
@@ -275,7 +279,7 @@ class Belief:
             shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
             if surface is not self.proven:
                 shared += object_prior(surface.filter.height_m - self.proven.filter.height_m if self.proven else 9.0)
-            fault = surface.common + surface.same - surface.response.log_odds
+            fault = surface.common + surface.same - surface.response.log_odds + self._rises(surface)
             otherwise[surface] = shared, fault
         fixed = {each: _log_sum(0.0, each.evidence + fault) for each, (_, fault) in otherwise.items()}
         other = {
@@ -316,9 +320,22 @@ class Belief:
         if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
             self._prove(best)
 
+    def _rises(self, surface: Surface) -> float:
+        """How much less likely a surface that is in doubt is the ground, since by the barometer the vehicle rises."""
+        if not surface.response.is_in_doubt:
+            return 0.0
+        if surface.mark is None:
+            surface.mark, surface.marked_m = self._motion.mark(self._time_s), surface.filter.height_m
+        climb = self._motion.climbed(surface.mark, self._time_s)
+        if climb is None:
+            return 0.0
+        rises_m = climb.height_m - (surface.filter.height_m - surface.marked_m)
+        return 0.5 * max(rises_m, 0.0) ** 2 / (climb.std_m**2 + RISES_M**2)
+
     def _stuck(self, surface: Surface, voters: Sequence[SensorMode]) -> float:
         """How much less likely a surface is the ground, since others move away from its sensors, which only repeat."""
-        if any(mode.sees is surface and not mode.repeated for mode in voters):
+        sees = [mode for mode in voters if mode.sees is surface]
+        if not sees or not all(mode.repeated for mode in sees):
             return 0.0
         moved_m = [
             mode.sees.travel_m - surface.travel_m
@@ -344,6 +361,7 @@ class Belief:
         """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""
         if surface is self.proven:
             self._known = None
+        self._was_fixed = True
         self._drop(surface)
 
     def _appraise(self, surface: Surface) -> None:
@@ -353,7 +371,8 @@ class Belief:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
-        if surface.filter.height_m < LOW_M and any(mode.is_fixed for mode in self._modes):
+        is_again = self._was_fixed or any(mode.is_fixed for mode in self._modes)
+        if surface.filter.height_m < LOW_M and is_again:
             surface.common = max(surface.common, math.log(COMMON_AGAIN))
         if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
             # What did not answer to the motion may be here now.

@@ -96,8 +96,8 @@ COMMON, COMMON_LOW = 1e-5, 160.0
 but silence costs less than a wrong distance; nearer than `LOW_M` so many times more, as payload and gear. The same
 decides how long what does not answer to the motion is sent: with the first it takes 10 nats."""
 COMMON_AGAIN = 0.3
-"""That what is nearer than `LOW_M` is part of the vehicle where another sensor sees such a part. Not varied: it is sent
-once it has answered to a movement."""
+"""That what is nearer than `LOW_M` is part of the vehicle where another sensor sees such a part, or where one has been
+found since a ground last answered. Not varied: it is sent once it has answered to a movement."""
 SAME_RAW, SAME_RAW_MOST = 3.0, 6.0
 """What each answer that is the same as all before on a new surface adds to its prior as a fault, and at most [nats]:
 sensors with a centimetre's noise answer the same in one of four readings, and one constant is the commonest fault of
@@ -144,12 +144,17 @@ LATE, LATE_S = -13.0, 0.2
 above -13, the lowest where a thermometer flaps or pressure below the rotors passes for an acceleration. With turns
 shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on they are late until
 the odds are even."""
+RISES_M = 0.4
+"""By how much the barometer may say that the vehicle has risen over something near which has not answered to any
+movement yet, where that is the ground after all, standard deviation beside that of the climb [m]. A vehicle may have
+taken off before its accelerations were known. Smaller is silent in gusts over the ground before a take-off."""
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
-UNANSWERED, ANSWERED = -3.0, 2.0
-"""Below the first log odds a surface is not thought to move with the measured acceleration any more; above the second
-one that was low when it was first seen, as before a take-off, is no payload."""
+UNANSWERED, ANSWERED, AWAY_M = -3.0, 5.0, 0.8
+"""Below the first log odds a surface is not thought to move with the measured acceleration any more. Above the second,
+more than one reading can show, one that was low when it was first seen, as before a take-off, is no payload; nor is one
+that is farther away by now than the third [m]."""
 
 # What repeats itself.
 STUCK_READINGS, REPEATED_READINGS = 3, 5

@@ -237,20 +237,19 @@ def _characterise_each(
     how: "Characterisation", out: Path, report: Path | None, of: list[str], jobs: int, scheduler: str | None
 ) -> None:
     """Make a model of each sensor, and print a row for each; exit code 4 if some could not be made."""
-    from msp_lab.characterise.sensors import EachSensor, characterise_sensors, sensors_in
+    from msp_lab.characterise.sensors import TABLE, EachSensor, OfSensor, characterise_sensor
     from msp_lab.characterise.show import show_sensors
     from msp_sim.terminal import make_folder
-    from msp_sim.workers import EXIT_SOME_FAILED, workers
+    from msp_sim.workers import exit_if_failed, workers
 
     make_folder(out)
     how = replace(how, data=tuple(path.resolve() for path in how.data), start=how.start.resolve())
-    sensors = [name for name in sensors_in(how) if name in of or not of]
+    sensors = {name: name for name in how.sensors() if name in of or not of}
     common = EachSensor(how, out.resolve(), report.resolve() if report is not None else None)
     with workers(jobs, scheduler, "msp-lab characterise") as where:
-        found = characterise_sensors(common, sensors, where)
+        found = where.rows(characterise_sensor, sensors, common, out / TABLE, OfSensor, what="sensors")
     show_sensors(found, where.died, out)
-    if any(row.error for row in found):
-        raise typer.Exit(EXIT_SOME_FAILED)
+    exit_if_failed(found)
 
 
 def _is_date(text: str) -> bool:

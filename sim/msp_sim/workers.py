@@ -17,7 +17,7 @@ import pickle
 import platform
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 from threadpoolctl import threadpool_limits
@@ -60,6 +61,7 @@ gap of 100,000 readings on each of two processors a third of the time went into 
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Row = TypeVar("Row", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -130,22 +132,53 @@ class Workers:
             A worker has another version of the program.
         """
         columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        outcomes = self._in_process if self._client is None else self._on_cluster
+        outcomes = (
+            (_attempt(function, shared, *each) for each in enumerate(items))
+            if self._client is None
+            else self._on_cluster(function, items, shared, what)
+        )
         with ExitStack() as opened:
             bar = None
             if self._progress is not None:
                 bar = opened.enter_context(Bar(*columns, total=len(items), on=self._progress))
                 bar.show(what, 0)
-            for outcome in outcomes(function, items, shared, what):
+            for outcome in outcomes:
                 if bar is not None:
                     bar.show(what, outcome.index + 1)
                 yield outcome
 
-    def _in_process(
-        self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
-    ) -> Iterator[ItemOutcome[Result]]:
-        for index, item in enumerate(items):
-            yield _attempt(function, shared, index, item)
+    def rows(
+        self,
+        function: Callable[[Any, Item], Row],
+        items: Mapping[str, Item],
+        shared: Any,
+        table: Path,
+        kind: type[Row],
+        *,
+        what: str,
+    ) -> list[Row]:
+        """A row for each of many, in order, and as they come in a CSV table, which is replaced.
+
+        Parameters
+        ----------
+        function, shared, what
+            As for `map`.
+        items
+            Name of each -> what it is.
+        table
+            The file.
+        kind
+            Dataclass of a row; that of an item that failed is made of the item's name and ``error``.
+        """
+        names, rows = list(items), []
+        with table.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, [each.name for each in fields(kind)])
+            writer.writeheader()
+            for outcome in self.map(function, list(items.values()), shared, what=what):
+                rows.append(outcome.value or kind(names[outcome.index], error=outcome.error or ""))
+                writer.writerow(asdict(rows[-1]))
+                file.flush()
+        return rows
 
     def _on_cluster(
         self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
@@ -211,35 +244,10 @@ class Workers:
             self.died += 1
 
 
-def write_rows(
-    table: Path, kind: type[Any], names: Sequence[str], outcomes: Iterable[ItemOutcome[Any]]
-) -> Iterator[Any]:
-    """Write a CSV table with a row for each item, as they come.
-
-    Parameters
-    ----------
-    table
-        The file, which is replaced.
-    kind
-        Dataclass of a row; that of an item that failed is made of the item's name and ``error``.
-    names
-        Name of each item.
-    outcomes
-        Of `Workers.map`.
-
-    Yields
-    ------
-    dataclass
-        One row per item, in order.
-    """
-    with table.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, [each.name for each in fields(kind)])
-        writer.writeheader()
-        for outcome in outcomes:
-            row = outcome.value or kind(names[outcome.index], error=outcome.error or "")
-            writer.writerow(asdict(row))
-            file.flush()
-            yield row
+def exit_if_failed(rows: Iterable[Any]) -> None:
+    """End a command with `EXIT_SOME_FAILED` if a row has an ``error``."""
+    if any(row.error for row in rows):
+        raise typer.Exit(EXIT_SOME_FAILED)
 
 
 @contextmanager

@@ -165,9 +165,9 @@ def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Pa
     # The tables that models are made from report it too.
     sensor = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
     (warning,) = (each for each in load_readings([damaged], sensor).messages if "damaged" in each)
-    assert warning.startswith(f"{damaged} is damaged; lost: 1 damaged chunk")
+    assert warning.startswith(f"{damaged}: The file is damaged; lost: 1 damaged chunk")
     messages = read_readings([damaged], load_model(CONFIGS / "sensors" / "mb1242.yaml")).messages
-    assert any(each.startswith(f"{damaged} is damaged; lost: 1 damaged chunk") for each in messages)
+    assert any(each.startswith(f"{damaged}: The file is damaged; lost: 1 damaged chunk") for each in messages)
 
 
 @pytest.mark.slow

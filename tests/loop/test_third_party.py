@@ -1,4 +1,5 @@
-"""A package of somebody else's with an effect, a filter and a sensor: installed, flown, and used by the laboratory."""
+"""A package of somebody else's with an effect, a filter, a sensor and a log format: installed, flown, and used by the
+laboratory."""
 
 import json
 import os
@@ -30,7 +31,9 @@ class Installed:
     def run(self, *arguments: object, code: int = 0, without: bool = False) -> str:
         """Run a command, with the package or without, and return all that it printed."""
         command, *rest = [str(each) for each in arguments]
-        environment = os.environ if without else {**os.environ, "PYTHONPATH": str(self.folder / "site")}
+        path = [] if without else [str(self.folder / "site")]
+        path += filter(None, [os.environ.get("PYTHONPATH")])
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path)}
         done = subprocess.run(
             [Path(sys.executable).parent / command, *rest],
             env=environment,
@@ -58,6 +61,19 @@ def test_its_sensor_flies_with_its_filter_and_its_effect(installed: Installed) -
     assert errors["error_after"]["rms_cm"] < 0.95 * errors["error_before"]["rms_cm"]
     replayed = installed.run("msp-range", "replay", out / "flight.mcap")
     assert f"{errors['error_after']['count']}" in replayed
+
+
+def test_its_logs_are_imported(installed: Installed) -> None:
+    time_s = 0.1 * np.arange(300.0)
+    height_m = 2.0 + np.sin(time_s)
+    path = installed.folder / "flight.log"
+    lines = (f"{t} {round(h, 2)} {h}" for t, h in zip(time_s, height_m, strict=True))
+    path.write_text("\n".join(["PILOT 1", *lines]))
+    shown = installed.run("msp-lab", "import", path, "--out", installed.folder / "logs")
+    assert "flight.log: log of the pilot's box" in shown
+    assert "true range: mocap (box.height)" in shown
+    unknown = installed.run("msp-lab", "import", path, "--out", installed.folder / "logs", code=3, without=True)
+    assert "no log that is known" in unknown
 
 
 def test_without_the_package_its_names_are_not_known(installed: Installed) -> None:

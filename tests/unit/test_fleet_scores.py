@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.fleet.fits import Unit
 from msp_lab.fleet.rare import RARE_SHARE, RareReadings
-from msp_lab.fleet.unit import SimulatedScores, examine, sums_over_sessions
+from msp_lab.fleet.unit import SimulatedScores, Unit, examine, sums_over_sessions
 from msp_lab.gap.candidates import candidates_of
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import refit

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.logs import px4
+from msp_lab.logs.log import make_continuous
 from msp_lab.logs.opening import open_log
 from msp_lab.readings.clock_runs import Stamps, continuous
 from msp_lab.readings.dataset import read_dataset
@@ -77,13 +78,11 @@ def test_a_clock_of_px4_that_is_set_forward_is_contradicted_by_the_satellites() 
         "vehicle_gps_position": {"timestamp": jumped_us, "time_utc_usec": 1_790_000_000_000_000 + time_us},
         "distance_sensor": {"timestamp": jumped_us + 1000, "timestamp_sample": np.zeros(100)},
     }
-    places = [2 * np.arange(100), 2 * np.arange(100) + 1]
-    _, run = px4._make_continuous(found, places)
+    topics = [px4.messages_of(name, data, 2 * np.arange(100) + k) for k, (name, data) in enumerate(found.items())]
+    _, run = make_continuous(topics)
     assert run.step_s == pytest.approx(100.2)
-    for data in found.values():
-        assert (data["timestamp"] / 1e6 >= run.start_s).sum() == 54
-    # What has no time of its sample has none now.
-    assert not found["distance_sensor"]["timestamp_sample"].any()
+    for topic in topics:
+        assert (topic.series("timestamp").time_s >= run.start_s).sum() == 54
 
 
 @pytest.mark.parametrize("form", ["tlog", "csv", "mcap"])

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.logs.clocks import clock_difference_s
+from msp_lab.logs.elsewhere import clock_difference_s
 from msp_lab.logs.log import Series
 from msp_lab.logs.opening import open_log
 from msp_range.arrays import Array

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pymavlink.DFReader import DFReader_binary
 
-from msp_lab.logs import dataflash
-from msp_lab.logs.ardupilot import WANTED, _barometer, _ranger, _version, read_ardupilot
-from msp_lab.logs.dataflash import read_messages
+from msp_lab.logs import ardupilot
+from msp_lab.logs.ardupilot import WANTED, _barometer, _ranger, _version, flight_of, read_ardupilot, read_messages
+from msp_lab.logs.log import LogRequest, MessageColumns, Ranger
 from msp_range.recording.error import RecordingError
 
 LOG = Path(__file__).parents[1] / "data" / "logs" / "arducopter.BIN"
@@ -18,6 +18,15 @@ LOG = Path(__file__).parents[1] / "data" / "logs" / "arducopter.BIN"
 
 def nothing(share: float) -> None:
     pass
+
+
+ASKED = LogRequest(nothing)
+
+
+def ranger_of(number: int, range_m: list[float], status: list[float] | None, parameters: dict[str, float]) -> Ranger:
+    values = {"Dist": range_m} | ({} if status is None else {"Stat": status})
+    messages = MessageColumns("RFND", values, np.arange(len(range_m), dtype=float))
+    return _ranger(number, messages, ("Dist", "Orient"), parameters)
 
 
 def test_values_are_those_of_pymavlink() -> None:
@@ -38,7 +47,7 @@ def test_values_are_those_of_pymavlink() -> None:
 
 def test_pieces_give_what_the_whole_file_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     whole, _ = read_messages(LOG, WANTED, nothing)
-    monkeypatch.setattr(dataflash, "PIECE_BYTES", 20_011)
+    monkeypatch.setattr(ardupilot, "PIECE_BYTES", 20_011)
     shares: list[float] = []
     pieces, lost = read_messages(LOG, WANTED, shares.append)
     assert lost == ""
@@ -56,7 +65,7 @@ def test_two_rows_of_one_range_finder_and_time_both_stay(tmp_path: Path) -> None
     content = LOG.read_bytes()
     row = bytearray(content[at : at + form.len])
     (tmp_path / "a.bin").write_bytes(content[:at] + row + content[at:])
-    (whole,), (twice,) = (read_ardupilot(path, nothing).rangers for path in (LOG, tmp_path / "a.bin"))
+    (whole,), (twice,) = (read_ardupilot(path, ASKED).rangers for path in (LOG, tmp_path / "a.bin"))
     expected = np.insert(whole.series.values, 500, whole.series.values[500])
     np.testing.assert_array_equal(twice.series.values, expected)
 
@@ -65,7 +74,7 @@ def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
     content = bytearray(LOG.read_bytes())
     content[150_000:150_600] = bytes(600)
     (tmp_path / "cut.bin").write_bytes(content[:-1000])
-    log = read_ardupilot(tmp_path / "cut.bin", nothing)
+    log = read_ardupilot(tmp_path / "cut.bin", ASKED)
     assert 850 < len(log.rangers[0].series) < 890
     (note,) = log.notes
     lost = int(note.split()[0])
@@ -74,13 +83,13 @@ def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\xa3\x95", b"\xa3\x95" + bytes(3_000_000), b"not a log" * 1000, LOG.read_bytes()[:80]]
+    "content", [b"\xa3\x95", b"\xa3\x95" + bytes(3_000_000), b"not a log" * 1000, LOG.read_bytes()[:80]]
 )
 def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "bad.bin"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"bad\.bin: no dataflash log"):
-        read_ardupilot(path, nothing)
+        read_ardupilot(path, ASKED)
     assert capfd.readouterr().err == ""
 
 
@@ -94,11 +103,10 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes, capfd: pytest.
 )
 def test_beyond_the_maximum_is_no_echo_and_too_near_or_no_data_is_no_answer(parameters: dict[str, float]) -> None:
     """By the names of 4.7, of 4.0 to 4.6, and of versions before, which log no status."""
-    status = np.array([4.0, 3.0, 1.0, 2.0])
-    ranger = _ranger(1, np.arange(4.0), np.array([2.0, 0.0, 1.0, 0.1]), status, 25, parameters)
+    ranger = ranger_of(1, [2.0, 0.0, 1.0, 0.1], [4.0, 3.0, 1.0, 2.0], parameters)
     np.testing.assert_array_equal(ranger.series.values, [200.0, 700.0, np.nan, np.nan])
     assert (ranger.maximum_cm, ranger.too_near) == (700.0, 1)
-    without = _ranger(1, np.arange(3.0), np.array([0.2, 7.5, 0.1]), None, 25, parameters)
+    without = ranger_of(1, [0.2, 7.5, 0.1], None, parameters)
     np.testing.assert_array_equal(without.series.values, [20.0, 700.0, np.nan])
     assert without.too_near == 1
 
@@ -106,18 +114,18 @@ def test_beyond_the_maximum_is_no_echo_and_too_near_or_no_data_is_no_answer(para
 def test_a_maximum_with_the_rounding_of_32_bits_is_the_reading_of_no_echo() -> None:
     """Of 7.6 as a 32-bit number, 759.9999905 cm, and of another that is rounded downwards."""
     for maximum_m in (np.float64(np.float32(7.6)), 7.6000001):
-        ranger = _ranger(1, np.arange(2.0), np.array([9.0, 8.0]), np.array([4.0, 3.0]), 25, {"RNGFND1_MAX": maximum_m})
+        ranger = ranger_of(1, [9.0, 8.0], [4.0, 3.0], {"RNGFND1_MAX": float(maximum_m)})
         assert ranger.series.values.tolist() == [ranger.maximum_cm] * 2 == [760.0, 760.0]
 
 
 def test_plane_logs_the_throttle_in_per_cent(tmp_path: Path) -> None:
     (tmp_path / "plane.bin").write_bytes(LOG.read_bytes().replace(b"ArduCopter V4", b"ArduPlane V44"))
-    copter, plane = (read_ardupilot(path, nothing).context["throttle"] for path in (LOG, tmp_path / "plane.bin"))
+    copter, plane = (read_ardupilot(path, ASKED).context["throttle"] for path in (LOG, tmp_path / "plane.bin"))
     np.testing.assert_allclose(100.0 * plane.values, copter.values)
 
 
 def test_the_second_range_finder_of_an_old_log_has_no_maximum_of_the_first() -> None:
-    ranger = _ranger(2, np.arange(1.0), np.array([8.0]), None, 25, {"RNGFND_MAX_CM": 700.0})
+    ranger = ranger_of(2, [8.0], None, {"RNGFND_MAX_CM": 700.0})
     assert ranger.series.values.tolist() == [800.0]
 
 
@@ -133,7 +141,7 @@ def test_the_barometer_is_the_one_that_the_autopilot_uses() -> None:
         ({"BARO_PRIMARY": 1.0}, [1.0, 2.0]),
         ({"BARO_PRIMARY": 2.0}, [9.0, 9.5]),
     ):
-        found = _barometer({"BARO": rows}, parameters)
+        found = _barometer(flight_of({"BARO": rows}), parameters)
         assert found is not None
         assert found.values.tolist() == expected
         assert found.source == ("BARO[1].Alt" if expected[0] == 1.0 else "BARO.Alt")
@@ -143,7 +151,7 @@ def test_the_barometer_is_the_one_that_the_autopilot_uses() -> None:
         ({"GND_PRIMARY": 0.0}, "BARO.Alt"),
         ({}, "BARO.Alt"),
     ):
-        found = _barometer(old, parameters)
+        found = _barometer(flight_of(old), parameters)
         assert found is not None
         assert found.source == source
 

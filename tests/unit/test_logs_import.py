@@ -2,14 +2,16 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from numpy.typing import NDArray
 
 from msp_lab.logs import px4, show
 from msp_lab.logs.join import Joined, join
-from msp_lab.logs.log import TILT, Ranger, Series, TruthSource, VehicleLog, make_ranger
+from msp_lab.logs.log import TILT, LoggedFlight, Ranger, Series, TruthSource, VehicleLog, make_ranger
 from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
@@ -109,6 +111,9 @@ def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> Non
 
 
 def test_an_invalid_signal_of_px4_or_a_reading_below_its_minimum_is_no_answer() -> None:
+    def flown(topic: dict[str, NDArray[Any]]) -> LoggedFlight:
+        return LoggedFlight(distance_sensor=px4.messages_of("distance_sensor", topic, np.arange(3)))
+
     topic = {
         "timestamp": np.arange(3) * 10**6,
         "current_distance": np.array([2.0, 2.0, 0.2]),
@@ -116,10 +121,10 @@ def test_an_invalid_signal_of_px4_or_a_reading_below_its_minimum_is_no_answer() 
         "max_distance": np.full(3, 7.0),
         "signal_quality": np.array([100, 0, -1]),
     }
-    (ranger,) = px4._rangers({"distance_sensor": topic})
+    (ranger,) = px4._rangers(flown(topic))
     assert np.isnan(ranger.series.values).tolist() == [False, True, True]
     assert ranger.too_near == 1
-    (ranger,) = px4._rangers({"distance_sensor": {key: topic[key] for key in topic if key != "min_distance"}})
+    (ranger,) = px4._rangers(flown({key: topic[key] for key in topic if key != "min_distance"}))
     assert np.isnan(ranger.series.values).tolist() == [False, True, False]
 
 
@@ -162,7 +167,12 @@ def test_a_recording_and_a_table_keep_what_they_have(tmp_path: Path) -> None:
 
 def test_readings_at_one_time_all_stay_in_their_order() -> None:
     near = make_ranger(
-        "a", Series("a", np.array([2.0, 1.0, 1.0]), np.array([50.0, 5.0, 60.0])), True, 7.0, np.array([0, 1, 0]) > 0
+        "a",
+        Series("a", np.array([2.0, 1.0, 1.0]), np.array([0.5, 0.05, 0.6])),
+        True,
+        np.full(3, 7.0),
+        np.array([0, 1, 0]) > 0,
+        np.zeros(3, dtype=bool),
     )
     np.testing.assert_array_equal(near.series.values, [np.nan, 60.0, 50.0])
     assert near.series.time_s.tolist() == [1.0, 1.0, 2.0]
@@ -171,7 +181,7 @@ def test_readings_at_one_time_all_stay_in_their_order() -> None:
 
 def test_rows_of_a_table_are_put_in_the_order_of_their_times(tmp_path: Path) -> None:
     table = {"time_s": np.array([2.0, 1.0]), "sensor": np.array(["a", "a"]), "reading_cm": np.array([20.0, 10.0])}
-    (ranger,), _ = rangers_of(tmp_path, MeasuredData(table), 765.0)
+    (ranger,) = rangers_of(tmp_path, MeasuredData(table), 765.0)
     assert ranger.series.values.tolist() == [10.0, 20.0]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from msp_lab.logs import ardupilot, px4, truth
 from msp_lab.logs.fused import by_any, by_ekf2_of_ardupilot, by_px4
-from msp_lab.logs.log import Series, VehicleLog
+from msp_lab.logs.log import LoggedFlight, LogRequest, Series, VehicleLog
 from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_range.recording.csv_form import MeasuredData, write_csv
@@ -20,23 +20,31 @@ from tests.support.measured import readings
 def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
     height = Series("z", np.arange(10.0), np.arange(10.0))
     stamps = np.array([0, 6_500_000])
-    flags = {"estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}}
-    kept, refused = px4._without_fused(height, flags, {"EKF2_HGT_REF": 1})
+    flags: dict[str, dict[str, Any]] = {"estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}}
+    kept, refused = px4._without_fused(height, flown(flags), {"EKF2_HGT_REF": 1})
     assert refused == ""
     assert kept is not None
     assert np.flatnonzero(np.isfinite(kept.values)).tolist() == list(range(7))
-    assert px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
-    assert "may be fused" in px4._without_fused(height, {}, {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
+    assert px4._without_fused(height, LoggedFlight(), {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 0})[1] == ""
+    assert "may be fused" in px4._without_fused(height, LoggedFlight(), {"EKF2_HGT_REF": 1, "EKF2_RNG_CTRL": 1})[1]
 
 
-def old_px4(flags: list[int]) -> dict[str, dict[str, Any]]:
+def flown(topics: dict[str, dict[str, Any]]) -> LoggedFlight:
+    """Topics of PX4."""
+    return LoggedFlight(
+        {name: px4.messages_of(name, data, np.arange(data["timestamp"].size)) for name, data in topics.items()}
+    )
+
+
+def old_px4(flags: list[int]) -> LoggedFlight:
     """Topics of PX4 1.9 over 10 s: all flags in one number, and no topic for the thrust."""
     stamps = np.arange(10) * 10**6
-    return {
+    topics: dict[str, dict[str, Any]] = {
         "vehicle_local_position": {"timestamp": stamps, "z": -np.arange(10.0)},
         "estimator_status": {"timestamp": stamps, "control_mode_flags": np.array(flags, dtype=np.uint32)},
         "actuator_controls_0": {"timestamp": stamps, "control[3]": np.full(10, 0.4, dtype=np.float32)},
     }
+    return flown(topics)
 
 
 def test_old_logs_of_px4_have_the_flag_of_the_range_in_a_number() -> None:
@@ -134,7 +142,7 @@ def test_a_column_of_an_ekf_is_refused_by_the_parameters_of_that_ekf(
         "PARM": {"Name": np.array(list(parameters), "S16"), "Value": np.array(list(parameters.values()))},
     }
     monkeypatch.setattr(ardupilot, "read_messages", lambda path, wanted, progress: (found, ""))
-    log = ardupilot.read_ardupilot(Path("a.bin"), lambda share: None, f"{message}.PD")
+    log = ardupilot.read_ardupilot(Path("a.bin"), LogRequest(lambda share: None, f"{message}.PD"))
     (column,) = [each for each in log.references if each.kind == "column"]
     assert column.refused.startswith(refused)
     assert bool(column.refused) == bool(refused)
@@ -145,8 +153,10 @@ def test_a_height_is_refused_from_when_the_range_was_fused() -> None:
     height = Series("z", np.arange(2.0, 12.0), np.arange(10.0))
     for first_s, refused in ((6.0, True), (9.0, False)):
         stamps = np.array([0, first_s * 1e6])
-        flags = {"estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}}
-        why = px4._without_fused(height, flags, {})[1]
+        flags: dict[str, dict[str, Any]] = {
+            "estimator_status_flags": {"timestamp": stamps, "cs_rng_hgt": np.array([0, 1])}
+        }
+        why = px4._without_fused(height, flown(flags), {})[1]
         assert bool(why) == refused
         assert ("from 4 s on" in why) == refused
 
@@ -159,10 +169,10 @@ def test_a_fixed_solution_is_that_of_the_receiver_that_has_it() -> None:
         "Status": np.tile([3.0, 6.0], 5),
         "Alt": np.arange(10.0),
     }
-    (rtk,) = filter(None, ardupilot._references({"GPS": gps}, {}))
+    (rtk,) = filter(None, ardupilot._references(ardupilot.flight_of({"GPS": gps}), {}))
     assert (rtk.kind, rtk.series.source) == ("rtk", "GPS[1].Alt")
     assert rtk.series.values.tolist() == [1.0, 3.0, 5.0, 7.0, 9.0]
-    assert not any(ardupilot._references({"GPS": gps | {"Status": np.full(10, 3.0)}}, {}))
+    assert not any(ardupilot._references(ardupilot.flight_of({"GPS": gps | {"Status": np.full(10, 3.0)}}), {}))
 
 
 def test_a_code_of_no_echo_is_no_distance_where_the_log_states_no_maximum(tmp_path: Path) -> None:
@@ -171,8 +181,8 @@ def test_a_code_of_no_echo_is_no_distance_where_the_log_states_no_maximum(tmp_pa
         "sensor": np.full(4, "a"),
         "reading_cm": np.array([100.0, 765.0, 900.0, np.nan]),
     }
-    rangers, _ = rangers_of(tmp_path, MeasuredData(columns), 765.0)
-    found = truth.choose(VehicleLog(tmp_path, "CSV table", rangers, {}, ()), truth.parse_truth("sensor:a"))
+    rangers = rangers_of(tmp_path, MeasuredData(columns), 765.0)
+    found = truth.choose(VehicleLog(tmp_path, "CSV table", tuple(rangers), {}, ()), truth.parse_truth("sensor:a"))
     assert found is not None
     assert found.series.values.tolist() == pytest.approx([1.0, np.nan, 9.0, np.nan], nan_ok=True)
 

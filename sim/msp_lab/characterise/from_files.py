@@ -63,9 +63,8 @@ def characterise(
     1
     >>> folder.cleanup()
     """
-    column_map = () if columns is None else tuple(map_options(columns))
-    today = date_of(SystemClock().utc())
-    how = Characterisation(tuple(paths_of(files)), config_path(sensor, "sensors"), column_map, "recorded", today, seed)
+    start, today = config_path(sensor, "sensors"), date_of(SystemClock().utc())
+    how = Characterisation(tuple(paths_of(files)), start, map_options(columns), "recorded", today, seed)
     with threadpool_limits(limits=1):
         made = characterised(how)
     if out is not None:

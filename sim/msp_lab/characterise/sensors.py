@@ -15,13 +15,11 @@ from numpy.random import default_rng
 from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Findings, as_json
 from msp_lab.characterise.model_file import changed, write_model
-from msp_lab.readings.column_map import load_map
-from msp_lab.readings.dataset import is_dataset, sensors_of
-from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
+from msp_lab.readings.column_map import load_maps
+from msp_lab.readings.intake import LoadedReadings, load_readings, sensors_in, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
-from msp_sim.workers import Workers, write_rows
 
 NUMBERS, PAGE, TABLE = "findings.json", "report.html", "sensors.csv"
 
@@ -47,8 +45,11 @@ class Characterisation:
 
     def load(self, start: SensorModel, sensors: Sequence[str] = ()) -> LoadedReadings:
         """The readings of these sensors (none: all)."""
-        column_map = load_map(self.column_map) if self.column_map else None
-        return load_readings(self.data, start, column_map, sensors=sensors, truth=self.truth)
+        return load_readings(self.data, start, load_maps(self.column_map), sensors=sensors, truth=self.truth)
+
+    def sensors(self) -> list[str]:
+        """Names of the sensors in the readings."""
+        return sensors_in(self.data, load_sensor_model(self.start), load_maps(self.column_map), truth=self.truth)
 
 
 @dataclass(frozen=True)
@@ -148,13 +149,6 @@ class EachSensor:
     report: Path | None
 
 
-def sensors_in(how: Characterisation) -> list[str]:
-    """Names of the sensors in the readings."""
-    if all(map(is_dataset, how.data)):
-        return sorted({name for path in how.data for name in sensors_of(path)})
-    return sorted(set(how.load(load_sensor_model(how.start)).data["sensor"].tolist()))
-
-
 def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
     """Make and write one sensor's model."""
     name = quote(sensor, safe="")
@@ -168,9 +162,3 @@ def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
     mixture = made.model.reading_model
     shares = mixture.weights
     return OfSensor(sensor, len(made.data), mixture.sigma_cm, shares.short, shares.missed, shares.random, str(path))
-
-
-def characterise_sensors(common: EachSensor, sensors: Sequence[str], where: Workers) -> list[OfSensor]:
-    """Make each sensor's model, and write the table."""
-    outcomes = where.map(characterise_sensor, sensors, common, what="sensors")
-    return list(write_rows(common.out / TABLE, OfSensor, sensors, outcomes))

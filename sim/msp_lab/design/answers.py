@@ -14,8 +14,8 @@ from msp_lab.design.questions import Answer, OpenQuestion
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, candidates_of
 from msp_lab.gap.extended_model import extended
+from msp_lab.gap.findings_file import read_named
 from msp_lab.gap.intake import Comparison
-from msp_lab.gap.named_file import read_named
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.runs import sample, taken

@@ -13,10 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from msp_lab.design.session import Columns, PlannedSession, chosen
+from msp_range.assembly import polling_interval_s
 from msp_range.config import Airframe
 from msp_range.yaml_file import check
-from msp_sim.device.emulated import Surroundings, ping_contexts
 from msp_sim.flight.scenario import Scenario
+from msp_sim.monte_carlo.outcome import pings_in_flight
 
 HEIGHTS_M = (1.0, 2.2, 3.6)
 """Heights above ground at which the vehicle hovers if the range is varied."""
@@ -93,31 +94,30 @@ class Pilot:
         A flight records what it can, whatever `record` asks for.
         """
         del record
-        sensors = self.airframe.sensors
-        interval_s = self.airframe.polling.ping_interval_s or max(
-            each.sensor_model.timing.ping_interval_s for each in sensors
-        )
-        seconds = min(max(readings * interval_s * len(sensors), 20.0), LONGEST_S)
+        turn_s = polling_interval_s(self.airframe) * len(self.airframe.sensors)
+        seconds = min(max(readings * turn_s, 20.0), LONGEST_S)
         air_c = chosen(TEMPERATURES_C, ends_only) if "air_temperature_c" in varied else (20.0,)
         scenarios, parts = {}, []
         flights = visits * FLIGHTS
         for number in range(flights):
             name = f"decide_{number + 1}"
             scenarios[name] = self._scenario(name, varied, ends_only, seconds, air_c[number * len(air_c) // flights])
-            parts.append(self._contexts(scenarios[name], interval_s))
+            parts.append(self._contexts(scenarios[name]))
         contexts = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         flown_s = sum(float(each["duration_s"]) for each in scenarios.values())
         minutes = flown_s / 60.0 + flights * SETUP_MIN + (len(air_c) - 1) * WEATHER_MIN
         words, campaign = _words(varied, ends_only, air_c), self._campaign(scenarios)
-        per_flight = round(seconds / (interval_s * len(sensors)))
+        per_flight = round(seconds / turn_s)
         return PlannedSession("flight", words, contexts, per_flight, visits, minutes, campaign, scenarios, REFERENCE_CM)
 
-    def _contexts(self, content: dict[str, Any], interval_s: float) -> Columns:
+    def _contexts(self, content: dict[str, Any]) -> Columns:
         """The contexts of a flight, in its air and with its name as run."""
         does = json.dumps([content["flight"], content["duration_s"]])
         if does not in self.flown:
             scenario = check(content["name"], Scenario, content, {"folder": self.airframe_file.parent})
-            self.flown[does] = _simulated(scenario, interval_s)
+            pinged = pings_in_flight(scenario, None, np.random.default_rng(1))
+            rows = [each | {"time_s": each["uptime_s"]} for each in pinged if each["has_echo"]]
+            self.flown[does] = {key: np.array([row[key] for row in rows]) for key in TRUTH}
         pings = self.flown[does]
         size = np.size(pings["time_s"])
         air_c = np.full(size, float(content["air"]["ground_c"]))
@@ -191,14 +191,3 @@ def _words(varied: Sequence[str], ends_only: bool, air_c: Sequence[float]) -> di
         "air_temperature_c": f"flights in air of {', '.join(f'{each:g}' for each in air_c)} C",
     }
     return {name: words[name] for name in varied}
-
-
-def _simulated(scenario: Scenario, interval_s: float) -> Columns:
-    """The truth of each ping of a flight."""
-    world, sensors = scenario.world(), scenario.airframe.sensors
-    around = Surroundings(world, scenario.vehicle(world, np.random.default_rng(1)).pose)
-    turns = range(int(scenario.duration_s / interval_s))
-    pings = ((number * interval_s, sensors[number % len(sensors)].name) for number in turns)
-    contexts = ping_contexts(scenario.airframe, None, around, pings)
-    rows = [each | {"time_s": each["uptime_s"]} for each in contexts if each["has_echo"]]
-    return {key: np.array([row[key] for row in rows]) for key in TRUTH}

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from msp_lab.gap.cli import Seed
 from msp_range.extras import require
 from msp_range.terminal import PlainConsole
 from msp_range.user_errors import report_user_errors
@@ -37,7 +38,7 @@ def fleet(
             "default: the folder of the log",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="random seed; the same seed gives the same answer")] = 1,
+    seed: Seed = 1,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     effects: OwnEffects = None,

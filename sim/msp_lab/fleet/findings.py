@@ -56,16 +56,16 @@ class FleetEffect:
     """What was found, in words."""
     alternatives: tuple[tuple[str, float], ...]
     """Effects that explain it as well, and how much less they gain [nat]."""
-    mean: float | None
-    low: float | None
-    high: float | None
+    mean: float | None = None
+    low: float | None = None
+    high: float | None = None
     """Of the ordinary vehicles, with its 95 % interval; None of a change."""
-    tau: float
-    i2: float
+    tau: float = 0.0
+    i2: float = 0.0
     """Standard deviation between vehicles, and the share of the scatter that it is."""
-    omega: float
+    omega: float = 0.0
     """Standard deviation between sessions of a vehicle."""
-    estimates: tuple[UnitEstimate, ...]
+    estimates: tuple[UnitEstimate, ...] = ()
     """Of each sensor; of a change the size of it, of the one that changed."""
     since: str = ""
     """First session after a change."""

@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from msp_lab.fleet.findings import Kind
-from msp_lab.fleet.fits import Unit
 from msp_lab.fleet.statistics import Change, Number, changes_of, numbers_of
 from msp_lab.fleet.terms import FleetTerm, candidate_of, effect_of
-from msp_lab.fleet.unit import RefittedTerm, UnitScores, compare, examine
+from msp_lab.fleet.unit import RefittedTerm, Unit, UnitScores, compare, examine
 from msp_lab.gap import rules
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
@@ -98,18 +97,22 @@ class Search:
         count = sum(len(each.log_p) for each in self.found)
         return float(np.log(self.fdr * (count + 1) / max(self.tests, 1)))
 
+    @property
+    def _of_all(self) -> set[Key]:
+        """Effects that all units are known to have."""
+        return {each.term.key for each in self.found if each.kind in ("shared", "calibration")}
+
     def _has(self, unit: int, key: Key) -> bool:
         kinds = [each for each in self.found if each.term.key == key and each.kind == "odd"]
         return (unit, key) in self._without or any(unit in each.units for each in kinds)
 
     def _shared(self, numbers: Sequence[Number]) -> bool:
         """One more effect that the fleet shares."""
-        known = {each.term.key for each in self.found if each.kind in ("shared", "calibration")}
         open_ = [
             each
             for each in numbers
             if not (each.term.is_base or each.term.sessions)
-            and each.term.key not in known
+            and each.term.key not in self._of_all
             and (-1, each.term.key) not in self._without
             and each.fleet.ordinary.sum() > len(self.units) / 2.0
         ]
@@ -184,15 +187,14 @@ class Search:
     def _odd(self, flagged: dict[int, "_Suspect"], level: float) -> bool:
         worst = min(flagged, key=lambda unit: flagged[unit].log_p)
         # What all units have is fitted in all: a unit with more or less of it needs no refit.
-        shared = {each.term.key for each in self.found if each.kind in ("shared", "calibration")}
         best = min(flagged[worst].own, key=lambda each: each[0], default=None)
-        if best is not None and best[1].term.key in shared:
+        if best is not None and best[1].term.key in self._of_all:
             self._take(FleetFinding("odd", best[1].term, (worst,), (best[0],)))
             return True
         tried: dict[Key, FleetTerm] = {}
         for suspect in sorted(flagged.values(), key=lambda each: each.log_p):
             for number, j in suspect.candidates():
-                if number.term.key not in shared and len(tried) < 2 * rules.REFITS_PER_STEP:
+                if number.term.key not in self._of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
                     tried.setdefault(number.term.key, _tried(number, float(number.value[j])))
         if not tried:
             self._without |= {(worst, number.term.key) for _, number, _ in (*flagged[worst].own, *flagged[worst].other)}

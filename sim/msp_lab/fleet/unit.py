@@ -1,7 +1,8 @@
 """One sensor of one vehicle: scores of all numbers that the fleet is compared by, session by session.
 
 A `Unit` and the terms that it is known to have enter; plain arrays leave. `examine` and `compare` are pure functions of
-what they are given, so that another process can do them; only one vehicle's readings are in memory at a time.
+what they are given, so that another process can do them; the latest prepared readings and joint fits are kept for the
+next question about the same unit, which changes how long an answer takes and nothing else.
 
 At the joint fit of base and terms each number j has the efficient score u of each reading, which is its score less what
 the other fitted numbers explain of it (as in `gap.screen`). A session's sum U_r over its expected information I_r is by
@@ -14,23 +15,40 @@ what it is without the effect, by E[u t] per share, which stands for I. So U_r /
 that of u over I squared.
 """
 
+import pickle
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
-from msp_lab.fleet.fits import Unit, fit_of, problem_of, with_term
 from msp_lab.fleet.rare import RareReadings
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import score_of
+from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.prepared import Prepared
-from msp_lab.gap.refit import inverse, refit, sums_by
+from msp_lab.gap.problem import Problem, with_candidate
+from msp_lab.gap.refit import JointFit, fit_base, inverse, refit, sums_by
 from msp_lab.gap.screen import replicate
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Flags, Indices, numbered
+from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
+KEPT_UNITS = 32
+"""Units of which a process keeps readings and a fit: 6 MB each for 20,000 readings. Fewer than the fleet has: files are
+read, and fits made, again for each question."""
+MIN_READINGS = 200
+"""A sensor with fewer readings is left out, with the reason. Its base has seven numbers, of which three are odds of a
+few per cent. Fewer: numbers that rest on single readings."""
+FIRST_STEPS = 30.0
+"""A fit of a number of which nothing is known starts so many of its numeric steps from its neutral value: 0.03 of its
+unit. Smaller: the first slope of a share is rounding."""
+MAX_SHARE_LEFT_OUT = 0.5
+"""A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
+unit is wrong. Higher: fits to what is left of them."""
 REPLICATE_ROWS = 24_000
 """Expected information is from so many simulated readings at most. A session of a tenth of them is known to a few per
 cent, as far as hits are concerned. More: slower."""
@@ -38,6 +56,36 @@ SMALL_SHARE = 0.01
 """Scores of shares are those at this share. At 0 single readings of a probability of 1e-6 hide all others: repeated
 readings of 5 to 8 % that gain 100 to 220 nats in a refit were 1 to 3 standard errors. In 3,000 readings 10 standard
 errors are shares of 1 to 8 %. Lower: few improbable readings decide; higher: those that are only less usual do."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A sensor of a vehicle, and where its readings are."""
+
+    dataset: Path
+    """Folder of the dataset."""
+    vehicle: str
+    sensor: str
+    """Names."""
+    sessions: tuple[str, ...]
+    """Its runs, in their order."""
+    seed: int
+    """Random seed."""
+    version: str = ""
+    """Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder."""
+
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return f"{self.vehicle} {self.sensor}"
+
+    def rng(self, *stream: int) -> np.random.Generator:
+        """Random numbers of its own, the same ones each time."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), *stream])
+
+
+class UnusableError(UserError):
+    """A sensor's readings cannot be compared; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +161,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         for each in problem.candidates
         if with_others and each.effect.per != "run" and (*each.key, each.parameter.name) not in own
     ]
-    columns = (
-        *(FleetTerm(name, "value") for name in BASE_NUMBERS),
-        *terms,
-        *(term_of(each) for each in candidates),
-    )
+    numbers = (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms, *map(term_of, candidates))
 
     def scores(prepared: Prepared) -> Array:
         """Of all fitted numbers, then of the candidates."""
@@ -126,7 +170,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
         of_candidates = [score_of(each, prepared, here) for each in candidates]
         return np.column_stack([at.scores, *of_candidates])
 
-    rng = np.random.default_rng([unit.seed, zlib.crc32(unit.name.encode()), 1])
+    rng = unit.rng(1)
     rows = max(rules.REPLICATE_ROWS, min(4 * len(problem.readings), REPLICATE_ROWS))
     drawn = replicate(
         problem.model, fit.base, fit.effects, problem.contexts, rng, rows, spacing_s=problem.readings.spacing_s
@@ -145,10 +189,11 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     is_linear = np.append(np.zeros(len(of_numbers), dtype=bool), linear)
     bounded, bounded_here = _bounded(expected, fitted, linear), _bounded(measured, fitted, linear)
     turned = _explained(weight * expected / len(drawn), expected, bounded, places, free)
-    sessions = [each for each in unit.sessions if each in set(problem.contexts["run"].tolist())]
-    session_of = {name: k for k, name in enumerate(sessions)}
-    here = np.array([session_of[each] for each in problem.contexts["run"].tolist()])
-    there = np.array([session_of[each] for each in drawn.scene["run"].tolist()])
+    flown = set(problem.contexts["run"].tolist())
+    sessions = {name: k for k, name in enumerate(each for each in unit.sessions if each in flown)}
+    here, there = (
+        np.array([sessions[each] for each in columns["run"].tolist()]) for columns in (problem.contexts, drawn.scene)
+    )
     readings = np.bincount(here, minlength=len(sessions))
     explained = expected[:, free] @ turned.T
     score, information, variance = sums_over_sessions(
@@ -166,11 +211,10 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare.
     clear[: len(BASE_NUMBERS)] &= ~fit.held[: len(BASE_NUMBERS)]
     information = np.where(clear, np.maximum(information, 0.0), 0.0)
-    variance = np.where(information > 0.0, variance, 0.0)
-    score = np.where(information > 0.0, score, 0.0)
+    variance, score = (np.where(information > 0.0, each, 0.0) for each in (variance, score))
     value = np.array([*values, *np.zeros(len(candidates))])
     return UnitScores(
-        columns,
+        numbers,
         tuple(sessions),
         readings,
         value,
@@ -192,6 +236,57 @@ def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetT
         gained = best.log_likelihood - fit.log_likelihood - candidate_of(term).cost_nats
         found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
     return found
+
+
+def problem_of(model: Model, unit: Unit) -> Problem:
+    """The readings of a unit, ready for fits.
+
+    Raises
+    ------
+    RecordingError
+        A file is damaged, or its readings cannot be compared.
+    UnusableError
+        There are too few readings.
+    """
+    return _problem(pickle.dumps(model), unit)
+
+
+@lru_cache(maxsize=KEPT_UNITS)
+def _problem(pickled: bytes, unit: Unit) -> Problem:
+    model, _ = with_least_weights(pickle.loads(pickled))
+    readings = read_readings([unit.dataset], model, sensors=(unit.sensor,), runs=unit.sessions)
+    model = readings.in_step(model)
+    count = len(readings.data)
+    if count < MIN_READINGS:
+        raise UnusableError(f"{count} readings with a true range, and at least {MIN_READINGS} are needed")
+    columns = dict(readings.data.columns)
+    reading_cm = columns.pop("reading_cm")
+    possible = np.isfinite(model.log_prob(reading_cm, columns))
+    if possible.mean() < 1.0 - MAX_SHARE_LEFT_OUT:
+        raise UnusableError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
+    return Problem.of(model, columns, reading_cm, numbered(columns["run"]), unit.rng())
+
+
+def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
+    """The joint fit of base and terms, which are added one after another."""
+    return _fit(pickle.dumps(model), unit, tuple(terms))
+
+
+@lru_cache(maxsize=KEPT_UNITS)
+def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
+    problem = _problem(pickled, unit)
+    return with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
+
+
+def with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
+    """The joint fit with one more term, from where it is expected."""
+    candidate = candidate_of(term)
+    parameter = candidate.parameter
+    small = FIRST_STEPS * parameter.step
+    starts = [term.start] if abs(term.start) > parameter.step else [small, -small]
+    starts = [start for start in starts if start > 0.0 or not candidate.one_sided] or [small]
+    at = [float(np.clip(candidate.neutral + start, parameter.low, parameter.high)) for start in starts]
+    return max((with_candidate(problem, fit, candidate, each) for each in at), key=lambda each: each.log_likelihood)
 
 
 def sums_over_sessions(

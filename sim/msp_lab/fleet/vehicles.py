@@ -7,7 +7,7 @@ import re
 from hashlib import sha256
 from pathlib import Path, PurePath
 
-from msp_lab.fleet.fits import Unit
+from msp_lab.fleet.unit import Unit
 from msp_lab.readings.dataset import is_dataset, origin, sensors_by_run
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError

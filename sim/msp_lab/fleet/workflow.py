@@ -14,9 +14,9 @@ import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
 from msp_lab.fleet.meta import shrunk
 from msp_lab.fleet.search import FleetFinding, Search
-from msp_lab.fleet.statistics import Number, numbers_of, series_of
+from msp_lab.fleet.statistics import Change, Number, numbers_of, series_of
 from msp_lab.fleet.terms import FleetTerm, effect_of
-from msp_lab.fleet.unit import UnitScores, examine
+from msp_lab.fleet.unit import Unit, UnitScores, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
 from msp_range.recording.error import RecordingError
@@ -54,13 +54,9 @@ def find_in_fleet(
     """
     run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
-    units, scores, left_out = [], [], []
-    for unit, each in zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True):
-        if each.value is not None:
-            units.append(unit)
-            scores.append(each.value)
-        else:
-            left_out.append(LeftOut(unit.vehicle, unit.sensor, each.error or ""))
+    outcomes = list(zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True))
+    left_out = [LeftOut(unit.vehicle, unit.sensor, each.error) for unit, each in outcomes if each.error is not None]
+    units = [unit for unit, each in outcomes if each.error is None]
     vehicles = len({unit.vehicle for unit in units})
     if vehicles < MIN_VEHICLES:
         reasons = "; ".join(f"{each.vehicle} {each.sensor}: {each.why}" for each in left_out[:3])
@@ -68,11 +64,10 @@ def find_in_fleet(
             f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
-    search = Search(units, scores, fdr, run)
+    search = Search(units, [each.value for _, each in outcomes if each.value is not None], fdr, run)
     search.search()
-    effects = [_effect(search, each) for each in search.found]
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
-    effects = sorted(_joined(effects), key=lambda each: order[each.kind])
+    effects = sorted(_joined([_effect(search, each) for each in search.found]), key=lambda each: order[each.kind])
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),
@@ -101,49 +96,39 @@ def _untestable(scores: Sequence[UnitScores]) -> tuple[tuple[str, tuple[str, ...
 
 
 def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
-    effect = effect_of(finding.term.effect)
-    parameter = next(each for each in effect.parameters if each.name == finding.term.number)
-    alternatives = tuple((term.effect, lost) for term, lost in finding.alternatives)
+    term = finding.term
+    unit_label = next(each.unit for each in effect_of(term.effect).parameters if each.name == term.number)
+    alternatives = tuple((other.effect, lost) for other, lost in finding.alternatives)
+    effect = FleetEffect(finding.kind, term.effect, term.number, unit_label, term.shape, "", alternatives)
     if finding.change is not None:
-        return _changed(search, finding, parameter.unit, alternatives)
-    number = _estimated(search, finding.term)
+        return _changed(search, finding, finding.change, effect)
+    number = _estimated(search, term)
     fleet = number.fleet
-    near, near_error = shrunk(number.value, number.error, fleet)
-    is_odd = np.isin(number.units, finding.units) if finding.kind == "odd" else np.zeros(number.units.size, dtype=bool)
-    p_value = np.exp(number.log_p)
-    estimates = tuple(
-        UnitEstimate(
-            search.units[unit].vehicle,
-            search.units[unit].sensor,
-            float(number.value[k]),
-            float(number.error[k]),
-            float(near[k]),
-            float(near[k] - TWO_SIDED_95 * near_error[k]),
-            float(near[k] + TWO_SIDED_95 * near_error[k]),
-            bool(is_odd[k]),
-            float(p_value[k]),
-        )
-        for k, unit in enumerate(number.units.tolist())
-    )
+    is_odd = np.isin(number.units, finding.units) & (finding.kind == "odd")
+    numbers = (number.value, number.error, *shrunk(number.value, number.error, fleet), is_odd, np.exp(number.log_p))
+    each_unit = zip(number.units.tolist(), *(each.tolist() for each in numbers), strict=True)
     of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
-    shown = float(of_odd - fleet.mean * finding.term.is_base)
+    shown = float(of_odd - fleet.mean * term.is_base)
     half = TWO_SIDED_95 * fleet.error
-    return FleetEffect(
-        finding.kind,
-        effect.name,
-        parameter.name,
-        parameter.unit,
-        finding.term.shape,
-        plain_of(finding.term, shown, with_size=bool(is_odd.any()) or finding.kind == "shared"),
-        alternatives,
-        fleet.mean,
-        fleet.mean - half,
-        fleet.mean + half,
-        fleet.tau,
-        fleet.i2,
-        number.omega,
-        estimates,
+    return replace(
+        effect,
+        plain=plain_of(term, shown, with_size=bool(is_odd.any()) or finding.kind == "shared"),
+        mean=fleet.mean,
+        low=fleet.mean - half,
+        high=fleet.mean + half,
+        tau=fleet.tau,
+        i2=fleet.i2,
+        omega=number.omega,
+        estimates=tuple(_estimate(search.units[unit], *own) for unit, *own in each_unit),
     )
+
+
+def _estimate(
+    unit: Unit, value: float, error: float, near: float, near_error: float, odd: bool, p_value: float
+) -> UnitEstimate:
+    """A unit's number, and the same drawn towards the fleet's with its standard error."""
+    half = TWO_SIDED_95 * near_error
+    return UnitEstimate(unit.vehicle, unit.sensor, value, error, near, near - half, near + half, odd, p_value)
 
 
 def _estimated(search: Search, term: FleetTerm) -> Number:
@@ -159,73 +144,34 @@ def _estimated(search: Search, term: FleetTerm) -> Number:
     return next(each for each in numbers_of(scores) if each.term == same)
 
 
-def _changed(
-    search: Search, finding: FleetFinding, unit_label: str, alternatives: tuple[tuple[str, float], ...]
-) -> FleetEffect:
-    change, unit = finding.change, finding.units[0]
-    assert change is not None
-    scores, term = search.before_change[unit], finding.term
-    series = next(each for each in series_of([scores]) if replace(each.term, start=0.0) == replace(term, start=0.0))
+def _changed(search: Search, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
+    """The effect with what a unit's number changed by, and its estimates by session."""
+    unit, term = finding.units[0], replace(finding.term, start=0.0)
+    scores = search.before_change[unit]
+    series = next(each for each in series_of([scores]) if each.term == term)
     score, information, variance = series.score[0], series.information[0], series.variance[0]
     known = np.flatnonzero(information > 0.0)
     value = series.value[0] + score[known] / information[known]
     error = np.sqrt(variance[known]) / information[known]
-    by_session = tuple(
-        SessionEstimate(scores.sessions[k], float(v), float(e)) for k, v, e in zip(known, value, error, strict=True)
-    )
-    half = TWO_SIDED_95 * change.error
-    who = search.units[unit]
-    own = UnitEstimate(
-        who.vehicle,
-        who.sensor,
-        change.size,
-        change.error,
-        change.size,
-        change.size - half,
-        change.size + half,
-        True,
-        float(np.exp(change.log_p)),
-    )
-    since = scores.sessions[change.first] if change.kind == "change" else ""
-    plain = plain_of(term, change.size, with_size=True)
-    return FleetEffect(
-        finding.kind,
-        term.effect,
-        term.number,
-        unit_label,
-        term.shape,
-        plain,
-        alternatives,
-        None,
-        None,
-        None,
-        0.0,
-        0.0,
-        0.0,
-        (own,),
-        since,
-        by_session,
+    sessions = zip([scores.sessions[k] for k in known], value.tolist(), error.tolist(), strict=True)
+    size = change.size, change.error
+    return replace(
+        effect,
+        plain=plain_of(finding.term, change.size, with_size=True),
+        estimates=(_estimate(search.units[unit], *size, *size, True, float(np.exp(change.log_p))),),
+        since=scores.sessions[change.first] if change.kind == "change" else "",
+        sessions=tuple(SessionEstimate(*each) for each in sessions),
     )
 
 
 def _joined(effects: Sequence[FleetEffect]) -> list[FleetEffect]:
     """The odd ones of one effect together, whenever they were found."""
-    found: list[FleetEffect] = []
-    for each in effects:
-        same = next(
-            (
-                k
-                for k, other in enumerate(found)
-                if each.kind == "odd" and (other.kind, other.name, other.shape) == ("odd", each.name, each.shape)
-            ),
-            None,
-        )
-        if same is None:
-            found.append(each)
-        else:
+    found: dict[tuple[object, ...], FleetEffect] = {}
+    for number, each in enumerate(effects):
+        key = (each.name, each.shape) if each.kind == "odd" else (number,)
+        if key in found:
             odd = {(one.vehicle, one.sensor) for one in each.odd}
-            merged = tuple(
-                replace(one, odd=one.odd or (one.vehicle, one.sensor) in odd) for one in found[same].estimates
-            )
-            found[same] = replace(found[same], estimates=merged)
-    return found
+            merged = [replace(one, odd=one.odd or (one.vehicle, one.sensor) in odd) for one in found[key].estimates]
+            each = replace(found[key], estimates=tuple(merged))
+        found[key] = each
+    return list(found.values())

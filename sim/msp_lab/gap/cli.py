@@ -171,11 +171,11 @@ def _run_separately(
 ) -> None:
     """Compare each log or sensor on its own, and print a row for each; exit code 4 if some could not be compared."""
     require("lab", "The gap workflow")
-    from msp_lab.gap.separate import Common, jobs_of, separate_gaps
+    from msp_lab.gap.separate import TABLE, Common, SeparateGap, jobs_of, separate_gap
     from msp_lab.gap.terminal import print_separate_gaps
     from msp_sim.effects.own import add_own_effects
     from msp_sim.terminal import make_folder
-    from msp_sim.workers import EXIT_SOME_FAILED, workers
+    from msp_sim.workers import exit_if_failed, workers
 
     if truth == "others":
         raise ConfigError("--each: --truth others compares the sensors with each other; give one of them")
@@ -183,10 +183,10 @@ def _run_separately(
     make_folder(out)
     common = Common(settings, truth, until, tuple(path.resolve() for path in effects or ()))
     with workers(jobs, scheduler, "msp-lab gap") as where:
-        found = list(separate_gaps(jobs_of(measured, each, settings, out), common, where, out))
+        separate = jobs_of(measured, each, settings, out)
+        found = where.rows(separate_gap, separate, common, out / TABLE, SeparateGap, what="gaps")
     print_separate_gaps(found, where.died, out)
-    if any(gap.error for gap in found):
-        raise typer.Exit(EXIT_SOME_FAILED)
+    exit_if_failed(found)
 
 
 def _run_sensors(measured: list[Path], settings: Settings, out: Path, effects: list[Path] | None, draw: bool) -> None:

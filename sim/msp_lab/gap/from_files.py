@@ -69,8 +69,7 @@ def find_gap(
     True
     >>> folder.cleanup()
     """
-    maps = () if columns is None else tuple(map_options(columns))
-    settings = Settings(str(config_path(model, "sensors")), seed=seed, map=maps)
+    settings = Settings(str(config_path(model, "sensors")), seed=seed, map=map_options(columns))
     with TemporaryDirectory() as kept_nowhere, threadpool_limits(limits=1):
         steps = Steps(Path(kept_nowhere if out is None else out), SystemClock(), lambda what, share: None)
         return dict(json.loads(as_json(steps.all(paths_of(files), settings, until))))

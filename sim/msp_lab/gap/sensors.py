@@ -9,11 +9,12 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.steps import Steps
 from msp_lab.gap.summary import found_parts
-from msp_lab.readings.column_map import load_map
+from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import PREVIOUS, load_readings
 from msp_lab.readings.others import MIN_OTHERS
 from msp_range.recording.csv_form import write_csv
@@ -54,17 +55,19 @@ class SensorGap:
         )
 
     @property
+    def summary(self) -> dict[str, Any]:
+        """Of ``sensors.json``."""
+        of_sensor = {"sensor": self.sensor, "named": self.named, "without": self.without, "doubted": self.doubted}
+        return {**of_sensor, "sentence": self.findings.sentence}
+
+    @property
     def evidence_nats(self) -> float:
         """Gain of what was named, over all readings [nat]."""
         return self.findings.rows * sum(each.gain_nats or 0.0 for each in found_parts(self.findings))
 
 
 def compare_sensors(
-    paths: Sequence[Path],
-    settings: Settings,
-    folder: Path,
-    steps: Callable[[Path], Steps],
-    draw: bool = True,
+    paths: Sequence[Path], settings: Settings, folder: Path, steps: Callable[[Path], Steps], draw: bool
 ) -> tuple[tuple[SensorGap, ...], tuple[str, ...]]:
     """Compare each sensor with the rest, and again without the one that differs most, as often as something is named.
 
@@ -112,25 +115,15 @@ def compare_sensors(
             break
         # Of those that are left each needs enough others.
         if len(sensors) - len(without) <= MIN_OTHERS:
-            for gap in named:
-                if gap.sensor not in without:
-                    found[gap.sensor] = replace(gap, doubted=without[-1])
+            left = [gap for gap in named if gap.sensor not in without]
+            found |= {gap.sensor: replace(gap, doubted=without[-1]) for gap in left}
             break
     if draw:
         for each in found:
             steps(folder / each).show()
     gaps = tuple(found[each] for each in sorted(found))
-    content = [
-        {
-            "sensor": each.sensor,
-            "named": each.named,
-            "without": each.without,
-            "doubted": each.doubted,
-            "sentence": each.findings.sentence,
-        }
-        for each in gaps
-    ]
-    (folder / SUMMARY).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    content = json.dumps([each.summary for each in gaps], indent=2)
+    (folder / SUMMARY).write_text(content + "\n", encoding="utf-8")
     return gaps, messages
 
 
@@ -139,7 +132,7 @@ def _with_reference(
 ) -> tuple[Path, list[str], tuple[str, ...]]:
     """A table of all readings with the other sensors as reference, the sensors, and what was noticed."""
     model = load_model(settings.model)
-    column_map = load_map(settings.map) if settings.map else None
+    column_map = load_maps(settings.map)
     loaded = load_readings(
         paths, model.sensor, column_map, run_column=settings.run_column, truth="others", without=without
     )

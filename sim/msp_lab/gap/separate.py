@@ -5,7 +5,7 @@ each. Logs that cannot be used are named, and the others are compared. Files are
 is computed, so that the memory does not grow with their number: the workers of a cluster need them under the same path.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -15,14 +15,12 @@ from msp_lab.gap.findings import GapFindings, LastStep, Measure, Settings
 from msp_lab.gap.labels import effect_label
 from msp_lab.gap.steps import Steps
 from msp_lab.logs.cli import with_logs_imported
-from msp_lab.readings.column_map import load_map
-from msp_lab.readings.dataset import is_dataset, sensors_of
-from msp_lab.readings.intake import load_readings
+from msp_lab.readings.column_map import load_maps
+from msp_lab.readings.intake import sensors_in
 from msp_lab.readings.runs import file_names
 from msp_range.clock import SystemClock
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.model.model import load_model
-from msp_sim.workers import Workers, write_rows
 
 Each = Literal["log", "sensor"]
 TABLE = "gaps.csv"
@@ -69,24 +67,20 @@ class SeparateGap:
     """Why it could not be compared; empty: it was."""
 
 
-def jobs_of(paths: Sequence[Path], each: Each, settings: Settings, out: Path) -> list[Job]:
-    """The separate gaps: one per path, or one per sensor of all of them."""
-    absolute = [path.resolve() for path in paths]
+def jobs_of(paths: Sequence[Path], each: Each, settings: Settings, out: Path) -> dict[str, Job]:
+    """The separate gaps by name: one per path, or one per sensor of all of them."""
+    absolute = tuple(path.resolve() for path in paths)
     out = out.resolve()
     if each == "log":
         named = zip(file_names(absolute), absolute, strict=True)
-        return [Job(name, (path,), settings.of, out / name) for name, path in named]
-    if all(map(is_dataset, absolute)):
-        found = sorted({name for path in absolute for name in sensors_of(path)})
-    else:
-        column_map = load_map(settings.map) if settings.map else None
-        loaded = load_readings(absolute, load_model(settings.model).sensor, column_map, run_column=settings.run_column)
-        found = sorted(set(loaded.data["sensor"].tolist()))
-    return [
-        Job(name, tuple(absolute), (name,), out / quote(name, safe=""))
+        return {name: Job(name, (path,), settings.of, out / name) for name, path in named}
+    model = load_model(settings.model)
+    found = sensors_in(absolute, model.sensor, load_maps(settings.map), settings.run_column)
+    return {
+        name: Job(name, absolute, (name,), out / quote(name, safe=""))
         for name in found
         if name in (settings.of or found)
-    ]
+    }
 
 
 def separate_gap(common: Common, job: Job) -> SeparateGap:
@@ -98,12 +92,6 @@ def separate_gap(common: Common, job: Job) -> SeparateGap:
     )
     steps = Steps(job.folder, SystemClock(), lambda what, share: None)
     return _row(job.name, steps.all(measured, settings, common.until))
-
-
-def separate_gaps(jobs: Sequence[Job], common: Common, where: Workers, out: Path) -> Iterator[SeparateGap]:
-    """Compare each, and write the table row by row, in order."""
-    outcomes = where.map(separate_gap, jobs, common, what="gaps")
-    return write_rows(out / TABLE, SeparateGap, [job.name for job in jobs], outcomes)
 
 
 def _row(name: str, findings: GapFindings) -> SeparateGap:

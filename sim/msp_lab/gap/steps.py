@@ -12,14 +12,13 @@ from numpy.random import default_rng
 
 from msp_lab.gap import before_after, naming
 from msp_lab.gap.findings import GapFindings, LastStep, Settings
-from msp_lab.gap.findings_file import NUMBERS, read_findings, write_findings
+from msp_lab.gap.findings_file import NAMED, NUMBERS, read_findings, read_named, write_findings, write_named
 from msp_lab.gap.intake import Comparison, read_readings
 from msp_lab.gap.model_file import MODEL, TRAINING_FIT, write_model
-from msp_lab.gap.named_file import NAMED, read_named, write_named
 from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.summary import with_words
-from msp_lab.readings.column_map import load_map
+from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import sha256
 from msp_range import __version__
 from msp_range.clock import Clock, date_of
@@ -152,8 +151,7 @@ class Steps:
     def _comparison(self, paths: Sequence[Path], settings: Settings) -> Comparison:
         model = load_model(settings.model)
         self.report("reading", 0.0)
-        column_map = load_map(settings.map) if settings.map else None
-        readings = read_readings(paths, model, column_map, settings.run_column, settings.of)
+        readings = read_readings(paths, model, load_maps(settings.map), settings.run_column, settings.of)
         return Comparison.of(readings, model, settings)
 
     def _comparison_of(self, findings: GapFindings) -> Comparison:

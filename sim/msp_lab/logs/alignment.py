@@ -172,11 +172,9 @@ def _blocks(time_s: Array) -> np.ndarray:
 
 def _sums(reading: Array, expected: Array, block: np.ndarray) -> Array:
     """Sums of 1, r, h, rr, rh, hh for each lag and block, (6, lags, blocks), about a common level."""
-    reading, expected = reading - reading.mean(), expected - expected.mean()
-    terms = (np.ones_like(expected), np.broadcast_to(reading, expected.shape), expected)
-    one, r, h = terms
+    r, h = reading - reading.mean() + np.zeros_like(expected), expected - expected.mean()
     starts = np.searchsorted(block, np.unique(block))
-    return np.stack([np.add.reduceat(each, starts, axis=1) for each in (one, r, h, r * r, r * h, h * h)])
+    return np.stack([np.add.reduceat(each, starts, axis=1) for each in (np.ones_like(h), r, h, r * r, r * h, h * h)])
 
 
 def _squares(sums: Array) -> Array:

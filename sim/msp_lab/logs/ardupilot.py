@@ -2,39 +2,75 @@
 
 What the messages hold: https://ardupilot.org/copter/docs/logmessages.html. The height above the terrain (XKF5.HAGL) is
 not used: it always is the range finder's, since EKF3's estimator of the terrain has no other source.
+
+pymavlink indexes the messages and knows their formats; numpy takes the values of all messages of a type at once, where
+pymavlink itself makes an object of each. A log of a gigabyte is read in pieces, each behind the format messages of
+those before it, so memory does not grow with the file.
 """
 
+import contextlib
+import os
 import re
-from collections.abc import Mapping
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from pymavlink import dfindexer
+from pymavlink.DFReader import FORMAT_TO_STRUCT, DFFormat
 
-from msp_lab.logs.dataflash import PLACE, Messages, Progress, read_messages
 from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
     RTK_FIXED,
     THROTTLE,
     TILT,
+    LoggedFlight,
+    LogRequest,
+    MessageColumns,
     Ranger,
     Series,
     TruthSource,
     VehicleLog,
+    magnitude,
+    make_continuous,
     make_log,
     make_ranger,
-    readings_cm,
     rounded_cm,
-    series,
     truth_source,
 )
-from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.arrays import Column
+from msp_range.input_file import open_input
 from msp_range.mavlink.orientation import DOWN
+from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import LARGEST_FILE_BYTES
 from msp_sim.model.derived import tilt_deg
 
+Progress = Callable[[float], None]
+Messages = Mapping[str, Mapping[str, Column]]
+"""Message -> field -> values, numbers as float64 in the unit of the log's format, texts as bytes."""
+
+MAGIC = b"\xa3\x95"
+PIECE_BYTES = 8 * 2**20
+"""The log is read in pieces of this size: the index of one takes some 10 MB. Larger ones are not faster."""
+MOST_BAD_BYTES = PIECE_BYTES // 8
+"""After a piece with more bytes outside of messages nothing more is read: the log was cut there, or is none. One with a
+few lost sectors has thousands; a larger number reads on through what has hardly any message."""
+_FMT, _FMT_BYTES = 0x80, 89
+"""The format message has this type and length in every log; its own type, length, name, format and field names follow
+after 3 bytes of header (AP_Logger, LogStructure.h)."""
+PLACE = "place"
+"""Asked for like a field: where in the file each message is. No field of a log has a name in small letters only."""
+TEXTS = ("Name", "Message")
+"""Fields that are texts, of all that are read; the others are numbers."""
+_FIELD = re.compile(r"\d*[a-zA-Z]")
+
+
 _WEEK_S = 604_800.0
+_STAMPS = (("TimeUS", 1e6), ("TimeMS", 1e3))
+"""Fields with the time of a message, and how many of their units a second has."""
 _NO_DATA, _TOO_NEAR, _TOO_FAR = 1, 2, 3
 """RangeFinder::Status: nothing was read; nearer than RNGFNDx_MIN; beyond RNGFNDx_MAX (AP_RangeFinder.h)."""
 
@@ -59,96 +95,84 @@ WANTED = {
 """Messages and fields that are read; names of old versions next to today's."""
 
 
-def read_ardupilot(path: Path, progress: Progress, named_field: str = "") -> VehicleLog:
-    """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``MESSAGE.FIELD``."""
-    message, _, field = named_field.partition(".")
+def read_ardupilot(path: Path, asked: LogRequest) -> VehicleLog:
+    """Read a log; its fields are named ``MESSAGE.FIELD``."""
+    message, _, field = asked.field.partition(".")
     wanted = WANTED | ({message: (*WANTED.get(message, ("TimeUS", "TimeMS")), field)} if field else {})
-    found, lost = read_messages(path, {name: (*fields, PLACE) for name, fields in wanted.items()}, progress)
-    clock = _make_continuous(found)
-    parameters = _parameters(found)
+    found, lost = read_messages(path, {name: (*fields, PLACE) for name, fields in wanted.items()}, asked.progress)
+    flight = flight_of(found)
+    clock = make_continuous(flight.values())
+    parameters, version = _parameters(found), _version(found)
     context = {
-        TILT: _attitude(found),
-        CLIMB: _up(found, "XKF1", "VD") or _up(found, "NKF1", "VD"),
-        THROTTLE: _throttle(found),
-        "air_temperature_c": _first(found, "ARSP", "Temp"),
-        "board_temperature_c": _first(found, "BARO", "Temp"),
-        "vibration_m_s2": _vibration(found),
+        TILT: flight.combined("ATT", ("Roll", "Pitch"), lambda *angles: tilt_deg(*np.radians(angles))),
+        CLIMB: flight.series("XKF1", "VD", -1.0) or flight.series("NKF1", "VD", -1.0),
+        # Plane logs per cent.
+        THROTTLE: flight.series("CTUN", "ThO", 0.01 if version.startswith("ArduPlane") else 1.0),
+        "air_temperature_c": flight.series("ARSP", "Temp"),
+        "board_temperature_c": flight.series("BARO", "Temp"),
+        "vibration_m_s2": flight.combined("VIBE", ("VibeX", "VibeY", "VibeZ"), magnitude),
     }
-    by_ekf = by_ekf2_of_ardupilot if "EK2_ALT_SOURCE" in parameters and "XKF1" not in found else by_ekf3
-    refused = by_ekf(parameters) if is_estimate(named_field) else ""
+    by_ekf = by_ekf2_of_ardupilot if "EK2_ALT_SOURCE" in parameters and "XKF1" not in flight else by_ekf3
+    refused = by_ekf(parameters) if is_estimate(asked.field) else ""
     references = [
-        *_references(found, parameters),
-        truth_source("column", _first(found, message, field), refused=refused),
+        *_references(flight, parameters),
+        truth_source("column", flight.series(message, field), refused=refused),
     ]
-    form = f"ArduPilot dataflash log, {_version(found)}"
+    form = f"ArduPilot dataflash log, {version}"
     notes = (f"{lost}.",) if lost else ()
-    return make_log(path, form, _rangers(found, parameters), context, references, notes, clock)
+    return make_log(path, form, _rangers(flight, parameters), context, references, notes, clock)
 
 
-def _make_continuous(found: Messages) -> tuple[ClockRun, ...]:
-    """Put the times of all messages on a clock that never steps; the runs between the steps.
+def flight_of(found: Messages) -> LoggedFlight:
+    """Messages with a time; those of several sensors or cores apart: the first one's by their name, others' with their
+    number, as in ``BARO[1]``.
 
     The times of the satellites, which GPS has next to the log's own, are the other clock.
     """
-    senders = []
-    for fields in found.values():
-        if not _has_time(fields) or PLACE not in fields or len({each.size for each in fields.values()}) > 1:
-            continue  # the format of some of its messages is damaged
-        instance = _instance(fields, np.zeros(fields[PLACE].size))
-        other_s = np.full(fields[PLACE].size, np.nan)
+    flight = LoggedFlight()
+    for message, fields in found.items():
+        stamp = next((fields[name] / per_s for name, per_s in _STAMPS if name in fields), None)
+        if stamp is None or len({each.size for each in fields.values()}) > 1:
+            continue  # it has no time, or the format of some of its messages is damaged
+        other_s = np.full(stamp.size, np.nan)
         if "GMS" in fields and "GWk" in fields:
             other_s = np.where(fields["GWk"] > 0.0, _WEEK_S * fields["GWk"] + fields["GMS"] / 1e3, np.nan)
-        senders += [(fields, np.flatnonzero(instance == each), other_s) for each in np.unique(instance)]
-    stamps = [Stamps(each[PLACE][rows], _time_s(each)[rows], other_s[rows]) for each, rows, other_s in senders]
-    times_s, runs = continuous(stamps)
-    for (fields, rows, _), time_s in zip(senders, times_s, strict=True) if runs else ():
-        name, factor = ("TimeUS", 1e6) if "TimeUS" in fields else ("TimeMS", 1e3)
-        fields[name][rows] = factor * time_s
-    return runs
+        of = next((fields[name] for name in ("Instance", "I", "C", "IMU") if name in fields), np.zeros(stamp.size))
+        numbers = np.unique(of)
+        for number in numbers:
+            rows: Any = of == number if numbers.size > 1 else slice(None)
+            name = message if number == numbers[0] else f"{message}[{number:g}]"
+            values = {field: column[rows] for field, column in fields.items()}
+            place = values.get(PLACE, np.arange(stamp[rows].size))
+            flight[name] = MessageColumns(name, values, stamp[rows], place, other_s[rows])
+    return flight
 
 
-def _rangers(found: Messages, parameters: Mapping[str, float]) -> list[Ranger]:
-    rfnd = found.get("RFND", {})
-    if not _has_time(rfnd):
-        return []
-    if "Dist1" in rfnd:  # before 4.0
-        pairs = [(rfnd[f"Dist{n}"], rfnd.get(f"Orient{n}"), n) for n in (1, 2) if f"Dist{n}" in rfnd]
-        return [
-            _ranger(n, _time_s(rfnd), range_m, None, DOWN if facing is None else int(np.median(facing)), parameters)
-            for range_m, facing, n in pairs
-            if range_m.any()
-        ]
-    if "Dist" not in rfnd:
-        return []
-    instance = _instance(rfnd, np.zeros(rfnd["Dist"].size))
+def _rangers(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[Ranger]:
     rangers = []
-    for each in np.unique(instance).tolist():
-        rows = instance == each
-        status = rfnd["Stat"][rows] if "Stat" in rfnd else None
-        facing = int(np.median(rfnd["Orient"][rows])) if "Orient" in rfnd else DOWN
-        rangers.append(_ranger(int(each) + 1, _time_s(rfnd)[rows], rfnd["Dist"][rows], status, facing, parameters))
+    for rfnd in [each for name, each in flight.items() if name.partition("[")[0] == "RFND"]:
+        if "Dist" in rfnd:
+            number = int(rfnd.get("Instance", rfnd.get("I", 0.0)[0])[0])
+            rangers.append(_ranger(number + 1, rfnd, ("Dist", "Orient"), parameters))
+        else:  # before 4.0
+            fields = [(n, (f"Dist{n}", f"Orient{n}")) for n in (1, 2) if f"Dist{n}" in rfnd]
+            rangers += [_ranger(n, rfnd, each, parameters) for n, each in fields if rfnd[each[0]].any()]
     return rangers
 
 
-def _ranger(
-    number: int,
-    time_s: Column,
-    range_m: Column,
-    status: Column | None,
-    facing: int,
-    parameters: Mapping[str, float],
-) -> Ranger:
+def _ranger(number: int, rfnd: MessageColumns, fields: tuple[str, str], parameters: Mapping[str, float]) -> Ranger:
+    """A range finder by the fields of its range and of the way that it looks."""
     maximum_m = _limit_m("MAX", number, parameters, np.inf)
-    reading_cm = readings_cm(range_m, maximum_m)
-    if status is None:
-        is_too_near = rounded_cm(range_m) < rounded_cm(_limit_m("MIN", number, parameters, 0.0))
-    else:
-        is_too_near = status == _TOO_NEAR
+    range_m, no_answer = rfnd[fields[0]], np.array(False)
+    is_too_near = rounded_cm(range_m) < rounded_cm(_limit_m("MIN", number, parameters, 0.0))
+    if "Stat" in rfnd:
+        status = rfnd["Stat"]
+        is_too_near, no_answer = status == _TOO_NEAR, status <= _NO_DATA
         if np.isfinite(maximum_m):
-            reading_cm[status == _TOO_FAR] = rounded_cm(maximum_m)
-        reading_cm[status <= _NO_DATA] = np.nan
-    found = Series("RFND.Dist", time_s, reading_cm)
-    return make_ranger(f"RNGFND{number}", found, facing == DOWN, maximum_m, is_too_near)
+            range_m[status == _TOO_FAR] = maximum_m
+    is_down = int(np.median(rfnd.get(fields[1], DOWN))) == DOWN
+    ranges = replace(rfnd.unsorted("Dist", range_m), source="RFND.Dist")
+    return make_ranger(f"RNGFND{number}", ranges, is_down, np.array([maximum_m]), is_too_near, no_answer)
 
 
 def _limit_m(limit: str, number: int, parameters: Mapping[str, float], otherwise_m: float) -> float:
@@ -158,91 +182,33 @@ def _limit_m(limit: str, number: int, parameters: Mapping[str, float], otherwise
     return parameters.get(f"RNGFND{number}_{limit}", value_cm / 100.0)
 
 
-def _references(found: Messages, parameters: Mapping[str, float]) -> list[TruthSource | None]:
-    gps = found.get("GPS", {})
-    with_fix = gps.get("Status", np.zeros(0)) == RTK_FIXED
+def _references(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[TruthSource | None]:
+    fixed, receiver = None, ""
     # Of several receivers the first one that ever has a fixed solution.
-    receiver = float(gps["I"][with_fix].min()) if with_fix.any() and "I" in gps else 0.0
-    altitude, status = (_first(found, "GPS", each, receiver) for each in ("Alt", "Status"))
-    fixed = None
-    if with_fix.any() and altitude is not None and status is not None:
-        fixed = replace(altitude, values=np.where(status.values == RTK_FIXED, altitude.values, np.nan))
+    for name, gps in flight.items():
+        if fixed is None and name.partition("[")[0] == "GPS" and {"Status", "Alt"} <= gps.values.keys():
+            with_fix = gps["Status"] == RTK_FIXED
+            if with_fix.any():
+                fixed, receiver = gps.series("Alt", np.where(with_fix, gps["Alt"], np.nan)), name[len("GPS") :]
     return [
-        truth_source("simulator", _first(found, "SIM", "Alt")),
-        truth_source("rtk", fixed, std=_first(found, "GPA", "VAcc", receiver)),
-        truth_source("mocap", _up(found, "VISP", "PZ")),
-        truth_source("ekf", _up(found, "XKF1", "PD"), refused=by_ekf3(parameters)),
-        truth_source("ekf", _up(found, "NKF1", "PD"), refused=by_ekf2_of_ardupilot(parameters)),
-        truth_source("barometer", _barometer(found, parameters)),
+        truth_source("simulator", flight.series("SIM", "Alt")),
+        truth_source("rtk", fixed, std=flight.series(f"GPA{receiver}", "VAcc") or flight.series("GPA", "VAcc")),
+        truth_source("mocap", flight.series("VISP", "PZ", -1.0)),
+        truth_source("ekf", flight.series("XKF1", "PD", -1.0), refused=by_ekf3(parameters)),
+        truth_source("ekf", flight.series("NKF1", "PD", -1.0), refused=by_ekf2_of_ardupilot(parameters)),
+        truth_source("barometer", _barometer(flight, parameters)),
     ]
 
 
-def _barometer(found: Messages, parameters: Mapping[str, float]) -> Series | None:
+def _barometer(flight: LoggedFlight, parameters: Mapping[str, float]) -> Series | None:
     """The height by the barometer that the autopilot uses: of an ArduSub the one in the water, not that in the hull.
 
     BARO_PRIMARY counts from 0. In old versions it is GND_PRIMARY, and the second and third one have messages of their
     own.
     """
     wanted = parameters.get("BARO_PRIMARY", parameters.get("GND_PRIMARY", 0.0))
-    own_message = {1.0: "BAR2", 2.0: "BAR3"}.get(wanted, "")
-    return _first(found, own_message, "Alt") or _first(found, "BARO", "Alt", wanted)
-
-
-def _attitude(found: Messages) -> Series | None:
-    roll, pitch = _first(found, "ATT", "Roll"), _first(found, "ATT", "Pitch")
-    if roll is None or pitch is None:
-        return None
-    return Series("ATT", roll.time_s, tilt_deg(np.radians(roll.values), np.radians(pitch.values)))
-
-
-def _throttle(found: Messages) -> Series | None:
-    throttle = _first(found, "CTUN", "ThO")
-    if throttle is None or not _version(found).startswith("ArduPlane"):
-        return throttle
-    return replace(throttle, values=throttle.values / 100.0)  # Plane logs per cent
-
-
-def _vibration(found: Messages) -> Series | None:
-    axes = [_first(found, "VIBE", f"Vibe{axis}") for axis in "XYZ"]
-    known = [each for each in axes if each is not None]
-    if len(known) < 3:
-        return None
-    return Series("VIBE", known[0].time_s, np.sqrt(sum(each.values**2 for each in known)))
-
-
-def _first(found: Messages, message: str, field: str, wanted: float = 0.0) -> Series | None:
-    """A field of a message; where there are several instances or cores that of the wanted one, or else the first."""
-    fields = found.get(message, {})
-    if field not in fields or not _has_time(fields):
-        return None
-    time_s, values = _time_s(fields), fields[field]
-    instance = _instance(fields, np.zeros(0))
-    name = message
-    if instance.size:
-        first = instance.min()
-        taken = wanted if (instance == wanted).any() else first
-        time_s, values = time_s[instance == taken], values[instance == taken]
-        name = message if taken == first else f"{message}[{taken:g}]"
-    return series(f"{name}.{field}", time_s, values)
-
-
-def _instance(fields: Mapping[str, Column], otherwise: Column) -> Column:
-    """Which of several sensors or cores each message is of."""
-    return next((fields[name] for name in ("Instance", "I", "C", "IMU") if name in fields), otherwise)
-
-
-def _up(found: Messages, message: str, field: str) -> Series | None:
-    """A field that counts downwards, upwards."""
-    down = _first(found, message, field)
-    return None if down is None else replace(down, values=-down.values)
-
-
-def _has_time(fields: Mapping[str, Column]) -> bool:
-    return "TimeUS" in fields or "TimeMS" in fields
-
-
-def _time_s(fields: Mapping[str, Column]) -> Column:
-    return fields["TimeUS"] / 1e6 if "TimeUS" in fields else fields["TimeMS"] / 1e3
+    senders = ({1.0: "BAR2", 2.0: "BAR3"}.get(wanted, ""), f"BARO[{wanted:g}]", "BARO")
+    return next((found for sender in senders if (found := flight.series(sender, "Alt")) is not None), None)
 
 
 def _parameters(found: Messages) -> dict[str, float]:
@@ -256,3 +222,133 @@ def _version(found: Messages) -> str:
     texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
     named = (each.decode("ascii", "replace") for each in texts)
     return next((each for each in named if re.match(r"[\w:]+ V\d", each)), "unknown version")
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Nothing on standard error: pymavlink's indexer, which is compiled, prints a line for each byte of no message."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Progress) -> tuple[Messages, str]:
+    """Some messages of a log, and what was lost.
+
+    Parameters
+    ----------
+    path
+        The file.
+    wanted
+        Message -> fields; those that the log does not have are left out.
+    progress
+        Called with the share of the file that is read.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, is no dataflash log, or is damaged throughout.
+    """
+    if not dfindexer.available:
+        raise RecordingError(f"{path}: this pymavlink has no indexer for dataflash logs; install one from a wheel")
+    found: dict[str, dict[str, list[Column]]] = {}
+    formats, rest, bad = b"", b"", 0
+    try:
+        with open_input(path, LARGEST_FILE_BYTES) as file:
+            size = file.seek(0, 2)
+            file.seek(0)
+            while new := file.read(PIECE_BYTES):
+                begins, piece = len(formats), formats + rest + new
+                offsets = _index(path, piece)
+                if not offsets[_FMT]:
+                    raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
+                # The last message may go on in the next piece, and is read with that one.
+                end, in_messages = begins, 0
+                for kind, form in _formats(piece, offsets[_FMT]).items():
+                    first, last = bisect_left(offsets[kind], begins), bisect_right(offsets[kind], len(piece) - form.len)
+                    places = offsets[kind][first:last]
+                    if places:
+                        end = max(end, places[-1] + form.len)
+                        in_messages += len(places) * form.len
+                        if form.name in wanted:
+                            _add_values(found, piece, places, form, wanted[form.name])
+                        if PLACE in wanted.get(form.name, ()):
+                            at = np.array(places) + (file.tell() - len(piece))
+                            found.setdefault(form.name, {}).setdefault(PLACE, []).append(at)
+                bad += end - begins - in_messages
+                rest = piece[end:]
+                if len(piece) - begins - in_messages > MOST_BAD_BYTES:
+                    if not formats:
+                        raise RecordingError(f"{path}: no dataflash log, or damaged at its beginning")
+                    bad += size - file.tell()
+                    break
+                newest = {piece[at + 3]: piece[at : at + _FMT_BYTES] for at in offsets[_FMT]}
+                formats = b"".join(each for each in newest.values() if len(each) == _FMT_BYTES)
+                progress(file.tell() / size)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    joined = {name: {field: np.concatenate(parts) for field, parts in fields.items()} for name, fields in found.items()}
+    bad += len(rest)
+    return joined, f"{bad} bytes that belong to no message are left out" if bad else ""
+
+
+def _index(path: Path, piece: bytes) -> list[list[int]]:
+    """Places of the messages of each type in a piece that begins with the log's formats."""
+    if len(piece) < _FMT_BYTES or MAGIC not in piece:
+        raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
+    with _silent():
+        found: list[list[int]] = dfindexer.build_offsets(
+            memoryview(piece), _FMT, _FMT_BYTES, 3, 4, *MAGIC, progress_callback=None
+        )
+    return found
+
+
+def _formats(piece: bytes, places: Sequence[int]) -> dict[int, Any]:
+    """Formats by the type of their messages, the last one of each."""
+    found = {}
+    for at in {piece[at + 3]: at for at in places if at + _FMT_BYTES <= len(piece)}.values():
+        kind, length = piece[at + 3], piece[at + 4]
+        name, form, fields = (
+            piece[at + a : at + b].split(b"\0")[0].decode("ascii", "replace") for a, b in ((5, 9), (9, 25), (25, 89))
+        )
+        if not set(form) <= FORMAT_TO_STRUCT.keys():
+            continue
+        made = DFFormat(kind, name, length, form, fields)
+        if 3 + _layout(made).itemsize <= length and len(made.columns) == len(made.msg_mults):
+            found[kind] = made
+    return found
+
+
+def _layout(form: Any) -> np.dtype[Any]:
+    """A message's fields as numpy has them; pymavlink writes them in the letters of `struct`, which are numpy's."""
+    letters = _FIELD.findall(form.msg_struct[1:])
+    types = [f"S{each[:-1]}" if each.endswith("s") else f"<{each}" for each in letters]
+    return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
+
+
+def _add_values(
+    found: dict[str, dict[str, list[Column]]],
+    piece: bytes,
+    places: Sequence[int],
+    form: Any,
+    fields: Sequence[str],
+) -> None:
+    """Add the values of all messages of one type in a piece."""
+    layout = _layout(form)
+    at = np.array(places, dtype=np.int64)
+    content = np.frombuffer(piece, dtype=np.uint8)
+    rows = content[at[:, None] + np.arange(3, 3 + layout.itemsize)].view(layout).reshape(-1)
+    for index, name in enumerate(form.columns):
+        if name in fields:
+            values = rows[f"f{index}"]
+            if (values.dtype.kind == "S") != (name in TEXTS):
+                continue  # the letter of its format is damaged
+            if name not in TEXTS:
+                with np.errstate(invalid="ignore"):  # bytes that are not a number
+                    values = values.astype(float) * (form.msg_mults[index] or 1.0)
+            found.setdefault(form.name, {}).setdefault(name, []).append(values)

@@ -113,7 +113,7 @@ def run_import(
 
     from msp_lab.logs.importing import Import, import_logs
     from msp_lab.logs.truth import Truth, parse_truth
-    from msp_lab.readings.column_map import load_map
+    from msp_lab.readings.column_map import load_maps
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_range.sensors.table import DRIVERS
     from msp_range.terminal import Bar, PlainConsole
@@ -123,10 +123,9 @@ def run_import(
 
     wanted = Truth() if truth is None else parse_truth(truth) if isinstance(truth, str) else truth
     model = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
-    mapping = load_map(column_map) if column_map else None
     make_folder(out)
     columns = (BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    common = Import(out, wanted, model, mapping, align, seed)
+    common = Import(out, wanted, model, load_maps(column_map), align, seed)
     with ExitStack() as opened:
         if jobs == 1 and scheduler is None:
             bar = opened.enter_context(Bar(*columns, total=1.0, on=PlainConsole(stderr=True)))

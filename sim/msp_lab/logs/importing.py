@@ -12,7 +12,7 @@ import numpy as np
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
-from msp_lab.logs.opening import kind_of, open_log
+from msp_lab.logs.opening import RECORDING, format_of, open_log
 from msp_lab.logs.truth import OTHERS, RECORDED, Truth, choose, is_same
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import check_new, record_runs, write_tables
@@ -200,7 +200,7 @@ def import_logs(paths: Sequence[Path], common: Import, where: Workers) -> tuple[
     failed: dict[Path, str] = {}
     for path in paths:
         try:
-            kind_of(path)
+            format_of(path)
         except RecordingError as error:
             failed[path] = str(error)
     paths = [path for path in paths if path not in failed]
@@ -309,7 +309,7 @@ def _others(path: Path, joined: Sequence[Joined], sensor: SensorModel) -> tuple[
     down = [each for each in joined if each.ranger.is_down]
     if not down:
         raise RecordingError(f"{path}: no range finder that looks down, to compare with others")
-    recording = Recording(path) if kind_of(path) == ".mcap" else None
+    recording = Recording(path) if format_of(path) is RECORDING else None
     whole, _ = in_code_of(sensor, join_tables([each.data for each in down]))
     data, runs = others_as_reference(path, whole, recording, Model.of(sensor), ())
     found = [
@@ -356,35 +356,36 @@ def _account(
 
 
 def _found(each: Joined) -> FoundRanger:
-    reading_cm, alignment, error = each.data["reading_cm"], each.alignment, each.error
+    reading_cm, ranger, alignment, error = each.data["reading_cm"], each.ranger, each.alignment, each.error
     answered = np.isfinite(reading_cm)
     is_no_echo = answered & (reading_cm == each.data[NO_ECHO] if NO_ECHO in each.data else False)
     known = reading_cm[answered & ~is_no_echo]
-    return FoundRanger(
-        each.ranger.name,
-        each.ranger.series.source,
-        _or_none(each.ranger.series.rate_hz),
+    true_cm = each.data.column(TRUE_RANGE)
+    found = FoundRanger(
+        ranger.name,
+        ranger.series.source,
+        _or_none(ranger.series.rate_hz),
         reading_cm.size,
-        int(reading_cm.size - answered.sum()) - each.ranger.too_near,
-        each.ranger.too_near,
+        int(reading_cm.size - answered.sum()) - ranger.too_near,
+        ranger.too_near,
         int(is_no_echo.sum()),
-        _or_none(each.ranger.maximum_cm),
+        _or_none(ranger.maximum_cm),
         float(known.min()) if known.size else None,
         float(known.max()) if known.size else None,
-        each.ranger.is_down,
-        int(np.isfinite(each.data[TRUE_RANGE]).sum()) if TRUE_RANGE in each.data else 0,
+        ranger.is_down,
+        int(np.isfinite(true_cm).sum()),
         _repeated(reading_cm[answered]),
-        None
-        if alignment is None or not alignment.has_lag
-        else (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s),
-        None if alignment is None else alignment.offset_cm,
-        None if alignment is None else alignment.scatter_cm,
-        _span(each.data[TRUE_RANGE]) if TRUE_RANGE in each.data else None,
-        None if error is None else (error.std_cm, error.low_cm, error.high_cm),
-        "" if error is None else error.source,
-        each.notes,
-        "" if alignment is None else alignment.no_lag,
+        reference_span_cm=_span(true_cm),
+        notes=each.notes,
     )
+    if alignment is not None:
+        lag_s = (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s) if alignment.has_lag else None
+        offset_cm, scatter_cm = alignment.offset_cm, alignment.scatter_cm
+        found = replace(found, lag_s=lag_s, offset_cm=offset_cm, scatter_cm=scatter_cm, no_lag=alignment.no_lag)
+    if error is not None:
+        std_cm = (error.std_cm, error.low_cm, error.high_cm)
+        found = replace(found, reference_std_cm=std_cm, reference_std_from=error.source)
+    return found
 
 
 def _span(values: Array) -> float | None:

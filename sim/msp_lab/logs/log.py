@@ -5,7 +5,7 @@ are those of the names, times are seconds on the log's own clock.
 """
 
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
+from msp_lab.readings.column_map import ColumnMap
 from msp_range.arrays import Array, Column, Flags, angle_deg
 
 LONGEST_GAP_S = 1.0
@@ -36,6 +37,37 @@ CONTEXT = {
     "vibration_m_s2": "vibration of the accelerometer, as the autopilot measures it [m/s^2]",
 }
 """What a log may know of the time of a reading."""
+
+
+@dataclass(frozen=True)
+class LogRequest:
+    """What is asked of the reader of a format."""
+
+    progress: Callable[[float], None]
+    """Called with the share of the file that is read."""
+    field: str = ""
+    """The field that is to be read as a reference, as ``--truth column:`` names it; empty: none."""
+    column_map: ColumnMap | None = None
+    """Columns of a CSV file."""
+    maximum_cm: float = np.inf
+    """Reading of no echo, for recordings and CSV files; the other formats state it."""
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """A kind of log, as `msp_lab.logs.opening.FORMATS` and entry points of the group ``msp_lab.logs`` list them."""
+
+    what: str
+    """What such a file is, for people: ``PX4 ULog``."""
+    ending: str
+    """Of its files' names, in small letters."""
+    reader: str
+    """``module:function`` of the function that makes a `VehicleLog` of a path and a `LogRequest`, imported when needed;
+    it raises RecordingError for a file that it cannot read."""
+    begins: bytes = b""
+    """First bytes of its files; empty: they are known by their ending alone."""
+    is_flight: bool = True
+    """Whether its readings can only be compared once ``msp-lab import`` has joined them with the flight."""
 
 
 @dataclass(frozen=True)
@@ -229,20 +261,48 @@ def series(source: str, time_s: Array, values: Array) -> Series:
 
 
 class MessageColumns:
-    """Numbers of one sender's messages, with the time of each, collected while a log is read.
+    """Numbers of one sender's messages by field, with the time of each, at once or collected while a log is read.
 
-    A field is a name, or names and places in arrays on the way to the number: ``pose.covariance.0``.
+    A field that is collected is a name, or names and places in arrays on the way to the number: ``pose.covariance.0``.
+
+    Parameters
+    ----------
+    source
+        Name of the sender.
+    values
+        Field -> numbers, (n,).
+    time_s
+        When the messages were stamped, (n,) [s].
+    place
+        Where in the log they are, as in `Stamps`, (n,).
+    other_s
+        Their times by another clock, (n,) [s].
+    before_s
+        How long before its stamp each was measured, (n,) [s].
     """
 
-    def __init__(self, source: str, fields: Sequence[str]) -> None:
+    def __init__(
+        self,
+        source: str,
+        values: Mapping[str, Any],
+        time_s: Column | None = None,
+        place: Column | None = None,
+        other_s: Column | None = None,
+        before_s: Column | float = 0.0,
+    ) -> None:
         self.source = source
-        self.fields = tuple(fields)
-        self._time_s = array("d")
-        self._other_s = array("d")
-        self._place = array("q")
-        self._values = {field: array("d") for field in fields}
+        self.values = dict(values)
+        self.before_s = before_s
+        self._time_s: Any = array("d") if time_s is None else time_s
+        self._place: Any = array("q") if place is None else place
+        self._other_s: Any = array("d") if other_s is None else other_s
 
-    def add(self, time_s: float, message: Any, place: int = 0, other_s: float = np.nan) -> None:
+    @classmethod
+    def collecting(cls, source: str, fields: Iterable[str]) -> "MessageColumns":
+        """Of these fields of messages that are added one after the other."""
+        return cls(source, {field: array("d") for field in fields})
+
+    def add(self, time_s: float, message: Any, place: int, other_s: float) -> None:
         """Add a message, at a place in the log and a time of another clock.
 
         One that has no such numbers raises AttributeError, IndexError, TypeError or ValueError.
@@ -250,19 +310,30 @@ class MessageColumns:
         self._time_s.append(time_s)
         self._other_s.append(other_s)
         self._place.append(place)
-        for path, values in self._values.items():
+        for path, values in self.values.items():
             number = message
             for name in path.split("."):
                 number = number[int(name)] if name.isdigit() else getattr(number, name)
             values.append(float(number))
 
+    def __contains__(self, field: str) -> bool:
+        return field in self.values
+
     def __getitem__(self, field: str) -> Array:
-        return np.array(self._values[field])
+        return np.array(self.values[field], dtype=float)
+
+    def get(self, field: str, otherwise: float) -> Array:
+        """A field, or where the messages do not have it the same number for all."""
+        return self[field] if field in self else np.full(len(self._time_s), otherwise)
 
     @property
     def stamps(self) -> Stamps:
         """The times of its messages."""
         return Stamps(np.array(self._place), np.array(self._time_s), np.array(self._other_s))
+
+    def restamp(self, time_s: Array) -> None:
+        """Give its messages other times [s]."""
+        self._time_s = time_s
 
     def series(self, field: str = "", values: Array | None = None) -> Series:
         """A field, or what follows from several, as a series."""
@@ -271,15 +342,31 @@ class MessageColumns:
 
     def unsorted(self, field: str, values: Array) -> Series:
         """What follows from a field, in the order in which the messages were added."""
-        return Series(f"{self.source}.{field}" if field else self.source, np.array(self._time_s), values)
+        source = f"{self.source}.{field}" if field else self.source
+        return Series(source, np.array(self._time_s) - self.before_s, values)
 
 
-def make_continuous(columns: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
+class LoggedFlight(dict[str, MessageColumns]):
+    """A log's messages by the name of their sender."""
+
+    def series(self, sender: str, field: str, factor: float = 1.0) -> Series | None:
+        """A field times a factor; None: the log does not have it."""
+        return self.combined(sender, (field,), lambda values: factor * values, field)
+
+    def combined(self, sender: str, fields: Sequence[str], of: Callable[..., Array], name: str = "") -> Series | None:
+        """What follows from several fields of a sender, under a name; None: the log does not have all of them."""
+        found = self.get(sender)
+        if found is None or not all(len(found.values.get(field, ())) for field in fields):
+            return None
+        return found.series(name, of(*(found[field] for field in fields)))
+
+
+def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     """Put the times of all senders of a log on a clock that never steps; the runs between the steps."""
-    columns = list(columns)
-    times_s, runs = continuous([each.stamps for each in columns])
-    for each, time_s in zip(columns, times_s, strict=True):
-        each._time_s = array("d", time_s)
+    senders = list(senders)
+    times_s, runs = continuous([each.stamps for each in senders])
+    for each, time_s in zip(senders, times_s, strict=True):
+        each.restamp(time_s)
     return runs
 
 
@@ -305,29 +392,41 @@ def rounded_cm(range_m: Array | float) -> Array:
     return np.asarray(np.round(100.0 * np.asarray(range_m, dtype=float), 3))
 
 
-def readings_cm(range_m: Array, maximum_m: float = np.inf) -> Array:
-    """Ranges as readings [cm]; beyond the maximum is no echo, which is the maximum."""
-    return np.minimum(rounded_cm(range_m), rounded_cm(maximum_m))
+def magnitude(*axes: Array) -> Array:
+    """Length of a vector of these components."""
+    return np.asarray(np.sqrt(sum(each**2 for each in axes)))
 
 
-def make_ranger(name: str, readings: Series, is_down: bool, maximum_m: float, is_too_near: Flags) -> Ranger:
+def make_ranger(
+    name: str,
+    ranges: Series,
+    is_down: bool,
+    maximum_m: Array,
+    is_too_near: Flags,
+    no_answer: Flags,
+) -> Ranger:
     """A range finder whose log states its limits.
 
     Parameters
     ----------
     name, is_down
         As of `Ranger`.
-    readings
-        From `readings_cm`, in the order of the log.
+    ranges
+        What it read [m], in the order of the log; beyond the maximum is no echo.
     maximum_m
-        The longest range that the log states; infinite: none.
+        Longest ranges that the log states, as of `longest_m`.
     is_too_near
         Which readings are nearer than its shortest one. Autopilots do not use them, and what a sensor reports there
         is another thing for each sensor, so they count as no answer.
+    no_answer
+        Which are no answer; where no maximum is stated, infinite ones are none either.
     """
-    order = np.argsort(readings.time_s, kind="stable")
-    time_s, reading_cm, is_too_near = readings.time_s[order], readings.values[order], is_too_near[order]
+    maximum_cm = float(rounded_cm(longest_m(maximum_m)))
+    reading_cm = np.minimum(rounded_cm(ranges.values), maximum_cm)
+    reading_cm[np.isposinf(reading_cm) | no_answer] = np.nan
+    order = np.argsort(ranges.time_s, kind="stable")
+    time_s, reading_cm, is_too_near = ranges.time_s[order], reading_cm[order], is_too_near[order]
     is_too_near = is_too_near & ~np.isnan(reading_cm)
     reading_cm[is_too_near] = np.nan
-    found, near = (Series(readings.source, time_s[rows], reading_cm[rows]) for rows in (slice(None), is_too_near))
-    return Ranger(name, found, is_down, float(rounded_cm(maximum_m)), near=near)
+    found, near = (Series(ranges.source, time_s[rows], reading_cm[rows]) for rows in (slice(None), is_too_near))
+    return Ranger(name, found, is_down, maximum_cm, near=near)

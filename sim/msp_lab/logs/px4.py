@@ -26,20 +26,20 @@ from msp_lab.logs.log import (
     RTK_FIXED,
     THROTTLE,
     TILT,
+    LoggedFlight,
+    LogRequest,
+    MessageColumns,
     Ranger,
     Series,
     TruthSource,
     VehicleLog,
-    longest_m,
+    make_continuous,
     make_log,
     make_ranger,
-    readings_cm,
     rounded_cm,
-    series,
     tilt_of_quaternion_deg,
     truth_source,
 )
-from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_range.arrays import Array, Column
 from msp_range.input_file import open_input
 from msp_range.mavlink.orientation import DOWN
@@ -76,23 +76,22 @@ MOST_READ = 20
 """A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
 end. A damaged file is searched a few times over."""
 _EVERY_BYTES = 2**20
-_Topics = Mapping[str, Mapping[str, Column]]
 
 
-def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
-    """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``topic.field``."""
-    topic, dot, _ = named_field.partition(".")
+def read_px4(path: Path, asked: LogRequest) -> VehicleLog:
+    """Read a log; its fields are named ``topic.field``."""
+    topic, dot, _ = asked.field.partition(".")
     try:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
-            log = _InOrder(_Watched(file, progress), [*_TOPICS, *([topic] if dot else [])])
+            log = _InOrder(_Watched(file, asked.progress), [*_TOPICS, *([topic] if dot else [])])
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (TypeError, ValueError, KeyError, IndexError, struct.error, ULogException, _ReadWithoutEnd) as error:
         raise RecordingError(f"{path}: no ULog, or damaged at its beginning: {error}") from None
-    progress(1.0)
+    asked.progress(1.0)
     try:
-        return _log(path, log, named_field)
+        return _log(path, log, asked.field)
     except KeyError as error:
         raise RecordingError(f"{path}: damaged at its beginning: a topic has no field {error}") from None
 
@@ -100,51 +99,43 @@ def read_px4(path: Path, progress: Callable[[float], None], named_field: str = "
 def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
     """What was read, as a `VehicleLog`; raises KeyError where a topic lacks a field that every version has."""
     topic, _, field = named_field.partition(".")
-    found: dict[str, dict[str, Column]] = {}
+    topics = []
     for each in log.data_list:
-        found[each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"] = dict(each.data)
-    clock = _make_continuous(found, [_places(log, each) for each in log.data_list])
+        name = each.name if each.multi_id == 0 else f"{each.name}[{each.multi_id}]"
+        # A topic that is added again has lost its messages before.
+        place = np.array(log.places[each.msg_id])[-each.data["timestamp"].size :]
+        topics.append(messages_of(name, each.data, place))
+    clock = make_continuous(topics)
+    flight = LoggedFlight({each.source: each for each in topics})
     parameters = log.initial_parameters | {name: value for _, name, value in log.changed_parameters}
     context = {
-        TILT: _tilt(found),
-        CLIMB: _field(found, "vehicle_local_position", "vz", -1.0),
-        THROTTLE: _throttle(found),
-        "air_temperature_c": _air_temperature(found),
-        "vibration_m_s2": _field(found, "vehicle_imu_status", "accel_vibration_metric"),
+        TILT: flight.combined("vehicle_attitude", ("q[1]", "q[2]"), tilt_of_quaternion_deg, "q"),
+        CLIMB: flight.series("vehicle_local_position", "vz", -1.0),
+        THROTTLE: _throttle(flight),
+        "air_temperature_c": _air_temperature(flight),
+        "vibration_m_s2": flight.series("vehicle_imu_status", "accel_vibration_metric"),
     }
-    column, refused = _field(found, topic, field), ""
+    column, refused = flight.series(topic, field), ""
     if is_estimate(named_field):
-        column, refused = _without_fused(column, found, parameters)
-    references = [*_references(found, parameters), truth_source("column", column, refused=refused)]
+        column, refused = _without_fused(column, flight, parameters)
+    references = [*_references(flight, parameters), truth_source("column", column, refused=refused)]
     notes = []
     if log.file_corruption:
         notes.append("The file is damaged; what could be read is here.")
     if log.dropouts:
         lost_s = sum(each.duration for each in log.dropouts) / 1e3
         notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.3g} s in all.")
-    return make_log(path, f"PX4 ULog, {_version(log)}", _rangers(found), context, references, notes, clock)
+    return make_log(path, f"PX4 ULog, {_version(log)}", _rangers(flight), context, references, notes, clock)
 
 
-def _make_continuous(found: dict[str, dict[str, Column]], places: list[Column]) -> tuple[ClockRun, ...]:
-    """Put the times of all topics on a clock that never steps; the runs between the steps.
-
-    The times of the satellites, which are next to the log's own, are the other clock.
-    """
-    stamps = []
-    for data, place in zip(found.values(), places, strict=True):
-        utc_us = data.get("time_utc_usec", np.zeros(place.size))
-        stamps.append(Stamps(place, data["timestamp"] / 1e6, np.where(utc_us > 0, utc_us / 1e6, np.nan)))
-    times_s, runs = continuous(stamps)
-    for data, sender, time_s in zip(found.values(), stamps, times_s, strict=True) if runs else ():
-        for name in {"timestamp", "timestamp_sample"} & data.keys():
-            # A sample that was not stamped stays so.
-            data[name] = np.where(data[name] > 0, data[name] + 1e6 * (time_s - sender.time_s), 0.0)
-    return runs
-
-
-def _places(log: "_InOrder", topic: Any) -> Column:
-    """Where in the log a topic's messages are; a topic that is added again has lost those before."""
-    return np.array(log.places[topic.msg_id])[-topic.data["timestamp"].size :]
+def messages_of(name: str, data: Mapping[str, Column], place: Column) -> MessageColumns:
+    """A topic's messages, with the times of the satellites, which are next to the log's own, as the other clock."""
+    stamp_s = data["timestamp"] / 1e6
+    utc_us = data.get("time_utc_usec", np.zeros(place.size))
+    # When it was measured, where all messages of the topic have that next to when they were published.
+    sampled_us = data.get("timestamp_sample", np.zeros(1))
+    before_s = stamp_s - sampled_us / 1e6 if (sampled_us > 0).all() else 0.0
+    return MessageColumns(name, data, stamp_s, place, np.where(utc_us > 0, utc_us / 1e6, np.nan), before_s)
 
 
 class _InOrder(ULog):  # type: ignore[misc]
@@ -196,42 +187,41 @@ class _Watched:
         return content
 
 
-def _rangers(found: _Topics) -> list[Ranger]:
+def _rangers(flight: LoggedFlight) -> list[Ranger]:
     rangers = []
-    for name, data in found.items():
-        if not name.startswith("distance_sensor"):
-            continue
-        maximum_m = longest_m(data["max_distance"])
-        reading_cm = readings_cm(data["current_distance"], maximum_m)
-        # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
-        reading_cm[data.get("signal_quality", np.full(reading_cm.size, -1)) == 0] = np.nan
-        facing = int(np.median(data["orientation"])) if "orientation" in data else DOWN
-        is_too_near = rounded_cm(data["current_distance"]) < rounded_cm(data.get("min_distance", np.zeros(1)))
-        found_cm = Series(f"{name}.current_distance", _time_s(data), reading_cm)
-        plain_name = name.replace("[", "_").rstrip("]")
-        rangers.append(make_ranger(plain_name, found_cm, facing == DOWN, maximum_m, is_too_near))
+    for name, data in flight.items():
+        if name.startswith("distance_sensor"):
+            is_down = int(np.median(data.get("orientation", DOWN))) == DOWN
+            ranges = data.unsorted("current_distance", data["current_distance"])
+            is_too_near = rounded_cm(ranges.values) < rounded_cm(data.get("min_distance", 0.0))
+            # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
+            no_answer = data.get("signal_quality", -1.0) == 0
+            plain_name = name.replace("[", "_").rstrip("]")
+            rangers.append(make_ranger(plain_name, ranges, is_down, data["max_distance"], is_too_near, no_answer))
     return rangers
 
 
-def _references(found: _Topics, parameters: Mapping[str, Any]) -> list[TruthSource | None]:
-    height, refused = _without_fused(_field(found, "vehicle_local_position", "z", -1.0), found, parameters)
+def _references(flight: LoggedFlight, parameters: Mapping[str, Any]) -> list[TruthSource | None]:
+    height, refused = _without_fused(flight.series("vehicle_local_position", "z", -1.0), flight, parameters)
     return [
-        truth_source("simulator", _field(found, "vehicle_local_position_groundtruth", "z", -1.0)),
-        truth_source("rtk", _rtk(found), std=_field(found, "vehicle_gps_position", "epv")),
+        truth_source("simulator", flight.series("vehicle_local_position_groundtruth", "z", -1.0)),
+        truth_source("rtk", _rtk(flight), std=flight.series("vehicle_gps_position", "epv")),
         *(
-            truth_source("mocap", _field(found, topic, "position[2]", -1.0) or _field(found, topic, "z", -1.0))
+            truth_source("mocap", flight.series(topic, "position[2]", -1.0) or flight.series(topic, "z", -1.0))
             for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry")
         ),
         truth_source("ekf", height, refused=refused),
-        truth_source("barometer", _field(found, "vehicle_air_data", "baro_alt_meter")),
+        truth_source("barometer", flight.series("vehicle_air_data", "baro_alt_meter")),
     ]
 
 
-def _without_fused(height: Series | None, found: _Topics, parameters: Mapping[str, Any]) -> tuple[Series | None, str]:
+def _without_fused(
+    height: Series | None, flight: LoggedFlight, parameters: Mapping[str, Any]
+) -> tuple[Series | None, str]:
     """EKF2's height until the range is first fused into it, and why it is refused where that is most of the log."""
     if height is None:
         return None, ""
-    flags = _field(found, "estimator_status_flags", "cs_rng_hgt") or _range_height_bit(found)
+    flags = flight.series("estimator_status_flags", "cs_rng_hgt") or _range_height_bit(flight)
     if flags is None or not len(flags):
         return height, by_px4(parameters)
     # Flags are logged when they change, and once a second.
@@ -249,67 +239,46 @@ def _without_fused(height: Series | None, found: _Topics, parameters: Mapping[st
     return replace(height, values=np.where(after, np.nan, height.values)), ""
 
 
-def _range_height_bit(found: _Topics) -> Series | None:
+def _range_height_bit(flight: LoggedFlight) -> Series | None:
     """The flag of versions whose logs have all flags in one number."""
-    flags = _field(found, "estimator_status", "control_mode_flags")
+    flags = flight.series("estimator_status", "control_mode_flags")
     if flags is None:
         return None
     is_set = np.floor(flags.values / 2.0**_RANGE_HEIGHT_BIT) % 2.0
     return Series(f"bit {_RANGE_HEIGHT_BIT} of {flags.source}", flags.time_s, is_set)
 
 
-def _rtk(found: _Topics) -> Series | None:
-    gps = found.get("vehicle_gps_position", {})
-    fixed = gps.get("fix_type", np.zeros(0)) == RTK_FIXED
-    if not fixed.any():
-        return None
+def _rtk(flight: LoggedFlight) -> Series | None:
     # Millimetres before 1.14.
-    name, factor = ("altitude_msl_m", 1.0) if "altitude_msl_m" in gps else ("alt", 1e-3)
-    return series(f"vehicle_gps_position.{name}", _time_s(gps), np.where(fixed, factor * gps[name], np.nan))
+    name, factor = (
+        ("altitude_msl_m", 1.0) if "altitude_msl_m" in flight.get("vehicle_gps_position", ()) else ("alt", 1e-3)
+    )
+
+    def fixed(kind: Array, altitude: Array) -> Array:
+        return np.where(kind == RTK_FIXED, factor * altitude, np.nan)
+
+    found = flight.combined("vehicle_gps_position", ("fix_type", name), fixed, name)
+    return found if found is not None and len(found.known()) else None
 
 
-def _tilt(found: _Topics) -> Series | None:
-    data = found.get("vehicle_attitude", {})
-    if "q[3]" not in data:
-        return None
-    tilt_deg = tilt_of_quaternion_deg(data["q[1]"].astype(float), data["q[2]"].astype(float))
-    return series("vehicle_attitude.q", _time_s(data), tilt_deg)
-
-
-def _throttle(found: _Topics) -> Series | None:
-    thrust = _field(found, "vehicle_thrust_setpoint", "xyz[2]", -1.0) or _field(found, "actuator_controls_0", _THRUST)
+def _throttle(flight: LoggedFlight) -> Series | None:
+    thrust = flight.series("vehicle_thrust_setpoint", "xyz[2]", -1.0) or flight.series("actuator_controls_0", _THRUST)
     return None if thrust is None else replace(thrust, values=np.clip(thrust.values, 0.0, 1.0))
 
 
-def _air_temperature(found: _Topics) -> Series | None:
+def _air_temperature(flight: LoggedFlight) -> Series | None:
     """Of a thermometer in the air: an external barometer or an airspeed sensor, since 1.15."""
-    source = _field(found, "vehicle_air_data", "temperature_source")
-    if source is None or not (source.values != _DEFAULT_TEMPERATURE).any():
-        return None
-    found_c = _field(found, "vehicle_air_data", "ambient_temperature")
-    if found_c is None:
-        return None
-    return replace(found_c, values=np.where(source.values != _DEFAULT_TEMPERATURE, found_c.values, np.nan))
 
+    def in_air(source: Array, found_c: Array) -> Array:
+        return np.where(source != _DEFAULT_TEMPERATURE, found_c, np.nan)
 
-def _field(found: _Topics, topic: str, field: str, factor: float = 1.0) -> Series | None:
-    data = found.get(topic, {})
-    if field not in data or not data[field].size:
-        return None
-    return series(f"{topic}.{field}", _time_s(data), factor * data[field].astype(float))
-
-
-def _time_s(data: Mapping[str, Column]) -> Array:
-    """When it was measured, where the topic has that next to when it was published."""
-    sampled = data.get("timestamp_sample")
-    stamps = sampled if sampled is not None and (sampled > 0).all() else data["timestamp"]
-    return np.asarray(stamps / 1e6)
+    fields = ("temperature_source", "ambient_temperature")
+    found = flight.combined("vehicle_air_data", fields, in_air, "ambient_temperature")
+    return found if found is not None and np.isfinite(found.values).any() else None
 
 
 def _version(log: Any) -> str:
     release = log.msg_info_dict.get("ver_sw_release")
-    return (
-        "unknown version"
-        if release is None
-        else "PX4 " + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))
-    )
+    if release is None:
+        return "unknown version"
+    return "PX4 " + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))

@@ -3,34 +3,53 @@
 Range finders are topics of sensor_msgs/Range; what else is used is known by its type, and where one type serves several
 purposes by the topic's name. Times are those of the header, where it has one. Axes: x forward, y left, z up (REP 103);
 ranges that are infinite are out of range (REP 117).
+
+A bag that was cut has no index, and in the order of its times a clock that was set cannot be seen. So the three kinds
+of storage are read here from their beginning, and rosbags decodes the messages. Formats:
+https://wiki.ros.org/Bags/Format/2.0, https://mcap.dev/spec, and rosbag2's tables topics, messages and
+message_definitions.
 """
 
+import contextlib
+import functools
+import os
 import re
+import shutil
+import sqlite3
+import tempfile
+from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
+import zstandard
+from mcap.records import Channel, Schema
+from rosbags.rosbag1.reader import decompressors
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.msg import normalize_msgtype
 
-from msp_lab.logs.bag_messages import Topic, decoder, files_of, read_messages
 from msp_lab.logs.log import (
     CLIMB,
     THROTTLE,
     TILT,
+    LogRequest,
     MessageColumns,
     Ranger,
     Series,
     TruthSource,
     VehicleLog,
-    longest_m,
     make_continuous,
     make_log,
     make_ranger,
-    readings_cm,
     rounded_cm,
     tilt_of_quaternion_deg,
 )
+from msp_range.input_file import open_input, read_text
 from msp_range.recording.error import RecordingError
+from msp_range.recording.mcap_records import Losses, RawMessage, read_records
+from msp_range.recording.reader import LARGEST_FILE_BYTES
 
 _EXTERNAL = re.compile(r"vicon|vrpn|mocap|motion_capture|optitrack|qualisys|ground_?truth|gazebo", re.IGNORECASE)
 """Poses of such topics are from outside the vehicle."""
@@ -60,22 +79,47 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
 _POSES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
 
 
+_MOST_METADATA_BYTES = 64 * 2**20
+_IDL = "=" * 80 + "\n"
+"""Before each part of a definition in IDL."""
+_MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
+"""Records of a bag of ROS 1 that hold messages or topics; the others are indexes."""
+
+
+class Topic(NamedTuple):
+    """A topic: its name, the type of its messages, its definition (empty: the type is known), and how it is written."""
+
+    name: str
+    kind: str
+    definition: str = ""
+    is_ros1: bool = False
+
+
+Wanted = Callable[[Topic], bool]
+Messages = Iterator[tuple[Topic, int, bytes]]
+"""Topic, when the message arrived [ns], and its bytes."""
+
+
+class CutError(Exception):
+    """The file ends or is damaged here; the messages before were whole."""
+
+
 class _Topic(MessageColumns):
     """Values of some fields of a topic's messages; `kind` is their type without its package."""
 
     def __init__(self, name: str, message_type: str, fields: tuple[str, ...]) -> None:
-        super().__init__(name, fields)
+        super().__init__(name, {field: array("d") for field in fields})
         self.kind = message_type.rsplit("/", 1)[-1]
 
 
-def read_bag(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
-    """Read a bag, as `msp_lab.logs.opening.open_log`; its fields are named ``/topic.field.of.field``."""
-    topic, _, field = named_field.partition(".")
+def read_bag(path: Path, asked: LogRequest) -> VehicleLog:
+    """Read a bag; its fields are named ``/topic.field.of.field``."""
+    topic, _, field = asked.field.partition(".")
     topics: dict[str, _Topic] = {}
     columns: dict[str, _Topic] = {}
     notes = ["A bag does not say which way range finders look: all count as looking down."]
     names = [topic] if field else []
-    for place, (time_s, arrived_s, found, message) in enumerate(_messages(path, names, progress, notes)):
+    for place, (time_s, arrived_s, found, message) in enumerate(_messages(path, names, asked.progress, notes)):
         name, kind = found.name, found.kind
         try:
             if kind in _FIELDS:
@@ -130,14 +174,11 @@ def _messages(
 def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
     rangers = []
     for each in topics.values():
-        if each.kind == "Range" and each["range"].size:
-            maximum_m = longest_m(each["max_range"])
-            range_m = each["range"]
-            reading_cm = readings_cm(range_m, maximum_m)
-            reading_cm[np.isposinf(reading_cm)] = np.nan
+        if each.kind == "Range":
             name = each.source.strip("/").replace("/", "_")
-            is_too_near = rounded_cm(range_m) < rounded_cm(each["min_range"])  # minus infinity too (REP 117)
-            rangers.append(make_ranger(name, each.unsorted("range", reading_cm), True, maximum_m, is_too_near))
+            ranges = each.unsorted("range", each["range"])
+            is_too_near = rounded_cm(each["range"]) < rounded_cm(each["min_range"])  # minus infinity too (REP 117)
+            rangers.append(make_ranger(name, ranges, True, each["max_range"], is_too_near, np.isnan(each["range"])))
     return rangers
 
 
@@ -170,10 +211,178 @@ def _references(topics: Mapping[str, _Topic]) -> list[TruthSource]:
             if fixed.any():
                 altitude = each.series("altitude", np.where(fixed, each["altitude"], np.nan))
                 references.append(TruthSource("rtk", altitude, std=each.series("position_covariance", std_m)))
-        elif each.kind in _POSES and each[each.fields[0]].size:
+        elif each.kind in _POSES:
+            height = each.series(next(iter(each.values)))
             if _EXTERNAL.search(each.source):
-                references.append(TruthSource("mocap", each.series(each.fields[0])))
+                references.append(TruthSource("mocap", height))
             elif _OWN.search(each.source):
                 refused = "the bag does not say whether the range is fused into it"
-                references.append(TruthSource("ekf", each.series(each.fields[0]), refused=refused))
+                references.append(TruthSource("ekf", height, refused=refused))
     return references
+
+
+def read_messages(path: Path, is_wanted: Wanted) -> Messages:
+    """Messages of one file; raises `CutError`, or what damaged bytes make raise, after those that are whole."""
+    if path.suffix == ".zstd":
+        with tempfile.TemporaryDirectory() as folder:
+            whole = Path(folder, path.stem)
+            with path.open("rb") as packed, whole.open("wb") as out, contextlib.suppress(zstandard.ZstdError):
+                shutil.copyfileobj(zstandard.ZstdDecompressor().stream_reader(packed), out)
+            yield from read_messages(whole, is_wanted)
+        return
+    with open_input(path, LARGEST_FILE_BYTES) as file:
+        begins = file.read(13)
+        if begins.startswith(b"#ROSBAG V2.0\n"):
+            yield from _of_ros1(file, is_wanted)
+        elif begins.startswith(b"\x89MCAP"):
+            yield from _of_mcap(file, is_wanted)
+        else:
+            begins += file.read(19)
+            yield from _of_sqlite_file(path, begins, file.seek(0, 2), is_wanted)
+
+
+def files_of(path: Path) -> tuple[list[Path], Callable[[bytes], bytes]]:
+    """The files of a bag, and what unpacks a message's bytes; all of its folder where metadata.yaml is damaged."""
+    if not path.is_dir():
+        return [path], bytes
+    try:
+        about = yaml.safe_load(read_text(path / "metadata.yaml", _MOST_METADATA_BYTES))["rosbag2_bagfile_information"]
+        files = [path / Path(each).name for each in about["relative_file_paths"]]
+        is_packed = str(about.get("compression_mode")).lower() == "message"
+    except (OSError, KeyError, TypeError, AttributeError, yaml.YAMLError):
+        files, is_packed = sorted(each for each in path.iterdir() if each.suffix != ".yaml"), False
+    return files, zstandard.ZstdDecompressor().decompress if is_packed else bytes
+
+
+@functools.cache
+def decoder(kind: str, definition: str, is_ros1: bool) -> Callable[[bytes], Any]:
+    """What makes a message of its bytes."""
+    store = get_typestore(Stores.EMPTY if definition else Stores.ROS2_HUMBLE)
+    if definition.startswith(f"{_IDL}IDL: "):
+        for part in definition.split(_IDL)[1:]:
+            store.register(get_types_from_idl(part.partition("\n")[2]))
+    elif definition:
+        store.register(get_types_from_msg(definition, kind))
+    decode = store.deserialize_ros1 if is_ros1 else store.deserialize_cdr
+    return lambda content: decode(content, kind)
+
+
+def _of_ros1(file: Any, is_wanted: Wanted) -> Messages:
+    topics: dict[bytes, Topic | None] = {}
+    size = file.seek(0, 2)
+    file.seek(13)
+    while (begin := file.tell()) < size:
+        header_bytes = int.from_bytes(file.read(4), "little")
+        header = _fields(file.read(min(header_bytes, size - begin)))
+        length_bytes = file.read(4)
+        length, left = int.from_bytes(length_bytes, "little"), size - file.tell()
+        if len(length_bytes) < 4 or b"op" not in header:
+            raise CutError(f"no record in its last {size - begin} bytes")
+        kind = header[b"op"]
+        if kind == _CHUNK:
+            content = file.read(min(length, left))
+            packing = header[b"compression"].decode()
+            if length <= left or packing == "none":
+                yield from _in_chunk(decompressors[packing](content), topics, is_wanted)
+        elif kind in (_MESSAGE, _CONNECTION):
+            yield from _of_record(header, file.read(min(length, left)), topics, is_wanted)
+        else:
+            file.seek(length, 1)
+        if length > left:
+            raise CutError(f"{length - left} bytes are missing at its end")
+
+
+def _in_chunk(content: bytes, topics: dict[bytes, Topic | None], is_wanted: Wanted) -> Messages:
+    at, end = 0, len(content)
+    while at < end:
+        begin = at + 4 + int.from_bytes(content[at : at + 4], "little")
+        stop = begin + 4 + int.from_bytes(content[begin : begin + 4], "little")
+        if stop > end:
+            return
+        header = content[at + 4 : begin]
+        number = header.find(b"conn=") + 5
+        # Most messages of most bags are of other topics: those are stepped over without a look at their fields.
+        if b"op=\x02" not in header or topics[header[number : number + 4]] is not None:
+            yield from _of_record(_fields(header), content[begin + 4 : stop], topics, is_wanted)
+        at = stop
+
+
+def _of_record(
+    header: Mapping[bytes, bytes], content: bytes, topics: dict[bytes, Topic | None], is_wanted: Wanted
+) -> Messages:
+    """The message of a record, if it is one that is wanted; a topic is kept."""
+    if header[b"op"] == _CONNECTION:
+        about = {name: value.decode() for name, value in _fields(content).items()}
+        name = "/" + "/".join(filter(None, header[b"topic"].decode().split("/")))
+        topic = Topic(name, normalize_msgtype(about[b"type"]), about[b"message_definition"], True)
+        topics[header[b"conn"]] = topic if is_wanted(topic) else None
+    elif header[b"op"] == _MESSAGE and (wanted := topics[header[b"conn"]]) is not None:
+        seconds, rest_ns = (int.from_bytes(header[b"time"][at : at + 4], "little") for at in (0, 4))
+        yield wanted, seconds * 1_000_000_000 + rest_ns, content
+
+
+def _fields(header: bytes) -> dict[bytes, bytes]:
+    found, at = {}, 0
+    while at + 4 < len(header):
+        end = at + 4 + int.from_bytes(header[at : at + 4], "little")
+        name, _, value = header[at + 4 : end].partition(b"=")
+        found[name] = value
+        at = end
+    return found
+
+
+def _of_mcap(file: Any, is_wanted: Wanted) -> Messages:
+    losses = Losses()
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, Topic] = {}
+    for record in read_records(file, losses):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel) and record.schema_id in schemas:
+            schema, is_ros1 = schemas[record.schema_id], record.message_encoding == "ros1"
+            kind = normalize_msgtype(schema.name) if is_ros1 else schema.name
+            topics[record.id] = Topic(record.topic, kind, schema.data.decode(), is_ros1)
+        elif isinstance(record, RawMessage) and record.channel_id in topics and is_wanted(topics[record.channel_id]):
+            yield topics[record.channel_id], record.log_time_ns, record.data
+    if losses:
+        raise CutError(f"lost: {losses}")
+
+
+def _of_sqlite_file(path: Path, begins: bytes, size: int, is_wanted: Wanted) -> Messages:
+    """Messages of the whole pages of a file; ``begins`` has the size of a page and how many there are, 1 is 65,536
+    (sqlite.org/fileformat.html)."""
+    page_bytes = int.from_bytes(begins[16:18], "big")
+    page_bytes = page_bytes if page_bytes > 1 else 65_536
+    cut_bytes, missing = size % page_bytes, int.from_bytes(begins[28:], "big") * page_bytes - size
+    with tempfile.TemporaryDirectory() as folder:
+        if cut_bytes:
+            # SQLite fills a page that ends early with zeros, and takes those for the bytes of messages.
+            path = Path(shutil.copyfile(path, Path(folder, path.name)))
+            os.truncate(path, size - cut_bytes)
+        try:
+            yield from _of_sqlite(path, is_wanted)
+        except sqlite3.DatabaseError:
+            if missing <= 0:
+                raise
+    if missing > 0:
+        raise CutError(f"{missing} bytes are missing at its end")
+
+
+def _of_sqlite(path: Path, is_wanted: Wanted) -> Messages:
+    with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?immutable=1", uri=True)) as database:
+        # Without this a file that is shorter than its first page says is not opened.
+        database.execute("PRAGMA writable_schema=ON")
+        definitions: dict[str, str] = {}
+        with contextlib.suppress(sqlite3.OperationalError):  # bags before version 4 have none
+            query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+            definitions = dict(database.execute(query).fetchall())
+        topics = {
+            number: topic
+            for number, name, kind in database.execute("SELECT id, name, type FROM topics")
+            if is_wanted(topic := Topic(name, kind, definitions.get(kind, "")))
+        }
+        wanted = ", ".join(str(int(number)) for number in topics)
+        # By id is the order in which they were written; by time needs an index, whose pages may be lost.
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({wanted}) ORDER BY id"
+        for number, arrived_ns, content in database.execute(query):
+            yield topics[number], arrived_ns, content

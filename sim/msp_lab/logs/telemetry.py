@@ -6,7 +6,7 @@ by the bridge's own link. Messages: https://mavlink.io/en/messages/common.html.
 """
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,17 @@ from msp_lab.logs.log import (
     RTK_FIXED,
     THROTTLE,
     TILT,
+    LoggedFlight,
+    LogRequest,
     MessageColumns,
     Ranger,
     Series,
     TruthSource,
     VehicleLog,
-    longest_m,
+    magnitude,
     make_continuous,
     make_log,
     make_ranger,
-    readings_cm,
     truth_source,
 )
 from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
@@ -67,22 +68,23 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
 _DISTANCE = ("current_distance", "min_distance", "max_distance", "orientation", "signal_quality")
 
 
-def read_telemetry(path: Path, progress: Callable[[float], None], named_field: str = "") -> VehicleLog:
-    """Read a log, as `msp_lab.logs.opening.open_log`; its fields are named ``MESSAGE.field``."""
-    message, _, field = named_field.partition(".")
+def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
+    """Read a log; its fields are named ``MESSAGE.field``."""
+    message, _, field = asked.field.partition(".")
     fields = dict(FIELDS) | ({message: (*FIELDS.get(message, ()), field)} if field else {})
-    ids = {kind.id: kind.msgname for kind in dialect.mavlink_map.values() if kind.msgname in fields}
-    if field and (message not in ids.values() or field not in _kind(message).fieldnames):
-        raise RecordingError(f"{path}: MAVLink's common messages have no {named_field}")
+    kinds = {kind.msgname: kind for kind in dialect.mavlink_map.values() if kind.msgname in fields}
+    ids = {kind.id: name for name, kind in kinds.items()}
+    if field and (message not in kinds or field not in kinds[message].fieldnames):
+        raise RecordingError(f"{path}: MAVLink's common messages have no {asked.field}")
     distances: dict[tuple[int, int, int], MessageColumns] = {}
-    flight: dict[str, MessageColumns] = {}
+    flight = LoggedFlight()
     senders: dict[str, tuple[int, int]] = {}
     parameters: dict[str, float] = {}
     wanted = {*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE}
     start_s: float | None = None
     bad, size = 0, 0
     for place, (time_s, frame, read, skipped, size) in enumerate(_frames(path, wanted)):
-        progress(read / size)
+        asked.progress(read / size)
         bad += skipped
         if frame is None:
             continue
@@ -93,22 +95,22 @@ def read_telemetry(path: Path, progress: Callable[[float], None], named_field: s
         stamp = (time_s - start_s, decoded, place, 1e-3 * getattr(decoded, "time_boot_ms", 0) or np.nan)
         if frame.message_id == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
             key = (*sender, decoded.id)
-            distances.setdefault(key, MessageColumns("DISTANCE_SENSOR", _DISTANCE)).add(*stamp)
+            distances.setdefault(key, MessageColumns.collecting("DISTANCE_SENSOR", _DISTANCE)).add(*stamp)
         elif frame.message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             parameters[decoded.param_id] = _parameter(decoded)
         else:
             name = ids[frame.message_id]
             if senders.setdefault(name, sender) == sender:
-                flight.setdefault(name, MessageColumns(name, fields[name])).add(*stamp)
+                flight.setdefault(name, MessageColumns.collecting(name, fields[name])).add(*stamp)
     clock = make_continuous([*distances.values(), *flight.values()])
     if bad > MOST_BAD_SHARE * size:
         raise RecordingError(f"{path}: no telemetry log: {bad} of {size} bytes are in no frame")
     notes = ["Times are those of arrival at the ground station, so lags contain the radio link's."]
     if bad:
         notes.append(f"{bad} bytes that belong to no message are left out.")
-    column = _series(flight, message, field) if field else None
-    refused = by_any(parameters) if is_estimate(named_field) else ""
-    references = [*_references(flight, parameters), truth_source("column", column, refused=refused)]
+    refused = by_any(parameters) if is_estimate(asked.field) else ""
+    column = truth_source("column", flight.series(message, field), refused=refused)
+    references = [*_references(flight, parameters), column]
     form, rangers = "telemetry log (MAVLink)", _rangers(distances)
     return make_log(path, form, rangers, _context(flight), references, notes, clock)
 
@@ -119,8 +121,6 @@ def _frames(path: Path, wanted: set[int]) -> Iterator[tuple[float, Frame | None,
         with open_input(path, LARGEST_FILE_BYTES) as file:
             size = file.seek(0, 2)
             file.seek(0)
-            if not size:
-                raise RecordingError(f"{path}: no telemetry log: the file is empty")
             rest, skipped = b"", 0
             while block := file.read(_BLOCK_BYTES):
                 data = rest + block
@@ -166,10 +166,6 @@ def _is_frame(data: bytes, at: int, end: int) -> bool:
     return data[begin] in (_VERSION_1, _VERSION_2) and int.from_bytes(data[at:begin], "big") < LATEST_US
 
 
-def _kind(message: str) -> Any:
-    return next(kind for kind in dialect.mavlink_map.values() if kind.msgname == message)
-
-
 def _parameter(message: Any) -> float:
     """A parameter's value: PX4 sends the bytes of an integer in the place of a float, ArduPilot its value."""
     if message.param_id.startswith("EKF2_") and message.param_type in _INTEGER_TYPES:
@@ -183,53 +179,37 @@ def _rangers(distances: Mapping[tuple[int, int, int], MessageColumns]) -> list[R
     numbers = [number for _, _, number in distances]
     for (system, component, number), found in distances.items():
         name = f"distance_sensor_{number}" + (f"_of_{system}_{component}" if numbers.count(number) > 1 else "")
-        maximum_m = longest_m(found["max_distance"] / 100.0)
-        reading_cm = readings_cm(found["current_distance"] / 100.0, maximum_m)
-        # 1 is an invalid signal, 0 an unknown one (common.xml).
-        reading_cm[found["signal_quality"] == 1] = np.nan
-        is_too_near = found["current_distance"] < found["min_distance"]
+        ranges = found.unsorted("current_distance", found["current_distance"] / 100.0)
         is_down = int(np.median(found["orientation"])) == DOWN
-        readings = found.unsorted("current_distance", reading_cm)
-        rangers.append(make_ranger(name, readings, is_down, maximum_m, is_too_near))
+        is_too_near = found["current_distance"] < found["min_distance"]
+        # 1 is an invalid signal, 0 an unknown one (common.xml).
+        no_answer = found["signal_quality"] == 1
+        rangers.append(make_ranger(name, ranges, is_down, found["max_distance"] / 100.0, is_too_near, no_answer))
     return rangers
 
 
-def _context(flight: Mapping[str, MessageColumns]) -> dict[str, Series | None]:
-    found: dict[str, Series | None] = {}
-    if "ATTITUDE" in flight:
-        attitude = flight["ATTITUDE"]
-        found[TILT] = attitude.series(values=tilt_deg(attitude["roll"], attitude["pitch"]))
-    if "VIBRATION" in flight:
-        vibration = flight["VIBRATION"]
-        squares = sum(vibration[f"vibration_{axis}"] ** 2 for axis in "xyz")
-        found["vibration_m_s2"] = vibration.series(values=np.sqrt(squares))
-    found |= {
-        CLIMB: _series(flight, "GLOBAL_POSITION_INT", "vz", -0.01),
-        THROTTLE: _series(flight, "VFR_HUD", "throttle", 0.01),
-        "air_temperature_c": _series(flight, HYGROMETER, "temperature", 0.01),
-        "board_temperature_c": _series(flight, "SCALED_PRESSURE", "temperature", 0.01),
+def _context(flight: LoggedFlight) -> dict[str, Series | None]:
+    return {
+        TILT: flight.combined("ATTITUDE", ("roll", "pitch"), tilt_deg),
+        "vibration_m_s2": flight.combined("VIBRATION", FIELDS["VIBRATION"], magnitude),
+        CLIMB: flight.series("GLOBAL_POSITION_INT", "vz", -0.01),
+        THROTTLE: flight.series("VFR_HUD", "throttle", 0.01),
+        "air_temperature_c": flight.series(HYGROMETER, "temperature", 0.01),
+        "board_temperature_c": flight.series("SCALED_PRESSURE", "temperature", 0.01),
+        "humidity_pct": flight.combined(HYGROMETER, ("humidity",), relative_humidity_percent, "humidity"),
     }
-    if HYGROMETER in flight:
-        hygrometer = flight[HYGROMETER]
-        found["humidity_pct"] = hygrometer.series("humidity", relative_humidity_percent(hygrometer["humidity"]))
-    return found
 
 
-def _references(flight: Mapping[str, MessageColumns], parameters: Mapping[str, float]) -> list[TruthSource | None]:
+def _references(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[TruthSource | None]:
     gps, fixed, std = flight.get("GPS_RAW_INT"), None, None
     if gps is not None and (is_fixed := gps["fix_type"] == RTK_FIXED).any():
         fixed = gps.series("alt", np.where(is_fixed, 0.001 * gps["alt"], np.nan))
-        std = _series(flight, "GPS_RAW_INT", "v_acc", 0.001) if (gps["v_acc"] > 0.0).any() else None
+        std = flight.series("GPS_RAW_INT", "v_acc", 0.001) if (gps["v_acc"] > 0.0).any() else None
     return [
-        truth_source("simulator", _series(flight, "SIM_STATE", "alt")),
-        truth_source("simulator", _series(flight, "HIL_STATE_QUATERNION", "alt", 0.001)),
+        truth_source("simulator", flight.series("SIM_STATE", "alt")),
+        truth_source("simulator", flight.series("HIL_STATE_QUATERNION", "alt", 0.001)),
         truth_source("rtk", fixed, std=std),
-        truth_source("mocap", _series(flight, "ATT_POS_MOCAP", "z", -1.0)),
-        truth_source("mocap", _series(flight, "VISION_POSITION_ESTIMATE", "z", -1.0)),
-        truth_source("ekf", _series(flight, "GLOBAL_POSITION_INT", "relative_alt", 0.001), refused=by_any(parameters)),
+        truth_source("mocap", flight.series("ATT_POS_MOCAP", "z", -1.0)),
+        truth_source("mocap", flight.series("VISION_POSITION_ESTIMATE", "z", -1.0)),
+        truth_source("ekf", flight.series("GLOBAL_POSITION_INT", "relative_alt", 0.001), refused=by_any(parameters)),
     ]
-
-
-def _series(flight: Mapping[str, MessageColumns], message: str, field: str, factor: float = 1.0) -> Series | None:
-    found = flight.get(message)
-    return None if found is None else found.series(field, factor * found[field])

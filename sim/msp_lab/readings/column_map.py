@@ -26,6 +26,7 @@ from msp_range.recording.csv_form import (
     csv_rows,
     is_number,
     join_columns,
+    join_tables,
     read_csv,
     short_list,
     to_number,
@@ -193,6 +194,11 @@ def load_map(options: Sequence[str]) -> ColumnMap:
     return ColumnMap(columns=columns)
 
 
+def load_maps(options: Sequence[str] | None) -> ColumnMap | None:
+    """`load_map`; None where no option is given."""
+    return load_map(options) if options else None
+
+
 def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> MeasuredData:
     """Read a CSV file in the project's form, in which time and sensor may be missing, or with a map anybody's.
 
@@ -207,7 +213,7 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> M
             # A name that is like the missing one is that, misspelt.
             if "is missing. Found" not in str(error):
                 raise
-            table = _with_times(path, dict(read_csv(path, ("reading_cm",)).columns))
+            table = _with_times(path, read_csv(path, ("reading_cm",)))
         return table.without(*BRIDGE_COLUMNS)
     except RecordingError as error:
         if "is missing" not in str(error):
@@ -238,25 +244,8 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     RecordingError
         The file cannot be read, lacks a column, or a cell is no number; with file, line and column.
     """
-    rows = csv_rows(path, column_map.delimiter)
-    header = [name.strip() for name in next(rows, (0, []))[1]]
-    if not header:
-        raise RecordingError(f"{path}: empty, expected a header")
-    # What already has a name of the CSV form keeps it.
-    known = [name for name in header if name in KNOWN and header.count(name) == 1]
-    shared = {name: MappedColumn(column=name) for name in known} | column_map.columns
-    parts = [_Part(path, header, shared | part.columns) for part in column_map.parts]
-    parts = parts or [_Part(path, header, shared)]
-    while block := list(itertools.islice(rows, BLOCK)):
-        for part in parts:
-            part.read(block, column_map, maximum_cm)
-    names = dict.fromkeys(name for part in parts for name in part.places)
-    joined: dict[str, Column] = {}
-    for name in names:
-        own_words = name not in KNOWN and any(part.has_words(name) for part in parts)
-        pieces = [piece for part in parts for piece in part.column(name, own_words)]
-        joined[name] = join_columns(str(path), name, pieces)
-    data = _with_times(path, joined)
+    parts = [part.columns for part in column_map.parts] or [{}]
+    data = _with_times(path, join_tables([_read_part(path, column_map, each, maximum_cm) for each in parts]))
     for name, values in column_map.leave_out.items():
         if name not in data:
             raise RecordingError(f"{path}: the map leaves out rows by {name}, but has no column for it")
@@ -264,9 +253,9 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     return data
 
 
-def _with_times(path: Path, columns: dict[str, Column]) -> MeasuredData:
+def _with_times(path: Path, table: MeasuredData) -> MeasuredData:
     """A table with a time and a sensor, where it has none of its own."""
-    size = len(columns["reading_cm"])
+    size, columns = len(table), dict(table.columns)
     if "time_s" not in columns:
         # Numbers of rows keep their order, and are no time that anything could drift over.
         columns |= {"time_s": np.arange(float(size)), "time_in_run_s": np.full(size, math.nan)}
@@ -274,59 +263,50 @@ def _with_times(path: Path, columns: dict[str, Column]) -> MeasuredData:
     return MeasuredData(columns)
 
 
-class _Part:
-    """One of the tables side by side in a file, read block by block."""
-
-    def __init__(self, path: Path, header: list[str], places: dict[str, MappedColumn]) -> None:
-        if "reading_cm" not in places:
-            raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
-        self.places = places
-        self.size = 0
-        self._path = path
-        self._header = header
-        self._where = {name: _index(path, header, name, place) for name, place in places.items()}
-        self._columns: dict[str, list[Column]] = {name: [] for name in places}
-
-    def has_words(self, name: str) -> bool:
-        """Whether a column of one's own holds anything but numbers."""
-        return any(not is_number(cell) for piece in self._columns.get(name, []) for cell in np.unique(piece).tolist())
-
-    def column(self, name: str, own_words: bool = False) -> list[Column]:
-        """Pieces of a column, one after the other; unknown where this table does not have it."""
-        is_word = own_words or name in WORD_COLUMNS
-        pieces = self._columns.get(name) or [np.full(self.size, "" if is_word else math.nan)]
-        if is_word or name in KNOWN or name not in self._columns:
-            return pieces
-        return [_converted(name, self.places[name], np.where(each == "", "nan", each).astype(float)) for each in pieces]
-
-    def read(self, block: list[tuple[int, list[str]]], column_map: ColumnMap, maximum_cm: float) -> None:
-        """Read some rows, each with the number of its line."""
+def _read_part(path: Path, column_map: ColumnMap, own: dict[str, MappedColumn], maximum_cm: float) -> MeasuredData:
+    """One of the tables side by side in a file, with the columns that only it has."""
+    rows = csv_rows(path, column_map.delimiter)
+    header = [name.strip() for name in next(rows, (0, []))[1]]
+    if not header:
+        raise RecordingError(f"{path}: empty, expected a header")
+    # What already has a name of the CSV form keeps it.
+    known = [name for name in header if name in KNOWN and header.count(name) == 1]
+    places = {name: MappedColumn(column=name) for name in known} | column_map.columns | own
+    if "reading_cm" not in places:
+        raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
+    where = {name: _index(path, header, name, place) for name, place in places.items()}
+    pieces: dict[str, list[Column]] = {name: [] for name in places}
+    while block := list(itertools.islice(rows, BLOCK)):
         # A table next to a longer one ends where all its cells are empty.
-        used = {index for index in self._where.values() if index is not None}
-        rows = [(line, row) for line, row in block if any(index < len(row) and row[index].strip() for index in used)]
-        self.size += len(rows)
-        for name, place in self.places.items():
-            index = self._where[name]
-            if index is None:
-                self._columns[name].append(_constant(self._path, name, place, len(rows)))
-                continue
-            cells = [row[index].strip() if index < len(row) else "" for _, row in rows]
+        used = [(line, row) for line, row in block if any(_cell(row, index) for index in where.values())]
+        for name, place in places.items():
+            index = where[name]
+            cells = [str(place.value) if index is None else _cell(row, index) for _, row in used]
             if column_map.decimal == "," and name not in WORD_COLUMNS:
                 cells = [_with_point(cell) if is_number(_with_point(cell)) else cell for cell in cells]
             if name in WORD_COLUMNS or name not in KNOWN:
-                # Whether a column of one's own holds words is known when all of it is read.
-                self._columns[name].append(word_column(str(self._path), name, cells))
+                pieces[name].append(word_column(str(path), name, cells))
                 continue
-            heading = self._header[index] or f"number {index + 1}"
-            numbers = np.array(
-                [_number(self._path, line, heading, cell, name) for (line, _), cell in zip(rows, cells, strict=True)],
-                dtype=float,
-            )
-            converted = _converted(name, place, numbers)
+            heading = name if index is None else header[index] or f"number {index + 1}"
+            lines = [line for line, _ in used]
+            numbers = [_number(path, *each, name) for each in zip(lines, itertools.repeat(heading), cells)]
+            converted = _converted(name, place, np.array(numbers, dtype=float))
             if name == "reading_cm":
                 converted[np.isin(numbers, column_map.codes.no_echo)] = maximum_cm
                 converted[np.isin(numbers, column_map.codes.no_answer)] = math.nan
-            self._columns[name].append(converted)
+            pieces[name].append(converted)
+    columns = {name: join_columns(str(path), name, found) for name, found in pieces.items()}
+    for name in columns.keys() - KNOWN.keys():
+        # Whether a column of one's own holds words is known when all of it is read.
+        if all(map(is_number, np.unique(columns[name]).tolist())):
+            known_or_nan = np.where(columns[name] == "", "nan", columns[name]).astype(float)
+            columns[name] = _converted(name, places[name], known_or_nan)
+    return MeasuredData(columns)
+
+
+def _cell(row: Sequence[str], index: int | None) -> str:
+    """A cell without blanks around it; empty where the row is shorter."""
+    return row[index].strip() if index is not None and index < len(row) else ""
 
 
 def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int | None:
@@ -347,12 +327,6 @@ def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int
         hint = f" Are the columns separated by {other!r}? Give a map file with delimiter: {json.dumps(other)}."
     there = short_list([each or "(no name)" for each in header])
     raise RecordingError(f"{path}: there is no column {place.column!r} for {name}.{hint} Columns: {there}")
-
-
-def _constant(path: Path, name: str, place: MappedColumn, size: int) -> Column:
-    if name in WORD_COLUMNS or name not in KNOWN:
-        return np.repeat(word_column(str(path), name, [str(place.value)]), size)
-    return _converted(name, place, np.full(size, _number(path, 1, name, str(place.value), name)))
 
 
 def _converted(name: str, place: MappedColumn, numbers: Column) -> Column:

@@ -127,7 +127,7 @@ def _writing(folder: Path) -> Iterator[None]:
 
 def sensors_of(folder: Path) -> list[str]:
     """Names of the sensors of a dataset."""
-    return sorted({sensor for _, sensor, _ in _files(folder)})
+    return sorted(set().union(*sensors_by_run(folder).values()))
 
 
 def read_dataset(folder: Path, runs: Sequence[str] = ()) -> MeasuredData:

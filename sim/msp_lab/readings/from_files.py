@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from msp_lab.readings.column_map import load_map
+from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import load_readings
 from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -58,7 +58,7 @@ def read_readings(
     [1. 1. 1.]
     >>> folder.cleanup()
     """
-    mapping = None if columns is None else load_map(map_options(columns))
+    mapping = load_maps(map_options(columns))
     return dict(load_readings(paths_of(files), load_sensor_model(sensor), mapping, truth=truth).data.columns)
 
 
@@ -67,8 +67,8 @@ def paths_of(files: Files) -> list[Path]:
     return [Path(files)] if isinstance(files, Path | str) else [Path(each) for each in files]
 
 
-def map_options(columns: Columns) -> list[str]:
+def map_options(columns: Columns | None) -> tuple[str, ...]:
     """What ``--map`` would be given."""
     if isinstance(columns, Mapping):
-        return [f"{name}={place}" for name, place in columns.items()]
-    return [str(columns)]
+        return tuple(f"{name}={place}" for name, place in columns.items())
+    return () if columns is None else (str(columns),)

@@ -17,7 +17,7 @@ import numpy as np
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.clock_runs import with_clock_runs
 from msp_lab.readings.column_map import ColumnMap, read_table
-from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset
+from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset, sensors_of
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of, without_negative
 from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
@@ -123,16 +123,13 @@ def load_readings(
     sources: list[SourceFile] = []
     referenced: list[Referenced] = []
     for path in paths:
-        table, recording = _read_table(path, sensor, column_map, messages, runs)
-        table, steps = with_clock_runs(path, table, run_column or "run")
-        table, codes = without_negative(table)
-        messages += [f"{path}: {note}" for note in (*steps, *codes)]
+        table, recording, notes = read_file(path, column_map, sensor.maximum_cm, run_column or "run", runs)
+        messages += [f"{path}: {note}" for note in notes]
         if truth == "others" and not len(table):
             raise RecordingError(f"{path}: no readings, only a header")
-        if NO_ECHO in table.columns:
-            table, changed = in_code_of(sensor, table)
-            table = table.without(NO_ECHO)
-            messages += changed
+        table, changed = in_code_of(sensor, table)
+        table = table.without(NO_ECHO)
+        messages += changed
         if truth == "others":
             table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
             referenced += of_runs
@@ -160,13 +157,29 @@ def load_readings(
     name = ", ".join(str(path) for path in paths)
     if sensors:
         columns = dict(_selected(name, MeasuredData(columns), sensors).columns)
-    sound = _without_clock_faults(columns)
+    reading_cm = columns["reading_cm"]
+    sound = MeasuredData({**columns, "reading_cm": np.where(reading_cm >= CLOCK_FAULT_CM, math.nan, reading_cm)})
     check_contexts(name, sound)
     check_comparable(name, sound, sensor)
     _round_constants(columns)
     repeated = _add_previous(columns)
     messages += [*renamed, *repeated, *_about_others(columns), *_about_offsets(referenced)]
     return LoadedReadings(MeasuredData(columns), tuple(sources), tuple(messages), tuple(sensors))
+
+
+def sensors_in(
+    paths: Sequence[Path],
+    sensor: SensorModel,
+    column_map: ColumnMap | None,
+    run_column: str | None = None,
+    truth: Truth = "recorded",
+) -> list[str]:
+    """Names of the sensors in some files, in order; the parameters and errors are those of `load_readings`."""
+    if all(map(is_dataset, paths)):
+        return sorted({name for path in paths for name in sensors_of(path)})
+    return sorted(
+        set(load_readings(paths, sensor, column_map, run_column=run_column, truth=truth).data["sensor"].tolist())
+    )
 
 
 def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedReadings:
@@ -200,21 +213,32 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _read_table(
-    path: Path, sensor: SensorModel, column_map: ColumnMap | None, messages: list[str], runs: Sequence[str]
-) -> tuple[MeasuredData, Recording | None]:
-    """Read one file, and the recording that it is; what a damaged one has lost is added to ``messages``."""
+def read_file(
+    path: Path, column_map: ColumnMap | None, maximum_cm: float, run_column: str = "run", runs: Sequence[str] = ()
+) -> tuple[MeasuredData, Recording | None, list[str]]:
+    """Read one file, with a run from each step of its clock on and without readings that are codes.
+
+    Returns
+    -------
+    tuple
+        Its rows, the recording that it is, and what was noticed, a sentence each.
+    """
+    recording = None
+    notes = []
     if is_dataset(path):
-        return read_dataset(path, runs=runs), None
-    if path.suffix.lower() in FLIGHT_LOGS:
-        raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
-    if column_map is None and is_recording(path):
+        table = read_dataset(path, runs=runs)
+    elif column_map is None and is_recording(path):
         recording = Recording(path)
-        data = measured_data(recording)
+        table = measured_data(recording)
         if recording.losses:
-            messages.append(f"{path} is damaged; lost: {recording.losses}")
-        return data, recording
-    return read_table(path, column_map, sensor.maximum_cm), None
+            notes.append(f"The file is damaged; lost: {recording.losses}.")
+    elif path.suffix.lower() in FLIGHT_LOGS:
+        raise RecordingError(f"{path}: a flight log; 'msp-lab import {path.name} --out DATASET' makes readings of it")
+    else:
+        table = read_table(path, column_map, maximum_cm)
+    table, steps = with_clock_runs(path, table, run_column)
+    table, codes = without_negative(table)
+    return table, recording, [*notes, *steps, *codes]
 
 
 def _about_others(columns: Mapping[str, Column]) -> list[str]:
@@ -278,11 +302,6 @@ def _selected(name: str, data: MeasuredData, sensors: Sequence[str]) -> Measured
     return data.select(np.flatnonzero(np.isin(data["sensor"], sensors)))
 
 
-def _without_clock_faults(columns: dict[str, Column]) -> MeasuredData:
-    reading_cm = columns["reading_cm"]
-    return MeasuredData({**columns, "reading_cm": np.where(reading_cm >= CLOCK_FAULT_CM, math.nan, reading_cm)})
-
-
 def _round_constants(columns: dict[str, Column]) -> None:
     """Make columns constant that differ only by what arithmetic adds."""
     for name, column in columns.items():
@@ -294,39 +313,35 @@ def _round_constants(columns: dict[str, Column]) -> None:
 
 def _add_previous(columns: dict[str, Column]) -> list[str]:
     """Drop duplicate rows, and add to each reading the one before it of the same sensor and run."""
-    messages = []
     order = time_order(columns)
-    same_time, is_first = _repeats(columns, order)
+    series = [np.diff(numbered(columns[name])[order], prepend=-1) for name in ("run", "sensor")]
+    is_first = np.any(series, axis=0)
+    same_time = ~is_first & (np.diff(columns["time_s"][order], prepend=math.nan) == 0.0)
     if same_time.any():
-        duplicate = same_time.copy()
-        for column in columns.values():
-            sorted_ = column[order]
-            equal = sorted_[1:] == sorted_[:-1]
-            if column.dtype.kind == "f":
-                equal |= np.isnan(sorted_[1:]) & np.isnan(sorted_[:-1])
-            duplicate[1:] &= equal
-        if (same_time & ~duplicate).any():
-            messages.append(
-                f"{int((same_time & ~duplicate).sum())} readings of one sensor have the time of the one before: their "
-                "order is that of the file."
-            )
+        duplicate = np.all([same_time, *(_is_as_before(column[order]) for column in columns.values())], axis=0)
         if duplicate.any():
-            messages.insert(0, f"{duplicate.sum()} duplicate rows are dropped.")
             kept = np.ones(order.size, dtype=bool)
             kept[order[duplicate]] = False
-            for name in columns:
-                columns[name] = columns[name][kept]
-            order = time_order(columns)
-            _, is_first = _repeats(columns, order)
-    reading_cm = columns["reading_cm"]
+            columns |= {name: column[kept] for name, column in columns.items()}
+            return [f"{duplicate.sum()} duplicate rows are dropped.", *_add_previous(columns)]
     previous = np.full(order.size, math.nan)
-    previous[order[1:]] = reading_cm[order[:-1]]
-    previous[order[is_first]] = math.nan
+    previous[order[1:]] = np.where(is_first[1:], math.nan, columns["reading_cm"][order[:-1]])
     if "time_in_run_s" in columns:
         # Without times the order of the rows need not be that of the readings: beams of a scanner, or a sorted table.
         previous[np.isnan(columns["time_in_run_s"])] = math.nan
     columns[PREVIOUS] = previous
-    return messages
+    if not same_time.any():
+        return []
+    return [
+        f"{same_time.sum()} readings of one sensor have the time of the one before: their order is that of the file."
+    ]
+
+
+def _is_as_before(column: Column) -> Flags:
+    """Which values are the one before them; unknown numbers are equal here."""
+    before = np.roll(column, 1)
+    equal: Flags = (column == before) | ((column != column) & (before != before))
+    return equal
 
 
 def time_order(columns: Mapping[str, Column]) -> Indices:
@@ -334,18 +349,3 @@ def time_order(columns: Mapping[str, Column]) -> Indices:
     run, sensor = (numbered(columns[name]) for name in ("run", "sensor"))
     order: Indices = np.lexsort((columns["time_s"], sensor, run))
     return order
-
-
-def _repeats(columns: Mapping[str, Column], order: Indices) -> tuple[Flags, Flags]:
-    """Of sorted rows: those with the time of the one before, and the first of each run and sensor."""
-    is_first = np.ones(order.size, dtype=bool)
-    is_first[1:] = _changes(columns["sensor"][order]) | _changes(columns["run"][order])
-    same_time = np.zeros(order.size, dtype=bool)
-    time_s = columns["time_s"][order]
-    same_time[1:] = (time_s[1:] == time_s[:-1]) & ~is_first[1:]
-    return same_time, is_first
-
-
-def _changes(words: Column) -> Flags:
-    changed: Flags = words[1:] != words[:-1]
-    return changed

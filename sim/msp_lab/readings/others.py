@@ -226,9 +226,7 @@ def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
 def _linear(views: Sequence[View], state: Array) -> tuple[Array, Array]:
     """Derivatives of the readings by the state (n, 5), and what readings have beyond their product with it [m]."""
     geometry = np.zeros((len(views), STATES))
-    geometry[:, HEIGHT] = [each.by_height for each in views]
-    geometry[:, NORTH] = [each.by_north for each in views]
-    geometry[:, EAST] = [each.by_east for each in views]
+    geometry[:, (HEIGHT, NORTH, EAST)] = [(each.by_height, each.by_north, each.by_east) for each in views]
     expected_m = np.array([each.expected_m for each in views])
     return geometry, expected_m - np.einsum("ni,ni->n", geometry, state)
 

@@ -6,6 +6,8 @@ say without it (Rauch, Tung and Striebel 1965).
 """
 
 from dataclasses import dataclass
+from itertools import product
+from math import factorial
 
 import numpy as np
 
@@ -112,14 +114,8 @@ def _steps(time_s: Array) -> tuple[Array, Array]:
     moves[:, HEIGHT, CLIMB] = moves[:, CLIMB, ACCELERATION] = t
     moves[:, HEIGHT, ACCELERATION] = t * t / 2.0
     noises = np.zeros((t.size, 5, 5))
-    powers = {
-        (HEIGHT, HEIGHT): t**5 / 20.0,
-        (HEIGHT, CLIMB): t**4 / 8.0,
-        (HEIGHT, ACCELERATION): t**3 / 6.0,
-        (CLIMB, CLIMB): t**3 / 3.0,
-        (CLIMB, ACCELERATION): t**2 / 2.0,
-        (ACCELERATION, ACCELERATION): t,
-    }
-    for (i, j), power in powers.items():
-        noises[:, i, j] = noises[:, j, i] = power
+    # The integral of s^(2-i) / (2-i)! s^(2-j) / (2-j)! over the time, for height, its rate and that one's.
+    for i, j in product((HEIGHT, CLIMB, ACCELERATION), repeat=2):
+        power = 5 - i - j
+        noises[:, i, j] = t**power / (power * factorial(2 - i) * factorial(2 - j))
     return moves, noises

@@ -55,11 +55,11 @@ def suspicious(data: MeasuredData) -> list[str]:
 def _series(data: MeasuredData) -> Iterator[Indices]:
     """Rows with a true range of each sensor in each run, in the order of the file."""
     known = np.isfinite(data["true_range_cm"]) & np.isfinite(data["time_s"])
-    keys = [numbered(data[name]) for name in ("run", "sensor") if name in data]
-    key = keys[0] if len(keys) == 1 else keys[0] * (keys[1].max(initial=0) + 1) + keys[1]
-    order = np.argsort(key, kind="stable")
+    keys = [numbered(data[name]) for name in ("sensor", "run") if name in data]
+    order = np.lexsort(keys)
     order = order[known[order]]
-    for rows in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+    starts = np.any([np.diff(key[order]) for key in keys], axis=0)
+    for rows in np.split(order, np.flatnonzero(starts) + 1):
         if rows.size >= MIN_ROWS:
             yield rows
 

@@ -28,6 +28,7 @@ from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.sampled import Sampled, SampledFlight
+from msp_sim.flight.scenario import Scenario
 from msp_sim.flight.summary import error_numbers
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
@@ -118,13 +119,8 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
     sample, model = flights.sample(index), flights.model
     scenario = sample.scenario
     for_vehicle, for_readings = SeedSequence(sample.seed).spawn(2)
-    world = scenario.world()
-    around = Surroundings(world, scenario.vehicle(world, default_rng(for_vehicle)).pose)
-    groups, interval_s = polling_groups(scenario.airframe), polling_interval_s(scenario.airframe)
-    turns = range(math.ceil(scenario.duration_s / interval_s))
-    pings = ((turn * interval_s, name) for turn in turns for name in groups[turn % len(groups)])
     contexts: dict[str, list[dict[str, Any]]] = {sensor.name: [] for sensor in scenario.airframe.sensors}
-    for context in ping_contexts(scenario.airframe, model, around, pings):
+    for context in pings_in_flight(scenario, model, default_rng(for_vehicle)):
         contexts[context["sensor"]].append(context)
     seeds = for_readings.generate_state(len(contexts))
     readings = [
@@ -132,6 +128,18 @@ def draw_sample(flights: Flights, index: int) -> Numbers:
         for i, sensor in enumerate(scenario.airframe.sensors)
     ]
     return about(sample) | _judged_readings(readings)
+
+
+def pings_in_flight(
+    scenario: Scenario, model: SensorModel | None, rng: np.random.Generator
+) -> Iterator[dict[str, Any]]:
+    """The contexts of a flight's pings in the order of the bridge's polling, as `ping_contexts`; rng: the vehicle's."""
+    world = scenario.world()
+    around = Surroundings(world, scenario.vehicle(world, rng).pose)
+    groups, interval_s = polling_groups(scenario.airframe), polling_interval_s(scenario.airframe)
+    turns = range(math.ceil(scenario.duration_s / interval_s))
+    pings = ((turn * interval_s, name) for turn in turns for name in groups[turn % len(groups)])
+    return ping_contexts(scenario.airframe, model, around, pings)
 
 
 def about(sample: SampledFlight) -> Numbers:

@@ -6,6 +6,7 @@ file.
 
 import csv
 import json
+from ast import literal_eval
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -96,11 +97,7 @@ def _value(column: str, text: str) -> Any:
     """A value as it was written."""
     if column in WORDS:
         return text
-    if text == "":
-        return None
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return {"True": True, "False": False}.get(text, text)
+    try:
+        return literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text or None

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
-from msp_range.fusion.modes import SensorMode, ground_prior, noise_density, object_prior
+from msp_range.fusion.modes import ANSWERED, SensorMode, ground_prior, noise_density, object_prior
+from msp_range.fusion.response import STRONGEST
 from msp_range.fusion.vertical import VerticalMotion
 from msp_range.reading import Reading, Status
 from tests.unit.msp_range.fusion.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
@@ -119,6 +120,10 @@ class Moving:
         Beginnings of climbs of 1 m in 2 s, with 1 m/s^2 up and down [s].
     climb_m
         As many times that; they are descents where it is negative.
+    measured_from_s
+        When the accelerometer begins to say something, and the barometer [s].
+    names
+        Of the sensors.
     """
 
     def __init__(
@@ -127,10 +132,12 @@ class Moving:
         climbs: Sequence[float] = (),
         climb_m: float = 1.0,
         seed: int = 1,
+        measured_from_s: tuple[float, float] = (-1.0, -1.0),
+        names: str = NAMES,
     ) -> None:
         self._climbs, self._climb_m = climbs, climb_m
         motion, draw = VerticalMotion(), np.random.default_rng(seed)
-        sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
+        sensors = {name: DownwardSensor((*CORNERS[name], 0.0), DOWN, "slant") for name in names}
         fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
         self.sent: dict[float, float] = {}
         self.statuses: dict[float, Status] = {}
@@ -138,10 +145,15 @@ class Moving:
             time_s = i * SLOT_S
             for k in range(4):
                 moment_s = time_s - 0.075 + 0.025 * k
-                motion.on_acceleration(moment_s, self._at(moment_s)[1] + draw.normal(0.0, 0.3))
-            motion.on_pressure_height(time_s, 100.0 + self._at(time_s)[0] + draw.normal(0.0, 0.1))
-            seen_m = range_m(NAMES[i % 4], time_s, self._at(time_s)[0]) + draw.normal(scale=SIGMA_M)
-            out = fusion.update(reading(NAMES[i % 4], time_s, seen_m), time_s + 0.03)
+                up_m_s2 = self._at(moment_s)[1] + draw.normal(0.0, 0.3)
+                if moment_s > measured_from_s[0]:
+                    motion.on_acceleration(moment_s, up_m_s2)
+            by_pressure_m = 100.0 + self._at(time_s)[0] + draw.normal(0.0, 0.1)
+            if time_s > measured_from_s[1]:
+                motion.on_pressure_height(time_s, by_pressure_m)
+            name = names[i % len(names)]
+            seen_m = range_m(name, time_s, self._at(time_s)[0]) + draw.normal(scale=SIGMA_M)
+            out = fusion.update(reading(name, time_s, seen_m), time_s + 0.03)
             self.statuses[time_s] = out.reading.status
             if out.fused is not None:
                 self.sent[time_s] = out.fused.range_m
@@ -236,6 +248,37 @@ def test_a_strap_that_the_ground_was_nearer_than_before_the_take_off_is_not_sent
     assert not [time_s for time_s in climbing.sent if time_s > 9.5]
     at_rest = Moving(lambda name, time_s, height_m: 0.57)
     assert len([time_s for time_s in at_rest.sent if time_s > 9.5]) > 90
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_strap_is_not_sent_where_the_vehicle_has_risen_before_its_accelerations_are_known(seed: int) -> None:
+    """By 4 m by the barometer; a ground that is as near follows that, and is sent."""
+    begins_s = (30.0, 1.0)
+    strap = Moving(lambda name, time_s, height_m: 0.4, (2.0, 4.0), 2.0, seed, begins_s)
+    assert not [time_s for time_s in strap.sent if 5.0 < time_s < 15.0]
+    ground = Moving(lambda name, time_s, height_m: 0.3 + 0.1 * height_m, (2.0, 4.0), 0.5, seed, begins_s)
+    assert len([time_s for time_s in ground.sent if time_s > 5.0]) > 140
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_gets_into_the_beams_in_a_climb_is_no_ground(seed: int) -> None:
+    """The ground that nobody sees any more is not one whose sensors repeat themselves."""
+    climbs = [8.0 + 1.5 * i for i in range(6)]
+    flight = Moving(lambda name, time_s, height_m: 0.25 if time_s > 9.0 else 4.0 + height_m, climbs, 1.0, seed)
+    assert not [time_s for time_s, range_m in flight.sent.items() if range_m < 3.0]
+
+
+def test_one_reading_is_no_answer_to_a_movement() -> None:
+    """A strap that swings once as the vehicle climbs is still a strap."""
+    assert ANSWERED > STRONGEST
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_strap_that_swings_free_is_not_believed_again(seed: int) -> None:
+    """It was found to be fixed, and then is where the ground is no more likely."""
+    strap = Moving(lambda name, time_s, height_m: 0.4 if time_s < 9.0 else 0.55, [5.0], 1.0, seed, names="a")
+    assert Status.FIXED in strap.statuses.values()
+    assert not [time_s for time_s in strap.sent if time_s > 7.5]
 
 
 def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_the_vehicle() -> None:
