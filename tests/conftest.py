@@ -5,7 +5,7 @@ import os
 import re
 import signal
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -63,15 +63,15 @@ def _group(module: str) -> str:
     return "real time" if _has_clock(module) and not module.startswith(ALONE) else module
 
 
-def pytest_sessionstart() -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
     """What is collected lasts to the end: looking for garbage among it takes a fifth of the time of collecting."""
     gc.disable()
-
-
-def pytest_collection_finish() -> None:
-    """What is there now is not looked through again."""
-    gc.freeze()
-    gc.enable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
