@@ -8,9 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import ks_2samp
-from sklearn.ensemble import HistGradientBoostingClassifier
-from sklearn.linear_model import LogisticRegression
-from sklearn.metrics import roc_auc_score
 from threadpoolctl import threadpool_limits
 
 from evaluation.closure.table import FloatArray, Table
@@ -50,6 +47,11 @@ def separability(measured: Table, simulated: Table, seed: int) -> Separability:
     seed
         Of the folds and of the classifier.
     """
+    # Here, because all processes of tests import this module, and only few need half a second of scikit-learn.
+    from sklearn.ensemble import HistGradientBoostingClassifier
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.metrics import roc_auc_score
+
     features = np.vstack([_features(measured), _features(simulated)])
     label = np.repeat([1, 0], len(measured.reading_cm))
     fold = np.tile(_folds(measured, seed), 2)

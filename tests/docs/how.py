@@ -24,11 +24,6 @@ SMALLER: Changes = {
         (r"duration_s: 50", "duration_s: 18"),
         (r"duration_s: 40", "duration_s: 12"),
     ],
-    "configs/scenarios/rough_grass.yaml": [
-        (r"duration_s: 60", "duration_s: 26"),
-        (r"duration_s: 50", "duration_s: 16"),
-        (r"duration_s: 1\d", "duration_s: 4"),
-    ],
     "configs/campaigns/table_4_1.yaml": [
         (r"readings: 20000", "readings: 400"),
         (r"readings: \d00\b", "readings: 8"),
@@ -65,7 +60,7 @@ DISCONTENT = "{} || test $? = 1"
 """It finds something wrong, as its document shows."""
 NOTHING_INSTALLED = "{} --dry-run --no-index --no-build-isolation"
 AROUND = {
-    "make test": "PYTEST_ADDOPTS='tests/unit/test_frames.py' {}",
+    "make test": "PYTEST_ADDOPTS='tests/unit/msp_range/mavlink/test_frames.py' {}",
     "msp-lab filters --table mine.csv": "{} --seeds 10",
     "python -m pytest tests/sitl": "env -u MSP_RANGE_ARDUCOPTER -u MSP_RANGE_PX4 {}",
     "pip install '.[lab,logs]'": NOTHING_INSTALLED,
@@ -103,7 +98,7 @@ ELSEWHERE = {
     "msp-lab collect gaps/june/design/1-*/campaign.yaml --out new": "tests/loop/test_design.py",
     "msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july": "tests/loop/test_design.py",
     "arducopter --model + ...": "tests/sitl/arducopter.py",
-    "msp-lab filters --out study": "tests/unit/test_filter_study.py",
+    "msp-lab filters --out study": "tests/unit/msp_lab/filter_study/test_filter_study.py",
     "make gap-demo": "tests/loop/test_gap_demo.py",
     "python -m tests.peers.fetch_flights flights/public": "tests/peers/test_public_logs.py",
     "sim_vehicle.py -N -v ArduCopter --add-param-file=range.parm ...": "tests/sitl/shown.py",

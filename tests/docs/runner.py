@@ -8,11 +8,12 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryFile
 
 from tests.docs import how
-from tests.docs.shown import ROOT, blocks, commands
+from tests.docs.shown import DOCUMENTS, ROOT, blocks, commands
 
 LINKED = ("msp_range", "sim", "tests", "bin", "systemd")
 COPIED = ("configs", "docs", "evaluation", "Makefile", "pyproject.toml", "README.md", "install.sh")
@@ -73,15 +74,22 @@ def script_of(document: Path) -> str:
         if block.is_python:
             parts.append(f"python - <<'DOCUMENT'\n{block.text}\nDOCUMENT")
         elif block.script is not None:
-            parts.append(_as_run(block.script))
+            parts.append(_as_run(block.script, document))
     return f"\necho {NEXT_BLOCK}\n".join(filter(None, parts))
 
 
-def _as_run(script: str) -> str:
+@cache
+def _make_commands() -> dict[str, Path]:
+    """The first document that shows a command of make: it is run there alone, as it needs nothing from before it."""
+    shown = ((command, path) for path in DOCUMENTS for each in blocks(path) for command in commands(each.script or ""))
+    return {command: path for command, path in reversed([*shown]) if command.startswith("make ")}
+
+
+def _as_run(script: str, document: Path) -> str:
     kept = []
     for line in _BROKEN.sub("", script).splitlines():
         (command,) = commands(line) or [""]
-        if how.found(how.ELSEWHERE, command) is not None:
+        if how.found(how.ELSEWHERE, command) is not None or _make_commands().get(command, document) != document:
             continue
         around = how.found(how.AROUND, command)
         kept.append(around.replace("{}", command) if around else how.found(how.INSTEAD, command) or line)

@@ -8,7 +8,6 @@ import pytest
 
 from evaluation.blind.report import by_mechanism, closed, collect, counts, score
 from evaluation.blind.score import accepted_names, judge
-from evaluation.shares import wilson
 
 pytestmark = pytest.mark.slow
 
@@ -95,11 +94,6 @@ def test_what_is_closed(before: float, after: float, floor: float, over_floor: f
     assert found.of_all == pytest.approx(of_all)
     nats["after"] = None
     assert judge(ANSWER, gap_of(NAMED, gap=gap), NAMES).closed is None
-
-
-def test_interval() -> None:
-    assert wilson(0, 400)[1] == pytest.approx(0.0095, abs=1e-3)
-    assert wilson(12, 400) == pytest.approx((0.0172, 0.0518), abs=1e-3)
 
 
 def test_the_table_counts_what_was_reported(tmp_path: Path) -> None:

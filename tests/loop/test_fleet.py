@@ -97,7 +97,7 @@ def test_three_vehicles_are_no_fleet(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_processes_of_which_one_is_killed_find_the_same_to_the_last_digit(tmp_path: Path) -> None:
-    dataset = make_dataset(tmp_path / "set", 8, {2: 200.0}, readings=8000)
+    dataset = make_dataset(tmp_path / "set", 6, {2: 200.0}, readings=2500)
     arguments = ["fleet", str(dataset), "--model", MODEL, "--out"]
     assert CliRunner().invoke(app, [*arguments, str(tmp_path / "one")]).exit_code == 0
     command = [str(Path(sys.executable).with_name("msp-lab")), *arguments, str(tmp_path / "two"), "--jobs", "2"]

@@ -108,19 +108,18 @@ flight:
   altitude:
     - {{kind: climb, to_m: 2.0}}
     - {{kind: hold, duration_s: 3}}
-    - {{kind: climb, to_m: 5.0, speed_m_s: 3, acceleration_m_s2: {acceleration}}}
+    - {{kind: climb, to_m: 5.0, speed_m_s: 3, acceleration_m_s2: 5}}
     - {{kind: hold, duration_s: 3}}
-    - {{kind: climb, to_m: 2.0, speed_m_s: 3, acceleration_m_s2: {acceleration}}}
+    - {{kind: climb, to_m: 2.0, speed_m_s: 3, acceleration_m_s2: 5}}
     - {{kind: hold, duration_s: 3}}
 """
 
 
-@pytest.mark.parametrize("acceleration", [5, *slow(3)])
-def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path, acceleration: int) -> None:
+def test_hard_acceleration_does_not_silence_the_stream(tmp_path: Path) -> None:
     airframe = SCENARIOS.parent / "quad_pallet.yaml"
     path = tmp_path / "hard.yaml"
-    path.write_text(HARD.format(airframe=airframe, acceleration=acceleration))
-    for seed in range(3):
+    path.write_text(HARD.format(airframe=airframe))
+    for seed in range(2):
         flight = fly(load_scenario(path), seed)
         times_s = np.array(flight.fused.time_s)
         assert np.diff(times_s).max() < 0.35

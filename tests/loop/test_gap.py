@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 from msp_lab.cli import app
-from msp_lab.gap import demo
 from msp_lab.gap.findings_file import read_findings
 from msp_range.recording.csv_form import write_csv
 from msp_sim.cli import app as sim_app
@@ -146,43 +145,6 @@ def test_nothing_missing_reports_what_would_have_been_seen(tmp_path: Path) -> No
     found = read_findings(tmp_path / "out")
     assert (found.verdict, found.effects, found.unknown) == ("nothing missing", (), ())
     assert any(each.name == "humidity" and "humidity_pct" in each.columns for each in found.not_testable)
-
-
-@pytest.fixture(scope="module")
-def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Flights of a sensor that has more to it than mb1242.yaml says, as the bridge recorded them."""
-    made = tmp_path_factory.mktemp("flights")
-    hidden_model = ROOT / "configs" / "sensors" / "mb1242_in_flight.yaml"
-    paths = []
-    for seed in range(1, 5):
-        scenario = ROOT / "configs" / "scenarios" / "demo.yaml"
-        (made / str(seed)).mkdir()
-        flight = demo.fly(made / str(seed), scenario, hidden_model, seed)
-        paths.append(flight.rename(made / f"flight-{seed}.mcap"))
-    return paths
-
-
-@pytest.mark.slow
-def test_what_a_simulated_flight_hides_is_found_in_its_recordings(recordings: list[Path], tmp_path: Path) -> None:
-    run("compare", *recordings, "--model", MODEL, "--out", tmp_path)
-    before = read_findings(tmp_path)
-    assert before.runs == 4
-    # The front left sensor is mounted 1.5 cm lower, and the slices show it before anything is named.
-    (front_left,) = [each for each in before.slices if each.where == "sensor front_left"]
-    assert front_left.bias_cm == pytest.approx(1.5, abs=0.4)
-    assert front_left.p_value is not None
-    assert front_left.p_value < 0.05
-    run("name", tmp_path)
-    run("add", tmp_path)
-    after = read_findings(tmp_path)
-    offset = {(each.name, each.of): each for each in after.effects}["mounting_offset", "front_left"]
-    value = offset.parameters["offset_cm"]
-    assert value.low is not None
-    assert value.high is not None
-    assert value.low < 1.5 < value.high
-    assert after.verdict in ("explained", "partly explained")
-    assert after.gap is not None
-    assert known(after.gap.nats_per_reading.after) < 0.2 * known(after.gap.nats_per_reading.before)
 
 
 @pytest.mark.slow

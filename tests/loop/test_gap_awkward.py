@@ -105,18 +105,6 @@ def test_readings_of_one_run_are_parted_in_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_readings_that_depend_on_each_other_have_no_name(tmp_path: Path) -> None:
-    n, runs = 2000, 20
-    rng = np.random.default_rng(5)
-    drift = np.zeros(n)
-    for i in range(1, n):
-        drift[i] = (0.9 * drift[i - 1] if i * runs // n == (i - 1) * runs // n else 0.0) + 0.6 * rng.standard_normal()
-    findings = found(tmp_path, readings(n, seed=5, runs=runs, bias=lambda _: drift))
-    assert "correlation" in [each.name for each in findings.calibration]
-    assert (findings.effects, findings.unknown) == ((), ())
-
-
-@pytest.mark.slow
 def test_offsets_between_runs_are_named_with_their_size(tmp_path: Path) -> None:
     n, runs = 3000, 30
     offset_cm = np.random.default_rng(6).permutation(np.linspace(-2.6, 2.6, runs))

@@ -144,8 +144,7 @@ def test_the_model_alone_draws_as_the_emulated_sensors_do(scenario: Path) -> Non
 
 @pytest.mark.slow
 def test_the_same_bytes_whatever_the_number_of_jobs(scenario: Path, tmp_path: Path) -> None:
-    for jobs in (1, 2, 4):
-        fly_monte_carlo(scenario, 20, 3, tmp_path / str(jobs), jobs=jobs)
+    for jobs in (1, 3):
+        fly_monte_carlo(scenario, 10, 3, tmp_path / str(jobs), jobs=jobs)
     for name in FILES:
-        one = (tmp_path / "1" / name).read_bytes()
-        assert one == (tmp_path / "2" / name).read_bytes() == (tmp_path / "4" / name).read_bytes()
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "3" / name).read_bytes()

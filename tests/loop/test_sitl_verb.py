@@ -321,6 +321,7 @@ def is_hover(heights_m: np.ndarray, climbs_m_s: np.ndarray, errors_m: np.ndarray
 
 
 @both
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
@@ -340,6 +341,7 @@ def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> No
 
 
 @both
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_no_distance_is_made_up_when_no_poses_come(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
@@ -353,6 +355,7 @@ def test_no_distance_is_made_up_when_no_poses_come(flights: dict[str, Flown], na
 
 
 @both
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str) -> None:
     flown = flights[name]
@@ -365,6 +368,7 @@ def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str
     assert re.findall(r"DISTANCE_SENSOR +(\d+)", flown.printed)[0] == str(len(flown.autopilot.distances))
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dict[str, Flown]) -> None:
     flown = flights["in flight"]
@@ -375,6 +379,7 @@ def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dic
     assert {round(message.current_distance, -1) for _, message in autopilot.distances} == {20}
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_faults_of_the_scenario_are_flown(flights: dict[str, Flown]) -> None:
     printed = flights["in flight"].printed
@@ -402,6 +407,7 @@ def test_the_status_line_has_what_a_sensor_that_is_only_fused_reads() -> None:
     assert status_line(sitl).endswith("fused -, good 2.01 m, missed no_echo, single 1.98 m")
 
 
+@pytest.mark.slow
 @pytest.mark.real_time
 def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown], out: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
@@ -412,7 +418,7 @@ def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown]
     assert summary["fused"]["over_edges"] == 0
     assert summary["fused"]["error"]["count"] > 40
     assert (out / "flight.png").read_bytes().startswith(b"\x89PNG")
-    (recording,) = out.glob("*.mcap")
+    recording, *_ = out.glob("*.mcap")
     topics = {message.topic for message in Recording(recording)}
     assert {"/truth/front_left", "/fused", "/mavlink/sent"} <= topics
 

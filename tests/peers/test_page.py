@@ -191,6 +191,7 @@ def test_distances_that_nobody_gets_are_not_shown_as_good(tmp_path: Path) -> Non
             assert errors == []
 
 
+@pytest.mark.slow
 def test_that_nothing_is_sent_is_plain_and_neither_good_nor_bad(tmp_path: Path) -> None:
     path = tmp_path / "nothing.yaml"
     text_of_file = AIRFRAME.read_text(encoding="utf-8").replace("../../configs/sensors/mb1242.yaml", "mb1242")

@@ -20,4 +20,6 @@ def test_no_other_word_is_a_distance() -> None:
         assert (decoded.range_m is not None) is legal
         assert decoded.status.has_range is legal
         assert (decoded.status is Status.CLOCK_FAULT) is (word >= 0x8000)
-        assert decoded.raw == word
+        assert (decoded.status is Status.AT_MINIMUM) is (word == 20)
+        assert (decoded.status is Status.IMPOSSIBLE) is not (legal or word == 765 or word >= 0x8000)
+        assert (decoded.raw, decoded.suspect) == (word, word in (253, 255))

@@ -159,8 +159,6 @@ def test_a_known_effect_has_its_name_and_its_number(late: Looked) -> None:
     [
         ("wash_across_the_path", 0.59, None),
         ("long_grass", 0.15, "grass"),
-        ("blown_about", 0.28, None),
-        ("second_bounce", 0.08, None),
         ("high_byte_lost", 0.175, None),
     ],
 )

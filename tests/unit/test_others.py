@@ -295,7 +295,7 @@ def landed(seed: int, stands_cm: float) -> dict[str, Column]:
     return {"time_s": time_s, "sensor": sensor, "reading_cm": reading_cm, "hidden_cm": height_cm + off_cm}
 
 
-@pytest.mark.parametrize("stands_cm", [8.0, *slow(21.0, 40.0)])
+@pytest.mark.parametrize("stands_cm", [8.0, *slow(40.0)])
 def test_a_vehicle_on_the_ground_blames_no_sensor(stands_cm: float) -> None:
     for seed in range(6):
         columns = landed(seed, stands_cm)

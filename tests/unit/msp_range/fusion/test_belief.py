@@ -1,0 +1,335 @@
+"""Which of several surfaces is the ground, and how probable that is."""
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
+from msp_range.fusion.modes import ANSWERED, SensorMode, ground_prior, noise_density, object_prior
+from msp_range.fusion.response import STRONGEST
+from msp_range.fusion.vertical import VerticalMotion
+from msp_range.reading import Reading, Status
+from tests.unit.msp_range.fusion.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
+
+
+def sent_m(range_m: Callable[[str, float], float], until_s: float = 20.0) -> dict[float, float]:
+    """What is sent of four sensors that read so, by its time [s]."""
+    fusion, draw, sent = four(), np.random.default_rng(1), {}
+    for i in range(round(until_s / SLOT_S)):
+        time_s = i * SLOT_S
+        seen_m = range_m(NAMES[i % 4], time_s) + draw.normal(scale=SIGMA_M)
+        if (fused := take(fusion, reading(NAMES[i % 4], time_s, seen_m))) is not None:
+            sent[time_s] = fused.range_m
+    return sent
+
+
+def dust(seed: int) -> Callable[[str, float], float]:
+    """The range over ground 2 m below [m]; from 5 s on six of seven answers are at random."""
+    draw = np.random.default_rng(seed)
+    return lambda name, time_s: draw.uniform(0.2, 7.0) if time_s > 5.0 and draw.random() < 0.85 else 2.0
+
+
+@pytest.mark.parametrize("rise_m", [0.3, 1.0, 2.0, -1.0])
+def test_an_edge_that_two_of_four_have_passed_silences_nothing(rise_m: float) -> None:
+    """The known ground goes on, however long two sensors see one level and two the other; then the new one."""
+    sent = sent_m(lambda name, time_s: 3.0 - rise_m * (time_s > (8.0 if name in "ab" else 12.0)))
+    times_s = sorted(sent)
+    assert max(late - early for early, late in pairwise(times_s)) < 0.35
+    assert all(abs(sent[time_s] - 3.0) < 0.1 for time_s in times_s if time_s < 12.0)
+    assert all(abs(sent[time_s] - 3.0 + rise_m) < 0.1 for time_s in times_s if time_s > 12.6)
+
+
+@pytest.mark.parametrize("wrong", ["abcd", "abc"])
+def test_what_gets_into_the_beams_high_up_is_no_ground(wrong: str) -> None:
+    """From 5 m to 0.4 m at once, which no terrain does: silence, or the distance of the one that is right."""
+    sent = sent_m(lambda name, time_s: 0.4 if name in wrong and time_s > 10.0 else 5.0)
+    assert all(abs(range_m - 5.0) < 0.1 for range_m in sent.values())
+
+
+def test_a_level_that_three_of_four_see_is_the_ground_and_no_object_below_each() -> None:
+    sent = sent_m(lambda name, time_s: 1.5 if name in "bcd" and time_s > 7.0 else 4.0)
+    after = [range_m for time_s, range_m in sent.items() if time_s > 8.0]
+    assert len(after) > 110
+    assert all(abs(range_m - 1.5) < 0.1 for range_m in after)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_answers_at_random_hardly_any_is_sent(seed: int) -> None:
+    """As in thick dust, or with a bus that makes them up: two that agree by chance are soon contradicted."""
+    draw = np.random.default_rng(seed)
+    sent = sent_m(lambda name, time_s: draw.uniform(0.2, 7.0) if time_s > 6.0 else 2.0, 26.0)
+    assert sum(time_s > 7.0 for time_s in sent) < 0.04 * 190
+
+
+def test_a_strap_that_two_of_five_have_always_seen_is_no_ground_when_the_others_fail() -> None:
+    """It was as good a first ground as any before the others were read; then it was a step away from theirs."""
+    order = "deabc"
+    places = {name: (0.2 * i, 0.1 * (i % 2), 0.0) for i, name in enumerate(order)}
+    fusion = Fusion(
+        {name: DownwardSensor(place, DOWN, "slant") for name, place in places.items()}, AttitudeTrack(), WINDOWS
+    )
+    draw = np.random.default_rng(1)
+    for i in range(200):
+        name, time_s = order[i % 5], i * SLOT_S
+        seen = reading(name, time_s, (0.4 if name in "de" else 3.0) + draw.normal(scale=0.01))
+        if name in "abc" and time_s > 8.0:
+            seen = Reading(time_s, name, Status.NO_ANSWER)
+        fused = take(fusion, seen)
+        assert fused is None or abs(fused.range_m - 3.0) < 0.1 or time_s < 0.5
+
+
+def test_in_dust_what_few_answers_say_is_not_taken_for_the_ground() -> None:
+    """A sensor that has given answers at random will give more of them."""
+    sent = [sent_m(dust(seed)) for seed in range(8)]
+    off_m = [abs(range_m - 2.0) for each in sent for time_s, range_m in each.items() if time_s > 5.0]
+    assert len(off_m) > 40
+    assert sum(each_m > 0.2 for each_m in off_m) < 0.1 * len(off_m)
+
+
+@pytest.mark.parametrize("slot_s", [0.1, 0.5, 0.8])
+def test_two_readings_that_agree_are_a_first_ground_however_slow_the_polling_is(slot_s: float) -> None:
+    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
+    fusion = Fusion(sensors, AttitudeTrack(), Windows(4 * slot_s, slot_s))
+    assert take(fusion, reading("a", 0.0, 3.0)) is None
+    assert take(fusion, reading("b", slot_s, 3.02)) is not None
+
+
+def test_a_sensor_with_more_noise_than_an_ultrasonic_one_has_one_ground() -> None:
+    """A lidar at 30 m."""
+    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack(), WINDOWS, maximum_m=60.0)
+    draw = np.random.default_rng(2)
+    sent = 0
+    for i in range(300):
+        seen_m = 30.0 + draw.normal(scale=0.15)
+        seen = Reading(i * SLOT_S, "a", Status.OK, seen_m, 0.15, round(100 * seen_m))
+        sent += take(fusion, seen) is not None
+    assert sent > 285
+
+
+class Moving:
+    """Four sensors below a vehicle that climbs by a profile, with an accelerometer and a barometer.
+
+    Parameters
+    ----------
+    range_m
+        What a sensor reads at a time and a height [m].
+    climbs
+        Beginnings of climbs of 1 m in 2 s, with 1 m/s^2 up and down [s].
+    climb_m
+        As many times that; they are descents where it is negative.
+    measured_from_s
+        When the accelerometer begins to say something, and the barometer [s].
+    names
+        Of the sensors.
+    """
+
+    def __init__(
+        self,
+        range_m: Callable[[str, float, float], float],
+        climbs: Sequence[float] = (),
+        climb_m: float = 1.0,
+        seed: int = 1,
+        measured_from_s: tuple[float, float] = (-1.0, -1.0),
+        names: str = NAMES,
+    ) -> None:
+        self._climbs, self._climb_m = climbs, climb_m
+        motion, draw = VerticalMotion(), np.random.default_rng(seed)
+        sensors = {name: DownwardSensor((*CORNERS[name], 0.0), DOWN, "slant") for name in names}
+        fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
+        self.sent: dict[float, float] = {}
+        self.statuses: dict[float, Status] = {}
+        for i in range(200):
+            time_s = i * SLOT_S
+            for k in range(4):
+                moment_s = time_s - 0.075 + 0.025 * k
+                up_m_s2 = self._at(moment_s)[1] + draw.normal(0.0, 0.3)
+                if moment_s > measured_from_s[0]:
+                    motion.on_acceleration(moment_s, up_m_s2)
+            by_pressure_m = 100.0 + self._at(time_s)[0] + draw.normal(0.0, 0.1)
+            if time_s > measured_from_s[1]:
+                motion.on_pressure_height(time_s, by_pressure_m)
+            name = names[i % len(names)]
+            seen_m = range_m(name, time_s, self._at(time_s)[0]) + draw.normal(scale=SIGMA_M)
+            out = fusion.update(reading(name, time_s, seen_m), time_s + 0.03)
+            self.statuses[time_s] = out.reading.status
+            if out.fused is not None:
+                self.sent[time_s] = out.fused.range_m
+
+    def _at(self, time_s: float) -> tuple[float, float]:
+        """How far it has climbed [m], and its acceleration upwards [m/s^2]."""
+        height_m = up_m_s2 = 0.0
+        for from_s in self._climbs:
+            t = min(max(time_s - from_s, 0.0), 2.0)
+            height_m += t * t / 2 if t < 1.0 else 1.0 - (2.0 - t) ** 2 / 2
+            up_m_s2 += (1.0 if t < 1.0 else -1.0) if 0.0 < t < 2.0 else 0.0
+        return self._climb_m * height_m, self._climb_m * up_m_s2
+
+
+def test_the_ground_returns_where_the_barometer_says() -> None:
+    """Something in the beams of all sensors for 8 s is no ground; what they see then is."""
+    flight = Moving(lambda name, time_s, height_m: 0.4 if 6.0 < time_s < 14.0 else 5.0)
+    assert all(abs(range_m - 5.0) < 0.1 for range_m in flight.sent.values())
+    assert sum(time_s > 14.5 for time_s in flight.sent) > 50
+
+
+@pytest.mark.parametrize("base_m", [0.6, 1.5])
+def test_it_returns_where_the_vehicle_has_climbed_meanwhile(base_m: float) -> None:
+    """By 2 m while all sensors are without an answer of the ground; back at its old height it would be a step."""
+    spoilt = np.random.default_rng(5)
+
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        return spoilt.uniform(0.2, 7.0) if 6.0 < time_s < 12.0 else base_m + height_m
+
+    flight = Moving(range_m, climbs=(7.0, 9.0))
+    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.7}
+    assert len(after) > 65
+    assert all(abs(range_m - base_m - 2.0) < 0.15 for range_m in after.values())
+
+
+def test_it_returns_near_the_ground_where_the_vehicle_has_sunk_meanwhile() -> None:
+    """From 2.5 to 0.5 m: without the barometer's descent that would be something in the beams."""
+    spoilt = np.random.default_rng(5)
+
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        return spoilt.uniform(2.0, 7.0) if 6.0 < time_s < 12.0 else 2.5 + height_m
+
+    flight = Moving(range_m, climbs=(7.0, 9.0), climb_m=-1.0)
+    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.7}
+    assert len(after) > 65
+    assert all(abs(range_m - 0.5) < 0.1 for range_m in after.values())
+
+
+def test_a_ground_that_is_near_after_a_jump_is_sent_when_it_answers_to_a_climb() -> None:
+    flight = Moving(lambda name, time_s, height_m: (4.0 if time_s < 6.0 else 0.5) + height_m, climbs=(10.0,))
+    assert not [time_s for time_s in flight.sent if 6.5 < time_s < 10.0]
+    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.0}
+    assert len(after) > 70
+    assert all(abs(range_m - 1.5) < 0.15 for range_m in after.values())
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("climb_m", [1.0, 4.0])
+def test_what_does_not_answer_to_a_climb_is_part_of_the_vehicle(climb_m: float, seed: int) -> None:
+    """Nor in a hard one, in which its readings would be taken for those of many surfaces."""
+    flight = Moving(lambda name, time_s, height_m: 3.0 if time_s < 7.0 else 0.5, (10.0, 13.0), climb_m, seed)
+    assert not [time_s for time_s in flight.sent if time_s > 7.5]
+    assert Status.FIXED in flight.statuses.values()
+
+
+def test_priors_fall_with_the_size_of_a_step() -> None:
+    priors = [ground_prior(off_m, 0.02, 3.0) for off_m in (0.0, 0.3, 1.0, 3.0)]
+    assert priors == sorted(priors, reverse=True)
+    assert ground_prior(1.0, 0.02, 0.5) < ground_prior(1.0, 0.02, 1.5)
+    assert object_prior(0.5) > object_prior(3.0) == pytest.approx(math.log(0.03), abs=0.2)
+
+
+@pytest.mark.parametrize("drop_m", [0.5, 1.2])
+@pytest.mark.parametrize("dead", ["a", "d"])
+def test_an_edge_silences_three_sensors_of_four_for_no_second_turn(dead: str, drop_m: float) -> None:
+    """The front ones, a and b, pass it a second before the others."""
+    fusion, draw, sent = four(), np.random.default_rng(1), []
+    for i in range(160):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        passed_s = 8.0 if name in "ab" else 9.0
+        seen = reading(name, time_s, 3.0 + drop_m * (time_s > passed_s) + draw.normal(scale=SIGMA_M))
+        if name == dead:
+            seen = Reading(time_s, name, Status.NO_ANSWER)
+        if take(fusion, seen) is not None:
+            sent.append(time_s)
+    assert max(late - early for early, late in pairwise(sent)) < 0.65
+
+
+def test_a_strap_that_the_ground_was_nearer_than_before_the_take_off_is_not_sent_for_long() -> None:
+    """Up to 0.57 m the readings follow the climb, and then no more."""
+    climbing = Moving(lambda name, time_s, height_m: min(0.2 + height_m, 0.57), [5.0, 9.0])
+    assert not [time_s for time_s in climbing.sent if time_s > 9.5]
+    at_rest = Moving(lambda name, time_s, height_m: 0.57)
+    assert len([time_s for time_s in at_rest.sent if time_s > 9.5]) > 90
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_strap_is_not_sent_where_the_vehicle_has_risen_before_its_accelerations_are_known(seed: int) -> None:
+    """By 4 m by the barometer; a ground that is as near follows that, and is sent."""
+    begins_s = (30.0, 1.0)
+    strap = Moving(lambda name, time_s, height_m: 0.4, (2.0, 4.0), 2.0, seed, begins_s)
+    assert not [time_s for time_s in strap.sent if 5.0 < time_s < 15.0]
+    ground = Moving(lambda name, time_s, height_m: 0.3 + 0.1 * height_m, (2.0, 4.0), 0.5, seed, begins_s)
+    assert len([time_s for time_s in ground.sent if time_s > 5.0]) > 140
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_gets_into_the_beams_in_a_climb_is_no_ground(seed: int) -> None:
+    """The ground that nobody sees any more is not one whose sensors repeat themselves."""
+    climbs = [8.0 + 1.5 * i for i in range(6)]
+    flight = Moving(lambda name, time_s, height_m: 0.25 if time_s > 9.0 else 4.0 + height_m, climbs, 1.0, seed)
+    assert not [time_s for time_s, range_m in flight.sent.items() if range_m < 3.0]
+
+
+def test_one_reading_is_no_answer_to_a_movement() -> None:
+    """A strap that swings once as the vehicle climbs is still a strap."""
+    assert ANSWERED > STRONGEST
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_strap_that_swings_free_is_not_believed_again(seed: int) -> None:
+    """It was found to be fixed, and then is where the ground is no more likely."""
+    strap = Moving(lambda name, time_s, height_m: 0.4 if time_s < 9.0 else 0.55, [5.0], 1.0, seed, names="a")
+    assert Status.FIXED in strap.statuses.values()
+    assert not [time_s for time_s in strap.sent if time_s > 7.5]
+
+
+def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_the_vehicle() -> None:
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        """The strap below a has moved after the others' was found to be fixed."""
+        return 0.35 if name == "a" and time_s > 12.0 else 0.45
+
+    strap = Moving(range_m, [3.0, 6.0, 9.0])
+    assert Status.FIXED in strap.statuses.values()
+    assert not [time_s for time_s in strap.sent if time_s > 12.0]
+
+
+def test_a_fault_code_does_not_end_an_object() -> None:
+    """Sensor a sees a box; one answer of it may be a code, and the next one has no echo."""
+    fusion = four()
+    for i in range(60):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        take(fusion, reading(name, time_s, 2.4 if name == "a" else 3.0))
+    assert fusion.object_m("a") == pytest.approx(0.6, abs=0.05)
+    take(fusion, reading("a", 6.0, 2.55, raw=255, suspect=True))
+    take(fusion, reading("a", 6.1, None))
+    assert fusion.object_m("a") == pytest.approx(0.6, abs=0.05)
+    take(fusion, reading("a", 6.1 + WINDOWS.memory_s + 0.1, None))
+    assert fusion.object_m("a") is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sensors_see_surfaces_that_are_followed(seed: int) -> None:
+    """Also after several of them have become one, as over ground that comes together again."""
+    fusion, draw = four(), np.random.default_rng(seed)
+    for i in range(800):
+        apart_m = 0.4 * abs(math.sin(i / 40.0))
+        level = draw.choice([0.0, apart_m, -apart_m, 2 * apart_m], p=[0.4, 0.2, 0.2, 0.2])
+        take(fusion, reading(NAMES[i % 4], i * SLOT_S, 3.0 + level + draw.normal(scale=SIGMA_M)))
+        belief = fusion._belief
+        assert all(mode.sees is None or mode.sees in belief.surfaces for mode in fusion._modes.values())
+        assert belief.proven is None or belief.proven in belief.surfaces
+
+
+def test_a_sensor_that_missed_its_last_echo_of_a_strap_is_held_too() -> None:
+    mode = SensorMode(DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant"))
+    motion = VerticalMotion()
+    for i in range(3):
+        assert not mode.is_stuck(45 + i, 0.45, None, motion, 0.4 * i, False)
+    assert not mode.is_stuck(765, None, None, motion, 1.2, False)
+    mode.hold()
+    assert mode.is_fixed
+
+
+def test_noise_is_less_likely_the_farther_it_is_and_has_no_gap() -> None:
+    densities = [noise_density(0.2 + 0.01 * i) for i in range(700)]
+    assert all(far <= near for near, far in pairwise(densities))
+    assert densities[-1] > 0.05
+    assert densities[0] > 0.9
