@@ -86,8 +86,8 @@ def test_a_scan_of_correlated_readings_has_the_statistic_of_each_curve_alone(by_
     unit = np.unique(contexts["run"], return_inverse=True)[1]
     prepared = Prepared.of(model, contexts, model.sample(contexts, np.random.default_rng(7)))
     fitted = refit(prepared, [make_curve_term("bias", ["target"], [["asphalt", "grass"]], [0.0, 0.0])])
-    here, free = fitted.here, ~fitted.held
-    nuisance, inner = fitted.scores[:, free], np.linalg.inv(fitted.information[np.ix_(free, free)])
+    here, free = fitted.here, ~fitted.at.held
+    nuisance, inner = fitted.at.scores[:, free], np.linalg.inv(fitted.at.information[np.ix_(free, free)])
     found = scan(curves_of(contexts, unit), fitted, unit if by_run else None)
     assert {"bias", "spread", "missed"} <= {each.channel for each in found}
     assert {(len(each.variables), each.cost_nats) for each in found} == {(1, 0.0), (2, rules.PAIR_COST_NATS)}

@@ -58,10 +58,7 @@ def fit_mixture(
 
     `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit.
     """
-    try:
-        grid = ReadingGrid.of(sensor)
-    except ValueError as error:
-        return str(error)
+    grid = ReadingGrid.of(sensor)
     set_ups = [_placement_error(point, calibration) for point in points]
     reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
     whole, notes = grid.nearest(reading_cm), []
@@ -86,7 +83,7 @@ def fit_mixture(
             f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
             "reference was off by"
         )
-    fitted, raised = with_floors(result.parameters, saturates=grid.second_no_echo_cm is not None)
+    fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
     bound = {*result.at_bound, *raised}
     notes += [f"{name}: {AT_FLOOR if name in raised else AT_BOUND}" for name in result.estimates if name in bound]
     unknown = {name: getattr(sensor.reading_model, name) for name in result.not_identified}

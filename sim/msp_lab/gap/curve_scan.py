@@ -199,10 +199,11 @@ def scan(
         Which of the five channels.
     """
     here = fit.here
-    free = ~fit.held & (np.sqrt(np.mean(fit.scores**2, axis=0)) > 1e-9)
-    norm = np.sqrt((fit.scores[:, free] ** 2).sum(axis=0))
-    own, left_over = fit.scores[:, free] / norm, fit.at.gradient[free] / norm
-    inner = np.linalg.pinv(fit.information[np.ix_(free, free)] / np.outer(norm, norm), rcond=1e-8, hermitian=True)
+    at = fit.at
+    free = ~at.held & (np.sqrt(np.mean(at.scores**2, axis=0)) > 1e-9)
+    norm = np.sqrt((at.scores[:, free] ** 2).sum(axis=0))
+    own, left_over = at.scores[:, free] / norm, at.gradient[free] / norm
+    inner = np.linalg.pinv(at.information[np.ix_(free, free)] / np.outer(norm, norm), rcond=1e-8, hermitian=True)
     found = []
     for channel in channels_asked:
         slope = here.by[:, CHANNELS.index(channel)]

@@ -220,7 +220,7 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
     """
     fit = whole.fit
     (name,) = _strength(fit, k)
-    score = fit.scores[:, fit.names.index(name)]
+    score = fit.at.scores[:, fit.names.index(name)]
     rows = np.flatnonzero(score)
     score, difference = score[rows], (fit.here.log_p - smaller.fit.here.log_p)[rows]
     difference = np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
