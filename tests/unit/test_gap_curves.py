@@ -198,7 +198,7 @@ def test_a_reading_whose_context_is_not_known_has_no_place_on_the_curve() -> Non
     contexts["throttle"] = np.where(np.arange(N) % 3 == 0, np.nan, number(contexts, "throttle"))
     asked = curves_of(contexts)
     values = np.column_stack([np.ones(N), np.arange(N) % 3 == 0])
-    sums = {**asked.columns.sums(values), **asked.pairs.sums(values)}
+    sums = {variables: weights.sums(values) for variables, weights in asked.weights.items()}
     for (variables, _), form in zip(asked.curves, asked.forms, strict=True):
         # About their mean where the column is known, and nothing where it is not.
         of_all, of_unknown = (form.T @ sums[variables]).T
