@@ -173,7 +173,7 @@ class FitResult:
                 return ends[sign > 0.0]
             near, far = far, min(far + step, bound) if sign > 0.0 else max(far + step, bound)
             step *= 2.0
-        limit = float(brentq(excess, near, far, xtol=1e-4 * abs(far - centre)))
+        limit = float(brentq(excess, near, far, xtol=1e-3 * abs(far - centre)))
         return _named(best.numbers._replace(**{number: limit}))[name]
 
 

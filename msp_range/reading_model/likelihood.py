@@ -19,12 +19,10 @@ from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 CHUNK = 1 << 13
 """Rows processed at a time, so that the arrays fit into the processor's cache. Affects speed only."""
-CLIMB_NATS = 0.01
+ENOUGH_NATS = 1e-3
 CLIMB_ROUNDS = 50
-"""A climb by the outer product of the scores ends with a step that gains less, or after so many; then the curvature is
-computed."""
-END_NATS = 1e-3
-"""The same by the curvature: errors are then squared from step to step."""
+"""A climb ends with a step that gains less, or after so many: it is at most 4 % of a standard error long. After it the
+curvature takes the place of the outer product of the scores, and errors are squared from step to step."""
 CURVATURE_ROWS = 100_000
 """Rows from which errors are computed, at most; of more the others are taken to be alike. The curvature takes eight
 times as long as a step. Fewer: errors of rare kinds of reading are known badly."""
@@ -60,13 +58,9 @@ class Numbers(NamedTuple):
 
 
 NAMES = Numbers._fields
-_LEAST, _MOST = LEAST_LOG_ODDS, -LEAST_LOG_ODDS
-LOWEST = Numbers(np.log(0.01), _LEAST, _LEAST, _LEAST, 1e-3, 0.0, 0.0, -MAX_GROWTH_PER_M)
-HIGHEST = Numbers(np.log(100.0), _MOST, _MOST, _MOST, 1e3, 1.0, 1e4, MAX_GROWTH_PER_M)
-_SEEN = float(np.log(MIN_WEIGHT))
-FEWEST = LOWEST._replace(log_odds_short=_SEEN, log_odds_missed=_SEEN, log_odds_random=_SEEN, saturated=MIN_WEIGHT)
-MOST = HIGHEST._replace(saturated=1.0 - MIN_WEIGHT)
-"""Where a fit of all readings may start: of what a sample lacks some may be among the others."""
+LOWEST = Numbers(np.log(0.01), LEAST_LOG_ODDS, LEAST_LOG_ODDS, LEAST_LOG_ODDS, 1e-3, 0.0, 0.0, -MAX_GROWTH_PER_M)
+HIGHEST = Numbers(np.log(100.0), -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, 1e3, 1.0, 1e4, MAX_GROWTH_PER_M)
+"""Where the numbers may be: within what a sensor model file takes, and any share of each kind of reading."""
 
 
 class Optimum(NamedTuple):
@@ -159,7 +153,7 @@ class Likelihood:
     def maximum(self, start: Numbers, bounds: tuple[Array, Array]) -> tuple[Array, float]:
         """The nearest maximum, about, and the log-likelihood there."""
         start_at = np.clip(np.array(start), *bounds)
-        at, value, _ = maximise(self.slopes, lambda _, here: here, start_at, bounds, CLIMB_NATS, CLIMB_ROUNDS)
+        at, value, _ = maximise(self.slopes, lambda _, here: here, start_at, bounds, ENOUGH_NATS, CLIMB_ROUNDS)
         return at, value
 
     def optimum(self, start: Numbers, moving: Sequence[str], most: int) -> Optimum:
@@ -167,10 +161,13 @@ class Likelihood:
         bounds = bounds_of(start, moving)
         if len(self) > 2 * most:
             start = Numbers(*self.sample(most).maximum(start, bounds)[0])
-            start = Numbers(*np.clip(start, FEWEST, MOST))
+            # What the sample lacks may be among the others.
+            seen = {name: max(getattr(start, name), float(np.log(MIN_WEIGHT))) for name in NAMES[1:4]}
+            saturated = min(max(start.saturated, MIN_WEIGHT), 1.0 - MIN_WEIGHT)
+            start = start._replace(**seen, saturated=saturated)
         at, _ = self.maximum(start, bounds)
         curvature = self.curvature(at, bounds, most)
-        at, value, (gradient, _) = maximise(self.slopes, lambda _, here: (here[0], curvature), at, bounds, END_NATS)
+        at, value, (gradient, _) = maximise(self.slopes, lambda _, here: (here[0], curvature), at, bounds, ENOUGH_NATS)
         curvature = self.curvature(at, bounds, CURVATURE_ROWS)
         held = held_numbers(at, gradient, curvature, *bounds)
         inside = tuple(name for name, is_held in zip(NAMES, held, strict=True) if not is_held)

@@ -201,7 +201,7 @@ class SumsByRun:
     @cached_property
     def log_p_by_run(self) -> Array:
         """Log-likelihood of each run, (runs,)."""
-        return sums_by(self.unit, self.fit.here.log_p, self.runs)
+        return np.bincount(self.unit, self.fit.here.log_p, self.runs).astype(np.float64)
 
     def _cross_score(
         self, runs: Flags, log_p: Array, by_run: Array, base: Base, slope: Array, information: Array
@@ -232,16 +232,11 @@ class SumsByRun:
         left_out_runs = parts.runs(split, part)
         log_p = np.zeros(self.unit.size)
         log_p[rows] = here.log_p
-        by_run = sums_by(self.unit[rows], here.log_p, self.runs)
+        by_run = np.bincount(self.unit[rows], here.log_p, self.runs).astype(np.float64)
         by_base = here.by[:, self.free[self.free < len(BASE)]]
         slope, information = _sums(by_base, self.unit[rows], self.runs)
         of_part = slope[left_out_runs], information[left_out_runs]
         return self._cross_score(left_out_runs, log_p, by_run, fit.base, *of_part)
-
-
-def sums_by(unit: Indices, values: Array, runs: int) -> Array:
-    """Sums of the readings' values over each run, (runs,)."""
-    return np.asarray(np.bincount(unit, values, runs), dtype=np.float64)
 
 
 def _sums(scores: Array, unit: Indices, runs: int) -> tuple[Array, Array]:

@@ -1,7 +1,7 @@
 """Joint maximum-likelihood refits of the base's numbers and of effects, within their bounds.
 
-Prepared readings and effects enter; values, their information and the log-likelihood leave. Steps are those of Newton
-with the outer product of the scores, damped so that none makes the fit worse.
+Prepared readings and effects enter; values, their information and the log-likelihood leave. The maximiser is that
+of the mixture's fit, with the outer product of the scores as information.
 """
 
 from collections.abc import Callable, Sequence

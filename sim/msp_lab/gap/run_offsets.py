@@ -113,15 +113,11 @@ def validated_run_offsets(
     within = 1.0 - known_cm2 / float(np.median(rows.sigma_cm**2))
     mean_cm = sums / np.maximum(information, 1e-12)
 
-    def gains_of_runs(deviation_cm: float) -> Array:
-        """A run's mean is off by its offset, by that of the model, and by random variation."""
-        before = known_cm2 + within / np.maximum(information, 1e-12)
-        after = before + deviation_cm**2
-        gain: Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
-        return gain
-
     grid = deviation_cm * np.geomspace(0.1, 10.0, 200)
-    gains = np.array([gains_of_runs(each) for each in grid])
+    # A run's mean is off by its offset, by that of the model, and by random variation.
+    before = known_cm2 + within / np.maximum(information, 1e-12)
+    after = before + grid[:, None] ** 2
+    gains = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
     # Each run with the deviation that the runs of the other parts have.
     crossed = np.empty((len(splits), runs))
     for k, part in enumerate(splits.part):

@@ -13,7 +13,7 @@ from scipy.special import stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
-from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated, sums_by
+from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated
 from msp_lab.gap.problem import Problem, State, without
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.splits import Splits
@@ -251,7 +251,7 @@ class _Excess:
         if key not in self.kept:
             difference = after - before
             beyond = difference - np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
-            self.kept[key] = sums_by(self.unit, beyond, self.runs)
+            self.kept[key] = np.bincount(self.unit, beyond, self.runs).astype(np.float64)
         return self.kept[key]
 
 
