@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from msp_range.arrays import Array, Flags
-from msp_range.reading_model.kernel import on_grid
+from msp_range.reading_model.kernel import is_on_grid, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 
 ON_GRID = 1e-3
@@ -20,6 +20,11 @@ ON_GRID = 1e-3
 @dataclass(frozen=True)
 class ReadingGrid:
     """Readings from the shortest to the longest, which is also the code for 'no echo'.
+
+    Raises
+    ------
+    ValueError
+        The sensor saturates, and 255 lies between two steps.
 
     Examples
     --------
@@ -34,6 +39,10 @@ class ReadingGrid:
     """Limits and step as in a sensor model file."""
     saturates: bool = False
     """Whether some no-echo codes arrive as 255."""
+
+    def __post_init__(self) -> None:
+        if self.saturates and not is_on_grid(SATURATED_CM, self.resolution_cm):
+            raise ValueError(f"expected a second code outside of the limits or on the grid, found {SATURATED_CM} cm")
 
     @classmethod
     def of(cls, sensor: SensorModel) -> "ReadingGrid":

@@ -58,7 +58,10 @@ def fit_mixture(
 
     `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit.
     """
-    grid = ReadingGrid.of(sensor)
+    try:
+        grid = ReadingGrid.of(sensor)
+    except ValueError as error:
+        return str(error)
     set_ups = [_placement_error(point, calibration) for point in points]
     reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
     whole, notes = grid.nearest(reading_cm), []
