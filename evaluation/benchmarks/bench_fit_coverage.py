@@ -30,7 +30,7 @@ def coverage(seeds: Iterable[int], readings: int = READINGS) -> dict[str, float]
         **{name: TRUTH[name] for name in ("hit", "short", "missed", "random", "sigma_cm", "short_rate_per_m")},
         second_share=TRUTH["saturated_fraction"],
     )
-    grid = ReadingGrid(20, 765, second_no_echo_cm=255)
+    grid = ReadingGrid(20, 765, saturates=True)
     held = dict.fromkeys(TRUTH, 0)
     runs = 0
     for seed in seeds:

@@ -7,31 +7,24 @@ from the observed information, intervals, and the log-likelihood. The likelihood
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from msp_range.arrays import Array
-from msp_range.reading_model import densities as mix
-from msp_range.reading_model.fit_result import (
-    BOUNDS,
-    FitError,
-    FitResult,
-    bounds_of,
-    columns,
-    result_of,
-)
-from msp_range.reading_model.grid import NOWHERE, ReadingGrid
-from msp_range.reading_model.likelihood import Likelihood
-from msp_range.reading_model.newton import GAIN, NotConvergedError, Optimum, maximise
+from msp_range.reading_model.fit_result import FitError, FitResult, columns, result_of
+from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.kernel import NO_ECHO_CENTRE
+from msp_range.reading_model.likelihood import HIGHEST, MIN_WEIGHT, NAMES, Likelihood, Numbers, Optimum, bounds_of
 
 FEWEST_READINGS = 50
 FEWEST_HITS = 20
 START_ROWS = 4_000
 """Number of rows on which the start values are compared."""
-STAGE = 6
-"""Factor on the number of rows from one stage of the fit to the next, until all are used."""
+SAMPLE_ROWS = 20_000
+"""Number of rows that are fitted before all are, where there are twice as many."""
+SMALL_GROWTH = 0.01
+"""Where a fit with growth of the spread starts [(cm/m)^2]: at 0 it would be at a bound."""
 SHORTEST_SPAN = 0.05
 """Ranges that differ by less than this share of the largest count as equal."""
 FEW_RANGES = 0.2
@@ -86,21 +79,16 @@ def fit_readings(
     0.044 0.056 ('short', 'random')
     """
     reading, expected = columns(reading_cm, expected_cm)
-    cell = _checked_cells(reading, expected, grid)
-    reference_cm2 = None if reference_std_cm is None else np.asarray(reference_std_cm, dtype=np.float64) ** 2
-    rows = _counted(grid, cell, expected, reference_cm2)
-    moving = [mix.U, mix.R, mix.M, mix.T, mix.L]
-    if grid.second_no_echo_cm is not None:
-        moving.append(mix.S)
-    try:
-        best = _climb(rows, _start(rows, moving), moving)
-        if growth:
-            best, moving = _with_growth(rows, best, moving)
-    except NotConvergedError as error:
-        raise FitError(f"the fit of {reading.size} readings does not converge: {error}") from None
-    result = result_of(rows, best, moving)
+    _check(reading, expected, grid)
+    rows = _counted(grid, grid.nearest(reading), expected, reference_std_cm)
+    moving = [name for name in NAMES[:6] if grid.saturates or name != "saturated"]
+    mean_length_m = _mean_length_m(rows)
+    best = rows.optimum(_start(rows.sample(START_ROWS), moving, mean_length_m), moving, SAMPLE_ROWS)
+    if growth:
+        best, moving = _with_growth(rows, best, moving)
+    result = result_of(rows, best, moving, mean_length_m)
     hits, sigma_cm = result.estimates["hit"] * reading.size, result.estimates["sigma_cm"]
-    if hits < FEWEST_HITS or best.theta[mix.T] >= BOUNDS.upper[mix.T]:
+    if hits < FEWEST_HITS or best.numbers.log_sigma >= HIGHEST.log_sigma:
         raise FitError(
             f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {reading.size} readings, expected at least "
             f"{FEWEST_HITS} around their ranges; do the ranges belong to these readings, and are they in centimetres?"
@@ -108,19 +96,18 @@ def fit_readings(
     return result
 
 
-def _checked_cells(reading: Array, expected: Array, grid: ReadingGrid) -> NDArray[np.int64]:
-    """Cells of the readings, or a FitError."""
+def _check(reading: Array, expected: Array, grid: ReadingGrid) -> None:
+    """Raise a FitError for readings or ranges that are implausible."""
     if reading.size < FEWEST_READINGS:
         raise FitError(f"found {reading.size} readings, expected at least {FEWEST_READINGS}; take more")
     for name, column in (("readings", reading), ("expected ranges", expected)):
         unknown = int(np.isnan(column).sum())
         if unknown:
             raise FitError(f"found {unknown} {name} that are unknown (NaN), expected none; leave out their rows")
-    cell = grid.cell(reading)
-    odd = np.flatnonzero(cell == NOWHERE)
+    odd = np.flatnonzero(~grid.can_report(reading))
+    codes = [f"{code:g}" for code in grid.codes_cm]
     limits = f"{grid.minimum_cm:g} to {grid.maximum_cm:g} cm by {grid.resolution_cm:g}"
     if odd.size:
-        codes = [grid.maximum_cm, *([] if grid.second_no_echo_cm is None else [grid.second_no_echo_cm])]
         inside = (reading[odd] >= grid.minimum_cm) & (reading[odd] <= grid.maximum_cm)
         if np.median(reading) < 0.05 * np.median(expected):
             advice = "they look like metres: give centimetres"
@@ -130,11 +117,12 @@ def _checked_cells(reading: Array, expected: Array, grid: ReadingGrid) -> NDArra
             advice = "widen the limits or name the code"
         raise FitError(
             f"found {odd.size} of {reading.size} readings that the sensor cannot report, such as "
-            f"{reading[odd[0]]:g}, expected {limits} and codes {', '.join(f'{code:g}' for code in codes)}; {advice}"
+            f"{reading[odd[0]]:g}, expected {limits} and codes {', '.join(codes)}; {advice}"
         )
-    if (cell < 0).all():
+    is_range = ~np.isin(reading, grid.codes_cm)
+    if not is_range.any():
         raise FitError(f"found nothing but codes for 'no echo' in {reading.size} readings, expected ranges")
-    usable = (cell >= 0) & (expected < np.inf)
+    usable = is_range & (expected < NO_ECHO_CENTRE)
     if not usable.any():
         raise FitError("found no reading with a finite expected range, expected some")
     some = np.flatnonzero(usable)[:: max(usable.size // START_ROWS, 1)]
@@ -144,108 +132,70 @@ def _checked_cells(reading: Array, expected: Array, grid: ReadingGrid) -> NDArra
             f"found expected ranges with a median of {middles[1]:.3g} for readings with one of {middles[0]:.3g} cm, "
             "expected centimetres for both; the ranges look like metres"
         )
-    return cell
 
 
-def _counted(grid: ReadingGrid, cell: NDArray[np.int64], expected: Array, reference_cm2: Array | None) -> Likelihood:
+def _counted(grid: ReadingGrid, reading: Array, expected: Array, reference_std_cm: ArrayLike | None) -> Likelihood:
     """The likelihood of the rows; equal ones are combined if there are few ranges."""
-    if reference_cm2 is not None and reference_cm2.any():
-        return Likelihood(grid, cell, expected, np.ones(expected.size), reference_cm2)
-    sample = expected[:: max(expected.size // 5_000, 1)]
-    if np.unique(sample).size > FEW_RANGES * sample.size:
-        return Likelihood(grid, cell, expected, np.ones(expected.size))
-    ranges = np.unique(expected)
-    kinds = grid.cells - NOWHERE
-    key = np.searchsorted(ranges, expected) * kinds + (cell - NOWHERE)
-    if ranges.size * kinds <= 4 * expected.size + 100_000:
-        counts = np.bincount(key)
-        keys = np.flatnonzero(counts)
-        counts = counts[keys]
-    else:
-        keys, counts = np.unique(key, return_counts=True)
-    return Likelihood(grid, keys % kinds + NOWHERE, ranges[keys // kinds], counts.astype(np.float64))
+    count, none = np.ones(reading.size), np.zeros(reading.size)
+    if reference_std_cm is not None and np.any(reference_std_cm):
+        return Likelihood(grid, reading, expected, count, np.asarray(reference_std_cm, dtype=np.float64) ** 2)
+    some = expected[:: max(expected.size // 5_000, 1)]
+    if np.unique(some).size <= FEW_RANGES * some.size:
+        pairs, counts = np.unique(expected + 1j * reading, return_counts=True)
+        reading, expected, count, none = pairs.imag, pairs.real, counts.astype(np.float64), np.zeros(pairs.size)
+    return Likelihood(grid, reading, expected, count, none)
 
 
-def _with_growth(rows: Likelihood, base: Optimum, moving: list[int]) -> tuple[Optimum, list[int]]:
+def _with_growth(rows: Likelihood, base: Optimum, moving: list[str]) -> tuple[Optimum, list[str]]:
     """Add each dependence on range that by itself gains what BIC requires."""
-    nearest_cm, farthest_cm = rows.ranges_cm
-    if farthest_cm - nearest_cm < SHORTEST_SPAN * farthest_cm:
+    finite = rows.expected_cm[rows.expected_cm < NO_ECHO_CENTRE]
+    if np.ptp(finite) < SHORTEST_SPAN * finite.max():
         return base, moving
     kept = []
-    for number, start in ((mix.V, 1e-6), (mix.G, 0.0)):
-        if number == mix.G and mix.M not in base.inside:
-            continue
-        theta = np.array(base.theta)
-        theta[number] = start
-        try:
-            gain = _climb_from(rows, theta, [*moving, number]).value - base.value
-        except NotConvergedError:
-            continue
-        if gain > 0.5 * math.log(rows.readings):
-            kept.append(number)
+    for name in ("sigma_growth_2", "missed_growth"):
+        if name == "sigma_growth_2" or "log_odds_missed" in base.inside:
+            start = base.numbers._replace(sigma_growth_2=SMALL_GROWTH if name == "sigma_growth_2" else 0.0)
+            _, value = rows.maximum(start, bounds_of(start, [*moving, name]))
+            if value - base.value > 0.5 * math.log(rows.readings):
+                kept.append(name)
     if not kept:
         return base, moving
-    theta = np.array(base.theta)
-    theta[mix.V] = 1e-6 if mix.V in kept else 0.0
-    try:
-        return _climb_from(rows, theta, [*moving, *kept]), [*moving, *kept]
-    except NotConvergedError:
-        return base, moving
+    start = base.numbers._replace(sigma_growth_2=SMALL_GROWTH if "sigma_growth_2" in kept else 0.0)
+    return rows.optimum(start, [*moving, *kept], SAMPLE_ROWS), [*moving, *kept]
 
 
-def _start(rows: Likelihood, moving: Sequence[int]) -> Array:
+def _mean_length_m(rows: Likelihood) -> float:
+    """Mean of the ranges beyond the minimum of readings with a range [m]."""
+    is_range = ~np.isin(rows.reading_cm, rows.grid.codes_cm)
+    length_cm = np.minimum(rows.expected_cm[is_range], rows.grid.maximum_cm) - rows.grid.minimum_cm
+    mean_cm = np.average(np.maximum(length_cm, 0.0), weights=rows.count[is_range])
+    return max(float(mean_cm), rows.grid.resolution_cm) / 100.0
+
+
+def _start(few: Likelihood, moving: Sequence[str], mean_length_m: float) -> Numbers:
     """The best of a few fits to some of the rows, starting with small and large spread and lambda."""
-    few = rows.part(max(rows.rows // START_ROWS, 1))
-    theta = np.zeros(len(mix.NAMES))
-    error, weight = few.errors()
-    share = few.no_echoes / few.readings
-    distance = np.abs(error)
-    theta[[mix.M, mix.S]] = min(max(share, 0.005), 0.9), 0.2 if mix.S in moving else 0.0
-    best: Optimum | None = None
+    grid, share_of = few.grid, few.count / few.count.sum()
+    no_echo = max(float(share_of @ (few.reading_cm == grid.maximum_cm)), MIN_WEIGHT)
+    usable = (few.reading_cm < grid.maximum_cm) & (few.expected_cm < NO_ECHO_CENTRE)
+    error, weight = (few.reading_cm - few.expected_cm)[usable], few.count[usable]
+    order = np.argsort(np.abs(error))
+    distance, below = np.abs(error)[order], np.cumsum(weight[order])
+    found = []
     # A share p of all readings lies within so many sigmas of the centre if nearly all are hits, or if half are.
     # Readings that hardly differ do not determine a sigma below a step: start with a small one and with one step.
-    step_cm = rows.grid.resolution_cm
-    for share, sigmas, least in ((0.5, 0.674, step_cm), (0.2, 0.524, 0.3 * step_cm)):
-        sigma = max(_quantile(distance, weight, share) / sigmas, least)
-        shorter = float(weight[error < -4.0 * sigma].sum() / weight.sum())
-        longer = float(weight[error > 4.0 * sigma].sum() / weight.sum())
-        for per_length in (0.5, 5.0):
-            theta[mix.T], theta[mix.L] = math.log(sigma), per_length / few.mean_length_cm
-            theta[mix.U], theta[mix.R] = min(max(shorter, 0.01), 0.4), min(max(2.0 * longer, 0.01), 0.4)
-            try:
-                found = maximise(
-                    partial(few.derivatives, free=mix.optional(moving)), theta, moving, bounds_of(moving), 1e-2
-                )
-            except NotConvergedError:
-                continue
-            if best is None or found.value > best.value:
-                best = found
-    if best is None:
-        raise NotConvergedError("from none of its starts")
-    return best.theta
-
-
-def _climb(rows: Likelihood, start: Array, moving: Sequence[int]) -> Optimum:
-    """Maximise on a share of the rows, on a larger share, and on all of them."""
-    every = rows.rows // START_ROWS // STAGE
-    theta = start
-    while every > 1:
-        theta = _climb_from(rows.part(every), theta, moving, 0.1).theta
-        every //= STAGE
-    return _climb_from(rows, theta, moving)
-
-
-def _climb_from(rows: Likelihood, start: Array, moving: Sequence[int], gain: float = GAIN) -> Optimum:
-    """Maximise, starting with all weights above 0, because fewer rows may not have had readings of every kind."""
-    theta = np.array(start)
-    theta[[mix.U, mix.R, mix.M]] = np.maximum(theta[[mix.U, mix.R, mix.M]], 1e-4)
-    if mix.S in moving:
-        theta[mix.S] = min(max(theta[mix.S], 1e-3), 1.0 - 1e-3)
-    return maximise(partial(rows.derivatives, free=mix.optional(moving)), theta, moving, bounds_of(moving), gain)
-
-
-def _quantile(ordinate: Array, weight: Array, share: float) -> float:
-    """Weighted quantile."""
-    order = np.argsort(ordinate)
-    below = np.cumsum(weight[order])
-    return float(ordinate[order[np.searchsorted(below, share * below[-1])]])
+    for share, sigmas, least in ((0.5, 0.674, grid.resolution_cm), (0.2, 0.524, 0.3 * grid.resolution_cm)):
+        sigma_cm = max(float(distance[np.searchsorted(below, share * below[-1])]) / sigmas, least)
+        shorter, longer = (
+            min(max(float(weight[far].sum() / weight.sum()), 0.005), 0.4)
+            for far in (error < -4.0 * sigma_cm, error > 4.0 * sigma_cm)
+        )
+        # Where hits read 255 too, most missed echoes may be among them.
+        for per_length, saturated in ((0.5, 0.2), (5.0, 0.9)):
+            seen = 1.0 - saturated if "saturated" in moving else 1.0
+            missed = min(no_echo / seen, 0.9)
+            hit = (1.0 - missed) * (1.0 - min(shorter + 2.0 * longer, 0.8))
+            log_odds = [math.log(each / hit) for each in (shorter, missed, 2.0 * longer)]
+            rates = per_length / mean_length_m, 1.0 - seen, 0.0, 0.0
+            start = Numbers(*(math.log(sigma_cm), *log_odds, *rates))
+            found.append(few.maximum(start, bounds_of(start, moving)))
+    return Numbers(*max(found, key=lambda each: each[1])[0].tolist())

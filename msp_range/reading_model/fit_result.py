@@ -6,8 +6,7 @@ weights by the delta method) and with intervals that respect the bounds of the p
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +15,17 @@ from scipy.special import expit, logit, xlog1py, xlogy
 from scipy.stats import norm
 
 from msp_range.arrays import Array
-from msp_range.reading_model import densities as mix
 from msp_range.reading_model.grid import ReadingGrid
-from msp_range.reading_model.likelihood import Likelihood
-from msp_range.reading_model.newton import Bounds, Optimum, profile_limit
+from msp_range.reading_model.kernel import NO_ECHO_CENTRE
+from msp_range.reading_model.likelihood import (
+    LEAST_LOG_ODDS,
+    MIN_WEIGHT,
+    NAMES,
+    Likelihood,
+    Numbers,
+    Optimum,
+    bounds_of,
+)
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 Z = float(norm.ppf(0.975))
@@ -33,40 +39,18 @@ UNKNOWN_FRACTION = 0.5
 UNKNOWN_FALL = 3.0
 """A lambda counts as not identified if its standard error is this many times both itself and 1 / (mean range)."""
 
-_NUMBERS = {
-    "short": mix.U,
-    "random": mix.R,
-    "missed": mix.M,
-    "sigma_cm": mix.T,
-    "short_rate_per_m": mix.L,
-    "saturated_fraction": mix.S,
-    "sigma_growth_cm_per_m": mix.V,
-    "missed_growth_per_m": mix.G,
+KINDS = ("hit", "short", "missed", "random")
+NUMBERS = {
+    "short": ("log_odds_short", 0.0, 1.0),
+    "missed": ("log_odds_missed", 0.0, 1.0),
+    "random": ("log_odds_random", 0.0, 1.0),
+    "sigma_cm": ("log_sigma", 0.01, 100.0),
+    "short_rate_per_m": ("rate", 1e-3, 1e3),
+    "saturated_fraction": ("saturated", 0.0, 1.0),
+    "sigma_growth_cm_per_m": ("sigma_growth_2", 0.0, 100.0),
+    "missed_growth_per_m": ("missed_growth", -math.inf, math.inf),
 }
-MIN_WEIGHT = 1e-4
-"""Floor of a weight in a sensor model file, and of the share of missed echoes at 3 m that depends on range. A kind of
-reading with a share of 0 could never be compared with any reading, and an outlier in flight would have no probability.
-20,000 readings without one of a kind are compatible with this share; a smaller floor lets a fit whose missed echoes are
-all near move the share at 3 m to 1e-30, and the growth with it."""
-MAX_GROWTH_PER_M = 10.0
-"""Largest growth of the log odds of missed echoes with range [1/m]: from `MIN_WEIGHT` to certainty within 1.5 m. With a
-larger one the share at one range says nothing of another, and its derivatives overflow."""
-#                             U    R    M    T            L     S    V    G
-BOUNDS = Bounds(
-    lower=np.array([0.0, 0.0, 0.0, math.log(0.01), 1e-5, 0.0, 0.0, -MAX_GROWTH_PER_M / 100.0]),
-    upper=np.array([1.0, 1.0, 1.0, math.log(100.0), 10.0, 1.0, 1.0, MAX_GROWTH_PER_M / 100.0]),
-    stride=np.array([0.3, 0.3, 0.3, 1.0, 0.02, 0.5, 0.01, 0.01]),
-    relative=np.arange(len(mix.NAMES)) == mix.L,
-)
-
-
-def bounds_of(moving: Sequence[int]) -> Bounds:
-    """Return the bounds of a fit in which these parameters move: with growth, missed echoes are possible anywhere."""
-    if mix.G not in moving:
-        return BOUNDS
-    lower, upper = np.array(BOUNDS.lower), np.array(BOUNDS.upper)
-    lower[mix.M], upper[mix.M] = MIN_WEIGHT, 1.0 - MIN_WEIGHT
-    return replace(BOUNDS, lower=lower, upper=upper)
+"""Parameters of the sensor model file: the number of the fit that moves each, its lowest and its highest value."""
 
 
 _SHARES = frozenset({"hit", "short", "missed", "random", "saturated_fraction"})
@@ -125,7 +109,7 @@ class FitResult:
     """Sum of log probabilities; number of readings, and of distinct rows among them."""
     _likelihood: Likelihood = field(repr=False, compare=False)
     _optimum: Optimum = field(repr=False, compare=False)
-    _moving: tuple[int, ...] = field(repr=False, compare=False)
+    _moving: tuple[str, ...] = field(repr=False, compare=False)
 
     def below(
         self, reading_cm: ArrayLike, expected_cm: ArrayLike, reference_std_cm: ArrayLike = 0.0
@@ -133,7 +117,10 @@ class FitResult:
         """Probability of a smaller reading, and of the reading itself, each (n,)."""
         reading, expected = columns(reading_cm, expected_cm)
         reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
-        return mix.probabilities(self.grid, self._optimum.theta, reading, expected, reference_cm2)
+        rows = Likelihood(self.grid, reading, expected, np.ones(reading.size), reference_cm2).rows(
+            self._optimum.numbers
+        )
+        return np.exp(rows.log_below(reading)), np.exp(rows.log_prob(reading))
 
     def interval(self, name: str) -> tuple[float, float]:
         """95 % confidence interval of a parameter.
@@ -148,14 +135,14 @@ class FitResult:
         value, error = self.estimates[name], self.standard_errors[name]
         if name == "hit":
             return _share_interval(value, error, self.readings)
-        if _NUMBERS[name] not in self._moving:
+        number, low, high = NUMBERS[name]
+        if number not in self._moving:
             return value, value
-        low, high = _ends(name)
         if name in self.not_identified:
             return low, high
-        room = value - low if name not in _SHARES else min(value - low, high - value)
+        room = min(value - low, high - value) if name in _SHARES else value - low
         if math.isnan(error) or room < NEAR_BOUND * error:
-            return self._profile(name)
+            return self._profile(name, -1.0), self._profile(name, 1.0)
         if name in _SHARES:
             width = Z * error / (value * (1.0 - value))
             return float(expit(logit(value) - width)), float(expit(logit(value) + width))
@@ -163,24 +150,31 @@ class FitResult:
             return value * math.exp(-Z * error / value), value * math.exp(Z * error / value)
         return value - Z * error, value + Z * error
 
-    def _profile(self, name: str) -> tuple[float, float]:
-        number = _NUMBERS[name]
-        free = mix.optional(self._moving)
-        derivatives = partial(self._likelihood.derivatives, free=free)
-        curvature = -float(self._optimum.hessian[number, number])
-        guess = math.sqrt(2.0 * DROP / curvature) if curvature > 0.0 else 1e-3
-        gradient = abs(float(self._optimum.gradient[number]))
-        if number not in self._optimum.inside and gradient > 0.0:
-            guess = min(guess, DROP / gradient)
-        guess = min(guess, float(BOUNDS.stride[number]))
-        bounds = bounds_of(self._moving)
-        limits = []
-        for sign in (-1.0, 1.0):
-            limit = profile_limit(derivatives, self._optimum, self._moving, number, bounds, sign * guess, DROP)
-            theta = np.array(self._optimum.theta)
-            theta[number] = limit
-            limits.append(_named(theta)[name])
-        return limits[0], limits[1]
+    def _profile(self, name: str, sign: float) -> float:
+        """Where the log-likelihood has dropped by `DROP`, the other numbers refitted; the bound if it does not."""
+        number, *ends = NUMBERS[name]
+        k = NAMES.index(number)
+        best = self._optimum
+        bound = bounds_of(best.numbers, self._moving)[sign > 0.0][k]
+        others = [each for each in self._moving if each != number]
+        centre = best.numbers[k]
+        known = {centre: -DROP}
+
+        def excess(place: float) -> float:
+            if place not in known:
+                start = best.numbers._replace(**{number: place})
+                known[place] = best.value - self._likelihood.maximum(start, bounds_of(start, others))[1] - DROP
+            return known[place]
+
+        step = sign / math.sqrt(max(best.information[k, k], 4.0))
+        near, far = centre, centre
+        while excess(far) <= 0.0:
+            if far == bound:
+                return ends[sign > 0.0]
+            near, far = far, min(far + step, bound) if sign > 0.0 else max(far + step, bound)
+            step *= 2.0
+        limit = float(brentq(excess, near, far, xtol=1e-3 * abs(far - centre)))
+        return _named(best.numbers._replace(**{number: limit}))[name]
 
 
 def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[Array, Array]:
@@ -191,111 +185,78 @@ def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[Array, Array
             f"found readings of shape {reading.shape} and expected ranges of shape {expected.shape}, "
             "expected two columns of the same length"
         )
-    return reading, expected
+    return reading, np.minimum(expected, NO_ECHO_CENTRE)
 
 
-def result_of(rows: Likelihood, best: Optimum, moving: Sequence[int]) -> FitResult:
-    """Convert a maximum to named parameters with errors."""
-    theta = np.array(best.theta)
-    information = -best.hessian
-    inside = list(best.inside)
-    unknown = _unknown(information, inside, moving, max(theta[mix.L], 1.0 / rows.mean_length_cm))
-    inside = [number for number in inside if number not in unknown]
-    if mix.S in unknown:
-        theta[mix.S] = 0.0
-    covariance = np.zeros_like(information)
-    try:
-        covariance[np.ix_(inside, inside)] = np.linalg.inv(information[np.ix_(inside, inside)])
-    except np.linalg.LinAlgError:
-        covariance[np.ix_(inside, inside)] = math.nan
-    named = {name: value for name, value in _named(theta).items() if name == "hit" or _NUMBERS[name] in moving}
-    if mix.S not in moving:
-        named["saturated_fraction"] = 0.0
-    jacobian = _jacobian(theta, tuple(named))
-    variances = np.diag(jacobian @ covariance @ jacobian.T)
-    errors = {
-        name: math.sqrt(variance) if variance > 0.0 else math.nan
-        for name, variance in zip(named, variances, strict=True)
-    }
-    names_of = {number: name for name, number in _NUMBERS.items()}
-    held = tuple(names_of[number] for number in moving if number not in best.inside and number not in unknown)
-    everything = _named(theta)
-    weights = {name: everything.pop(name) for name in ("hit", "short", "missed", "random")}
-    parameters = MixtureParameters.model_validate({"weights": weights, **everything})
+def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_length_m: float) -> FitResult:
+    """Convert a maximum to named parameters with errors; readings are so far from the minimum, on average."""
+    numbers = best.numbers
+    spread = dict(zip(NAMES, np.diag(best.information), strict=True))
+    unknown = set()
+    if spread["saturated"] * UNKNOWN_FRACTION**2 < 1.0:
+        unknown.add("saturated_fraction")
+        numbers = numbers._replace(saturated=0.0)
+    longest = UNKNOWN_FALL * max(numbers.rate, 1.0 / mean_length_m)
+    if "log_odds_short" not in best.inside or spread["rate"] * longest**2 < 1.0:
+        unknown.add("short_rate_per_m")
+    named = _named(numbers)
+    moved = {name: number for name, (number, *_) in NUMBERS.items() if number in moving}
+    estimates = {name: value for name, value in named.items() if name in (*moved, "hit", "saturated_fraction")}
+    unknown &= moved.keys()
+    known = [NAMES.index(moved[name]) for name in moved if name not in unknown and moved[name] in best.inside]
+    covariance = np.zeros_like(best.information)
+    covariance[np.ix_(known, known)] = np.linalg.pinv(best.information[np.ix_(known, known)], hermitian=True)
+    jacobian = _jacobian(numbers, named)
+    variances = {name: float(jacobian[name] @ covariance @ jacobian[name]) for name in estimates}
+    errors = {name: math.sqrt(variance) if variance > 0.0 else math.nan for name, variance in variances.items()}
+    weights = {name: named[name] for name in KINDS}
+    others = {name: value for name, value in named.items() if name not in KINDS}
     return FitResult(
         grid=rows.grid,
-        parameters=parameters,
-        estimates=named,
+        parameters=MixtureParameters.model_validate({"weights": weights, **others}),
+        estimates=estimates,
         standard_errors=errors,
-        at_bound=held,
-        not_identified=tuple(names_of[number] for number in moving if number in unknown),
+        at_bound=tuple(name for name in moved if moved[name] not in best.inside and name not in unknown),
+        not_identified=tuple(name for name in moved if name in unknown),
         log_likelihood=best.value,
         readings=round(rows.readings),
-        rows=rows.rows,
+        rows=len(rows),
         _likelihood=rows,
         _optimum=best,
         _moving=tuple(moving),
     )
 
 
-def _named(theta: Array) -> dict[str, float]:
-    """Parameters of the sensor model file from those of the likelihood."""
-    left = 1.0 - theta[mix.M]
-    short, random = left * theta[mix.U], left * theta[mix.R]
-    named = {
-        "hit": left - short - random,
-        "short": short,
-        "missed": theta[mix.M],
-        "random": random,
-        "sigma_cm": min(max(math.exp(theta[mix.T]), 0.01), 100.0),
-        "short_rate_per_m": 100.0 * theta[mix.L],
-        "saturated_fraction": theta[mix.S],
-        "sigma_growth_cm_per_m": 100.0 * math.sqrt(theta[mix.V]),
-        "missed_growth_per_m": 100.0 * theta[mix.G],
+def _named(numbers: Numbers) -> dict[str, float]:
+    """Parameters of the sensor model file from the numbers of the fit; a kind that never came has a share of 0."""
+    log_odds = np.array([0.0, numbers.log_odds_short, numbers.log_odds_missed, numbers.log_odds_random])
+    odds = np.where(log_odds > LEAST_LOG_ODDS, np.exp(log_odds), 0.0)
+    return dict(zip(KINDS, (odds / odds.sum()).tolist(), strict=True)) | {
+        "sigma_cm": min(max(math.exp(numbers.log_sigma), 0.01), 100.0),
+        "short_rate_per_m": numbers.rate,
+        "saturated_fraction": numbers.saturated,
+        "sigma_growth_cm_per_m": math.sqrt(numbers.sigma_growth_2),
+        "missed_growth_per_m": numbers.missed_growth,
     }
-    return {name: float(value) for name, value in named.items()}
 
 
-def _jacobian(theta: Array, names: Sequence[str]) -> Array:
-    """Derivatives of named parameters by those of the likelihood."""
-    left = 1.0 - theta[mix.M]
-    rows = {name: np.zeros(len(mix.NAMES)) for name in _named(theta)}
-    rows["hit"][[mix.U, mix.R, mix.M]] = -left, -left, theta[mix.U] + theta[mix.R] - 1.0
-    rows["short"][[mix.U, mix.M]] = left, -theta[mix.U]
-    rows["random"][[mix.R, mix.M]] = left, -theta[mix.R]
-    rows["missed"][mix.M] = rows["saturated_fraction"][mix.S] = 1.0
-    rows["sigma_cm"][mix.T] = math.exp(theta[mix.T])
-    rows["short_rate_per_m"][mix.L] = rows["missed_growth_per_m"][mix.G] = 100.0
-    if theta[mix.V] > 0.0:
-        rows["sigma_growth_cm_per_m"][mix.V] = 50.0 / math.sqrt(theta[mix.V])
-    # A weight whose share is fixed at zero stays zero.
-    for name, number in (("short", mix.U), ("random", mix.R)):
-        if theta[number] == 0.0:
-            rows[name][:] = 0.0
-    return np.array([rows[name] for name in names])
-
-
-def _unknown(information: Array, inside: Sequence[int], moving: Sequence[int], rate: float) -> frozenset[int]:
-    """Numbers of parameters that the readings do not determine; `rate` is a typical lambda [1/cm]."""
-    unknown = set()
-    if mix.U in moving and mix.U not in inside:
-        unknown.add(mix.L)
-    for number, scale in ((mix.S, UNKNOWN_FRACTION), (mix.L, UNKNOWN_FALL * rate)):
-        if number in moving and number not in unknown and information[number, number] * scale**2 < 1.0:
-            unknown.add(number)
-    return frozenset(unknown)
-
-
-def _ends(name: str) -> tuple[float, float]:
-    """Bounds of a named parameter."""
-    theta = np.zeros(len(mix.NAMES))
-    ends = []
-    for bounds in (BOUNDS.lower, BOUNDS.upper):
-        theta[_NUMBERS[name]] = bounds[_NUMBERS[name]]
-        ends.append(_named(theta)[name])
-    if name == "missed_growth_per_m":
-        return -math.inf, math.inf
-    return ends[0], ends[1]
+def _jacobian(numbers: Numbers, named: dict[str, float]) -> dict[str, Array]:
+    """Derivatives of each named parameter by the numbers of the fit."""
+    rows = {name: np.zeros(len(NAMES)) for name in named}
+    for name in KINDS:
+        for other in KINDS[1:]:
+            rows[name][NAMES.index(NUMBERS[other][0])] = named[name] * ((name == other) - named[other])
+    growth = named["sigma_growth_cm_per_m"]
+    slopes = {
+        "sigma_cm": named["sigma_cm"],
+        "short_rate_per_m": 1.0,
+        "saturated_fraction": 1.0,
+        "sigma_growth_cm_per_m": 0.5 / growth if growth > 0.0 else 0.0,
+        "missed_growth_per_m": 1.0,
+    }
+    for name, slope in slopes.items():
+        rows[name][NAMES.index(NUMBERS[name][0])] = slope
+    return rows
 
 
 def _share_interval(share: float, error: float, readings: int) -> tuple[float, float]:

@@ -116,12 +116,6 @@ class Hit:
         found: Array = self.a * at_a - self.b * at_b
         return found
 
-    def by_variance_twice(self, variance: Any) -> Array:
-        """Second derivative of `p` by the variance."""
-        (at_a, at_b), a, b = self.at_ends, self.a, self.b
-        found: Array = ((a * a - 3.0) * a * at_a - (b * b - 3.0) * b * at_b) / (4.0 * variance * variance)
-        return found
-
     @staticmethod
     def draw(normal: Any, centre: Any, sigma: Any) -> Any:
         """Draw a range before rounding from standard normal numbers; an array of them is overwritten."""
@@ -189,15 +183,6 @@ class Short:
         at_near, share, norm = self._parts
         at_far = at_near * (1.0 - share)
         found: Array = (self.far * at_far - self.near * at_near - self.p * self.length * (1.0 - norm)) / norm
-        return found
-
-    @property
-    def by_rate_twice(self) -> Array:
-        """Second derivative of `p` by the rate."""
-        at_near, share, norm = self._parts
-        by_norm = self.length * (1.0 - norm)
-        top = self.near * self.near * at_near - self.far * self.far * at_near * (1.0 - share)
-        found: Array = (top - 2.0 * self.by_rate * by_norm + self.p * self.length * by_norm) / norm
         return found
 
     @property

@@ -1,164 +1,184 @@
-"""The log-likelihood of readings under the base mixture, with its gradient and Hessian.
+"""The log-likelihood of readings under the base mixture, by the numbers that its fit moves, and their maximum.
 
-Readings with their expected ranges enter, with counts of equal pairs, and a vector of parameters; the sum of the log
-probabilities leaves, with both derivatives.
+Readings with their expected ranges enter, with counts of equal pairs. The distribution is that of
+`msp_range.reading_model.rows`, and so are its slopes: here they are those of all readings together.
 """
 
-import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from msp_range.arrays import Array
-from msp_range.reading_model.densities import NAMES, S, Terms
-from msp_range.reading_model.grid import NO_ECHO, SECOND_NO_ECHO, ReadingGrid
+from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.maximise import held_numbers, maximise
+from msp_range.reading_model.rows import Base, MixtureRows
+from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 CHUNK = 1 << 13
-"""Rows processed at a time, so that the arrays fit into the processor's cache."""
+"""Rows processed at a time, so that the arrays fit into the processor's cache. Affects speed only."""
+ENOUGH_NATS = 1e-3
+CLIMB_ROUNDS = 50
+"""A climb ends with a step that gains less, or after so many: it is at most 4 % of a standard error long. After it the
+curvature takes the place of the outer product of the scores, and errors are squared from step to step."""
+CURVATURE_ROWS = 100_000
+"""Rows from which errors are computed, at most; of more the others are taken to be alike. The curvature takes eight
+times as long as a step. Fewer: errors of rare kinds of reading are known badly."""
+LEAST_LOG_ODDS = float(np.log(1e-7))
+"""Log odds of a kind of reading that never came: of a million readings a tenth had one."""
+MIN_WEIGHT = 1e-4
+"""Floor of a weight in a sensor model file, and of the odds of missed echoes at 3 m that depend on range. A kind of
+reading with a share of 0 could never be compared with any reading, and an outlier in flight would have no probability.
+20,000 readings without one of a kind are compatible with this share; a smaller floor lets a fit whose missed echoes are
+all near move the share at 3 m to 1e-30, and the growth with it."""
+MAX_GROWTH_PER_M = 10.0
+"""Largest growth of the log odds of missed echoes with range [1/m]: from `MIN_WEIGHT` to certainty within 1.5 m. With a
+larger one the share at one range says nothing of another, and its derivatives overflow."""
 
 
-class _Kind(NamedTuple):
-    """Rows of one kind."""
+class Numbers(NamedTuple):
+    """The numbers of a fit."""
 
-    cell: NDArray[np.int64]
-    expected_cm: Array
-    times: Array
-    reference_cm2: Array
+    log_sigma: Any
+    """Of the hits' spread in cm."""
+    log_odds_short: Any
+    log_odds_missed: Any
+    log_odds_random: Any
+    """Against hits; that of missed echoes at `WEIGHTS_RANGE_CM`."""
+    rate: Any
+    """lambda [1/m]: not its logarithm, since short readings that hardly get rarer with range have next to none."""
+    saturated: Any
+    """Share of no-echo codes that arrive as 255."""
+    sigma_growth_2: Any
+    """Square of the spread's growth with range [(cm/m)^2]."""
+    missed_growth: Any
+    """Growth of the log odds of a missed echo with range [1/m]."""
 
-    def chunks(self) -> "Iterator[_Kind]":
-        """A part of the rows at a time."""
-        for start in range(0, self.cell.size, CHUNK):
-            rows = slice(start, start + CHUNK)
-            yield _Kind(self.cell[rows], self.expected_cm[rows], self.times[rows], self.reference_cm2[rows])
+
+NAMES = Numbers._fields
+LOWEST = Numbers(np.log(0.01), LEAST_LOG_ODDS, LEAST_LOG_ODDS, LEAST_LOG_ODDS, 1e-3, 0.0, 0.0, -MAX_GROWTH_PER_M)
+HIGHEST = Numbers(np.log(100.0), -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, 1e3, 1.0, 1e4, MAX_GROWTH_PER_M)
+"""Where the numbers may be: within what a sensor model file takes, and any share of each kind of reading."""
 
 
+class Optimum(NamedTuple):
+    """A maximum within bounds."""
+
+    numbers: Numbers
+    value: float
+    """Log-likelihood there."""
+    information: Array
+    """Curvature there, (k, k); 0 for numbers that do not move."""
+    inside: tuple[str, ...]
+    """Names of the numbers that moved and are not held by a bound."""
+
+
+@dataclass(frozen=True)
 class Likelihood:
-    """Log-likelihood of readings, and its derivatives by the parameters of `NAMES`.
+    """Log-likelihood of readings."""
 
-    Parameters
-    ----------
-    grid
-        The possible readings.
-    cell, expected_cm, count
-        Arrays of length n: cell of the grid, expected range [cm] (infinite: no echo), and count.
-    reference_cm2
-        Variance of the error of each expected range [cm^2], (n,); None: they are exact.
-    """
+    grid: ReadingGrid
+    reading_cm: Array
+    expected_cm: Array
+    """Expected range of each reading [cm], at most `NO_ECHO_CENTRE`: no echo."""
+    count: Array
+    """How many readings each row stands for."""
+    reference_cm2: Array
+    """Variance of the error of each expected range [cm^2]."""
 
-    def __init__(
-        self,
-        grid: ReadingGrid,
-        cell: NDArray[np.int64],
-        expected_cm: Array,
-        count: Array,
-        reference_cm2: Array | None = None,
-    ) -> None:
-        self.grid = grid
-        self.readings = float(count.sum())
-        self.rows = cell.size
-        self._cell, self._expected_cm, self._count = cell, expected_cm, count
-        self._reference_cm2 = np.zeros(cell.size) if reference_cm2 is None else reference_cm2
-        self._ordinary, self._missed, self._second = (
-            _Kind(cell[rows], expected_cm[rows], count[rows], self._reference_cm2[rows])
-            for rows in (cell >= 0, cell == NO_ECHO, cell == SECOND_NO_ECHO)
-        )
-        self.no_echoes = float(self._missed.times.sum())
+    def __len__(self) -> int:
+        return self.reading_cm.size
 
-    @property
-    def ranges_cm(self) -> tuple[float, float]:
-        """Shortest and longest finite expected range [cm]."""
-        finite = self._expected_cm[self._expected_cm < np.inf]
-        return float(finite.min()), float(finite.max())
+    @cached_property
+    def readings(self) -> float:
+        """How many readings there are."""
+        return float(self.count.sum())
 
-    @property
-    def mean_length_cm(self) -> float:
-        """Mean of the ranges beyond the minimum of readings with a range [cm]."""
-        end_cm = np.minimum(self._ordinary.expected_cm, self.grid.maximum_cm)
-        length_cm = np.maximum(end_cm - self.grid.minimum_cm, 0.0)
-        return max(float(np.average(length_cm, weights=self._ordinary.times)), self.grid.resolution_cm)
+    def take(self, rows: slice) -> "Likelihood":
+        """The likelihood of some of the rows."""
+        columns = self.reading_cm, self.expected_cm, self.count, self.reference_cm2
+        return Likelihood(self.grid, *(each[rows] for each in columns))
 
-    def errors(self) -> tuple[Array, Array]:
-        """Reading minus expected range if both are ranges [cm], and count."""
-        second = -1 if self.grid.second_cell is None else self.grid.second_cell
-        cell = np.where(self._cell == SECOND_NO_ECHO, second, self._cell)
-        rows = (cell >= 0) & (self._expected_cm < np.inf)
-        reading_cm = self.grid.minimum_cm + self.grid.resolution_cm * cell[rows]
-        return reading_cm - self._expected_cm[rows], self._count[rows]
+    def sample(self, most: int) -> "Likelihood":
+        """The likelihood of every n-th row, so that there are about so many."""
+        return self.take(slice(None, None, max(len(self) // most, 1)))
 
-    def part(self, every: int) -> "Likelihood":
-        """The likelihood of every n-th row."""
-        rows = slice(None, None, every)
-        columns = self._cell[rows], self._expected_cm[rows], self._count[rows], self._reference_cm2[rows]
-        return Likelihood(self.grid, *columns)
+    @cached_property
+    def _within_m(self) -> Array:
+        """Range on which spread and missed echoes may depend [m]."""
+        return np.clip(self.expected_cm, 0.0, self.grid.maximum_cm) / 100.0
 
-    def derivatives(self, theta: Array, free: frozenset[int]) -> tuple[float, Array, Array]:
-        """Value, gradient (k,) and Hessian (k, k) at `theta` (k,).
+    def rows(self, numbers: Numbers) -> MixtureRows:
+        """The distribution of each reading."""
+        limits = self.grid.minimum_cm, self.grid.maximum_cm, self.grid.resolution_cm
+        rows = MixtureRows(self.expected_cm, 1.0, (0.0, 0.0, 0.0, 0.0), numbers.rate, numbers.saturated, *limits)
+        rows = rows.changed(Base(0.0, *numbers[:4]))
+        hit, short, missed, random = rows.log_weights
+        if numbers.missed_growth != 0.0:
+            missed = missed + numbers.missed_growth * (self._within_m - WEIGHTS_RANGE_CM / 100.0)
+        variance = rows.sigma_cm**2 + self.reference_cm2 + numbers.sigma_growth_2 * self._within_m**2
+        return replace(rows, sigma_cm=np.sqrt(variance), log_weights=(hit, short, missed, random))
 
-        Parameters from sigma_growth on that are not in `free` have zeros. The value is -inf, and the derivatives are
-        zero, if a reading is impossible or so improbable that the derivatives overflow.
-        """
-        value, gradient, hessian = 0.0, np.zeros(len(NAMES)), np.zeros((len(NAMES), len(NAMES)))
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-            for kind in (*self._ordinary.chunks(), *self._missed.chunks()):
-                terms = Terms(self.grid, kind.cell, kind.expected_cm, theta, free, False, kind.reference_cm2)
-                value += _add(terms, kind.times, gradient, hessian)
-            if self.no_echoes:
-                first = 1.0 - theta[S]
-                value += self.no_echoes * (math.log(first) if first > 0.0 else -math.inf)
-                gradient[S] -= self.no_echoes / first if first > 0.0 else 0.0
-                hessian[S, S] -= self.no_echoes / first**2 if first > 0.0 else 0.0
-            for kind in self._second.chunks():
-                value += self._add_second_code(kind, theta, free, gradient, hessian)
-        if not (math.isfinite(value) and np.isfinite(gradient).all() and np.isfinite(hessian).all()):
-            return -math.inf, np.zeros_like(gradient), np.zeros_like(hessian)
-        lower = np.tril_indices(len(NAMES), -1)
-        hessian[lower] = hessian.T[lower]
-        return value, gradient, hessian
+    def slopes(self, at: Array) -> tuple[float, tuple[Array, Array]]:
+        """Value, gradient (k,) and outer product of the scores (k, k), at numbers (k,)."""
+        value, gradient, outer = 0.0, np.zeros(at.size), np.zeros((at.size, at.size))
+        numbers = Numbers(*at)
+        for start in range(0, len(self), CHUNK):
+            part = self.take(slice(start, start + CHUNK))
+            rows = part.rows(numbers)
+            log_p, by = rows.scores(part.reading_cm)
+            by_variance = by[:, 1] / rows.sigma_cm**2
+            scores = np.column_stack([by[:, 1:], 0.5 * by_variance * part._within_m**2, by[:, 3]])
+            scores[:, 0] = by_variance * np.exp(2.0 * numbers.log_sigma)
+            scores[:, NAMES.index("rate")] /= numbers.rate
+            scores[:, -1] *= part._within_m - WEIGHTS_RANGE_CM / 100.0
+            value += float(part.count @ log_p)
+            gradient += part.count @ scores
+            outer += (scores.T * part.count) @ scores
+        return value, (gradient, outer)
 
-    def _add_second_code(
-        self, kind: "_Kind", theta: Array, free: frozenset[int], gradient: Array, hessian: Array
-    ) -> float:
-        """Readings of the second code: p = q(its own cell) + s q(no echo)."""
-        cell, expected_cm, count, reference_cm2 = kind
-        missed = Terms(self.grid, np.full_like(cell, NO_ECHO), expected_cm, theta, free, False, reference_cm2)
-        p = theta[S] * missed.q
-        by_missed = dict(missed.first())
-        first = {i: theta[S] * each for i, each in by_missed.items()}
-        own = None
-        if self.grid.second_cell is not None:
-            own_cell = np.full_like(cell, self.grid.second_cell)
-            own = Terms(self.grid, own_cell, expected_cm, theta, free, False, reference_cm2)
-            p = p + own.q
-            for i, each in own.first():
-                first[i] = first[i] + each
-        first[S] = missed.q
-        weight = count / p
-        _add_first(list(first.items()), p, count, gradient, hessian)
-        missed.add_second(hessian, theta[S] * weight)
-        if own is not None:
-            own.add_second(hessian, weight)
-        for i, each in by_missed.items():
-            hessian[min(i, S), max(i, S)] += float(np.dot(weight, each))
-        return float(np.dot(count, np.log(p)))
+    def curvature(self, at: Array, bounds: tuple[Array, Array], most: int) -> Array:
+        """Minus the second derivatives at numbers (k,), (k, k), by so many rows; 0 for those whose bounds are equal."""
+        some, found = self.sample(most), np.zeros((at.size, at.size))
+        _, (gradient, outer) = some.slopes(at)
+        for k in np.flatnonzero(bounds[0] < bounds[1]):
+            there = at.copy()
+            # Far above rounding, and far below what changes the curvature.
+            there[k] += min(1e-4 / np.sqrt(max(outer[k, k], 1e-300)), 1e-4)
+            found[k] = (gradient - some.slopes(there)[1][0]) / (there[k] - at[k])
+        return np.asarray(0.5 * (found + found.T) * self.readings / some.readings)
+
+    def maximum(self, start: Numbers, bounds: tuple[Array, Array]) -> tuple[Array, float]:
+        """The nearest maximum, about, and the log-likelihood there."""
+        start_at = np.clip(np.array(start), *bounds)
+        at, value, _ = maximise(self.slopes, lambda _, here: here, start_at, bounds, ENOUGH_NATS, CLIMB_ROUNDS)
+        return at, value
+
+    def optimum(self, start: Numbers, moving: Sequence[str], most: int) -> Optimum:
+        """The maximum by these numbers: of a sample of so many rows first, and from there of all."""
+        bounds = bounds_of(start, moving)
+        if len(self) > 2 * most:
+            start = Numbers(*self.sample(most).maximum(start, bounds)[0])
+            # What the sample lacks may be among the others.
+            seen = {name: max(getattr(start, name), float(np.log(MIN_WEIGHT))) for name in NAMES[1:4]}
+            saturated = min(max(start.saturated, MIN_WEIGHT), 1.0 - MIN_WEIGHT)
+            start = start._replace(**seen, saturated=saturated)
+        at, _ = self.maximum(start, bounds)
+        curvature = self.curvature(at, bounds, most)
+        at, value, (gradient, _) = maximise(self.slopes, lambda _, here: (here[0], curvature), at, bounds, ENOUGH_NATS)
+        curvature = self.curvature(at, bounds, CURVATURE_ROWS)
+        held = held_numbers(at, gradient, curvature, *bounds)
+        inside = tuple(name for name, is_held in zip(NAMES, held, strict=True) if not is_held)
+        return Optimum(Numbers(*at.tolist()), value, curvature, inside)
 
 
-def _add(terms: Terms, count: Array, gradient: Array, hessian: Array) -> float:
-    """Add the derivatives of sum count log q; return the sum."""
-    _add_first(terms.first(), terms.q, count, gradient, hessian)
-    terms.add_second(hessian, count / terms.q)
-    return float(np.dot(count, np.log(terms.q)))
-
-
-def _add_first(first: list[tuple[int, Array]], q: Array, count: Array, gradient: Array, hessian: Array) -> None:
-    """The gradient, and the part of the Hessian that has products of first derivatives (upper triangle)."""
-    order = np.array([i for i, _ in first])
-    rows = np.empty((len(first), q.size))
-    for row, (_, each) in zip(rows, first, strict=True):
-        np.divide(each, q, out=row)
-    weighted = rows * count
-    gradient[order] += weighted.sum(axis=1)
-    products = np.zeros_like(hessian)
-    products[np.ix_(order, order)] = weighted @ rows.T
-    hessian -= np.triu(products)
+def bounds_of(start: Numbers, moving: Sequence[str]) -> tuple[Array, Array]:
+    """Bounds of the numbers of which these move: with growth, missed echoes are possible anywhere."""
+    low, high = LOWEST, HIGHEST
+    if "missed_growth" in moving:
+        low = low._replace(log_odds_missed=float(np.log(MIN_WEIGHT)))
+        high = high._replace(log_odds_missed=-float(np.log(MIN_WEIGHT)))
+    fixed = {name: getattr(start, name) for name in NAMES if name not in moving}
+    return np.array(low._replace(**fixed)), np.array(high._replace(**fixed))

@@ -7,7 +7,7 @@ the simulator's effects change their numbers and mix in more.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
@@ -18,8 +18,30 @@ from msp_range.reading_model.sensor_model import SATURATED_CM
 Part: TypeAlias = Callable[[Any, Array, Array], Array]
 """Something linear in the probability of the readings from first to last of rows, shape (m, n)."""
 
-FREE = ("offset_cm", "log_sigma", "log_odds_short", "log_odds_missed", "log_odds_random", "log_rate", "saturated")
-"""By what is derived; the first five are the channels through which effects act."""
+
+class Base(NamedTuple):
+    """Changes of a mixture's numbers: of the five channels through which effects act, and three further ones."""
+
+    offset_cm: Any = 0.0
+    log_sigma: Any = 0.0
+    """Of the hits: centre, and logarithm of the spread within runs."""
+    log_odds_short: Any = 0.0
+    log_odds_missed: Any = 0.0
+    log_odds_random: Any = 0.0
+    """Against hits."""
+    log_rate: Any = 0.0
+    """Of short readings."""
+    saturated: Any = 0.0
+    """Share of no-echo codes that arrive as 255."""
+    correlation: Any = 0.0
+    """Of neighbouring hits, where the rows have a history."""
+
+
+FREE = Base._fields[:-1]
+"""Numbers by which `MixtureRows.slopes` differentiates."""
+MIN_PROBABILITY = 1e-12
+"""Smallest probability of a reading: one that the model cannot give is treated as this improbable, so that a single
+impossible reading does not make every likelihood zero. Smaller gives such readings more weight."""
 ON_GRID = 1e-6
 """A reading that is farther from a step, as a share of it, lies between two: above the rounding of a division."""
 UNDERFLOW = 1e-290
@@ -67,6 +89,37 @@ class MixtureRows:
             sigma_cm=take(self.sigma_cm, rows),
             log_weights=(hit, short, missed, random),
         )
+
+    def wider(self, factor: Any) -> Self:
+        """A copy with the spread multiplied by a factor."""
+        return replace(self, sigma_cm=self.sigma_cm * factor)
+
+    def changed(self, change: Base) -> Self:
+        """A copy with its numbers changed, each by one number or by (n,)."""
+        hit, short, missed, random = self.log_weights
+        logs = hit, short + change.log_odds_short, missed + change.log_odds_missed, random + change.log_odds_random
+        return replace(
+            self.wider(np.exp(change.log_sigma)),
+            centre_cm=self.centre_cm + change.offset_cm,
+            log_weights=logs,
+            rate_per_m=self.rate_per_m * np.exp(change.log_rate),
+            saturated_fraction=float(np.clip(self.saturated_fraction + change.saturated, 0.0, 1.0)),
+        )
+
+    def scores(self, reading_cm: Array) -> tuple[Array, Array]:
+        """Log probabilities and their derivatives.
+
+        Returns
+        -------
+        log_p : ndarray, shape (n,)
+            At least log `MIN_PROBABILITY`, where the derivatives are 0.
+        by : ndarray, shape (n, 7)
+            By the numbers of `FREE`.
+        """
+        parts = self.of_readings(reading_cm, type(self).slopes)
+        p = np.maximum(parts[0], MIN_PROBABILITY)
+        by = np.where(parts[0] > MIN_PROBABILITY, parts[1:] / p, 0.0)
+        return np.log(p), np.ascontiguousarray(by.T)
 
     def log_prob(self, reading_cm: Array) -> Array:
         """log of the probability of each reading; -inf for what cannot be read, such as fractions of a step and NaN."""

@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from evaluation.benchmarks.bench_fit_coverage import coverage
-from msp_range.reading_model.densities import NAMES, L, M, R, S, T, U, probabilities
 from msp_range.reading_model.fit import fit_readings
 from msp_range.reading_model.fit_result import FitError, FitResult
 from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.pit import goodness_of_fit, pit_values
+from msp_range.reading_model.sensor_model import MixtureParameters
 from tests.support.data import measured_data
 from tests.support.plain_sampler import PlainSensor
 from tests.support.slow import slow
 
-MB1242 = ReadingGrid(20, 765, second_no_echo_cm=255)
+MB1242 = ReadingGrid(20, 765, saturates=True)
 GROWTHS = {"sigma_growth_cm_per_m", "missed_growth_per_m"}
 ROUGH = PlainSensor(0.80, 0.06, 0.08, 0.06, 1.6, 0.7, 0.25)
 
@@ -104,9 +105,9 @@ def test_growth_that_is_not_there_is_left_out() -> None:
 def test_another_sensors_grid_and_codes() -> None:
     sensor = PlainSensor(
         0.85, 0.05, 0.06, 0.04, 0.8, 0.9, 0.4,
-        minimum_cm=2.0, maximum_cm=401.0, step_cm=0.3, no_echo_cm=401.0, second_cm=1.0,
+        minimum_cm=2.0, maximum_cm=401.0, step_cm=0.5, no_echo_cm=401.0,
     )  # fmt: skip
-    grid = ReadingGrid(2.0, 401.0, 0.3, second_no_echo_cm=1.0)
+    grid = ReadingGrid(2.0, 401.0, 0.5, saturates=True)
     rng = np.random.default_rng(6)
     true_cm = rng.uniform(10.0, 350.0, 20_000)
     recovered(fit_readings(sensor.readings(true_cm.tolist(), 6), true_cm, grid), sensor)
@@ -234,11 +235,15 @@ def test_awkward_sensors_are_fitted_at_least_as_well_as_by_the_truth(seed: int) 
     )[kind]
     reading_cm = np.array(sensor.readings(true_cm.tolist(), seed))
     result = fit_readings(reading_cm, true_cm, MB1242, growth=bool(rng.integers(2)))
-    truth = np.zeros(len(NAMES))
-    truth[[U, R, M]] = weights[1] / (1.0 - weights[2]), weights[3] / (1.0 - weights[2]), weights[2]
-    truth[[T, L, S]] = np.log(sensor.sigma_cm), sensor.short_rate_per_m / 100.0, sensor.second_share
-    of_truth = np.log(probabilities(MB1242, truth, reading_cm, true_cm)[1]).sum()
-    assert result.log_likelihood > of_truth - 0.01
+    truth = {
+        "weights": dict(zip(("hit", "short", "missed", "random"), weights / weights.sum(), strict=True)),
+        "sigma_cm": sensor.sigma_cm,
+        "short_rate_per_m": sensor.short_rate_per_m,
+        "saturated_fraction": sensor.second_share,
+    }
+    of_truth = ReadingModel(MixtureParameters.model_validate(truth), 20, 765)
+    log_p = of_truth.log_prob(reading_cm, {"true_range_cm": true_cm})
+    assert result.log_likelihood > log_p.sum() - 0.01
     for name, value in result.estimates.items():
         low, high = result.interval(name)
         assert low - 1e-9 <= value <= high + 1e-9

@@ -14,7 +14,7 @@ from msp_range.reading_model.fit_result import FitResult
 from msp_range.reading_model.grid import ReadingGrid
 
 pytestmark = pytest.mark.slow
-GRID = ReadingGrid(minimum_cm=20, maximum_cm=765, resolution_cm=1, second_no_echo_cm=255)
+GRID = ReadingGrid(minimum_cm=20, maximum_cm=765, resolution_cm=1, saturates=True)
 SEEDS = range(100, 108)
 OFFSET_CM, SCALE = -0.62, 1.0044
 """Mean reading of a hit over the true range: the room's air is warmer than that of the sensor's calibration, and the

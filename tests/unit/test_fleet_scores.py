@@ -12,6 +12,7 @@ from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import refit
 from msp_lab.gap.screen import replicate, score_matrix
 from msp_lab.readings.dataset import record_runs, write_tables
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model
@@ -28,7 +29,7 @@ def test_a_session_of_400_replicates_knows_what_second_echoes_would_show() -> No
     contexts = {"true_range_cm": rng.uniform(60.0, 350.0, n), "range_rate_cm_s": 60.0 * rng.standard_normal(n)}
     candidates = [each for each in candidates_of(MODEL, contexts)[0] if each.effect.name in NAMES]
     session = np.arange(n) // ROWS
-    zero = np.zeros(len(BASE))
+    zero = Base()
 
     def squares(drawn: Prepared, weight: np.ndarray) -> np.ndarray:
         scores = score_matrix(drawn, zero, [], candidates)[:, len(BASE) :]

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from msp_lab.gap.autocorrelation import places
 from msp_lab.gap.cells import partitions
 from msp_lab.gap.measures import HeldOutReadings, measure, replicates
-from msp_lab.gap.prepared import BASE
 from msp_lab.gap.screen import replicate
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
@@ -39,7 +39,7 @@ def correlation_of(one_cm: NDArray[np.float64], other_cm: NDArray[np.float64]) -
 
 def test_copies_of_the_contexts_are_series_of_their_own() -> None:
     rng = np.random.default_rng(1)
-    drawn = replicate(model(0.9), np.zeros(len(BASE)), (), flown(1, 500), rng, rows=2000, spacing_s=0.1)
+    drawn = replicate(model(0.9), Base(), (), flown(1, 500), rng, rows=2000, spacing_s=0.1)
     copies = drawn.reading_cm.reshape(4, 500)
     assert correlation_of(copies[:, 1:].ravel(), copies[:, :-1].ravel()) == pytest.approx(0.9, abs=0.05)
     # Were they at the same times, the second reading of a time would repeat the error of the first.
@@ -51,7 +51,7 @@ def test_copies_of_the_contexts_are_series_of_their_own() -> None:
 
 def test_thinned_contexts_keep_their_neighbours() -> None:
     rng = np.random.default_rng(2)
-    drawn = replicate(model(0.9), np.zeros(len(BASE)), (), flown(1, 20_000), rng, rows=2000, spacing_s=0.1)
+    drawn = replicate(model(0.9), Base(), (), flown(1, 20_000), rng, rows=2000, spacing_s=0.1)
     assert drawn.rows.history is not None
     steps_s = np.diff(drawn.rows.history.time_s)
     assert np.mean(steps_s < 0.11) > 0.98

@@ -86,8 +86,8 @@ def test_a_scan_of_correlated_readings_has_the_statistic_of_each_curve_alone(by_
     unit = np.unique(contexts["run"], return_inverse=True)[1]
     prepared = Prepared.of(model, contexts, model.sample(contexts, np.random.default_rng(7)))
     fitted = refit(prepared, [make_curve_term("bias", ["target"], [["asphalt", "grass"]], [0.0, 0.0])])
-    here, free = fitted.here, ~fitted.held
-    nuisance, inner = fitted.scores[:, free], np.linalg.inv(fitted.information[np.ix_(free, free)])
+    here, free = fitted.here, ~fitted.at.held
+    nuisance, inner = fitted.at.scores[:, free], np.linalg.inv(fitted.at.information[np.ix_(free, free)])
     found = scan(curves_of(contexts, unit), fitted, unit if by_run else None)
     assert {"bias", "spread", "missed"} <= {each.channel for each in found}
     assert {(len(each.variables), each.cost_nats) for each in found} == {(1, 0.0), (2, rules.PAIR_COST_NATS)}
@@ -198,7 +198,7 @@ def test_a_reading_whose_context_is_not_known_has_no_place_on_the_curve() -> Non
     contexts["throttle"] = np.where(np.arange(N) % 3 == 0, np.nan, number(contexts, "throttle"))
     asked = curves_of(contexts)
     values = np.column_stack([np.ones(N), np.arange(N) % 3 == 0])
-    sums = {**asked.columns.sums(values), **asked.pairs.sums(values)}
+    sums = {variables: weights.sums(values) for variables, weights in asked.weights.items()}
     for (variables, _), form in zip(asked.curves, asked.forms, strict=True):
         # About their mean where the column is known, and nothing where it is not.
         of_all, of_unknown = (form.T @ sums[variables]).T

@@ -15,6 +15,7 @@ from msp_lab.gap.refit import refit
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.validation import Dropped, Validated
 from msp_range.arrays import numbered
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
@@ -309,6 +310,6 @@ def test_without_a_strong_effect_the_fit_is_that_of_the_base() -> None:
     base = first_state(problem)
     (scale,) = [each for each in problem.candidates if each.key == ("range_scale", None)]
     term = SelectedTerm(scale.at(10.0), scale)
-    state = base.having(problem.refit([term.active], np.zeros(8)), [term])
+    state = base.having(problem.refit([term.active], Base()), [term])
     assert state.fit.log_likelihood - base.fit.log_likelihood > 3000.0
     assert without(problem, state, 0).fit.log_likelihood == pytest.approx(base.fit.log_likelihood, abs=0.5)

@@ -201,7 +201,7 @@ def test_a_number_that_is_held_at_its_bound_removes_no_evidence() -> None:
     lost = (contexts["throttle"] > 0.6) & (np.random.default_rng([8, 1]).random(N) < 0.08)
     reading_cm[lost] = 765.0
     prepared = Prepared.of(MODEL, contexts, reading_cm)
-    assert refit(prepared, []).held[BASE.index("saturated")]
+    assert refit(prepared, []).at.held[BASE.index("saturated")]
     problem = Problem.of(MODEL, contexts, reading_cm, numbered(contexts["run"]), np.random.default_rng(1))
     state = first_state(problem)
     (best, *_) = free_curves(problem, state, ("missed",))

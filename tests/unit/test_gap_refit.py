@@ -9,6 +9,7 @@ from msp_lab.gap.extended_model import extended, to_sensor
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, first_state, with_candidate
 from msp_lab.gap.refit import JointFit, refit
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model, Term, make_curve_term, make_term
 from tests.support.measured import MODEL as FILE
@@ -89,14 +90,14 @@ def test_the_scores_of_a_fit_are_slopes(name: str, correlation: float) -> None:
         for sign in (1.0, -1.0):
             values = fitted.values.copy()
             values[k] += sign * step
-            ends.append(prepared.log_prob(values[:NB], placed(fitted.effects, values[NB:])))
+            ends.append(prepared.log_prob(Base(*values[:NB]), placed(fitted.effects, values[NB:])))
         slope = (ends[0] - ends[1]) / (2.0 * step)
-        if fitted.held[k] or not np.any(slope):
+        if fitted.at.held[k] or not np.any(slope):
             continue
         usual = np.abs(slope) < 30.0
         size = np.abs(slope[usual]).max()
         np.testing.assert_allclose(
-            fitted.scores[usual, k], slope[usual], atol=0.06 * size + 0.01, err_msg=fitted.names[k]
+            fitted.at.scores[usual, k], slope[usual], atol=0.06 * size + 0.01, err_msg=fitted.names[k]
         )
 
 
@@ -109,7 +110,7 @@ def test_slopes_of_components_are_those_of_all_parts_together() -> None:
     ]
     reading_cm = Model(MODEL.sensor, tuple(effects)).sample(contexts, np.random.default_rng(3))
     prepared = Prepared.of(MODEL.adding("clutter", share=0.02), contexts, reading_cm, spacing_s=0.1)
-    base = np.array([0.2, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.3])
+    base = Base(0.2, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0, 0.3)
     here = prepared.slopes(base, effects)
     for k in (0, 1):
         for parameter in effects[k].effect.parameters:
@@ -176,7 +177,7 @@ def test_a_model_of_a_fit_is_what_was_fitted(calibrated: bool) -> None:
         sensor = SensorModel.model_validate(sensor.model_dump() | {"calibration": knots, "reading_model": mixture})
     given = Model.of(sensor)
     contexts = flown(6)
-    base = np.array([1.5, 0.3, 0.8, -0.7, 1.2, 0.4, 0.1, 0.0])
+    base = Base(1.5, 0.3, 0.8, -0.7, 1.2, 0.4, 0.1, 0.0)
     effects = (EFFECTS["latency"], EFFECTS["curve"], EFFECTS["missed_by_target"])
     reading_cm = read(contexts, 6)
     wanted = Prepared.of(given, contexts, reading_cm).log_prob(base, effects)
@@ -213,19 +214,18 @@ def test_noise_that_follows_the_errors_is_also_tried_with_half_of_its_correlatio
     reading_cm = read(contexts, 3, -0.35 * rate)
     problem = Problem.of(MODEL, contexts, reading_cm, np.arange(900) // 60, np.random.default_rng(1))
     state = first_state(problem)
-    correlation, log_sigma = BASE.index("correlation"), BASE.index("log_sigma")
-    assert state.fit.base[correlation] > 0.95
+    assert state.fit.base.correlation > 0.95
     latency, noise = (
         next(each for each in problem.candidates if each.effect.name == name) for name in ("latency", "heavy_tails")
     )
     (start,) = _less_correlated(problem.readings, latency, state.fit)
-    assert start[correlation] == pytest.approx(state.fit.base[correlation] / 2.0)
-    steps = [np.exp(2.0 * base[log_sigma]) * (1.0 - base[correlation] ** 2) for base in (start, state.fit.base)]
+    assert start.correlation == pytest.approx(state.fit.base.correlation / 2.0)
+    steps = [np.exp(2.0 * base.log_sigma) * (1.0 - base.correlation**2) for base in (start, state.fit.base)]
     assert steps[0] == pytest.approx(steps[1])
     assert not list(_less_correlated(problem.readings, noise, state.fit))
     found = with_candidate(problem, state.fit, latency, 50.0)
     assert found.effects[0].values["delay_ms"] == pytest.approx(350.0, abs=10.0)
-    assert found.base[correlation] < 0.3
+    assert found.base.correlation < 0.3
 
 
 def test_a_step_of_rounding_is_one_of_the_usual_ones_and_leaves_the_other_numbers_free() -> None:
@@ -244,4 +244,4 @@ def test_a_step_of_rounding_is_one_of_the_usual_ones_and_leaves_the_other_number
     both = refit(problem.readings, [*fit.effects, tails], fit.base)
     alone = refit(problem.readings, [tails], base.base)
     assert both.effects[1].values["wider"] == pytest.approx(alone.effects[0].values["wider"], rel=0.2)
-    assert both.held[both.names.index("0.step_cm")]
+    assert both.at.held[both.names.index("0.step_cm")]

@@ -11,6 +11,7 @@ from msp_lab.gap.candidates import CandidateEffect, candidates_of
 from msp_lab.gap.prepared import BASE, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains
 from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_matrix, score_sums, screen
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, applies
 from tests.support.measured import MODEL as SENSOR
@@ -232,7 +233,7 @@ def plain(contexts: dict[str, NDArray[np.generic]], seed: int) -> Array:
 
 
 def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, asked: list[int]) -> Gains:
-    base = np.zeros(NB)
+    base = Base()
     simulated = replicate(MODEL, base, [], contexts, np.random.default_rng(5))
     information = information_of(simulated, base, [], TESTED)
     unit = np.zeros(reading_cm.size, dtype=np.intp)
@@ -270,7 +271,7 @@ def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: 
     reading_cm = plain(contexts, 6)
     reading_cm[::9], reading_cm[5::80] = 765.0, 40.0
     tested, _ = candidates_of(MODEL, contexts)
-    base = np.array([0.3, 0.1, 0.2, 0.3, -0.2, 0.0, 0.0, 0.0])
+    base = Base(0.3, 0.1, 0.2, 0.3, -0.2, 0.0, 0.0, 0.0)
     prepared = Prepared.of(MODEL, contexts, reading_cm)
     scores = score_matrix(prepared, base, [], tested)
     information = scores.T @ scores / 800
@@ -280,7 +281,7 @@ def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: 
     monkeypatch.setattr("msp_lab.gap.prepared.CHUNK", 300)
     readings = ReadingsAtFit(MODEL, base, [], contexts, reading_cm)
     sums = score_sums(readings, tested, unit, information, prior=0.01)
-    prior = np.append(0.01 * base * 800 / 3, np.zeros(len(tested)))
+    prior = np.append(0.01 * np.array(base) * 800 / 3, np.zeros(len(tested)))
     assert sums.by_unit == pytest.approx(np.array([scores[unit == k].sum(axis=0) - prior for k in range(3)]))
     assert sums.products == pytest.approx(scores.T @ scores)
     gains, best = sums.profile(asked)
@@ -298,9 +299,9 @@ def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: 
             numbers = numbers[np.abs(numbers) <= each.parameter.high]
         of_model = []
         for value in numbers.tolist():
-            there = base.copy()
+            there = np.array(base)
             there[1 + (each.odds or 1)] -= value * mean
-            of_model.append(prepared.log_prob(there, [each.at(value)]).sum() - here)
+            of_model.append(prepared.log_prob(Base(*there), [each.at(value)]).sum() - here)
         block = [2, 3, 4, NB + j]
         inverse = np.linalg.inv(information[np.ix_(block, block)])
         # The score next to the odds, over its standard error, and its gain by steps along it.
@@ -320,7 +321,7 @@ def test_scores_of_faults_and_of_squares_are_slopes() -> None:
     reading_cm[:20] = np.mod(np.asarray(contexts["true_range_cm"], dtype=float)[:20].round(), 256.0)
     tested, _ = candidates_of(MODEL, contexts)
     prepared = Prepared.of(MODEL, contexts, reading_cm)
-    zero = np.zeros(NB)
+    zero = Base()
     here = prepared.log_prob(zero, [])
     scores = score_matrix(prepared, zero, [], tested)
     seen = set()

@@ -14,6 +14,7 @@ from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.splits import draw_splits
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term
 from tests.support.measured import MODEL as FILE
@@ -92,7 +93,7 @@ def test_sums_by_run_say_what_a_fit_of_a_part_does() -> None:
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     (latency,) = [each for each in problem.candidates if each.effect.name == "latency"]
     unit, parts = problem.unit, Parts(problem, splits)
-    with_it, without_it = problem.refit([latency.at(20.0)], np.zeros(8)), problem.refit([], np.zeros(8))
+    with_it, without_it = problem.refit([latency.at(20.0)], Base()), problem.refit([], Base())
 
     def readings_of(rows: NDArray[np.bool_]) -> Prepared:
         return Prepared.of(MODEL, {name: column[rows] for name, column in contexts.items()}, reading_cm[rows])
@@ -138,13 +139,13 @@ def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -
     splits = draw_splits(contexts, np.random.default_rng(1))
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     (one_run,) = [each for each in problem.candidates if each.key == ("session_offset", "run03")]
-    fit = problem.refit([one_run.at(0.5)], np.zeros(8))
+    fit = problem.refit([one_run.at(0.5)], Base())
     offset = SumsByRun(fit, problem.unit, 12)
     left_out = np.arange(12) == 3
     assert offset.learnt(left_out, ["0.offset_cm"])[3] < 1e-4
     assert offset.learnt(np.arange(12) == 4, ["0.offset_cm"])[3] == pytest.approx(1.0, abs=0.02)
     # It stays as it is then, whatever the rounding of sums: a part without the run has no opinion of it.
-    rounded = replace(fit, slopes=lambda: fit.at._replace(information=fit.information * (1.0 + 1e-12)))
+    rounded = replace(fit, slopes=lambda: fit.at._replace(information=fit.at.information * (1.0 + 1e-12)))
     assert SumsByRun(rounded, problem.unit, 12).step(~left_out)[-1] == 0.0
     # Of the end of a curve that one run alone reaches as little; of the rest the others know nearly all.
     far = np.where(contexts["run"] == "run03", 500.0, contexts["true_range_cm"])
@@ -152,7 +153,7 @@ def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -
     reading_cm = np.array(sensor().readings(far.tolist(), 6))
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     curve = make_curve_term("bias", ("true_range_cm",), ((60.0, 200.0, 350.0, 500.0),), [0.1, 0.0, 0.1, 0.2])
-    sums = SumsByRun(problem.refit([curve], np.zeros(8)), problem.unit, 12)
+    sums = SumsByRun(problem.refit([curve], Base()), problem.unit, 12)
     values = [f"0.value_{k}" for k in range(4)]
     assert sums.learnt(left_out, values)[3] < rules.LEARNT_SHARE
     others = sums.learnt(np.arange(12) == 4, values)

@@ -16,6 +16,7 @@ from msp_lab.gap.refit import refit
 from msp_lab.gap.screen import score_matrix
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.validation import gain
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.model.model import Model, make_curve_term
@@ -115,13 +116,13 @@ def test_scores_are_derivatives_of_the_log_probability() -> None:
     tested, missing = candidates_of(MODEL, contexts)
     assert ("humidity", ("humidity_pct",)) in missing
     prepared = Prepared.of(MODEL, contexts, reading_cm)
-    scores = score_matrix(prepared, np.zeros(len(BASE)), [], tested)
-    here = prepared.log_prob(np.zeros(len(BASE)), [])
+    scores = score_matrix(prepared, Base(), [], tested)
+    here = prepared.log_prob(Base(), [])
     for j, candidate in enumerate(tested):
         if candidate.parameter.power != 1 or "code" in candidate.effect.channels:
             continue
         step = 1e-5 * max(min(candidate.parameter.high, 1.0), 1e-3)
-        there = prepared.log_prob(np.zeros(len(BASE)), [candidate.at(candidate.neutral + step)])
+        there = prepared.log_prob(Base(), [candidate.at(candidate.neutral + step)])
         slope = (there - here) / step
         usual = np.abs(slope) < 50.0
         np.testing.assert_allclose(

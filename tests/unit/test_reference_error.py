@@ -11,15 +11,16 @@ from scipy.stats import norm
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.gap.curve_scan import variables_of
-from msp_lab.gap.prepared import BASE, Prepared, channel_slopes
+from msp_lab.gap.prepared import Prepared, channel_slopes
 from msp_lab.gap.refit import fit_base
 from msp_lab.readings.intake import load_readings
 from msp_range.correction.calibration import IDENTITY
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
-from msp_sim.model.rows import log_prob, slopes
+from msp_sim.model.rows import log_prob
 from tests.support.known import known
 
 OWN_CM, NOISE_CM = 1.2, 2.0
@@ -110,7 +111,7 @@ def test_effects_change_the_sensors_own_spread_only() -> None:
     assert rows.wider(2.0).sigma_cm == pytest.approx(np.hypot(2.0 * OWN_CM, NOISE_CM))
     reading_cm, h = np.array([304.0]), 1e-5
     numeric = (log_prob(rows.wider(np.exp(h)), reading_cm) - log_prob(rows.wider(np.exp(-h)), reading_cm)) / (2 * h)
-    assert slopes(rows, reading_cm)[1][0, 1] == pytest.approx(numeric[0], rel=1e-4)
+    assert rows.scores(reading_cm)[1][0, 1] == pytest.approx(numeric[0], rel=1e-4)
 
 
 def test_the_score_of_correlated_readings_follows_their_likelihood() -> None:
@@ -123,7 +124,7 @@ def test_the_score_of_correlated_readings_follows_their_likelihood() -> None:
     contexts = {"true_range_cm": np.full(n, 300.0), "true_range_std_cm": noise_cm, "time_s": 0.1 * np.arange(n)}
     reading_cm = model.sample(contexts, rng)
     prepared = Prepared.of(model, contexts, reading_cm)
-    nothing, template, h = np.zeros(len(BASE)), rng.random(n), 1e-5
+    nothing, template, h = Base(), rng.random(n), 1e-5
     score = channel_slopes(prepared.at(nothing, []), reading_cm).score(1, template)
     moved = [replace(prepared.rows.wider(np.exp(s * h * template))) for s in (1.0, -1.0)]
     numeric = (log_prob(moved[0], reading_cm) - log_prob(moved[1], reading_cm)) / (2 * h)

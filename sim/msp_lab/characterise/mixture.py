@@ -17,8 +17,9 @@ from msp_lab.characterise.points import PointReadings
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import MIN_WEIGHT, FitResult, with_floors
+from msp_range.reading_model.fit_result import KINDS, FitResult, with_floors
 from msp_range.reading_model.grid import ReadingGrid
+from msp_range.reading_model.likelihood import MIN_WEIGHT
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.pit import goodness_of_fit
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
@@ -32,7 +33,6 @@ UNIT = {
     "sigma_growth_cm_per_m": "cm/m",
     "missed_growth_per_m": "1/m",
 }
-KINDS = ("hit", "short", "missed", "random")
 GROWTH = {"sigma_growth_cm_per_m": "the spread", "missed_growth_per_m": "the odds of a missed echo"}
 """Parameters that are 0 where nothing depends on range, and what they change."""
 
@@ -70,7 +70,7 @@ def fit_mixture(
         notes.append(f"how well it fits is not known: {error}")
     moved = tuple(each for each in set_ups if each is not None)
     notes += _placement_notes(moved, len(points))
-    fitted, raised = with_floors(result.parameters, saturates=grid.second_no_echo_cm is not None)
+    fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
     bound = {*result.at_bound, *raised}
     notes += [_bound_note(name, name in raised) for name in result.estimates if name in bound]
     unknown = result.not_identified

@@ -21,6 +21,7 @@ from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.runs import sample, taken
 from msp_lab.gap.steps import Steps
 from msp_range.arrays import Array
+from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import Effect, Parameter
 from msp_sim.model.model import Model, Term
 
@@ -49,7 +50,7 @@ class FittedAnswer:
     """What it stands for."""
     terms: tuple[Term, ...]
     """Effects of the model in all, that of the answer last."""
-    base: Array
+    base: Base
     """Change of the base's numbers."""
     log_likelihood: float | None
     """Of the readings that were fitted [nat]; None: they lack its columns."""
@@ -131,7 +132,7 @@ def fit_answers(old: OldReadings, question: OpenQuestion) -> list[FittedAnswer]:
 
 
 def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: JointFit) -> FittedAnswer:
-    def as_answer(terms: Sequence[Term], base: Array, fitted: JointFit | None) -> FittedAnswer:
+    def as_answer(terms: Sequence[Term], base: Base, fitted: JointFit | None) -> FittedAnswer:
         likelihood = None if fitted is None else fitted.log_likelihood
         model = extended(old.model, base, terms, old.prepared.spacing_s)
         return FittedAnswer(answer, tuple(terms), base, likelihood, model, fitted is None)
@@ -148,7 +149,7 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
     if is_shown and _doubt(fit) <= LARGEST_DOUBT:
         return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
     # The model's own numbers do as well. Then it may be the effect that has changed them: without it they are as given.
-    given = np.zeros_like(without.base)
+    given = Base()
     instead = _best_fit(old, without.effects, starts, given)
     unexplained = old.prepared.log_likelihood(given, without.effects)
     if instead.log_likelihood - max(without.log_likelihood - SHOWN_NATS, unexplained + SHOWN_NATS) >= 0.0:
@@ -158,7 +159,7 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
     return as_answer([*without.effects, fit.effects[-1]], without.base, None)
 
 
-def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: Array) -> JointFit:
+def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: Base) -> JointFit:
     start = max(starts, key=lambda term: old.prepared.log_likelihood(base, [*others, term]))
     return refit(old.prepared, [*others, start], base)
 

@@ -17,8 +17,9 @@ from msp_lab.gap.candidates import CandidateEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit
 from msp_range.arrays import Array
+from msp_range.reading_model.rows import MIN_PROBABILITY
 from msp_sim.model.model import applies
-from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, log_prob
+from msp_sim.model.rows import ModelRows, log_prob
 from msp_sim.model.streams import RandomStreams
 
 RARE_SHARE = 0.2

@@ -165,10 +165,10 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
 
     def scores(prepared: Prepared) -> Array:
         """Of all fitted numbers, then of the candidates."""
-        at = refit(prepared, fit.effects, fit.base, rounds=0)
-        here = at.here
+        again = refit(prepared, fit.effects, fit.base, rounds=0)
+        here = again.here
         of_candidates = [score_of(each, prepared, here) for each in candidates]
-        return np.column_stack([at.scores, *of_candidates])
+        return np.column_stack([again.at.scores, *of_candidates])
 
     rng = unit.rng(1)
     rows = max(rules.REPLICATE_ROWS, min(4 * len(problem.readings), REPLICATE_ROWS))
@@ -184,7 +184,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     fitted = len(fit.names)
     weight = rare.weights(expected[:, fitted:])[:, None]
     places = np.array([*of_numbers, *range(fitted, fitted + len(candidates))])
-    free = np.flatnonzero(~fit.held)
+    free = np.flatnonzero(~fit.at.held)
     linear = np.array([each.linear for each in candidates], dtype=bool)
     is_linear = np.append(np.zeros(len(of_numbers), dtype=bool), linear)
     bounded, bounded_here = _bounded(expected, fitted, linear), _bounded(measured, fitted, linear)
@@ -209,7 +209,7 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     total = information.sum(axis=0)
     clear = (own_information > 0.0) & (total > rules.COLLINEAR * own_information)
     # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare.
-    clear[: len(BASE_NUMBERS)] &= ~fit.held[: len(BASE_NUMBERS)]
+    clear[: len(BASE_NUMBERS)] &= ~fit.at.held[: len(BASE_NUMBERS)]
     information = np.where(clear, np.maximum(information, 0.0), 0.0)
     variance, score = (np.where(information > 0.0, each, 0.0) for each in (variance, score))
     value = np.array([*values, *np.zeros(len(candidates))])

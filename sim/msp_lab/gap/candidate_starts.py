@@ -12,13 +12,14 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect
-from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit
 from msp_range.arrays import Array
+from msp_range.reading_model.rows import Base
 from msp_sim.model.model import Term
 
 
-def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float) -> list[tuple[Term, Array]]:
+def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float) -> list[tuple[Term, Base]]:
     """The candidate at the best of some values and shapes, with the base of each start.
 
     Parameters
@@ -71,12 +72,12 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     return tuple(found)
 
 
-def _height(prepared: Prepared, fit: JointFit, term: Term, base: Array) -> float:
+def _height(prepared: Prepared, fit: JointFit, term: Term, base: Base) -> float:
     """Log likelihood of a fit with one more effect and another base, before any refit."""
     return prepared.log_likelihood(base, [*fit.effects, term])
 
 
-def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float, base: Array) -> Term:
+def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, value: float, base: Base) -> Term:
     """The effect at the best of some values: its shape's first number next to all grids of the others, then each."""
     parameter, lines = candidate.parameter, _lines(candidate)
     here = candidate.at(value)
@@ -93,7 +94,7 @@ def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, v
     return here
 
 
-def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[tuple[Term, Array]]:
+def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[tuple[Term, Base]]:
     """Starts at which a part of the hits is moved, and mean and variance of all of them are those of the fit.
 
     Offset and spread have taken both, and from there no small share of moved hits is any better.
@@ -103,13 +104,12 @@ def _moved_hits(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -
     for share in rules.MOVED_SHARES:
         for sigmas in rules.MOVED_SIGMAS:
             moved_cm, left = sigmas * sigma_cm, 1.0 - share * (1.0 - share) * sigmas**2
-            base = fit.base.copy()
-            base[BASE.index("offset_cm")] -= share * moved_cm
-            base[BASE.index("log_sigma")] += 0.5 * float(np.log(left))
+            log_sigma = fit.base.log_sigma + 0.5 * float(np.log(left))
+            base = fit.base._replace(offset_cm=fit.base.offset_cm - share * moved_cm, log_sigma=log_sigma)
             yield candidate.moved_by(moved_cm, prepared.scene.sensor).at(share), base
 
 
-def _less_correlated(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[Array]:
+def _less_correlated(prepared: Prepared, candidate: CandidateEffect, fit: JointFit) -> Iterator[Base]:
     """A second start where noise follows the errors so closely that it stands in for an effect on the bias.
 
     A late reading errs as the one before it: correlated noise explains that as well, one reading at a time, and from
@@ -119,12 +119,10 @@ def _less_correlated(prepared: Prepared, candidate: CandidateEffect, fit: JointF
     history = prepared.rows.history
     if history is None or "bias" not in candidate.effect.channels:
         return
-    now = history.correlation + float(fit.base[BASE.index("correlation")])
+    now = history.correlation + fit.base.correlation
     if now > rules.RESTART_CORRELATION:
-        base = fit.base.copy()
-        base[BASE.index("correlation")] -= now / 2.0
-        base[BASE.index("log_sigma")] += 0.5 * float(np.log((1.0 - now**2) / (1.0 - (now / 2.0) ** 2)))
-        yield base
+        log_sigma = fit.base.log_sigma + 0.5 * float(np.log((1.0 - now**2) / (1.0 - (now / 2.0) ** 2)))
+        yield fit.base._replace(correlation=fit.base.correlation - now / 2.0, log_sigma=log_sigma)
 
 
 def _lines(candidate: CandidateEffect) -> dict[str, Sequence[float]]:

@@ -14,9 +14,10 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
-from msp_lab.gap.prepared import CHANNELS, moved
+from msp_lab.gap.prepared import CHANNELS
 from msp_range.arrays import Array, Indices
-from msp_sim.model.rows import ModelRows, slopes
+from msp_range.reading_model.rows import Base
+from msp_sim.model.rows import ModelRows
 
 PRIOR = np.diag(1.0 / np.square(rules.CELL_PRIOR_DEVIATION))
 ROUNDS = 12
@@ -91,8 +92,8 @@ def scores_of(rows: ModelRows, reading_cm: Array, numbers: Array | None = None) 
     there = rows
     if numbers is not None:
         shift, *others = numbers.T
-        there = moved(rows, (shift * rows.sigma_cm, *others))
-    log_p, by = slopes(there, reading_cm)
+        there = rows.changed(Base(shift * rows.sigma_cm, *others))
+    log_p, by = there.scores(reading_cm)
     scores = by[:, : len(CHANNELS)]
     scores[:, 0] *= rows.sigma_cm
     return log_p, scores

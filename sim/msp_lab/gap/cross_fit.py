@@ -19,6 +19,7 @@ from msp_lab.gap.refit import JointFit, free_numbers, inverse, refit, with_value
 from msp_lab.gap.runs import taken
 from msp_lab.gap.splits import Splits
 from msp_range.arrays import Array, Flags, Indices
+from msp_range.reading_model.rows import Base
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ class CrossScore:
     means nothing."""
     by_run: Array
     """Log-likelihood of each run of the part, (runs,); 0 for the others."""
-    base: Array
-    """Numbers of the base that were fitted."""
+    base: Base
+    """Changes of the base that were fitted."""
     slope: Array
     information: Array
     """Slope and information of the log-likelihood of each run by the base's numbers, (runs, 8) and (runs, 8, 8); 0 for
@@ -71,7 +72,7 @@ class CrossScore:
 
 def recalibrated(parts: Sequence[CrossScore], runs: Flags) -> float:
     """Log-likelihood of runs of these parts, if one base is fitted to all of them and the effects stay as they are."""
-    prior = 1.0 / rules.BASE_DEVIATION**2
+    prior = 1.0 / np.square(rules.BASE_DEVIATION)
     information = np.array([each.information[runs].sum(axis=0) for each in parts])
     slope = np.array([each.slope[runs].sum(axis=0) for each in parts])
     fitted = np.array([each.base for each in parts])
@@ -100,17 +101,17 @@ class SumsByRun:
         """Places of the numbers that can move; those of the base of which few readings speak stay as they are."""
         few = self._speaking < rules.MIN_SPEAKING
         few[len(BASE) :] = False
-        return np.flatnonzero(~(self.fit.held | few))
+        return np.flatnonzero(~(self.fit.at.held | few))
 
     @cached_property
     def _speaking(self) -> Array:
         """How many readings speak of each number: the squared sum of squared scores over that of fourth powers."""
-        squares = self.fit.scores**2
+        squares = self.fit.at.scores**2
         return np.asarray(squares.sum(axis=0) ** 2 / np.maximum((squares**2).sum(axis=0), 1e-300))
 
     @cached_property
     def _sums(self) -> tuple[Array, Array]:
-        return _sums(self.fit.scores[:, self.free], self.unit, self.runs)
+        return _sums(self.fit.at.scores[:, self.free], self.unit, self.runs)
 
     @property
     def score(self) -> Array:
@@ -125,7 +126,10 @@ class SumsByRun:
     @cached_property
     def prior(self) -> tuple[Array, Array]:
         """Slope and information of the priors."""
-        whole, of_readings = np.diag(self.fit.information)[self.free], (self.fit.scores[:, self.free] ** 2).sum(axis=0)
+        whole, of_readings = (
+            np.diag(self.fit.at.information)[self.free],
+            (self.fit.at.scores[:, self.free] ** 2).sum(axis=0),
+        )
         # Rounding is no prior: a number of which the other runs say nothing would go to 0 by it.
         own = np.where(whole - of_readings > 1e-9 * whole, whole - of_readings, 0.0)
         return -own * self.fit.values[self.free], own
@@ -159,11 +163,7 @@ class SumsByRun:
         """By how much the fit of these runs differs from that of all; what would leave its bounds stays at one."""
         slope = self.score[runs].sum(axis=0) + self.prior[0]
         information = self.information[runs].sum(axis=0) + np.diag(self.prior[1])
-        low, high = np.full(self.fit.values.size, -np.inf), np.full(self.fit.values.size, np.inf)
-        low[: len(BASE)], high[: len(BASE)] = -rules.BASE_BOUND, rules.BASE_BOUND
-        for k, (_, parameter) in enumerate(free_numbers(self.fit.effects), len(BASE)):
-            low[k], high[k] = parameter.low, parameter.high
-        least, most = (bound[self.free] - self.fit.values[self.free] for bound in (low, high))
+        least, most = (bound[self.free] - self.fit.values[self.free] for bound in self.fit.bounds)
         step: Array = inverse(information) @ slope
         beyond = (step < least) | (step > most)
         step = np.clip(step, least, most)
@@ -191,18 +191,20 @@ class SumsByRun:
         by_run = np.zeros(self.runs)
         by_run[left_out] = self.log_p_by_run[left_out] + score @ step - lost
         moved = self.free < len(BASE)
-        base = self.fit.base.copy()
+        base = np.array(self.fit.base)
         base[self.free[moved]] += step[moved]
         slope = (score - information @ step)[:, moved]
-        return self._cross_score(left_out, self.fit.here.log_p, by_run, base, slope, information[:, moved][:, :, moved])
+        return self._cross_score(
+            left_out, self.fit.here.log_p, by_run, Base(*base), slope, information[:, moved][:, :, moved]
+        )
 
     @cached_property
     def log_p_by_run(self) -> Array:
         """Log-likelihood of each run, (runs,)."""
-        return sums_by(self.unit, self.fit.here.log_p, self.runs)
+        return np.bincount(self.unit, self.fit.here.log_p, self.runs).astype(np.float64)
 
     def _cross_score(
-        self, runs: Flags, log_p: Array, by_run: Array, base: Array, slope: Array, information: Array
+        self, runs: Flags, log_p: Array, by_run: Array, base: Base, slope: Array, information: Array
     ) -> CrossScore:
         """With slopes and information of a part's runs by those numbers of the base that can move, put in place."""
         free = self.free[self.free < len(BASE)]
@@ -221,8 +223,8 @@ class SumsByRun:
             values = self.fit.values.copy()
             values[self.free] += share * step
             moved = with_values(self.fit.effects, numbers, values[len(BASE) :])
-            if fitted.log_likelihood(values[: len(BASE)], moved) >= least:
-                base, effects = values[: len(BASE)], moved
+            if fitted.log_likelihood(Base(*values[: len(BASE)]), moved) >= least:
+                base, effects = Base(*values[: len(BASE)]), moved
                 break
         # One step is no fit where the likelihood is far from a quadratic.
         fit = refit(fitted, effects, base, rules.PART_ROUNDS)
@@ -230,16 +232,11 @@ class SumsByRun:
         left_out_runs = parts.runs(split, part)
         log_p = np.zeros(self.unit.size)
         log_p[rows] = here.log_p
-        by_run = sums_by(self.unit[rows], here.log_p, self.runs)
+        by_run = np.bincount(self.unit[rows], here.log_p, self.runs).astype(np.float64)
         by_base = here.by[:, self.free[self.free < len(BASE)]]
         slope, information = _sums(by_base, self.unit[rows], self.runs)
         of_part = slope[left_out_runs], information[left_out_runs]
         return self._cross_score(left_out_runs, log_p, by_run, fit.base, *of_part)
-
-
-def sums_by(unit: Indices, values: Array, runs: int) -> Array:
-    """Sums of the readings' values over each run, (runs,)."""
-    return np.asarray(np.bincount(unit, values, runs), dtype=np.float64)
 
 
 def _sums(scores: Array, unit: Indices, runs: int) -> tuple[Array, Array]:

@@ -13,12 +13,12 @@ import numpy as np
 from scipy.special import gammaincc, gammaln
 
 from msp_lab.gap import rules
-from msp_lab.gap.curve_sums import ColumnWeights, KnotsOfColumns, KnotsOfPairs, Variables
+from msp_lab.gap.curve_sums import KnotWeights, Variables
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit, sums_by
 from msp_lab.gap.runs import known_values, share_between
 from msp_range.arrays import Array, Indices
-from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
+from msp_sim.effects.base import REFERENCE_STD
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple
 
 NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
@@ -131,9 +131,8 @@ class CurveWeights:
     forms: tuple[Array, ...]
     """For each curve its knots' weights at all knots of its columns, about their mean over the readings of which the
     columns are known, (knots of its columns, its knots): that they are known is no dependence on them."""
-    columns: KnotsOfColumns
-    pairs: KnotsOfPairs
-    """Weights of all knots, over one column and over two."""
+    weights: Mapping[Variables, KnotWeights]
+    """Weights of all knots, by the variables of the curves."""
 
 
 def curves_of(contexts: Mapping[str, Any], unit: Indices | None = None) -> CurveWeights:
@@ -155,27 +154,17 @@ def curves_of(contexts: Mapping[str, Any], unit: Indices | None = None) -> Curve
 
 def weights_of(contexts: Mapping[str, Any], asked: Sequence[Asked]) -> CurveWeights:
     """Curves over these variables with these knots, and the weights of the knots for each reading."""
-    singles, in_pairs = (_columns(contexts, [each for each in asked if len(each[0]) == count]) for count in (1, 2))
-    one = np.ones((np.shape(contexts[TRUE_RANGE])[0], 1))
-    columns, pairs = KnotsOfColumns(singles), KnotsOfPairs.of(in_pairs, one.size)
-    readings = columns.sums(one) | pairs.sums(one)
-    forms = []
-    for names, knots in asked:
-        places = singles if len(names) == 1 else in_pairs
-        own = [places[name].curve(each) for name, each in zip(names, knots, strict=True)]
-        form = own[0] if len(own) == 1 else np.kron(*own)
-        mean = form.T @ readings[names][:, 0]
-        forms.append(form - mean / max(mean.sum(), 1e-300))
-    return CurveWeights(tuple(asked), tuple(forms), columns, pairs)
-
-
-def _columns(contexts: Mapping[str, Any], asked: Sequence[Asked]) -> dict[str, ColumnWeights]:
-    """The columns of these curves, with all their knots."""
-    knots: dict[str, list[tuple[Any, ...]]] = {}
+    knots: dict[Variables, list[tuple[Any, ...]]] = {}
     for names, own in asked:
-        for name, each in zip(names, own, strict=True):
-            knots.setdefault(name, []).append(each)
-    return {name: ColumnWeights.of(np.asarray(contexts[name]), some) for name, some in knots.items()}
+        knots.setdefault(names, []).append(own)
+    weights = {names: KnotWeights.of(contexts, names, some) for names, some in knots.items()}
+    readings = {names: each.sums(np.ones(each.matrix.shape[1])) for names, each in weights.items()}
+    forms = []
+    for names, own in asked:
+        form = weights[names].curve(own)
+        mean = form.T @ readings[names]
+        forms.append(form - mean / max(mean.sum(), 1e-300))
+    return CurveWeights(tuple(asked), tuple(forms), weights)
 
 
 def scan(
@@ -199,10 +188,11 @@ def scan(
         Which of the five channels.
     """
     here = fit.here
-    free = ~fit.held & (np.sqrt(np.mean(fit.scores**2, axis=0)) > 1e-9)
-    norm = np.sqrt((fit.scores[:, free] ** 2).sum(axis=0))
-    own, left_over = fit.scores[:, free] / norm, fit.at.gradient[free] / norm
-    inner = np.linalg.pinv(fit.information[np.ix_(free, free)] / np.outer(norm, norm), rcond=1e-8, hermitian=True)
+    at = fit.at
+    free = ~at.held & (np.sqrt(np.mean(at.scores**2, axis=0)) > 1e-9)
+    norm = np.sqrt((at.scores[:, free] ** 2).sum(axis=0))
+    own, left_over = at.scores[:, free] / norm, at.gradient[free] / norm
+    inner = np.linalg.pinv(at.information[np.ix_(free, free)] / np.outer(norm, norm), rcond=1e-8, hermitian=True)
     found = []
     for channel in channels_asked:
         slope = here.by[:, CHANNELS.index(channel)]
@@ -212,27 +202,26 @@ def scan(
         sizes = {k: form.shape[1] for k, form in enumerate(asked.forms)}
         most = min(rules.MAX_KNOTS[channel], events / rules.MIN_EVENTS_PER_KNOT)
         wanted = [k for k, size in sizes.items() if size <= most]
-        of_pairs = any(len(asked.curves[k][0]) > 1 for k in wanted)
-        weights: list[KnotsOfColumns | KnotsOfPairs] = [asked.columns, *([asked.pairs] if of_pairs else [])]
-        sums = _Sums.of(weights, here, channel, own, unit)
+        scores = _Scores.of(here, channel, own)
+        sums = {names: _Sums.of(asked.weights[names], scores, unit) for names in {asked.curves[k][0] for k in wanted}}
         of_channel: dict[int, tuple[float, int]] = {}
         for size in dict.fromkeys(sizes[k] for k in wanted):
             these = [k for k in wanted if sizes[k] == size]
             forms = [(asked.forms[k], asked.curves[k][0]) for k in these]
-            totals = np.array([form.T @ sums.totals[names] for form, names in forms])
-            squares = np.array([form.T @ sums.squares[names] @ form for form, names in forms])
+            totals = np.array([form.T @ sums[names].totals for form, names in forms])
+            squares = np.array([form.T @ sums[names].squares @ form for form, names in forms])
             cross = totals[:, :, 1:]
             carried = cross @ inner
             total = totals[:, :, 0] - carried @ left_over
             taken = carried @ np.swapaxes(cross, 1, 2)
-            if sums.expected:
+            if scores.expected is not None:
                 # Each projected by itself: what came leaves less than nothing of what was expected elsewhere.
-                shares = np.array([form.T @ sums.expected[names] for form, names in forms])
+                shares = np.array([form.T @ sums[names].expected for form, names in forms])
                 taken = 0.5 * (taken + shares[:, :, None] * shares[:, None, :])
             efficient = squares - taken
             by_unit = None
             if unit is not None:
-                by_unit = np.array([sums.by_unit[names] @ form for form, names in forms])
+                by_unit = np.array([sums[names].by_unit @ form for form, names in forms])
                 by_unit -= sums_by(unit, own) @ np.swapaxes(carried, 1, 2)
             of_channel |= zip(these, _statistics(total, squares, efficient, by_unit), strict=True)
         for k in wanted:
@@ -243,56 +232,62 @@ def scan(
 
 
 @dataclass(frozen=True)
-class _Sums:
-    """Sums of a channel's scores at all knots, by the variables that they are over."""
+class _Scores:
+    """A channel's scores of all readings."""
 
-    totals: Mapping[Variables, Array]
-    """Sums of the scores, and of their products with what is fitted, (knots, 1 + numbers)."""
-    squares: Mapping[Variables, Array]
-    """Sums of their products two by two, as they vary where nothing is missing, (knots, knots)."""
-    by_unit: Mapping[Variables, Array]
-    """Sums of the scores over runs, (runs, knots); empty where readings are the unit of evidence."""
-    expected: Mapping[Variables, Array]
+    totals: Array
+    """Each score, and its products with what is fitted, (n, 1 + numbers)."""
+    squares: Array
+    """What its square is where nothing is missing, (n,)."""
+    expected: Array | None
     """For an odds' scores, what the fit expects of their products with the odds' own number, over its deviation,
-    (knots,); empty for other channels."""
+    (n,)."""
+    crossed: Array | None
+    before: Indices | slice
+    """Product of what is a reading's own with what it carries over from the reading before, and which one that is."""
 
     @classmethod
-    def of(
-        cls,
-        weights: Sequence[KnotsOfColumns | KnotsOfPairs],
-        here: ChannelSlopes,
-        channel: CurveChannel,
-        fitted: Array,
-        unit: Indices | None,
-    ) -> "_Sums":
-        """Of all readings."""
-        by_share: dict[Variables, Array] = {}
+    def of(cls, here: ChannelSlopes, channel: CurveChannel, fitted: Array) -> "_Scores":
+        """At a fit; `fitted` are the scores of its numbers."""
         own, carried = here.parts(CHANNELS.index(channel))
-        scores, varies = np.column_stack([own, fitted * own[:, None]]), own**2
+        totals, squares, by_share = np.column_stack([own, fitted * own[:, None]]), own**2, None
         if channel in ODDS_CHANNELS:
             share = here.shares[:, ODDS_CHANNELS.index(channel)]
-            expected = share * (1.0 - share) * float(varies.sum()) / float((share * (1.0 - share)).sum())
+            expected = share * (1.0 - share) * float(squares.sum()) / float((share * (1.0 - share)).sum())
             # What is rare varies as the fit says where it never came, and as it came where it came more often.
-            varies = 0.5 * (varies + expected)
-            for each in weights:
-                by_share |= each.sums(expected[:, None] / np.sqrt(expected.sum()))
-        if carried is not None and here.carry is not None:
-            before, n = here.carry.before, own.size
-            of_before = carried[:, None] * np.column_stack([np.ones(n), fitted])
-            scores -= np.column_stack([np.bincount(before, each, n) for each in of_before.T])
-            varies += np.bincount(before, carried**2, n)
-        totals: dict[Variables, Array] = {}
-        squares: dict[Variables, Array] = {}
-        by_unit: dict[Variables, Array] = {}
-        for each in weights:
-            totals |= each.sums(scores)
-            squares |= each.products(varies)
-            if carried is not None and here.carry is not None:
-                crossed = each.products(own * carried, here.carry.before)
-                squares |= {key: squares[key] - both - both.T for key, both in crossed.items()}
-            if unit is not None:
-                by_unit |= each.by_unit(scores[:, 0], unit)
-        return cls(totals, squares, by_unit, {key: each[:, 0] for key, each in by_share.items()})
+            squares = 0.5 * (squares + expected)
+            by_share = expected / np.sqrt(expected.sum())
+        if carried is None or here.carry is None:
+            return cls(totals, squares, by_share, None, slice(None))
+        before, n = here.carry.before, own.size
+        of_before = carried[:, None] * np.column_stack([np.ones(n), fitted])
+        totals -= np.column_stack([np.bincount(before, each, n) for each in of_before.T])
+        return cls(totals, squares + np.bincount(before, carried**2, n), by_share, own * carried, before)
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums of a channel's scores at all knots over the same variables."""
+
+    totals: Array
+    """Of the scores, and of their products with what is fitted, (knots, 1 + numbers)."""
+    squares: Array
+    """Of their products two by two, as they vary where nothing is missing, (knots, knots)."""
+    by_unit: Array
+    """Of the scores over runs, (runs, knots); empty where readings are the unit of evidence."""
+    expected: Array
+    """Of `_Scores.expected`, (knots,); empty for other channels."""
+
+    @classmethod
+    def of(cls, weights: KnotWeights, scores: _Scores, unit: Indices | None) -> "_Sums":
+        """Of all readings."""
+        squares = weights.products(scores.squares)
+        if scores.crossed is not None:
+            both = weights.products(scores.crossed, scores.before)
+            squares = squares - both - both.T
+        by_unit = np.zeros(0) if unit is None else weights.by_unit(scores.totals[:, 0], unit)
+        expected = np.zeros(0) if scores.expected is None else weights.sums(scores.expected)
+        return cls(weights.sums(scores.totals), squares, by_unit, expected)
 
 
 def _statistics(total: Array, squares: Array, efficient: Array, by_unit: Array | None) -> list[tuple[float, int]]:

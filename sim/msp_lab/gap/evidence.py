@@ -69,14 +69,9 @@ def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: _Offsets) -> Ar
 
 def shift_between(smaller: JointFit, larger: JointFit, unit: Indices) -> float:
     """Share of the variance of the shift from one fit to the other that lies between runs."""
-    return share_between(_residual(larger) - _residual(smaller), unit)
-
-
-def _residual(fit: JointFit) -> Array:
-    """Residuals of normal readings from their slopes by an offset, which are the residuals over their variance."""
-    slope = fit.offset_slope
-    residual: Array = slope / max(float((slope**2).mean()), 1e-12)
-    return residual
+    # Residuals of normal readings are the slopes by an offset times the variance.
+    one, other = (fit.offset_slope / max(float((fit.offset_slope**2).mean()), 1e-12) for fit in (larger, smaller))
+    return share_between(one - other, unit)
 
 
 def wander_inflation(smaller: JointFit, larger: JointFit, unit: Indices) -> float:

@@ -202,11 +202,11 @@ def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[fl
     left = []
     for fit, k, term in fits:
         assert term.candidate is not None
-        others = fit.scores[
-            :, [not (name.startswith(f"{k}.") or held) for name, held in zip(fit.names, fit.held, strict=True)]
+        others = fit.at.scores[
+            :, [not (name.startswith(f"{k}.") or held) for name, held in zip(fit.names, fit.at.held, strict=True)]
         ]
         basis = np.linalg.qr(others[:, np.any(others != 0.0, axis=0)])[0]
-        own = fit.scores[:, fit.names.index(f"{k}.{term.candidate.parameter.name}")]
+        own = fit.at.scores[:, fit.names.index(f"{k}.{term.candidate.parameter.name}")]
         rest = own - basis @ (basis.T @ own)
         left.append(rest / max(float(np.linalg.norm(rest)), 1e-12))
     return [float(left[0] @ each) for each in left[1:]]

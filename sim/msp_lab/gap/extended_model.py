@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from msp_lab.gap.prepared import LEAST_SHARE
-from msp_range.arrays import Array
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import CalibrationKnot, SensorModel
 from msp_sim.effects.curve import Ripple
 from msp_sim.model.history import MAX_CORRELATION
@@ -16,35 +16,34 @@ LEAST_READING_CM = 0.01
 """What the first knot of a calibration reads at least: the file format asks for more than 0."""
 
 
-def extended(model: Model, base: Array, effects: Sequence[Term], spacing_s: float | None) -> Model:
-    """The model with its base changed by this much, in the order of `BASE`, and with these effects after its own.
+def extended(model: Model, base: Base, effects: Sequence[Term], spacing_s: float | None) -> Model:
+    """The model with its base changed by this much and with these effects after its own.
 
     The correlation of neighbouring readings is that over `spacing_s`; None: there is none.
     """
     sensor = model.sensor
     mixture = sensor.reading_model
     weights = mixture.weights
-    offset_cm, log_sigma, short, missed, random, log_rate, saturated, correlation = base.tolist()
-    changes = {"hit": 0.0, "short": short, "missed": missed, "random": random}
+    changes = {"hit": 0.0, **{name: getattr(base, f"log_odds_{name}") for name in ("short", "missed", "random")}}
     odds = {
         name: max(getattr(weights, name), LEAST_SHARE if change else 0.0) * float(np.exp(change))
         for name, change in changes.items()
     }
     total = sum(odds.values())
-    factor = float(np.exp(log_sigma))
+    factor = float(np.exp(base.log_sigma))
     update: dict[str, Any] = {
         "weights": weights.model_copy(update={name: value / total for name, value in odds.items()}).model_dump(),
         "sigma_cm": float(np.clip(mixture.sigma_cm * factor, 0.01, 100.0)),
         "sigma_growth_cm_per_m": min(mixture.sigma_growth_cm_per_m * factor, 100.0),
-        "short_rate_per_m": min(mixture.short_rate_per_m * float(np.exp(log_rate)), 1000.0),
-        "saturated_fraction": float(np.clip(mixture.saturated_fraction + saturated, 0.0, 1.0)),
-        "correlation": float(np.clip(mixture.correlation + correlation, 0.0, MAX_CORRELATION)),
+        "short_rate_per_m": min(mixture.short_rate_per_m * float(np.exp(base.log_rate)), 1000.0),
+        "saturated_fraction": float(np.clip(mixture.saturated_fraction + base.saturated, 0.0, 1.0)),
+        "correlation": float(np.clip(mixture.correlation + base.correlation, 0.0, MAX_CORRELATION)),
         "correlation_spacing_s": mixture.correlation_spacing_s if spacing_s is None else spacing_s,
     }
     sensor = SensorModel.model_validate(
         {
             **sensor.model_dump(),
-            "calibration": [knot.model_dump() for knot in _shifted_knots(sensor, offset_cm)],
+            "calibration": [knot.model_dump() for knot in _shifted_knots(sensor, base.offset_cm)],
             "reading_model": {**mixture.model_dump(), **update},
         }
     )

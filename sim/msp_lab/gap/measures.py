@@ -16,8 +16,9 @@ from msp_lab.gap.cell_fits import CellFits, apart, free_fit, one_step, products,
 from msp_lab.gap.cells import Partition, Stack
 from msp_lab.gap.runs import dependence, taken
 from msp_range.arrays import Array, Column, Flags, Indices
+from msp_range.reading_model.rows import MIN_PROBABILITY
 from msp_sim.model.model import Model
-from msp_sim.model.rows import MIN_PROBABILITY, ModelRows
+from msp_sim.model.rows import ModelRows
 from msp_sim.model.streams import RandomStreams
 
 

@@ -16,7 +16,7 @@ from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
 from msp_lab.gap.extended_model import extended
 from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
 from msp_lab.gap.intake import Comparison
-from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
@@ -28,6 +28,7 @@ from msp_lab.readings.intake import PREVIOUS
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.kernel import is_on_grid
+from msp_range.reading_model.rows import Base
 from msp_sim.model.model import Model
 
 
@@ -215,7 +216,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     held_out = whole.prepared(problem, held_out_rows)
     of_training = refit(training, fit.effects, fit.base)
     found = kept.state.terms or selection.run_offset_cm > 0.0
-    nothing = np.zeros(len(BASE))
+    nothing = Base()
     as_given = not found and held_out.log_likelihood(of_training.base, []) <= held_out.log_likelihood(nothing, [])
     readings, unit = problem.readings, problem.unit
     if as_given:

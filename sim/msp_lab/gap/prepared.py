@@ -5,7 +5,7 @@ and the derivatives of each reading's log probability by the base's numbers, the
 through which effects act.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,14 +13,13 @@ import numpy as np
 
 from msp_lab.gap.runs import taken
 from msp_range.arrays import Array
-from msp_range.reading_model.rows import FREE
+from msp_range.reading_model.rows import MIN_PROBABILITY, Base
 from msp_sim.effects.base import Contribution, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
-from msp_sim.model.history import MAX_CORRELATION, History
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of
-from msp_sim.model.rows import MIN_PROBABILITY, Carry, ModelRows, log_prob, slopes
+from msp_sim.model.rows import Carry, ModelRows, log_prob
 
-BASE = (*FREE, "correlation")
+BASE = Base._fields
 """The base's numbers that are fitted together with every effect; the last one only where readings are correlated."""
 CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
 ODDS_CHANNELS = CHANNELS[2:]
@@ -64,24 +63,24 @@ class Prepared:
     def __len__(self) -> int:
         return self.reading_cm.size
 
-    def at(self, base: Array, effects: Sequence[Term]) -> ModelRows:
+    def at(self, base: Base, effects: Sequence[Term]) -> ModelRows:
         """The distribution with the base's numbers changed by this much, and with these effects."""
-        return apply_terms(shifted(self.rows, base), self.scene, effects)
+        return apply_terms(self.rows.changed(base), self.scene, effects)
 
-    def log_prob(self, base: Array, effects: Sequence[Term]) -> Array:
+    def log_prob(self, base: Base, effects: Sequence[Term]) -> Array:
         """log probability of each reading, (n,), bounded below."""
         return log_prob(self.at(base, effects), self.reading_cm)
 
-    def log_likelihood(self, base: Array, effects: Sequence[Term]) -> float:
+    def log_likelihood(self, base: Base, effects: Sequence[Term]) -> float:
         """Sum of those of all readings."""
         return float(self.log_prob(base, effects).sum())
 
-    def slopes(self, base: Array, effects: Sequence[Term]) -> "ChannelSlopes":
+    def slopes(self, base: Base, effects: Sequence[Term]) -> "ChannelSlopes":
         """Derivatives of the log probabilities by the channels and by the base's other numbers."""
         return channel_slopes(self.at(base, effects), self.reading_cm)
 
     def slope_of(
-        self, k: int, parameter: Parameter, base: Array, effects: Sequence[Term], here: "ChannelSlopes"
+        self, k: int, parameter: Parameter, base: Base, effects: Sequence[Term], here: "ChannelSlopes"
     ) -> Array:
         """Derivative of each log probability by one number of the k-th effect, (n,); `here` are the slopes there.
 
@@ -145,32 +144,6 @@ def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, .
     return weights
 
 
-def moved(rows: ModelRows, numbers: Iterable[Any]) -> ModelRows:
-    """Rows with a number added in each of the `CHANNELS`, one for all rows or (n,)."""
-    shift_cm, log_spread, short, missed, random = numbers
-    logs = rows.log_weights
-    return replace(
-        rows.wider(np.exp(log_spread)),
-        centre_cm=rows.centre_cm + shift_cm,
-        log_weights=(logs[0], logs[1] + short, logs[2] + missed, logs[3] + random),
-    )
-
-
-def shifted(rows: ModelRows, base: Array) -> ModelRows:
-    """Rows with the base's numbers changed, in the order of `BASE`."""
-    *by_channel, log_rate, saturated, correlation = base
-    return replace(
-        moved(rows, by_channel),
-        rate_per_m=rows.rate_per_m * float(np.exp(log_rate)),
-        saturated_fraction=float(np.clip(rows.saturated_fraction + saturated, 0.0, 1.0)),
-        history=None if rows.history is None else _correlated(rows.history, correlation),
-    )
-
-
-def _correlated(history: History, more: float) -> History:
-    return replace(history, correlation=float(np.clip(history.correlation + more, 0.0, MAX_CORRELATION)))
-
-
 @dataclass(frozen=True)
 class ChannelSlopes:
     """Derivatives of each reading's log probability at one distribution."""
@@ -216,7 +189,7 @@ class ChannelSlopes:
 def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
     """Derivatives by the channels and by the base's other numbers."""
     rows, carry = rows.given(reading_cm)
-    log_p, by_free = slopes(rows, reading_cm)
+    log_p, by_free = rows.scores(reading_cm)
     by = np.zeros((reading_cm.size, len(BASE)))
     by[:, :-1] = by_free
     if not np.any(np.asarray(rows.log_weights[1]) > np.log(2.0 * LEAST_SHARE)):
@@ -234,7 +207,7 @@ class ReadingsAtFit:
     """All readings at a fit, of which a part at a time fits into a processor's cache."""
 
     model: Model
-    base: Array
+    base: Base
     effects: Sequence[Term]
     """What was fitted."""
     contexts: Mapping[str, Any]

@@ -25,6 +25,7 @@ from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array, Indices, numbered
+from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal
@@ -120,7 +121,7 @@ class Problem:
     @property
     def prior(self) -> Array:
         """Precision of the base's prior for each reading that is refitted, (8,)."""
-        return 1.0 / (rules.BASE_DEVIATION**2 * len(self.readings))
+        return 1.0 / (np.square(rules.BASE_DEVIATION) * len(self.readings))
 
     def information(self, fit: JointFit) -> Array:
         """Information per reading at a fit, from simulated readings and the base's prior."""
@@ -160,7 +161,7 @@ class Problem:
         share = larger.effects[-1].values[candidate.parameter.name]
         # What changes most readings shows by those that it leaves, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
-            slope = larger.scores[:, larger.names.index(f"{len(larger.effects) - 1}.{candidate.parameter.name}")]
+            slope = larger.at.scores[:, larger.names.index(f"{len(larger.effects) - 1}.{candidate.parameter.name}")]
             if share * slope[slope > 0.0].sum() < rules.MIN_EXPLAINED:
                 return 0.0
             gained /= self._clumping(larger, slope)
@@ -191,7 +192,7 @@ class Problem:
         run = self.contexts["run"] if "run" in self.contexts else np.zeros(len(self.readings))
         return clumping(slope, numbered(run), alike)
 
-    def refit(self, terms: Sequence[Term], base: Array) -> JointFit:
+    def refit(self, terms: Sequence[Term], base: Base) -> JointFit:
         """A joint fit of these terms."""
         return refit(self.readings, terms, base)
 
@@ -249,7 +250,7 @@ def screened(problem: Problem, state: State, by_run: bool | None = None, sums: S
     by_run = state.by_run if by_run is None else by_run
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
     sums = sums or scores_at(problem, state)
-    free = ~state.fit.held[: len(BASE)]
+    free = ~state.fit.at.held[: len(BASE)]
     return screen(sums, state.information, problem.candidates, accepted, free, by_run, problem.alpha, problem.rng)
 
 
@@ -399,7 +400,7 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
     """
     active = [each.active for each in terms]
     bases = (state.fit.base, problem.base.base)
-    key = (state.fit.base.tobytes(), *((each.stream, each.shape, *each.values.values()) for each in active))
+    key = (state.fit.base, *((each.stream, each.shape, *each.values.values()) for each in active))
     if key not in problem.kept:
         start = max(bases, key=lambda base: problem.readings.log_likelihood(base, active))
         problem.kept[key] = problem.refit(active, start)

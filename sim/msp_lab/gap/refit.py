@@ -1,7 +1,7 @@
 """Joint maximum-likelihood refits of the base's numbers and of effects, within their bounds.
 
-Prepared readings and effects enter; values, their information and the log-likelihood leave. Steps are those of Newton
-with the outer product of the scores, damped so that none makes the fit worse.
+Prepared readings and effects enter; values, their information and the log-likelihood leave. The maximiser is that
+of the mixture's fit, with the outer product of the scores as information.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,13 +14,13 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
 from msp_range.arrays import Array, Flags, Indices
+from msp_range.reading_model.maximise import ROUNDS, held_numbers, maximise
+from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
 from msp_sim.model.model import Term
 from msp_sim.model.rows import ModelRows
 
-ROUNDS = 12
-"""Newton steps at most; usual fits take three to six."""
 ENOUGH_NATS = 0.03
 """A fit that gains less in a step is done: a hundredth of what any decision asks."""
 LEAST_SATURATED = 1e-4
@@ -31,26 +31,41 @@ FIRST_CORRELATION = 0.2
 """A fit of correlated readings starts here: at 0 the slope by readings farther apart than the spacing is 0."""
 
 
+class NumberSlopes(NamedTuple):
+    """Derivatives by all numbers of a fit."""
+
+    scores: Array
+    """Of each reading, (n, numbers), for errors by runs."""
+    gradient: Array
+    """Their sum, with that of the priors."""
+    information: Array
+    """From the scores and the priors."""
+    held: Flags
+    """Numbers that are at a bound, or of which the readings say nothing."""
+
+
 @dataclass(frozen=True)
 class JointFit:
     """A joint fit of base and effects."""
 
-    base: Array
-    """Change of the base's numbers, in the order of `BASE`."""
+    base: Base
+    """Change of the base's numbers."""
     effects: tuple[Term, ...]
     """Effects with their values."""
     log_likelihood: float
     """Sum over the readings, less what the priors take [nat]."""
     names: tuple[str, ...]
     values: Array
-    """Names and values of the numbers that were free: ``base.offset_cm``, or ``k.parameter`` of the k-th effect."""
+    bounds: tuple[Array, Array]
+    """Names and values of the numbers that were free, and their bounds: ``base.offset_cm``, or ``k.parameter`` of the
+    k-th effect."""
     here: ChannelSlopes
     """Slopes by channel at the fit."""
-    slopes: Callable[[], "NumberSlopes"]
+    slopes: Callable[[], NumberSlopes]
     """Computes the slopes by the numbers at the fit: most fits are compared by their likelihood alone."""
 
     @cached_property
-    def at(self) -> "NumberSlopes":
+    def at(self) -> NumberSlopes:
         """Slopes by the numbers at the fit."""
         return self.slopes()
 
@@ -59,41 +74,17 @@ class JointFit:
         """Derivative of each reading's log probability by the base's offset, (n,)."""
         return self.here.by[:, 0]
 
-    @property
-    def scores(self) -> Array:
-        """Each reading's derivatives by the numbers, (n, numbers), for errors by runs."""
-        return self.at.scores
-
-    @property
-    def information(self) -> Array:
-        """Of the numbers, from the scores and the priors."""
-        return self.at.information
-
-    @property
-    def held(self) -> Flags:
-        """Numbers that are at a bound, or of which the readings say nothing."""
-        return self.at.held
-
     def covariance(self, unit: Indices | None = None) -> Array:
         """Of the numbers; with units, of sums over whole units (sandwich)."""
-        free = ~self.held
-        covariance = np.zeros_like(self.information)
-        of_free = np.linalg.pinv(self.information[np.ix_(free, free)], hermitian=True)
+        at, free = self.at, ~self.at.held
+        covariance = np.zeros_like(at.information)
+        of_free = np.linalg.pinv(at.information[np.ix_(free, free)], hermitian=True)
         if unit is not None:
-            sums = sums_by(unit, self.scores[:, free])
+            sums = sums_by(unit, at.scores[:, free])
             units = max(sums.shape[0], 2)
             of_free = of_free @ (sums.T @ sums * units / (units - 1)) @ of_free
         covariance[np.ix_(free, free)] = of_free
         return covariance
-
-
-class NumberSlopes(NamedTuple):
-    """Derivatives by all numbers of a fit: of each reading, their sum with the priors', information, what is held."""
-
-    scores: Array
-    gradient: Array
-    information: Array
-    held: Flags
 
 
 def inverse(information: Array) -> Array:
@@ -138,7 +129,7 @@ def fit_base(prepared: Prepared) -> JointFit:
     return other if other.log_likelihood > given.log_likelihood else given
 
 
-def _own_spread(prepared: Prepared) -> Array | None:
+def _own_spread(prepared: Prepared) -> Base | None:
     """Offset and log spread of what looks like hits; None where they are near the model's."""
     rows, reading = prepared.rows, prepared.reading_cm
     window_cm, window_share = rules.FIRST_WINDOW
@@ -155,9 +146,7 @@ def _own_spread(prepared: Prepared) -> Array | None:
     log_spread = np.log(max(spread, 1e-3))
     if not log_spread > rules.WIDE_LOG_SPREAD and abs(middle_cm) < 2.0 * float(np.median(sigma_cm)):
         return None
-    start = np.zeros(len(BASE))
-    start[0], start[1] = middle_cm, max(log_spread, 0.0)
-    return start
+    return Base(middle_cm, max(log_spread, 0.0))
 
 
 def has_range(rows: ModelRows, reading_cm: Array) -> Flags:
@@ -168,7 +157,7 @@ def has_range(rows: ModelRows, reading_cm: Array) -> Flags:
 def refit(
     prepared: Prepared,
     effects: Sequence[Term],
-    start: Array | None = None,
+    start: Base | None = None,
     rounds: int = ROUNDS,
     fit_effects: bool = True,
 ) -> JointFit:
@@ -187,65 +176,53 @@ def refit(
     fit_effects
         False: the effects keep their values, and only the base is fitted.
     """
-    base = np.zeros(len(BASE)) if start is None else start.copy()
     effects = [_off_neutral(each) for each in effects]
     numbers = free_numbers(effects) if fit_effects else []
     nb = len(BASE)
-    low = np.concatenate([-rules.BASE_BOUND, [p.low for _, p in numbers]])
-    high = np.concatenate([rules.BASE_BOUND, [p.high for _, p in numbers]])
-    saturated = prepared.rows.saturated_fraction
-    # A sensor that never reads 255 for no echo does not start to.
-    low[6], high[6] = min(LEAST_SATURATED - saturated, 0.0), max(1.0 - LEAST_SATURATED - saturated, 0.0)
-    if saturated == 0.0:
-        low[6] = high[6] = 0.0
-    known = 0.0 if prepared.rows.history is None else prepared.rows.history.correlation
-    low[7], high[7] = (0.0, 0.0) if prepared.spacing_s is None else (-known, MAX_CORRELATION - known)
-    if prepared.spacing_s is not None and start is None:
-        base[7] = max(FIRST_CORRELATION - known, 0.0)
+    low, high = _bounds(prepared, numbers)
+    if start is None:
+        correlated = prepared.spacing_s is not None
+        start = Base(correlation=max(FIRST_CORRELATION - _correlation(prepared), 0.0) if correlated else 0.0)
     of_numbers = [rules.CURVE_PRECISION if _is_open_ended(effects[k], p) else 0.0 for k, p in numbers]
-    precision = np.concatenate([1.0 / rules.BASE_DEVIATION**2, of_numbers])
-    theta = np.concatenate([base, [effects[k].values[p.name] for k, p in numbers]])
+    precision = np.concatenate([1.0 / np.square(rules.BASE_DEVIATION), of_numbers])
 
-    def placed(at: Array) -> tuple[Term, ...]:
-        return with_values(effects, numbers, at[nb:])
+    def placed(at: Array) -> tuple[Base, tuple[Term, ...]]:
+        return Base(*at[:nb].tolist()), with_values(effects, numbers, at[nb:])
 
     def total(at: Array) -> tuple[float, ChannelSlopes]:
-        here = prepared.slopes(at[:nb], placed(at))
+        here = prepared.slopes(*placed(at))
         return float(here.log_p.sum()) - 0.5 * float(precision @ at**2), here
 
     def slopes(at: Array, here: ChannelSlopes) -> NumberSlopes:
-        terms = placed(at)
-        columns = [prepared.slope_of(k, p, at[:nb], terms, here) for k, p in numbers]
+        columns = [prepared.slope_of(k, p, *placed(at), here) for k, p in numbers]
         scores = np.column_stack([here.by, *columns])
         gradient = scores.sum(axis=0) - precision * at
         information = scores.T @ scores + np.diag(precision)
-        held = ((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))
-        held |= (np.diag(information) < 1e-9) | (low == high)
-        return NumberSlopes(scores, gradient, information, held)
+        return NumberSlopes(scores, gradient, information, held_numbers(at, gradient, information, low, high))
 
-    best, here = total(theta)
-    damping = 1e-3
-    for _ in range(rounds):
-        _, gradient, information, held = slopes(theta, here)
-        free = ~held
-        if not free.any():
-            break
-        own = information[np.ix_(free, free)]
-        gained = 0.0
-        for _ in range(8):
-            step = np.zeros(theta.size)
-            step[free] = np.linalg.lstsq(own + damping * np.diag(np.diag(own)), gradient[free], rcond=1e-10)[0]
-            there = np.clip(theta + step, low, high)
-            value, here_there = total(there)
-            if value > best:
-                gained, best, theta, here = value - best, value, there, here_there
-                damping = max(damping / 10.0, 1e-6)
-                break
-            damping = max(damping * 10.0, 1e-2)
-        if gained < ENOUGH_NATS:
-            break
+    theta = np.concatenate([start, [effects[k].values[p.name] for k, p in numbers]])
+    at, best, here = maximise(total, lambda *given: slopes(*given)[1:3], theta, (low, high), ENOUGH_NATS, rounds)
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
-    return JointFit(theta[:nb], placed(theta), best, names, theta, here, partial(slopes, theta, here))
+    return JointFit(*placed(at), best, names, at, (low, high), here, partial(slopes, at, here))
+
+
+def _correlation(prepared: Prepared) -> float:
+    """Of neighbouring hits, by the given model."""
+    return 0.0 if prepared.rows.history is None else prepared.rows.history.correlation
+
+
+def _bounds(prepared: Prepared, numbers: Sequence[tuple[int, Parameter]]) -> tuple[Array, Array]:
+    """Bounds of the base's changes and of effects' numbers."""
+    saturated, known = prepared.rows.saturated_fraction, _correlation(prepared)
+    # A sensor that never reads 255 for no echo does not start to.
+    of_codes = np.array([min(LEAST_SATURATED - saturated, 0.0), max(1.0 - LEAST_SATURATED - saturated, 0.0)])
+    of_noise = np.array([-known, MAX_CORRELATION - known])
+    widest = np.array(rules.BASE_BOUND)
+    ends = np.stack([-widest, widest])
+    ends[:, BASE.index("saturated")] = of_codes if saturated > 0.0 else 0.0
+    ends[:, BASE.index("correlation")] = of_noise if prepared.spacing_s is not None else 0.0
+    low, high = np.hstack([ends, np.array([[p.low, p.high] for _, p in numbers]).reshape(-1, 2).T])
+    return low, high
 
 
 def _is_open_ended(term: Term, number: Parameter) -> bool:

@@ -4,7 +4,7 @@ Each has three sentences: the decision it makes, where its value comes from, and
 blind tables' are those of `evaluation/blind`, in which a generator that shares no code with the product hides effects.
 """
 
-import numpy as np
+from msp_range.reading_model.rows import Base
 
 # Runs and their splits into parts.
 
@@ -213,10 +213,10 @@ STRETCH = 10
 """Readings of a sample come in stretches of so many neighbours (`msp_lab.gap.runs.sample`): the correlation with the
 reading before is that of 9 in 10. More: fewer places, so that a context that stays for less than a stretch of each part
 may be missed; fewer: less to see of how readings depend on each other."""
-BASE_BOUND = np.array([20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0])
+BASE_BOUND = Base(20.0, 3.0, 12.0, 12.0, 12.0, 4.0, 1.0, 1.0)
 """The base may move so far: cm, logarithms of spread and odds, of the short readings' rate, the saturated share, the
 correlation. What is farther is another sensor. Wider: fits that end at nonsense."""
-BASE_DEVIATION = np.array([1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2, 1.0])
+BASE_DEVIATION = Base(1.0, 0.15, 1.0, 1.0, 1.0, 0.5, 0.2, 1.0)
 """Standard deviations of the prior that holds the base near the model file. About how far a characterised base is off;
 a table of 1,000 readings is 30 times as certain. Narrower: effects take what is calibration; wider: what the readings
 cannot tell drifts."""

@@ -15,6 +15,7 @@ from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.splits import Splits
 from msp_range.arrays import Array, Indices
+from msp_range.reading_model.rows import Base
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import REFERENCE
 from msp_sim.model.model import Term
@@ -44,7 +45,7 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
         if float(chdtrc(problem.runs - 1, times * (problem.runs - 1))) > rules.RUN_OFFSETS_P:
             return 0.0
         return float(np.sqrt(share * whole_cm2 - known_cm2))
-    whole = float(fit.base[1])
+    whole = fit.base.log_sigma
     within = whole + 0.5 * float(np.log1p(-share))
     if abs(whole) < abs(within):
         return 0.0
@@ -112,15 +113,11 @@ def validated_run_offsets(
     within = 1.0 - known_cm2 / float(np.median(rows.sigma_cm**2))
     mean_cm = sums / np.maximum(information, 1e-12)
 
-    def gains_of_runs(deviation_cm: float) -> Array:
-        """A run's mean is off by its offset, by that of the model, and by random variation."""
-        before = known_cm2 + within / np.maximum(information, 1e-12)
-        after = before + deviation_cm**2
-        gain: Array = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
-        return gain
-
     grid = deviation_cm * np.geomspace(0.1, 10.0, 200)
-    gains = np.array([gains_of_runs(each) for each in grid])
+    # A run's mean is off by its offset, by that of the model, and by random variation.
+    before = known_cm2 + within / np.maximum(information, 1e-12)
+    after = before + grid[:, None] ** 2
+    gains = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
     # Each run with the deviation that the runs of the other parts have.
     crossed = np.empty((len(splits), runs))
     for k, part in enumerate(splits.part):
@@ -149,10 +146,9 @@ def validated_run_offsets(
     return found, Term(effect, {"deviation_cm": deviation_cm})
 
 
-def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[Array, tuple[Term, ...]]:
+def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[Base, tuple[Term, ...]]:
     """Base and effects of a fit with offsets between runs, whose variance is taken from the spread within them."""
-    sigma_cm = float(np.median(prepared.rows.sigma_cm)) * float(np.exp(fit.base[1]))
+    sigma_cm = float(np.median(prepared.rows.sigma_cm)) * float(np.exp(fit.base.log_sigma))
     share = min((offsets.values["deviation_cm"] / sigma_cm) ** 2, rules.MAX_BETWEEN_SHARE)
-    base = fit.base.copy()
-    base[1] += 0.5 * np.log1p(-share)
+    base = fit.base._replace(log_sigma=fit.base.log_sigma + 0.5 * float(np.log1p(-share)))
     return base, (*fit.effects, offsets)

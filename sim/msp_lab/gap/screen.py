@@ -18,6 +18,7 @@ from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.runs import sample, taken
 from msp_range.arrays import Array, Flags, Indices
+from msp_range.reading_model.rows import Base
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
 from msp_sim.model.streams import RandomStreams
@@ -62,7 +63,7 @@ def score_sums(
         scores = _matrix(prepared, here, candidates)
         total += sums_by(unit[part], scores, units)
         products += scores.T @ scores
-    total[:, : len(BASE)] -= prior * readings.base * rows / units
+    total[:, : len(BASE)] -= prior * np.array(readings.base) * rows / units
 
     def profile(asked: Indices) -> Gains:
         places = np.append(np.arange(len(BASE)), len(BASE) + asked)
@@ -73,7 +74,7 @@ def score_sums(
 
 
 def score_matrix(
-    prepared: Prepared, base: Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
+    prepared: Prepared, base: Base, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> Array:
     """Scores of base and candidates, (n, 8 + candidates)."""
     return _matrix(prepared, prepared.slopes(base, effects), candidates)
@@ -90,7 +91,7 @@ def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[Candid
 
 def replicate(
     model: Model,
-    base: Array,
+    base: Base,
     effects: Sequence[Term],
     contexts: Mapping[str, Any],
     rng: np.random.Generator,
@@ -114,7 +115,7 @@ def replicate(
 
 
 def information_of(
-    prepared: Prepared, base: Array, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
+    prepared: Prepared, base: Base, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> Array:
     """Information per reading, (8 + candidates, 8 + candidates), from simulated readings."""
     scores = score_matrix(prepared, base, effects, candidates)
@@ -254,7 +255,7 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
     A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
     """
     scores = [score_of(each, prepared, fit.here) for each in placed]
-    own, others = fit.scores[:, ~fit.held], np.column_stack(scores)
+    own, others = fit.at.scores[:, ~fit.at.held], np.column_stack(scores)
     left = others - own @ np.linalg.lstsq(own, others, rcond=1e-8)[0]
     information = np.maximum((left**2).sum(axis=0), 1e-12)
     steps = others.sum(axis=0) / information

@@ -13,7 +13,7 @@ from scipy.special import stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
-from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated, sums_by
+from msp_lab.gap.cross_fit import CrossScore, Parts, SumsByRun, recalibrated
 from msp_lab.gap.problem import Problem, State, without
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.splits import Splits
@@ -220,7 +220,7 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
     """
     fit = whole.fit
     (name,) = _strength(fit, k)
-    score = fit.scores[:, fit.names.index(name)]
+    score = fit.at.scores[:, fit.names.index(name)]
     rows = np.flatnonzero(score)
     score, difference = score[rows], (fit.here.log_p - smaller.fit.here.log_p)[rows]
     difference = np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
@@ -251,7 +251,7 @@ class _Excess:
         if key not in self.kept:
             difference = after - before
             beyond = difference - np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
-            self.kept[key] = sums_by(self.unit, beyond, self.runs)
+            self.kept[key] = np.bincount(self.unit, beyond, self.runs).astype(np.float64)
         return self.kept[key]
 
 

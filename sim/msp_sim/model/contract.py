@@ -6,7 +6,7 @@ catalogue passes (`tests/property/test_effects.py`), and ``msp-lab check-effect`
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, get_args
 
 import numpy as np
@@ -14,13 +14,12 @@ from scipy.stats import chisquare, kstest
 
 from msp_range.arrays import Array, Column, numbered
 from msp_range.reading_model.kernel import on_grid
-from msp_range.reading_model.rows import FREE
+from msp_range.reading_model.rows import FREE, MIN_PROBABILITY, Base
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.sensors.mb1242 import CLOCK_FAULT_BIT
 from msp_sim.effects.base import TRUE_RANGE, Channel, Effect
 from msp_sim.effects.plain import plain_finding
 from msp_sim.model.model import Model
-from msp_sim.model.rows import MIN_PROBABILITY, ModelRows, slopes
 from msp_sim.model.sampler import Sampler
 from msp_sim.model.streams import RandomStreams
 from msp_sim.model.trial import VISIBLE_NATS, Columns, Trial
@@ -144,33 +143,20 @@ def _slopes(trial: Trial) -> str | None:
     rng = np.random.default_rng(6)
     reading_cm = np.where(rng.random(n) < 0.7, rows.sample(RandomStreams(rng)), rng.choice(codes(trial.base.sensor), n))
     reading_cm[:10] += 0.5 * trial.base.sensor.resolution_cm
-    log_p, by = slopes(rows, reading_cm)
+    log_p, by = rows.scores(reading_cm)
     if np.abs(log_p - np.maximum(rows.log_prob(reading_cm), np.log(MIN_PROBABILITY))).max() > 1e-9:
         return "log probabilities with and without slopes differ"
     can = log_p > np.log(1e-11)
     with np.errstate(invalid="ignore"):
-        for j, (more, less) in enumerate(zip(_moved(rows, 1e-4), _moved(rows, -1e-4), strict=True)):
-            step = 2e-4 * (rows.sigma_cm if j == 0 else 1.0)
-            numeric = ((more.log_prob(reading_cm) - less.log_prob(reading_cm)) / step)[can]
+        for j, name in enumerate(FREE):
+            step = 1e-4 * (rows.sigma_cm if j == 0 else 1.0)
+            more, less = (rows.changed(Base(**{name: h})).log_prob(reading_cm) for h in (step, -step))
+            numeric = ((more - less) / (2.0 * step))[can]
             # Short readings end at the hit: where a step of it crosses the edge of a code there is a kink.
             close = np.isclose(by[can, j], numeric, rtol=5e-3, atol=2e-2 if j == 0 else 5e-3)
             if not close.all():
-                return f"the slope by {FREE[j]} is off in {(~close).sum()} of {n} readings"
+                return f"the slope by {name} is off in {(~close).sum()} of {n} readings"
     return None
-
-
-def _moved(rows: ModelRows, h: float) -> list[ModelRows]:
-    """Rows with each quantity of `FREE` a little larger."""
-    hit, short, missed, random = rows.log_weights
-    return [
-        replace(rows, centre_cm=rows.centre_cm + h * rows.sigma_cm),
-        rows.wider(np.exp(h)),
-        replace(rows, log_weights=(hit, short + h, missed, random)),
-        replace(rows, log_weights=(hit, short, missed + h, random)),
-        replace(rows, log_weights=(hit, short, missed, random + h)),
-        replace(rows, rate_per_m=rows.rate_per_m * float(np.exp(h))),
-        replace(rows, saturated_fraction=rows.saturated_fraction + h),
-    ]
 
 
 def _draws(trial: Trial) -> str | None:

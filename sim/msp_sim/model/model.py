@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -375,7 +375,7 @@ def make_curve_term(
     if (
         not isinstance(values, list | tuple)
         or len(values) != count
-        or not all(isinstance(each, int | float) and abs(each) <= MAX_VALUE[channel] for each in values)
+        or not all(_is_number(each) and abs(each) <= MAX_VALUE[channel] for each in values)
     ):
         raise ConfigError(
             f"{place}.values: found {values!r}, expected {count} numbers within +-{MAX_VALUE[channel]:g}, one per knot"
@@ -390,7 +390,7 @@ def _is_ripple(places: Any) -> bool:
     if not isinstance(places, dict) or set(places) != {"period"}:
         return False
     period = places["period"]
-    return isinstance(period, int | float) and not isinstance(period, bool) and 0.0 < period < np.inf
+    return _is_number(period) and 0.0 < period < np.inf
 
 
 def _are_knots(places: Any) -> bool:
@@ -400,8 +400,11 @@ def _are_knots(places: Any) -> bool:
         return False
     if all(isinstance(each, str) for each in places):
         return True
-    numbers = all(isinstance(each, int | float) and not isinstance(each, bool) for each in places)
-    return numbers and len(places) > 1 and bool(np.all(np.diff(np.asarray(places, dtype=float)) > 0.0))
+    return len(places) > 1 and all(map(_is_number, places)) and bool(np.all(np.diff(places) > 0.0))
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _entry(entry: Mapping[str, Any], place: str) -> Term:
@@ -421,7 +424,7 @@ def _entry(entry: Mapping[str, Any], place: str) -> Term:
     values = {}
     for key, found in parameters.items():
         value = found.get("value") if isinstance(found, dict) else found
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if not _is_number(value):
             raise ConfigError(
                 f"{place}.parameters.{key}: found {found!r}, expected a number, or a mapping with its 'value'"
             )

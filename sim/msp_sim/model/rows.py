@@ -12,16 +12,12 @@ import numpy as np
 
 from msp_range.arrays import Array, Column, Flags, Indices
 from msp_range.reading_model.kernel import Hit
-from msp_range.reading_model.rows import MixtureRows, Part, among, take
+from msp_range.reading_model.rows import MIN_PROBABILITY, Base, MixtureRows, Part, among, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Code, Component, Hits
-from msp_sim.model.history import HIT_SIGMAS, History
+from msp_sim.model.history import HIT_SIGMAS, MAX_CORRELATION, History
 from msp_sim.model.streams import RandomStreams
-
-MIN_PROBABILITY = 1e-12
-"""Smallest probability of a reading: one that the model cannot give is treated as this improbable, so that a single
-impossible reading does not make every likelihood zero. Smaller gives such readings more weight."""
 
 
 class AddedComponent(NamedTuple):
@@ -111,12 +107,26 @@ class ModelRows(MixtureRows):
         """What additional components know of the hits and the sensor."""
         return Hits(self.centre_cm, self.sigma_cm, self.minimum_cm, self.maximum_cm, self.step_cm)
 
-    def wider(self, factor: Any) -> "ModelRows":
+    def wider(self, factor: Any) -> Self:
         """A copy with the sensor's spread within runs multiplied by a factor; the rest of the spread is unchanged."""
         within = self.within_share
         if np.ndim(within) == 0 and within == 1.0:
             return replace(self, sigma_cm=self.sigma_cm * factor)
         return replace(self, sigma_cm=self.sigma_cm * np.sqrt(1.0 - within + within * factor**2))
+
+    def changed(self, change: Base) -> Self:
+        """A copy with its numbers changed, that of the correlation too where the noise is correlated."""
+        rows, history = super().changed(change), self.history
+        if history is not None:
+            correlation = float(np.clip(history.correlation + change.correlation, 0.0, MAX_CORRELATION))
+            history = replace(history, correlation=correlation)
+        return replace(rows, history=history)
+
+    def scores(self, reading_cm: Array) -> tuple[Array, Array]:
+        """As the base class; of the spread only that within runs moves."""
+        log_p, by = super().scores(reading_cm)
+        by[:, 1] *= self.within_share
+        return log_p, by
 
     @property
     def marginal(self) -> Self:
@@ -262,32 +272,6 @@ class ModelRows(MixtureRows):
             found = self.added[-1].component.prob(first, last, self.hits)
         # A component without a share may have unknown parameters.
         return np.nan_to_num(found)
-
-
-def slopes(rows: ModelRows, reading_cm: Array) -> tuple[Array, Array]:
-    """Log probabilities and their derivatives.
-
-    Parameters
-    ----------
-    rows
-        The distribution of n readings.
-    reading_cm
-        The readings [cm], (n,).
-
-    Returns
-    -------
-    log_p : ndarray, shape (n,)
-        At least log `MIN_PROBABILITY`, where the derivatives are 0.
-    by : ndarray, shape (n, 7)
-        In the order of `msp_range.reading_model.rows.FREE`: by the centre of the hits [1/cm], the logarithm of their
-        spread within runs, the log odds of short, missed and random readings, the logarithm of the rate of short
-        readings, and the saturated fraction.
-    """
-    parts = rows.of_readings(reading_cm, ModelRows.slopes)
-    p = np.maximum(parts[0], MIN_PROBABILITY)
-    by = np.where(parts[0] > MIN_PROBABILITY, parts[1:] / p, 0.0)
-    by[1] *= rows.within_share
-    return np.log(p), np.ascontiguousarray(by.T)
 
 
 def log_prob(rows: ModelRows, reading_cm: Array) -> Array:

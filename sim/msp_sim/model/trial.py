@@ -7,10 +7,10 @@ from typing import TypeAlias
 import numpy as np
 
 from msp_range.arrays import Column
+from msp_range.reading_model.rows import MIN_PROBABILITY
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
 from msp_sim.model.model import Model, Term
-from msp_sim.model.rows import MIN_PROBABILITY
 
 Columns: TypeAlias = dict[str, Column]
 STRENGTHS = (0.3, 0.6, 1.0)

@@ -16,8 +16,8 @@ from msp_lab.design.session import PlannedSession
 from msp_lab.gap import rules
 from msp_lab.gap.findings import Settings
 from msp_lab.gap.intake import Comparison, Readings
-from msp_lab.gap.prepared import BASE
 from msp_range.config import load_airframe
+from msp_range.reading_model.rows import Base
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import Model, load_model, make_term
 from tests.support.measured import ROOT
@@ -30,7 +30,7 @@ RECORD = frozenset({"true_range_cm", "air_temperature_c"})
 
 def answer(name: str, values: dict[str, float]) -> FittedAnswer:
     model = replace(GIVEN, effects=(make_term(name, None, values),))
-    return FittedAnswer(Answer(name), model.effects, np.zeros(len(BASE)), 0.0, model)
+    return FittedAnswer(Answer(name), model.effects, Base(), 0.0, model)
 
 
 def nats(first: FittedAnswer, second: FittedAnswer, *varied: str) -> float:

@@ -8,6 +8,7 @@ import pytest
 from msp_lab.gap.prepared import BASE, Prepared, channel_slopes
 from msp_lab.gap.refit import fit_base
 from msp_lab.gap.runs import dependence, previous, spacing_s
+from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.history import History
 from msp_sim.model.model import Model
@@ -95,11 +96,10 @@ def test_slopes_are_the_derivatives_of_the_log_likelihood() -> None:
     contexts = flown(runs=4)
     reading_cm = model(0.6).sample(contexts, np.random.default_rng(7))
     prepared = Prepared.of(model(0.5), contexts, reading_cm)
-    here = channel_slopes(prepared.at(np.zeros(len(BASE)), []), reading_cm)
+    here = channel_slopes(prepared.at(Base(), []), reading_cm)
     for k in (0, 1, 7):
-        step = np.zeros(len(BASE))
-        step[k] = 1e-5
-        up, down = (log_prob(prepared.at(sign * step, []), reading_cm).sum() for sign in (1.0, -1.0))
+        steps = (Base(**{BASE[k]: step}) for step in (1e-5, -1e-5))
+        up, down = (log_prob(prepared.at(step, []), reading_cm).sum() for step in steps)
         assert here.by[:, k].sum() == pytest.approx((up - down) / 2e-5, rel=2e-3, abs=0.05), BASE[k]
 
 
@@ -107,7 +107,7 @@ def test_a_template_counts_against_what_the_hit_before_carries_over() -> None:
     contexts = flown(runs=4)
     reading_cm = model(0.6).sample(contexts, np.random.default_rng(8))
     prepared = Prepared.of(model(0.6), contexts, reading_cm)
-    rows = prepared.at(np.zeros(len(BASE)), [])
+    rows = prepared.at(Base(), [])
     here = channel_slopes(rows, reading_cm)
     template = contexts["throttle"] ** 2
     for channel, moved in ((0, "centre_cm"), (1, "sigma_cm")):
@@ -129,7 +129,7 @@ def test_a_fit_finds_the_correlation_and_leaves_independent_residuals() -> None:
     plain = fit_base(Prepared.of(model(0.0), contexts, reading_cm))
     assert dependence(plain.here.by[:, 0], unit, contexts["time_s"]).dependent
     fit = fit_base(Prepared.of(model(0.0), contexts, reading_cm, spacing_s(contexts)))
-    error = 1.0 / np.sqrt(fit.information[7, 7])
+    error = 1.0 / np.sqrt(fit.at.information[7, 7])
     assert abs(fit.base[7] - 0.6) < 4.0 * error < 0.2
     assert not dependence(fit.here.by[:, 0], unit, contexts["time_s"]).dependent
 
