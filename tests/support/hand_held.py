@@ -23,7 +23,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_sim.device.bus import EmulatedBus as Devices
 from msp_sim.device.emulated import EmulatedSensor, Surroundings, ranging_timing
 from msp_sim.device.table import emulated_kind
-from msp_sim.flight.autopilot import LoopbackAutopilot
+from msp_sim.flight.autopilot import AutopilotSection, LoopbackAutopilot
 from msp_sim.world.surfaces import GroundSection
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import AirSection, World
@@ -155,6 +155,7 @@ class HandHeld:
             self.clock,
             lambda time_s: self.pose(max(time_s + made_s - self.attitude_late_s, 0.0)),
             lambda pose: self.world.air_temperature_c(1.0),
+            AutopilotSection(),
             sent=sent,
             draw=random.Random(self.seed),
         )
