@@ -80,6 +80,7 @@ class Surface:
         self.response = response
         self.evidence = 0.0
         self.steps_m = self.marked_m = 0.0
+        self.began_m = ground.height_m
         self.mark: Mark | None = None
         self.seen_s = self.kept_s = float("-inf")
         self.raw: int | None = None
@@ -333,14 +334,17 @@ class Belief:
         return 0.5 * max(rises_m, 0.0) ** 2 / (climb.std_m**2 + RISES_M**2)
 
     def _stuck(self, surface: Surface, voters: Sequence[SensorMode]) -> float:
-        """How much less likely a surface is the ground, since others move away from its sensors, which only repeat."""
+        """How much less likely a surface is the ground, since others move which it does not follow.
+
+        Its sensors only repeat themselves, or it has none any more; then only what others have moved by themselves.
+        """
         sees = [mode for mode in voters if mode.sees is surface]
-        if not sees or not all(mode.repeated for mode in sees):
+        if any(not mode.repeated for mode in sees):
             return 0.0
         moved_m = [
-            mode.sees.travel_m - surface.travel_m
+            other.travel_m - surface.travel_m if sees else other.filter.height_m - other.began_m
             for mode in voters
-            if mode.sees is not None and mode.sees is not surface and not mode.repeated
+            if (other := mode.sees) is not None and other is not surface and not mode.repeated
         ]
         return min(max([(each / APART_M) ** 2 / 2 for each in moved_m], default=0.0), APART_MOST)
 

@@ -144,10 +144,11 @@ LATE, LATE_S = -13.0, 0.2
 above -13, the lowest where a thermometer flaps or pressure below the rotors passes for an acceleration. With turns
 shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on they are late until
 the odds are even."""
-RISES_M = 0.4
+RISES_M = 0.8
 """By how much the barometer may say that the vehicle has risen over something near which has not answered to any
-movement yet, where that is the ground after all, standard deviation beside that of the climb [m]. A vehicle may have
-taken off before its accelerations were known. Smaller is silent in gusts over the ground before a take-off."""
+movement yet, where that is the ground after all, standard deviation beside that of the climb [m]: what rotors change of
+the pressure before a take-off. A vehicle may have taken off before its accelerations were known. With 0.4 half a second
+of some take-offs is silent, larger believes a strap for longer."""
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
