@@ -213,6 +213,9 @@ class Autopilot(LoopbackAutopilot):
         """Time since the vehicle's start [s]."""
         return self._vehicle.flight_s()
 
+    def _put_measured(self, what: str, boot_ms: int, now_s: float, pose: Pose) -> None:
+        super()._put_measured(what, boot_ms, now_s, self._sent_pose(pose) if what == "attitude" else pose)
+
     def _put_parameter(self, name: str) -> None:
         value = self._vehicle.parameters[name]
         real = dialect.MAV_PARAM_TYPE_REAL32
