@@ -70,6 +70,10 @@ class Surface:
         Log prior that it is the ground, and that it is a fault of several sensors, relative to a reading of nothing.
     evidence
         Log likelihood ratio of its readings over readings of nothing.
+    began_m
+        Its height when it was first seen [m].
+    mark, marked_m
+        The barometer's height since which its rise is counted, and its own height then [m]; see `Belief._rises`.
     response
         Whether it answers to the vehicle's motion.
     """
@@ -79,8 +83,8 @@ class Surface:
         self.prior, self.common = prior, common
         self.response = response
         self.evidence = 0.0
-        self.steps_m = self.marked_m = 0.0
-        self.began_m = ground.height_m
+        self.steps_m = 0.0
+        self.began_m = self.marked_m = ground.height_m
         self.mark: Mark | None = None
         self.seen_s = self.kept_s = float("-inf")
         self.raw: int | None = None
@@ -210,8 +214,8 @@ class Belief:
         gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
-        answers = surface.response.log_odds > ANSWERED or surface.filter.height_m > AWAY_M
-        if surface is self.proven and answers:
+        has_left = surface.began_m < LOW_M and surface.filter.height_m > AWAY_M
+        if surface is self.proven and (has_left or surface.response.log_odds > ANSWERED):
             surface.common = math.log(COMMON) if least else _common(surface)
             surface.response.is_in_doubt = self._was_fixed = False
         elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
@@ -336,17 +340,19 @@ class Belief:
     def _stuck(self, surface: Surface, voters: Sequence[SensorMode]) -> float:
         """How much less likely a surface is the ground, since others move which it does not follow.
 
-        Its sensors only repeat themselves, or it has none any more; then only what others have moved by themselves.
+        Its sensors only repeat themselves, or it has none any more: then it may be the others that do not follow the
+        vehicle, so that no more counts than they have moved themselves.
         """
         sees = [mode for mode in voters if mode.sees is surface]
         if any(not mode.repeated for mode in sees):
             return 0.0
-        moved_m = [
-            other.travel_m - surface.travel_m if sees else other.filter.height_m - other.began_m
-            for mode in voters
-            if (other := mode.sees) is not None and other is not surface and not mode.repeated
-        ]
-        return min(max([(each / APART_M) ** 2 / 2 for each in moved_m], default=0.0), APART_MOST)
+        moved_m = 0.0
+        for mode in voters:
+            other = mode.sees
+            if other is not None and other is not surface and not mode.repeated:
+                most_m = math.inf if sees else abs(other.filter.height_m - other.began_m)
+                moved_m = max(moved_m, min(abs(other.travel_m - surface.travel_m), most_m))
+        return min((moved_m / APART_M) ** 2 / 2, APART_MOST)
 
     def _prove(self, ground: Surface) -> None:
         if self.proven is not None and self.proven.response.expects(ground.filter.height_m):

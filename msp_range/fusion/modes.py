@@ -146,9 +146,9 @@ shorter than the second [s] it is not decided: an accelerometer's delay looks th
 the odds are even."""
 RISES_M = 0.8
 """By how much the barometer may say that the vehicle has risen over something near which has not answered to any
-movement yet, where that is the ground after all, standard deviation beside that of the climb [m]: what rotors change of
-the pressure before a take-off. A vehicle may have taken off before its accelerations were known. With 0.4 half a second
-of some take-offs is silent, larger believes a strap for longer."""
+movement yet, where that is the ground after all: the standard deviation, as well as that of the climb [m]. Rotors
+change the pressure so before a take-off. A vehicle may have taken off before its accelerations were known. With 0.4
+half a second of some take-offs is silent, larger believes a strap for longer."""
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
