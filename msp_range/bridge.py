@@ -7,7 +7,6 @@ recording: bus, clock, transport and recorder are arguments.
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -495,7 +494,8 @@ class Bridge:
 
     def counts(self) -> dict[str, Counts]:
         """Readings of every sensor so far."""
-        return {name: deepcopy(each.counts) for name, each in self._channels.items()}
+        channels = self._channels.items()
+        return {name: Counts(each.counts.readings, each.counts.rejected.copy()) for name, each in channels}
 
 
 def correct(

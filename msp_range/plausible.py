@@ -32,7 +32,7 @@ def doubts(airframe: Airframe) -> Iterator[str]:
         yield f"send.fused.reference_down_m: {far:g} m; lengths are in metres: is it {far:g} cm, so {far / 100:g}?"
     autopilot, time_out_s = airframe.link.autopilot, TIME_OUT_S[airframe.link.autopilot]
     for name, interval_s in intervals_s(airframe).items():
-        if interval_s > time_out_s:
+        if interval_s > time_out_s and not airframe.send.nothing:
             yield (
                 f"{autopilot} drops a range finder after {time_out_s} s without a message, and {name} has one every "
                 f"{interval_s:.2f} s; use fewer polling groups, or a shorter ping_interval_s"

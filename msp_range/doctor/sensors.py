@@ -3,6 +3,7 @@
 The bridge's own `Poller` pings them, in turns that are made for the question.
 """
 
+import errno
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from math import cos, inf
@@ -25,6 +26,9 @@ READINGS = 5
 SILENCE_S = 0.25
 """Before each ping of a sensor alone, from the last one's deadline [s]: an echo has died away after some 100 ms, in a
 hall after twice that."""
+MOST_LATE = 20
+"""So many answers that a busy computer reads too late are asked for again: with each sensor's readings some 10 s more.
+Fewer ask the user to try again where one more turn would do."""
 DISTURBED_M, DISTURBED_SHARE = 0.10, 0.05
 """A sensor whose median changes by more than this while others ping hears them [m, share of the range]. A hand-held
 vehicle moves by some centimetres meanwhile; a neighbour's echo is off by decimetres."""
@@ -163,11 +167,20 @@ def _polled(
     order = RoundRobin(groups, Spacing(interval_s), clock.now() + SILENCE_S, dead_after=inf)
     poller = Poller(bus, clock, order)
     found: dict[str, list[Ranging]] = {sensor.name: [] for group in groups for sensor in group}
+    late = 0
     while any(len(each) < turns for each in found.values()):
         clock.sleep_until(poller.next_event_s)
         for ranging in poller.step():
-            found[ranging.reading.sensor].append(ranging)
+            if _is_late(ranging) and late < MOST_LATE:
+                late += 1
+            else:
+                found[ranging.reading.sensor].append(ranging)
     return found
+
+
+def _is_late(ranging: Ranging) -> bool:
+    """Whether the answer was not read in time, since the computer was busy."""
+    return ranging.error is not None and ranging.error.errno == errno.ETIME
 
 
 def _ranges(rangings: Sequence[Ranging]) -> list[float]:
@@ -183,8 +196,15 @@ def _readings(sensor: SensorSettings, rangings: Sequence[Ranging]) -> Finding:
     apart_m = max(ranges, default=0.0) - min(ranges, default=0.0)
     after_ms = 1e3 * median(each.answered_s - each.ping_s for each in rangings)
     shown = " ".join(map(_shown, readings))
+    late = sum(map(_is_late, rangings))
     return first_of(
         f"readings of {sensor.name}",
+        (
+            late,
+            f"{late} of {len(readings)} answers were read too late: the computer or the bus was busy",
+            "end what keeps it busy, and try again",
+            UNKNOWN,
+        ),
         (
             missed,
             f"{missed} of {len(readings)} pings were not answered: {shown}",

@@ -218,6 +218,7 @@ class Belief:
         if surface is self.proven and (has_left or surface.response.log_odds > ANSWERED):
             surface.common = math.log(COMMON) if least else _common(surface)
             surface.response.is_in_doubt = self._was_fixed = False
+            surface.mark = None
         elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
             surface.response.is_in_doubt = True
         self.seen(surface)

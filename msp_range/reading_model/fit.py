@@ -21,8 +21,12 @@ FEWEST_READINGS = 50
 FEWEST_HITS = 20
 START_ROWS = 4_000
 """Number of rows on which the start values are compared."""
+START_NATS = 0.1
+"""Starts are compared when a step gains less [nats]: they differ by more, and the best one is climbed on from."""
 SAMPLE_ROWS = 20_000
 """Number of rows that are fitted before all are, where there are twice as many."""
+MOST_LEFT_NATS = 0.1
+"""A fit has not converged where a further step promises more: half a standard error. Usual ones leave 0.001."""
 SMALL_GROWTH = 0.01
 """Where a fit with growth of the spread starts [(cm/m)^2]: at 0 it would be at a bound."""
 SHORTEST_SPAN = 0.05
@@ -86,6 +90,8 @@ def fit_readings(
     best = rows.optimum(_start(rows.sample(START_ROWS), moving, mean_length_m), moving, SAMPLE_ROWS)
     if growth:
         best, moving = _with_growth(rows, best, moving)
+    if best.left_nats > MOST_LEFT_NATS:
+        raise FitError(f"the fit of {reading.size} readings does not converge: {best.left_nats:.2g} nats are left")
     result = result_of(rows, best, moving, mean_length_m)
     hits, sigma_cm = result.estimates["hit"] * reading.size, result.estimates["sigma_cm"]
     if hits < FEWEST_HITS or best.numbers.log_sigma >= HIGHEST.log_sigma:
@@ -119,7 +125,7 @@ def _check(reading: Array, expected: Array, grid: ReadingGrid) -> None:
             f"found {odd.size} of {reading.size} readings that the sensor cannot report, such as "
             f"{reading[odd[0]]:g}, expected {limits} and codes {', '.join(codes)}; {advice}"
         )
-    is_range = ~np.isin(reading, grid.codes_cm)
+    is_range = ~np.isin(grid.nearest(reading), grid.codes_cm)
     if not is_range.any():
         raise FitError(f"found nothing but codes for 'no echo' in {reading.size} readings, expected ranges")
     usable = is_range & (expected < NO_ECHO_CENTRE)
@@ -155,7 +161,7 @@ def _with_growth(rows: Likelihood, base: Optimum, moving: list[str]) -> tuple[Op
     for name in ("sigma_growth_2", "missed_growth"):
         if name == "sigma_growth_2" or "log_odds_missed" in base.inside:
             start = base.numbers._replace(sigma_growth_2=SMALL_GROWTH if name == "sigma_growth_2" else 0.0)
-            _, value = rows.maximum(start, bounds_of(start, [*moving, name]))
+            _, value, _ = rows.maximum(start, bounds_of(start, [*moving, name]))
             if value - base.value > 0.5 * math.log(rows.readings):
                 kept.append(name)
     if not kept:
@@ -197,5 +203,5 @@ def _start(few: Likelihood, moving: Sequence[str], mean_length_m: float) -> Numb
             log_odds = [math.log(each / hit) for each in (shorter, missed, 2.0 * longer)]
             rates = per_length / mean_length_m, 1.0 - seen, 0.0, 0.0
             start = Numbers(*(math.log(sigma_cm), *log_odds, *rates))
-            found.append(few.maximum(start, bounds_of(start, moving)))
+            found.append(few.maximum(start, bounds_of(start, moving), START_NATS))
     return Numbers(*max(found, key=lambda each: each[1])[0].tolist())

@@ -116,6 +116,7 @@ class FitResult:
     ) -> tuple[Array, Array]:
         """Probability of a smaller reading, and of the reading itself, each (n,)."""
         reading, expected = columns(reading_cm, expected_cm)
+        reading = np.where(self.grid.can_report(reading), self.grid.nearest(reading), reading)
         reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
         rows = Likelihood(self.grid, reading, expected, np.ones(reading.size), reference_cm2).rows(
             self._optimum.numbers
@@ -159,11 +160,14 @@ class FitResult:
         others = [each for each in self._moving if each != number]
         centre = best.numbers[k]
         known = {centre: -DROP}
+        last = best.numbers
 
         def excess(place: float) -> float:
+            nonlocal last
             if place not in known:
-                start = best.numbers._replace(**{number: place})
-                known[place] = best.value - self._likelihood.maximum(start, bounds_of(start, others))[1] - DROP
+                start = last._replace(**{number: place})
+                at, value, _ = self._likelihood.maximum(start, bounds_of(start, others))
+                last, known[place] = Numbers(*at.tolist()), best.value - value - DROP
             return known[place]
 
         step = sign / math.sqrt(max(best.information[k, k], 4.0))
@@ -202,10 +206,13 @@ def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_lengt
     named = _named(numbers)
     moved = {name: number for name, (number, *_) in NUMBERS.items() if number in moving}
     estimates = {name: value for name, value in named.items() if name in (*moved, "hit", "saturated_fraction")}
+    ends = dict(zip(NAMES, zip(*bounds_of(best.numbers, moving), strict=True), strict=True))
+    held = {name for name, number in moved.items() if number not in best.inside}
+    unknown |= {name for name in held if getattr(best.numbers, moved[name]) not in ends[moved[name]]}
     unknown &= moved.keys()
     known = [NAMES.index(moved[name]) for name in moved if name not in unknown and moved[name] in best.inside]
     covariance = np.zeros_like(best.information)
-    covariance[np.ix_(known, known)] = np.linalg.pinv(best.information[np.ix_(known, known)], hermitian=True)
+    covariance[np.ix_(known, known)] = _inverse(best.information[np.ix_(known, known)])
     jacobian = _jacobian(numbers, named)
     variances = {name: float(jacobian[name] @ covariance @ jacobian[name]) for name in estimates}
     errors = {name: math.sqrt(variance) if variance > 0.0 else math.nan for name, variance in variances.items()}
@@ -216,7 +223,7 @@ def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_lengt
         parameters=MixtureParameters.model_validate({"weights": weights, **others}),
         estimates=estimates,
         standard_errors=errors,
-        at_bound=tuple(name for name in moved if moved[name] not in best.inside and name not in unknown),
+        at_bound=tuple(name for name in moved if name in held - unknown),
         not_identified=tuple(name for name in moved if name in unknown),
         log_likelihood=best.value,
         readings=round(rows.readings),
@@ -225,6 +232,15 @@ def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_lengt
         _optimum=best,
         _moving=tuple(moving),
     )
+
+
+def _inverse(information: Array) -> Array:
+    """The covariance by an information; NaN where that is none, as of numbers that the readings do not tell apart."""
+    try:
+        np.linalg.cholesky(information)
+    except np.linalg.LinAlgError:
+        return np.full_like(information, np.nan)
+    return np.asarray(np.linalg.inv(information), dtype=np.float64)
 
 
 def _named(numbers: Numbers) -> dict[str, float]:

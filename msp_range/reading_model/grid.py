@@ -41,7 +41,8 @@ class ReadingGrid:
     """Whether some no-echo codes arrive as 255."""
 
     def __post_init__(self) -> None:
-        if self.saturates and not is_on_grid(SATURATED_CM, self.resolution_cm):
+        shares = self.saturates and self.minimum_cm <= SATURATED_CM <= self.maximum_cm
+        if shares and not is_on_grid(SATURATED_CM, self.resolution_cm):
             raise ValueError(f"expected a second code outside of the limits or on the grid, found {SATURATED_CM} cm")
 
     @classmethod

@@ -39,6 +39,7 @@ def maximise(
     bounds: tuple[Array, Array],
     enough_nats: float,
     rounds: int = ROUNDS,
+    known: tuple[float, Here] | None = None,
 ) -> tuple[Array, float, Here]:
     """Climb from a start.
 
@@ -52,6 +53,8 @@ def maximise(
         Numbers (k,), with their lowest and highest values.
     enough_nats, rounds
         It ends with a step that gains less, or after so many.
+    known
+        What `value_of` has returned at the start; None: it is asked.
 
     Returns
     -------
@@ -60,7 +63,7 @@ def maximise(
     """
     low, high = bounds
     at = start
-    best, here = value_of(at)
+    best, here = value_of(at) if known is None else known
     damping = 1e-3
     for _ in range(rounds):
         gradient, information = slopes_of(at, here)

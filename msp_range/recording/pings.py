@@ -109,19 +109,22 @@ def recorded_attitudes(recording: Recording) -> list[tuple[float, Angles]]:
     RecordingError
         The file cannot be read.
     """
-    return sorted(
-        (received_s, Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"]))
-        for topic, received_s, message in recording
-        if topic == ATTITUDE_TOPIC
-    )
+    return sorted((time_s, _angles(message)) for topic, time_s, message in recording if topic == ATTITUDE_TOPIC)
+
+
+def _angles(message: dict[str, Any]) -> Angles:
+    return Angles(message["time_s"], message["roll_rad"], message["pitch_rad"], message["yaw_rad"])
 
 
 def _of_recording(recording: Recording) -> Recorded:
     pings: dict[str, list[RecordedPing]] = {}
     air: list[tuple[float, Air]] = []
+    attitudes: list[tuple[float, Angles]] = []
     motion: list[Moved] = []
     for topic, time_s, message in recording:
-        if topic == MOTION_TOPIC:
+        if topic == ATTITUDE_TOPIC:
+            attitudes.append((time_s, _angles(message)))
+        elif topic == MOTION_TOPIC:
             motion.append(Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m")))
         elif topic.startswith(RANGE_PREFIX):
             if "temperature_c" in message:
@@ -135,7 +138,7 @@ def _of_recording(recording: Recording) -> Recorded:
         ping_s = np.array([ping.ping_s for ping in each])
         words = np.array([math.nan if ping.word is None else float(ping.word) for ping in each])
         _check(recording.path, sensor, ping_s, words, ("ping_s", "raw"))
-    return Recorded(pings, air, recorded_attitudes(recording), sorted(motion, key=attrgetter("time_s")))
+    return Recorded(pings, air, sorted(attitudes), sorted(motion, key=attrgetter("time_s")))
 
 
 def _air_of(message: dict[str, Any]) -> Air:

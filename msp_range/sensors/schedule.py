@@ -199,7 +199,7 @@ class RoundRobin:
     def _spacing_s(self) -> float:
         """Time from the previous turn to the next one [s]."""
         spacing = self._spacing
-        near = [each.is_near for each in self._of.values() if not self._is_dead(each)]
-        if spacing.near_interval_s is None or not near or not all(near):
+        if spacing.near_interval_s is None:
             return spacing.ping_interval_s
-        return spacing.near_interval_s
+        near = [each.is_near for each in self._of.values() if not self._is_dead(each)]
+        return spacing.near_interval_s if near and all(near) else spacing.ping_interval_s

@@ -76,10 +76,8 @@ def shown(newest: Newest) -> Group:
     """All of it, for a reader: what is wrong comes first, where a short window still shows it."""
     title = f"{newest.airframe.get('vehicle', '?')}: {newest.state}", "bold"
     above = [Text(*each) for each in (title, *_wrong(newest))]
-    below = [
-        Text(name + text, ("bold" if gauges else "bold red") * (name == DISTANCE))
-        for name, text, gauges in facts_of(newest)
-    ]
+    style = "bold red" if newest.distance is None else "bold"
+    below = [Text(name + text, style * (name == DISTANCE)) for name, text, _ in facts_of(newest)]
     return Group(*above, _sensors(newest), *below)
 
 

@@ -109,10 +109,12 @@ class Page:
             token = "" if self._access.token is None else f"?token={self._access.token}"
             host = f"[{listen.host}]" if ":" in listen.host else listen.host
             on_ready(f"http://{host}:{listen.port}/{token}")
-            tasks = [loop.create_task(self._receive()), loop.create_task(self._send())]
-            await stop.wait()
-            for task in tasks:
+            tasks = [loop.create_task(each) for each in (self._receive(), self._send(), stop.wait())]
+            ended, others = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in others:
                 task.cancel()
+            for task in ended:
+                task.result()  # A page that stands still without a word is worse than one that is started again.
 
     def _on_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer what is not the live connection."""

@@ -2,6 +2,7 @@
 
 import gzip
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -169,6 +170,17 @@ def test_pit_is_uniform_for_the_right_model_and_not_for_a_wrong_one() -> None:
     wider = drawn(PlainSensor(**{**vars(ROUGH), "sigma_cm": 1.8}), 20_000, 13)
     assert goodness_of_fit(fitted, *wider, rng).chi_square_p_value < 1e-3
     assert np.isnan(pit_values(fitted, [300.5], [300.0], rng)).all()
+    # From centimetres to metres and back: the float next to 255 is 255 all the same.
+    assert fitted.below([0.01 * 255.0 * 100.0 + 1e-12], [256.0]) == fitted.below([255.0], [256.0])
+
+
+def test_a_fit_that_has_not_converged_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stays(value_of: Any, slopes_of: Any, start: Any, *_: Any, **__: Any) -> Any:
+        return start, *value_of(start)
+
+    monkeypatch.setattr("msp_range.reading_model.likelihood.maximise", stays)
+    with pytest.raises(FitError, match="does not converge"):
+        fit_readings(*drawn(ROUGH, 5_000, 10), MB1242)
 
 
 GOOD_CM = np.tile([298.0, 299.0, 300.0, 301.0, 302.0], 40)

@@ -72,7 +72,7 @@ def test_the_slopes_and_the_curvature_are_those_of_the_value(growing: bool, std_
     at = np.array(numbers(growing))
     moving = NAMES if growing else NAMES[:6]
     _, (gradient, outer) = found.slopes(at)
-    curvature = found.curvature(at, bounds_of(numbers(growing), moving), len(found))
+    curvature = found.curvature(at, bounds_of(numbers(growing), moving))
     for i in range(len(moving)):
         step = np.zeros(at.size)
         step[i] = 1e-2 / math.sqrt(outer[i, i])
@@ -88,6 +88,9 @@ def test_the_slopes_and_the_curvature_are_those_of_the_value(growing: bool, std_
 def test_readings_on_the_grid() -> None:
     asked = np.array([20, 254, 255, 764, 765, 19, 300.5, math.nan])
     assert MB1242.can_report(asked).tolist() == [True] * 5 + [False] * 3
+    assert ReadingGrid(20, 200, 2, saturates=True).codes_cm == (200, 255)
+    with pytest.raises(ValueError, match="on the grid, found 255"):
+        ReadingGrid(20, 400, 2, saturates=True)
     fine = ReadingGrid(2, 400, 0.1)
     # Metres that were turned into centimetres are not exact.
     assert fine.can_report(np.array([2.3 + 1e-6, 1.0, 400.0, 2.34])).tolist() == [True, False, True, False]
