@@ -92,7 +92,9 @@ silence is reported when it is due, whatever this is; a longer interval reports 
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
 m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
-ATTITUDE, ATTITUDE_REQUEST_HZ = "ATTITUDE", 10.0
+ATTITUDE, ATTITUDE_REQUEST_HZ, TEMPERATURE_REQUEST_HZ = "ATTITUDE", 10.0, 1.0
+"""How often the autopilot is asked for attitudes, as many as four sensors ping; and for temperatures, which change in
+minutes."""
 
 
 _SYSTEM_STATUS = {
@@ -247,7 +249,7 @@ class Bridge:
         self._air = self._temperature.now(clock.now())
         self._recorded_air = air
         sources = airframe.temperature.sources
-        asked = {each.message: 1.0 for each in sources if isinstance(each, MavlinkSource)}
+        asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
         self._attitude = AttitudeTrack()
         self._motion = motion or VerticalMotion()
         self._fusion = fusion_of(airframe, attitude or self._attitude, self._motion)

@@ -18,6 +18,8 @@ from msp_range.input_file import printable
 
 WIDTH = 120
 """Line width without a terminal [characters]: the widest table fits."""
+NARROW = 80
+"""Columns of a terminal over ssh, for what is read while flying or on a bench [characters]."""
 
 
 class PlainConsole(Console):

@@ -5,8 +5,9 @@ import textwrap
 from enum import Enum
 from typing import Protocol, TextIO
 
-from msp_range.doctor.command import WIDTH
+from msp_range.doctor.command import INDENT
 from msp_range.input_file import printable
+from msp_range.terminal import NARROW
 from msp_range.yaml_file import ConfigError
 
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.1, 10.0
@@ -72,7 +73,7 @@ class PersonAtTerminal:
 
     def begin(self, text: str) -> None:
         """Explain a step, and wait for the Enter key."""
-        self._show(textwrap.fill(" ".join(text.split()), WIDTH))
+        self._show(textwrap.fill(" ".join(text.split()), NARROW))
         if not self._accepts_all:
             self._answer("Press Enter when you are ready, Ctrl-C to go on another time. ")
 
@@ -130,5 +131,5 @@ class PersonAtTerminal:
 
     def _show(self, text: str) -> None:
         for line in text.splitlines():
-            self._out.write("\n".join(textwrap.wrap(printable(line), WIDTH, subsequent_indent=" " * 9)) + "\n")
+            self._out.write("\n".join(textwrap.wrap(printable(line), NARROW, subsequent_indent=" " * INDENT)) + "\n")
         self._out.flush()

@@ -12,9 +12,10 @@ from msp_range.doctor.computer import Computer
 from msp_range.doctor.examination import examine
 from msp_range.doctor.finding import Finding, Verdict
 from msp_range.input_file import printable
+from msp_range.terminal import NARROW
 
-WIDTH, INDENT = 80, 9
-"""Columns of a terminal over ssh, and of the verdict in front of a finding [characters]."""
+INDENT = 9
+"""Columns of the verdict in front of a finding [characters]."""
 
 
 def lines_of(finding: Finding) -> list[str]:
@@ -27,7 +28,7 @@ def lines_of(finding: Finding) -> list[str]:
 
 def wrapped(first: str, text: str) -> list[str]:
     return textwrap.wrap(
-        printable(text), WIDTH, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
+        printable(text), NARROW, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
     )
 
 

@@ -116,7 +116,7 @@ def settings(airframe: Airframe, firmware: Firmware, port: int) -> list[Setting]
 
 
 def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
-    """What is to be known besides the values."""
+    """What is to be known as well as the values."""
     lines = ["Restart the autopilot after setting them: some count only from then on."]
     if airframe.send.nothing:
         lines.append("The airframe file sends nothing: none of these makes the autopilot expect distances.")

@@ -16,7 +16,10 @@ from msp_range.arrays import Array, Flags
 ROUNDS = 12
 """Steps at most; usual fits take three to six."""
 DAMPINGS = 8
-"""A step that gains nothing is tried again with ten times the damping, so many times."""
+"""A step that gains nothing is tried again with more damping, so many times."""
+DAMPING, LEAST_DAMPING, FAILED_DAMPING, RAISED = 1e-3, 1e-6, 1e-2, 10.0
+"""Share of the information's diagonal that is added: at first, at least, at least after a step that gained nothing, and
+by what it falls and is raised. Any start from 1e-5 to 1 takes as many steps within 10 %."""
 LEAST_NATS = 1e-7
 """A step that promises less is not taken: it is 0.0005 standard errors long, and what it gains is near the rounding of
 a sum of a million logarithms."""
@@ -64,7 +67,7 @@ def maximise(
     low, high = bounds
     at = start
     best, here = value_of(at) if known is None else known
-    damping = 1e-3
+    damping = DAMPING
     for _ in range(rounds):
         gradient, information = slopes_of(at, here)
         free = ~held_numbers(at, gradient, information, low, high)
@@ -78,9 +81,9 @@ def maximise(
             value, here_there = value_of(there)
             if value > best:
                 gained, best, at, here = value - best, value, there, here_there
-                damping = max(damping / 10.0, 1e-6)
+                damping = max(damping / RAISED, LEAST_DAMPING)
                 break
-            damping = max(damping * 10.0, 1e-2)
+            damping = max(damping * RAISED, FAILED_DAMPING)
         if gained < enough_nats:
             break
     return at, best, here

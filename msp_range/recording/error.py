@@ -1,4 +1,4 @@
-"""The one error of recordings and measured data."""
+"""The one error of recordings and measured data, and a new file that ends in it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -134,7 +134,7 @@ class FlightRecorder:
         self._is_reported = False
         self._began_s = now_s
         self._utc_offset_s = utc_s - now_s
-        file = BackgroundFile(partial(new_file, self._folder, self._name, utc_s))
+        file = BackgroundFile(partial(new_recording, self._folder, self._name, utc_s))
         return Recorder(file, self._clock, files=self._files)
 
     def _end(self, recorder: Recorder) -> None:
@@ -148,7 +148,7 @@ class FlightRecorder:
         self._ending = [recorder for recorder in self._ending if not recorder.file.has_ended]
 
 
-def new_file(folder: Path, name: str, utc_s: float) -> FileIO:
+def new_recording(folder: Path, name: str, utc_s: float) -> FileIO:
     """Make a new file in ``folder``, which is made where it is not there.
 
     It is called ``name-20261005T143000Z.mcap``; on a computer whose clock has not been set ``name-undated-0001.mcap``,

@@ -1,7 +1,7 @@
 """The bridge's end of the socket: everything that is recorded goes to the watchers too, and a status twice a second.
 
 One packet is one JSON object ``{"topic", "time_s", "message"}``; topics are those of `msp_range.recording.topics`, and
-besides them ``/airframe`` (once, at the start), ``/status`` and ``/autopilot``. A watcher that does not keep up loses
+``/airframe`` (once, at the start), ``/status`` and ``/autopilot``. A watcher that does not keep up loses
 packets, never the bridge time. A watcher may send ``{"mark": "text"}``, which goes into the recording; nothing else.
 """
 

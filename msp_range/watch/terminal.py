@@ -14,14 +14,12 @@ from rich.text import Text
 
 from msp_range.clock import SystemClock
 from msp_range.health import BridgeState
-from msp_range.terminal import PlainConsole, plain_table
+from msp_range.terminal import NARROW, PlainConsole, plain_table
 from msp_range.watch.client import connect, packets, read_once
 from msp_range.watch.facts import DISTANCE, facts_of
 from msp_range.watch.newest import Newest
 from msp_range.watch.place import sockets
 
-WIDTH = 80
-"""Columns of a terminal over ssh [characters]."""
 REFRESH_S = 0.2
 """Time between two updates of the display [s]."""
 EXIT_NOT_RUNNING, EXIT_NOT_ACTIVE = 1, 4
@@ -36,7 +34,7 @@ def show(socket: Path | None, once: bool, as_json: bool) -> int:
         print(f"no bridge runs: nobody listens at {places}; sudo systemctl status msp-range says why", file=sys.stderr)
         return EXIT_NOT_RUNNING
     newest = Newest()
-    out = PlainConsole(width=min(PlainConsole().width, WIDTH))
+    out = PlainConsole(width=min(PlainConsole().width, NARROW))
     with connection:
         if as_json or once or not out.is_terminal:
             newest = read_once(connection)
@@ -89,13 +87,13 @@ def _wrong(newest: Newest) -> Iterator[tuple[str, str]]:
             yield f"   so {fault['text']}", style
         else:
             yield f"{fault['severity']}: {fault['text']}", f"bold {style}"
-            yield textwrap.fill(fault["remedy"], WIDTH, initial_indent="   -> ", subsequent_indent=6 * " "), ""
+            yield textwrap.fill(fault["remedy"], NARROW, initial_indent="   -> ", subsequent_indent=6 * " "), ""
 
 
 def _sensors(newest: Newest) -> Table:
     status = newest.status
     table = plain_table(("sensor", "raw m", "corrected m", "used", "readings", "rejected"), align="lrrlr")
-    table.width = WIDTH
+    table.width = NARROW
     for each in newest.airframe.get("sensors", []):
         name = each["name"]
         reading = newest.readings.get(name, {})

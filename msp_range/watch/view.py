@@ -1,4 +1,4 @@
-"""What watchers get besides the records: how the vehicle is built, its state, and what the autopilot says it received.
+"""What watchers get as well as the records: the vehicle, its state, and what the autopilot says it received.
 
 Pure functions from the bridge's objects to messages of the feed.
 """

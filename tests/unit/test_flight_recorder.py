@@ -341,13 +341,13 @@ def test_a_bridge_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.M
     clock = VirtualClock(START_S)
     monkeypatch.setattr(bench, "VirtualClock", lambda start_s: clock)
     released = threading.Event()
-    new_file = flight_recorder.new_file
+    new_recording = flight_recorder.new_recording
 
-    def slow_new_file(*args: Any) -> Any:
+    def slow_new_recording(*args: Any) -> Any:
         assert released.wait(LIMIT_S), "the bridge waits for the disk"
-        return new_file(*args)
+        return new_recording(*args)
 
-    monkeypatch.setattr(flight_recorder, "new_file", slow_new_file)
+    monkeypatch.setattr(flight_recorder, "new_recording", slow_new_recording)
     recorder = FlightRecorder(tmp_path / "flights", "quad", clock)
     flight = bench.Bench(bench.airframe(), 300, recorder=recorder).fly(20.0)
     assert not (tmp_path / "flights").exists()

@@ -1,7 +1,7 @@
 """Hover and review of the log: a recording of the bridge, from the first flight with this airframe file."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ def hover(session: Session) -> StepOutcome:
         text = f"{path.name} was flown with another airframe file than the present one"
         outcome.wrong("hover", text, "fly again with this one, or give the recording that belongs to it")
         return outcome
-    part = hovering(list(recording))
+    part = hovering(recording)
     if part is None:
         text = f"{path.name} contains no hover: {HOVER_S:.0f} s within {STEADY_M:g} m, {HIGH_M:g} m above the ground"
         outcome.wrong("hover", text, "fly one, or name another recording: --recording FLIGHT.mcap")
@@ -73,7 +73,7 @@ def review(session: Session) -> StepOutcome:
     path = session.recording or (Path(name) if isinstance(name, str) else _recording(session, airframe))
     if path is None:
         return StepOutcome([unknown("review", "there is no recording", "msp-range commission --step hover")])
-    records = list(Recording(path))
+    records = Recording(path)
     part = hovering(records)
     if part is None:
         return StepOutcome([wrong("review", f"{path} contains no hover", "msp-range commission --step hover")])
@@ -143,8 +143,11 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
 
-def hovering(records: Sequence[Message]) -> Samples | None:
-    """The longest part of a flight at one height, well above the ground; None where there is none."""
+def hovering(records: Iterable[Message]) -> Samples | None:
+    """The longest part of a flight at one height, well above the ground; None where there is none.
+
+    The records are read twice: a recording is not kept in memory.
+    """
     fused = samples_of(records).fused
     if len(fused) < 10:
         return None

@@ -1,4 +1,4 @@
-// The page's numbers and lists: distance, air, link, what is wrong, what the pilot was told.
+// The page's numbers and lists: distance, air, link, what is wrong, the texts to the pilot.
 
 import { byId, made, metres } from "./elements.js";
 import { OLD_S, presentDistance, state } from "./state.js";
