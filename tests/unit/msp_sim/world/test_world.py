@@ -170,12 +170,53 @@ def test_surfaces_follow_the_steps() -> None:
         assert (ping.target, ping.true_range_cm) == pytest.approx((surface, 300 - 100 * height_m))
 
 
+def test_the_edge_of_a_step_is_heard_before_the_vehicle_is_above_it() -> None:
+    ground = world(surface="grass", steps=(GroundStep(at_m=0.0, rise_m=0.5, surface="concrete"),))
+    beam = looking(half_angle=degrees(12))
+    reach_m = 1.5 * math.tan(math.radians(12))
+    before = ground.ping(at(-reach_m - 0.001), beam)
+    assert (before.target, before.true_range_cm) == pytest.approx(("grass", 200))
+    edge = ground.ping(at(-reach_m + 0.001), beam)
+    assert edge.target == "concrete"
+    assert edge.true_range_cm == pytest.approx(100 * math.hypot(1.5, reach_m - 0.001))
+    assert edge.slant_range_cm == edge.true_range_cm
+    assert edge.incidence_deg == pytest.approx(12, abs=0.05)
+    # Seen from above, the lower side is further than the edge until the edge has left the beam.
+    assert ground.ping(at(0.001), beam).true_range_cm == pytest.approx(150)
+
+
 def test_a_box_has_a_size_and_the_ground_has_none() -> None:
     ground = world(surface="grass", boxes=(Box(surface="crate", centre_m=(5.0, 1.0), size_m=(2.0, 1.0), height_m=0.6),))
     over, away = (ground.ping(at(north_m, 1.0), looking(half_angle=degrees(20))) for north_m in (5.0, 7.0))
     assert over.target == "crate"
     assert over.target_size_cm == pytest.approx(100)
     assert (away.target, away.target_size_cm) == ("grass", None)
+
+
+def test_a_forward_sensor_sees_the_side_of_a_box_and_past_its_end() -> None:
+    wall = Box(surface="brick", centre_m=(4.0, 0.0), size_m=(0.2, 4.0), height_m=3.0)
+    ground = world(boxes=(wall,))
+    beam = looking(FORWARD, degrees(12), (0.3, 0.0, 0.0))
+    ping = ground.ping(at(1.0, velocity=(0.5, 0.0, 0.0), pitch_deg=-4), beam)
+    distance_m = 3.9 - 1.0 - 0.3 * math.cos(math.radians(4))
+    assert (ping.has_echo, ping.target) == (True, "brick")
+    assert ping.true_range_cm == pytest.approx(100 * distance_m)
+    assert ping.slant_range_cm == pytest.approx(100 * distance_m / math.cos(math.radians(4)))
+    assert ping.incidence_deg == pytest.approx(4)
+    assert ping.range_rate_cm_s == pytest.approx(-50)
+    assert not ground.ping(at(1.0, 3.0), beam).has_echo
+    assert not ground.ping(at(1.0, yaw_deg=90), beam).has_echo
+    assert not ground.ping(at(6.0), beam).has_echo
+    # Aslant it gives no echo and is still described.
+    for north_m, yaw_deg in ((2.0, 30.0), (6.0, 150.0)):
+        aslant = ground.ping(at(north_m, yaw_deg=yaw_deg, velocity=(0.5, 0.0, 0.0)), looking(FORWARD, degrees(12)))
+        assert (aslant.has_echo, aslant.target) == (False, "brick")
+        assert (aslant.true_range_cm, aslant.incidence_deg) == pytest.approx((190, 30))
+        assert aslant.range_rate_cm_s == pytest.approx(-50 if north_m < 4 else 50)
+    # Above its top and looking over it there is nothing; just above, its upper edge.
+    assert not ground.ping(at(1.0, height_m=4.0), beam).has_echo
+    over = ground.ping(at(1.0, height_m=3.2), beam)
+    assert over.true_range_cm == pytest.approx(100 * math.hypot(2.6, 0.2))
 
 
 class Polygons:
