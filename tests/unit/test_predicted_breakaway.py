@@ -144,7 +144,7 @@ def test_a_table_that_widens_is_refused(tmp_path: Path) -> None:
         load_sensor_model(path)
 
 
-@pytest.mark.parametrize("inputs", ["12345678", '"1234567"', '"xyzxyzxy"'])
+@pytest.mark.parametrize("inputs", ["12345678", "54c3c91d", "crc32-54c3c91", "crc32-54c3c91dd", "crc32-xyzxyzxy"])
 def test_a_hash_has_its_name_and_eight_digits(tmp_path: Path, inputs: str) -> None:
     with pytest.raises(ConfigError, match=r"predicted_breakaway\.inputs: found"):
         load_sensor_model(write(tmp_path, ('"crc32-54c3c91d"', inputs)))
