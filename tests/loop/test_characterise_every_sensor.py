@@ -73,23 +73,19 @@ def characterised(folder: Path, file: Path, columns: dict[str, Any]) -> tuple[Se
     return model, result.output
 
 
-OFFSETS_CM = (-5.0, 0.0, 1.0, 5.0)
-SCALES = (0.95, 1.05)
-
-
+@pytest.mark.parametrize("offset_cm", slow_but([-5.0], [-5.0, 0.0, 1.0, 5.0]))
 @pytest.mark.parametrize("file", EVERY_SENSOR, ids=lambda each: each.stem)
-def test_an_offset_is_calibrated(file: Path, tmp_path: Path) -> None:
-    """One of four for each sensor; also where it takes the shortest reading, or that of a range of 0, below 0."""
-    offset_cm = OFFSETS_CM[SENSORS.index(file) % 4]
+def test_an_offset_is_calibrated(file: Path, offset_cm: float, tmp_path: Path) -> None:
+    """Also where it takes the shortest reading, or the reading of a range of 0, below 0."""
     model, _ = characterised(tmp_path, file, table(file, offset_cm))
     corrected = model.calibration_curve.forward(200.0) - 200.0
     assert corrected == pytest.approx(offset_cm, abs=1.0)
     assert (model.calibration != ()) or abs(offset_cm) < 2.0
 
 
+@pytest.mark.parametrize("scale", slow_but([1.05], [0.95, 1.05]))
 @pytest.mark.parametrize("file", EVERY_SENSOR, ids=lambda each: each.stem)
-def test_a_scale_is_calibrated(file: Path, tmp_path: Path) -> None:
-    scale = SCALES[SENSORS.index(file) % 2]
+def test_a_scale_is_calibrated(file: Path, scale: float, tmp_path: Path) -> None:
     model, _ = characterised(tmp_path, file, table(file, scale=scale))
     curve = model.calibration_curve
     assert (curve.forward(250.0) - curve.forward(150.0)) / 100.0 == pytest.approx(scale, abs=0.01)
