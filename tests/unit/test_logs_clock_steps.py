@@ -77,12 +77,16 @@ def test_a_clock_of_px4_that_is_set_forward_is_contradicted_by_the_satellites() 
     found: dict[str, dict[str, NDArray[Any]]] = {
         "vehicle_gps_position": {"timestamp": jumped_us, "time_utc_usec": 1_790_000_000_000_000 + time_us},
         "distance_sensor": {"timestamp": jumped_us + 1000, "timestamp_sample": np.zeros(100)},
+        "vehicle_attitude": {"timestamp": jumped_us + 21_000, "timestamp_sample": jumped_us + 1000},
     }
-    topics = [px4.messages_of(name, data, 2 * np.arange(100) + k) for k, (name, data) in enumerate(found.items())]
+    topics = [px4.messages_of(name, data, 3 * np.arange(100) + k) for k, (name, data) in enumerate(found.items())]
     _, run = make_continuous(topics)
     assert run.step_s == pytest.approx(100.2)
     for topic in topics:
         assert (topic.series("timestamp").time_s >= run.start_s).sum() == 54
+    # Where the messages say when they were measured, that counts; where they do not, when they were published.
+    published_s, sampled_s = (topic.series("timestamp").time_s for topic in topics[1:])
+    assert sampled_s == pytest.approx(published_s)
 
 
 @pytest.mark.parametrize("form", ["tlog", "csv", "mcap"])
