@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from evaluation.blind import air, sound
+from evaluation.blind.campaign import over_ranges
 from evaluation.blind.flight import REGIMES, contexts, fly, habits, land
 from evaluation.blind.mechanisms import KNOWN, MECHANISMS, UNKNOWN
 from evaluation.blind.receiver import Receiver
 from evaluation.blind.score import accepted_names
-from evaluation.blind.size import measure, stage
+from evaluation.blind.size import fly_plain, measure, stage
 from evaluation.blind.tables import draw_cases, draw_plan, fly_case
 
 pytestmark = pytest.mark.slow
@@ -82,6 +83,14 @@ def test_noise_crosses_at_rice_s_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     assert share == pytest.approx((alarms < window_s).mean(), rel=0.1)
 
 
+def test_a_million_readings_do_not_take_long() -> None:
+    """A tenth of them here; the rest is in proportion."""
+    columns = over_ranges(1, 100_000)
+    assert set(np.unique(np.asarray(columns["reading_cm"], dtype=float) % 1.0)) == {0.0}
+    assert columns["reading_cm"].min() >= 20
+    assert columns["reading_cm"].max() == 765
+
+
 @pytest.mark.parametrize("regime", REGIMES)
 def test_flights_with_nothing_hidden_have_no_trend(regime: str) -> None:
     """Hits do not depend on any context: nothing beyond 4.5 standard errors, runs taken as the unit."""
@@ -124,7 +133,17 @@ def test_size_of_offsets_between_runs_is_what_the_likelihood_gains() -> None:
     assert measure(columns, habits("iid"), "remounted", 0.3, 1).total == pytest.approx(np.sqrt(2.0 * gained), rel=0.06)
 
 
-@pytest.mark.parametrize("name", list(MECHANISMS)[::4])
+@pytest.mark.parametrize("name", ["steep", "transmitter"])
+def test_flights_without_are_flown_again_only_where_the_contexts_change(name: str) -> None:
+    columns = contexts(np.random.default_rng(1), 10, 100)
+    before = fly_plain(columns, habits("iid"), name, 1.5, 1, 2)
+    after = fly_plain(columns, habits("iid"), name, 1.2, 1, 2, before)
+    again = fly_plain(columns, habits("iid"), name, 1.2, 1, 2)
+    assert (after is before) == (name == "transmitter")
+    assert (after.reading_cm == again.reading_cm).all()
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
 def test_every_mechanism_does_something_and_only_while_it_is_there(name: str) -> None:
     mechanism = MECHANISMS[name]
     columns = contexts(np.random.default_rng(2), 10, 100)

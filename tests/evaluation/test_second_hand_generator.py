@@ -12,11 +12,11 @@ from evaluation.second_hand import generator
 from evaluation.second_hand.base import MAXIMUM_CM, SATURATED_CM, Base, draw_base
 from evaluation.second_hand.density import base_law, log_probability, normal_score
 from evaluation.second_hand.effect import Effect, Kind, law_with
-from evaluation.second_hand.flights import draw_bench, draw_flights
+from evaluation.second_hand.flights import Design, draw_bench, draw_flights
 from evaluation.second_hand.physics import KNOWN
 from evaluation.second_hand.rows import Rows
 from evaluation.second_hand.sample import MISSED, RANDOM, SHORT, draw
-from evaluation.second_hand.size import NUISANCE, known_from_bench, scores, sizes_of, standard_errors
+from evaluation.second_hand.size import NUISANCE, information, known_from_bench, scores, sizes_of, standard_errors
 from evaluation.second_hand.unknown import UNKNOWN
 
 pytestmark = pytest.mark.slow
@@ -90,6 +90,16 @@ def test_shares_of_outliers_are_those_of_the_base() -> None:
     assert drawn.reading_cm[drawn.kind == SHORT].max() < 400
 
 
+def test_bases_have_one_to_eight_percent_of_outliers() -> None:
+    for seed in range(200):
+        base = draw_base(np.random.default_rng(seed))
+        odds = np.exp([base.short, base.missed, base.random]).sum()
+        assert 0.009 < odds / (1 + odds) < 0.085
+        assert 5 <= base.degrees <= 15
+        assert 0 <= base.correlation <= 0.8
+        assert 0 <= base.saturated <= 0.5
+
+
 @pytest.mark.parametrize("title", ["stale", "crosstalk", "coarse_rounding", "cycle_slip"])
 def test_probabilities_of_all_readings_sum_to_one(title: str) -> None:
     rows, base, effect = hidden(title, 5, correlation=0.5)
@@ -150,6 +160,22 @@ def test_standard_error_of_an_offset_is_that_of_its_best_estimate() -> None:
     assert np.std(estimates, ddof=1) == pytest.approx(error, rel=0.3)
 
 
+def test_correlation_costs_information_of_an_offset() -> None:
+    rows, base, effect = hidden("sensor_offset", 7)
+    free = standard_errors(rows, base, [effect], [0.5], 1)[0]
+    correlated = standard_errors(rows, replace(base, correlation=0.8), [effect], [0.5], 1)[0]
+    assert 1.5 < correlated / free < 4.0
+
+
+def test_information_knows_each_base_number() -> None:
+    rng = np.random.default_rng(8)
+    rows = draw_flights(rng, Design())
+    base = draw_base(rng, 0.5)
+    matrix = information(rows, base, [], [], 1, tables=1)
+    assert matrix.shape == (len(NUISANCE), len(NUISANCE))
+    assert (np.diag(matrix) > 0).all()
+
+
 @pytest.mark.parametrize("kind", ["one:10", "unknown:10", "two:10"])
 def test_a_case_is_the_same_every_time(kind: str) -> None:
     made = generator.case(kind, 5)
@@ -182,6 +208,14 @@ def test_tables_have_the_form_that_was_asked() -> None:
         np.testing.assert_array_equal(reading, np.rint(reading))
         assert len(np.unique(made.bench["true_range_cm"])) == 48
         assert made.truth["effects"] == []
+
+
+def test_effects_between_runs_come_with_many_runs() -> None:
+    for kind in KNOWN:
+        rng = np.random.default_rng(9)
+        rows = draw_flights(rng, kind.design)
+        if kind.draw(rng, rows).between_runs:
+            assert rows.run.max() + 1 >= 12, kind.title
 
 
 def test_a_scale_is_known_from_the_bench_only() -> None:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from evaluation.blind_peers import power
 from evaluation.blind_peers.command import score, show
-from evaluation.blind_peers.detectors import classifier, compare, ks_by_slice
+from evaluation.blind_peers.detectors import classifier, compare, ks_by_slice, pted_as_it_comes
 from evaluation.blind_peers.detectors import with_pairs_swapped as swapped
-from evaluation.blind_peers.library import Library, library, previous
+from evaluation.blind_peers.library import LEAST, Library, fitted, library, previous
 from evaluation.blind_peers.namers import (
     aic_stepwise,
     bic_stepwise,
@@ -105,11 +105,42 @@ def test_what_acts_on_two_readings_gains_no_more_than_they_can() -> None:
     assert bic_stepwise(replace(few, moves=no, log_p=np.full(n, np.log(0.01)))) == {"few"}
 
 
+def test_one_number_gives_what_any_share_of_added_readings_gains(model: Model) -> None:
+    contexts, reading = table(1, at_33=0.02)
+    scores = library(model, contexts, reading)
+    # p with a share e of c is p (1 + e (c / p - 1)), so log(1 + S theta) is the likelihood itself.
+    base = fitted(model, contexts, reading)
+    shape: dict[str, Any] = {"location_cm": 33.0, "sigma_cm": 2.0}
+    assert "clutter" in scores.names
+    fifth = np.expm1(
+        base.adding("clutter", share=0.2, **shape).log_prob(reading, contexts) - base.log_prob(reading, contexts)
+    )
+    tenth = np.expm1(
+        base.adding("clutter", share=0.1, **shape).log_prob(reading, contexts) - base.log_prob(reading, contexts)
+    )
+    np.testing.assert_allclose(fifth, 2.0 * tenth, rtol=1e-8, atol=1e-10)
+    assert "clutter" in bic_stepwise(scores) & pastis_stepwise(scores)
+
+
+def test_base_is_fitted_before_anything_is_added(model: Model) -> None:
+    contexts, reading = table(2)
+    base = library(model, contexts, np.where(reading < 700.0, reading + 3.0, reading)).base
+    # The rate of the short ones has nothing to be fitted to: by hand they are anywhere.
+    assert np.abs(base.sum(axis=0) / np.sqrt((base**2).sum(axis=0)))[:5].max() < 0.2
+
+
 def test_a_scale_is_found_and_nothing_where_there_is_nothing(model: Model) -> None:
     contexts, reading = table(3)
     assert pastis_stepwise(library(model, contexts, reading)) == set()
     contexts, reading = table(3, scale=1.004)
     assert pastis_stepwise(library(model, contexts, reading)) & {"range_scale", "bend", "threshold_walk"}
+
+
+def test_reading_that_cannot_be_counts_as_improbable(model: Model) -> None:
+    contexts, reading = table(4)
+    reading[7] += 32768.0
+    assert np.isfinite(library(model, contexts, reading).scores).all()
+    assert LEAST > 0.0
 
 
 def test_reading_before_is_of_the_same_sensor_and_run() -> None:
@@ -192,15 +223,33 @@ def test_pted_has_the_statistic_that_is_swapped() -> None:
     assert slopes[0] > 0.0
 
 
-@pytest.mark.parametrize(("shift_cm", "low", "high"), [(0.0, 0.05, 1.0), (4.0, 0.0, 0.02)])
-def test_classifier_finds_a_shift_that_comes_with_throttle_and_nothing_where_nothing_is(
-    model: Model, shift_cm: float, low: float, high: float
-) -> None:
+def test_pted_as_it_comes_rejects_tables_that_share_their_contexts(model: Model) -> None:
+    pytest.importorskip("pted", reason="the extra 'bench' is not installed")
+    rng = np.random.default_rng(8)
+    contexts, _ = table(8, n=300)
+    contexts |= {f"more_{k}": rng.standard_normal(300) for k in range(12)}
+    # Both of the model itself: nothing is missing.
+    same = model.sample(contexts, rng)
+    assert pted_as_it_comes(compare(model, contexts, same, rng), rng) < 0.05
+
+
+def test_classifier_finds_a_shift_that_comes_with_throttle(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     rng = np.random.default_rng(10)
-    contexts, _ = table(10, n=400)
-    shifted = model.sample(contexts, rng) + shift_cm * (contexts["throttle"] > 0.5)
-    assert low < classifier(compare(model, contexts, shifted, rng), rng) <= high
+    contexts, _ = table(10)
+    shifted = model.sample(contexts, rng) + 2.0 * (contexts["throttle"] > 0.5)
+    assert classifier(compare(model, contexts, shifted, rng), rng) < 0.01
+
+
+def test_classifier_finds_nothing_where_nothing_is_missing(model: Model) -> None:
+    pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
+    p_values = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        contexts, _ = table(seed, n=400)
+        p_values.append(classifier(compare(model, contexts, model.sample(contexts, rng), rng), rng))
+    assert sum(p < 0.05 for p in p_values) <= 2
+    assert 0.25 < np.mean(p_values) < 0.75
 
 
 def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path: Path) -> None:
@@ -227,3 +276,9 @@ def test_power_is_the_size_that_is_found_in_80_of_100(tmp_path: Path) -> None:
     assert "| gap workflow: its first screen, p < 0.05 | 0.000 (0.000 to 0.088) | 1.00 | 1.00 | 1.00 | 0.050 (" in text
     assert "| gap workflow: chooses something, before the held-out runs decide | 0.000 (0.000 to 0.088) | 1.00" in text
     assert "| gap workflow: names something or calls it unknown | 0.000 (0.000 to 0.088) | 0.00 | 1.00" in text
+
+
+def test_power_draws_each_size_of_each_mechanism() -> None:
+    drawn = power.cases(10, 1)
+    assert len({case.number for case in drawn}) == len(drawn) == 10 * (3 + len(power.SIZES))
+    assert len({case.hidden for case in drawn if case.hidden}) == 10 * len(power.SIZES)
