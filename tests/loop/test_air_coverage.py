@@ -92,8 +92,8 @@ def mavlink(message: str, **keys: Any) -> dict[str, Any]:
     return {"sources": [{"source": "mavlink", "message": message, **keys}]}
 
 
-def pressure(die_c: float) -> Any:
-    return dialect.MAVLink_scaled_pressure2_message(0, 1000.0, 0.0, round(100 * die_c), 0)
+def pressure(die_c: float = 60.0, airspeed_c: float = 0.0) -> Any:
+    return dialect.MAVLink_scaled_pressure2_message(0, 1000.0, 0.0, round(100 * die_c), round(100 * airspeed_c))
 
 
 ANYWHERE = uniform(COLDEST_C, HOTTEST_C)
@@ -108,6 +108,18 @@ IN_FLIGHT: dict[str, tuple[dict[str, Any], OfShare, OfShare, Callable[[float, fl
         None,
     ),
     "file": ({"sources": [{"source": "file", "path": "temp1_input"}]}, ANYWHERE, THERMOMETER, None),
+    "file, 4 C too warm, stated": (
+        {"sources": [{"source": "file", "path": "temp1_input", "bias_c": 4.0}]},
+        ANYWHERE,
+        normal(4.0, 1.5),
+        None,
+    ),
+    "airspeed": (
+        mavlink("SCALED_PRESSURE2", field="temperature_press_diff"),
+        ANYWHERE,
+        normal(0.5, 2.0),
+        lambda shown_c, percent: pressure(airspeed_c=shown_c),
+    ),
     "hygrometer": (
         mavlink("HYGROMETER_SENSOR"),
         ANYWHERE,
@@ -116,11 +128,17 @@ IN_FLIGHT: dict[str, tuple[dict[str, Any], OfShare, OfShare, Callable[[float, fl
             0, round(100 * shown_c), round(100 * min(max(percent, 2.0), 100.0))
         ),
     ),
+    "barometer": (
+        mavlink("SCALED_PRESSURE2"),
+        uniform(COLDEST_C, 30.0),  # and up to 60 C on the die: more is no air to the bridge
+        uniform(3.0, 30.0),
+        lambda shown_c, percent: pressure(die_c=shown_c),
+    ),
     "barometer, 15 C too warm, stated": (
         mavlink("SCALED_PRESSURE2", bias_c=15.0),
         ANYWHERE,
         normal(15.0, 4.0),
-        lambda shown_c, percent: pressure(shown_c),
+        lambda shown_c, percent: pressure(die_c=shown_c),
     ),
 }
 """Of each kind of source: the airframe's section, the air, how much warmer the source is, and its message of what it
