@@ -1,5 +1,6 @@
 """Every effect of the catalogue keeps its contract; curves, and effects on each other, draw what they score."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,17 @@ def test_a_curve_draws_what_it_scores_and_rests_where_its_context_is_not_known(n
         column = given[variable]
         unknown = (column == "") if column.dtype.kind == "U" else np.isnan(column)
         assert (p[unknown] == without[unknown]).all()
+
+
+SHUFFLED = [str(name) for name in np.random.default_rng(1).permutation(list(CATALOGUE))]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("one", "other"), [*pairwise(SHUFFLED), (SHUFFLED[-1], SHUFFLED[0])])
+def test_two_effects_at_once_draw_what_they_score(one: str, other: str) -> None:
+    given = contexts(8000, seed=4)
+    given["run"] = np.arange(8000).astype(str)
+    assert uniformity(strong(other, strong(one)), given) > 1e-4
 
 
 def test_readings_of_a_run_share_its_offset_also_in_another_chunk() -> None:
