@@ -1,4 +1,4 @@
-"""Measured sets of each source end to end: no crash, no forbidden name, and what is required is found.
+"""Each measured set end to end: no crash, no forbidden name, and what is required is found.
 
 What does not hold yet is in `known.csv`, by cause; a line there that no longer happens has to be taken out.
 """
@@ -14,23 +14,10 @@ import pytest
 from evaluation.real.columns import read_table
 from evaluation.real.names import Line
 from evaluation.real.run import Outcome, compare_names, found_in, run_set
-from evaluation.real.sets import SETS
+from evaluation.real.sets import SETS, MeasuredSet
 from tests.support.data import measured_data
 
 KNOWN = Path(__file__).parent / "known.csv"
-RUN = (
-    "robot_hcsr04",
-    "robot_mb1433",
-    "drone_0607",
-    "drone_0425",
-    "ruler",
-    "tilted_plate",
-    "museum_lidar",
-    "terrain",
-    "terrain_columns",
-)
-"""Sets of each source, of which one is characterised first. The others are the same readings with another model, or
-together with those of another flight, and take half a minute and more: `python -m evaluation real` runs all."""
 
 
 def known_problems(name: str) -> set[str]:
@@ -100,9 +87,8 @@ def left(gap: dict[str, Any], measure: str) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", RUN)
-def test_set_end_to_end(name: str, tmp_path: Path) -> None:
-    (measured,) = (each for each in SETS if each.name == name)
+@pytest.mark.parametrize("measured", SETS, ids=lambda each: each.name)
+def test_set_end_to_end(measured: MeasuredSet, tmp_path: Path) -> None:
     files = [measured_data(each) for each in (*measured.readings, *measured.bench)]
     data = files[0].parent.parent
     outcome = run_set(measured, data, tmp_path)
