@@ -347,3 +347,12 @@ def test_a_stray_reading_hides_neither_the_others_nor_their_mean() -> None:
     assert axes.get_ylim()[0] > -5.0
     means: Any = next(each for each in axes.containers if type(each).__name__ == "ErrorbarContainer")
     assert means.lines[0].get_ydata().tolist() == [0.0, 1.0]
+
+
+def test_an_axis_of_about_five_centimetres_is_to_scale() -> None:
+    ranges = np.repeat([100.0, 200.0], 400)
+    errors = np.random.default_rng(1).normal(0.0, 1.25, 800)
+    (row, *_) = draw_errors([Errors("one", ranges, errors, np.zeros(800, dtype=bool))]).axes
+    assert 4.0 < row.get_ylim()[1] < 5.0
+    assert row.get_yscale() == "linear"
+    assert len(row.get_yticks()) > 4

@@ -4,6 +4,7 @@ At a fixed range the errors of a sensor with whole centimetres take few values, 
 read, as a bar whose width is its share. Ranges that change all the time are drawn as a cloud.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -70,8 +71,16 @@ class Scale(NamedTuple):
     low: float
     high: float
     """Lowest and highest error [cm]."""
-    linear_cm: float
-    """Errors within this are to scale [cm]."""
+
+    @property
+    def is_compressed(self) -> bool:
+        """Whether only errors within `LINEAR_CM` are to scale."""
+        return max(-self.low, self.high) > 6.0 * LINEAR_CM
+
+    @property
+    def linear_cm(self) -> float:
+        """Errors within this are to scale [cm]."""
+        return LINEAR_CM if self.is_compressed else math.ceil(max(-self.low, self.high))
 
 
 def draw_errors(
@@ -99,7 +108,7 @@ def draw_errors(
     # One axis of ranges for all panels, also where some have fewer of them.
     ranges_cm = np.unique(np.concatenate([each.true_range_cm for each in panels]))
     for each, row in zip(panels, rows, strict=True):
-        if scale.linear_cm == LINEAR_CM:
+        if scale.is_compressed:
             row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=0.8)
             row.yaxis.set_major_locator(FixedLocator([tick for tick in TICKS_CM if scale.low <= tick <= scale.high]))
             row.yaxis.set_minor_locator(NullLocator())
@@ -126,9 +135,7 @@ def scale_of(panels: Sequence[Errors], marked: Line | None = None) -> Scale:
     # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
     shown = [-2.4, 2.4, *(() if marked is None else marked.error_cm)]
     shown += list(np.quantile(errors, [0.0025, 0.9975])) if errors.size else []
-    low, high = min(shown) - 0.8, max(shown) + 0.8
-    farthest_cm = max(-low, high)
-    return Scale(low, high, LINEAR_CM if farthest_cm > 6.0 * LINEAR_CM else np.ceil(farthest_cm))
+    return Scale(min(shown) - 0.8, max(shown) + 0.8)
 
 
 def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
