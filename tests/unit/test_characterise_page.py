@@ -158,6 +158,13 @@ def test_page_asks_for_nothing_from_outside(complete: Complete) -> None:
 
 
 @pytest.mark.slow
+def test_the_words_for_who_cannot_see_a_picture_are_not_its_heading_again(complete: Complete) -> None:
+    pairs = re.findall(r'<h3>(.*?)</h3>\s*<img src="[^"]*" alt="(.*?)">', complete.page.html)
+    assert len(pairs) > 20
+    assert all(heading != alternative for heading, alternative in pairs)
+
+
+@pytest.mark.slow
 def test_pictures_are_png_of_one_width_and_not_blank(complete: Complete) -> None:
     folder, _, _ = complete
     for path in folder.glob("*.png"):
