@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from scipy.special import ndtri
-from scipy.stats import binomtest, quantile_test
+from scipy.stats import quantile_test
 
 CONFIDENCE = 0.95
 """Level of all intervals."""
@@ -18,8 +18,11 @@ def wilson(count: float, of: float) -> tuple[float, float]:
     """Return Wilson's 95 % interval of a share, 0 to 1 where nothing was counted."""
     if of <= 0.0:
         return 0.0, 1.0
-    low, high = binomtest(int(count), int(of)).proportion_ci(CONFIDENCE, "wilson")
-    return float(low), float(high)
+    p = count / of
+    middle = (p + Z**2 / (2 * of)) / (1 + Z**2 / of)
+    half = Z / (1 + Z**2 / of) * math.sqrt(p * (1 - p) / of + Z**2 / (4 * of**2))
+    # Rounding may put an end on the wrong side of the share itself.
+    return max(min(middle - half, p), 0.0), min(max(middle + half, p), 1.0)
 
 
 def quantile(values: Sequence[float], share: float) -> tuple[float, float | None, float | None]:

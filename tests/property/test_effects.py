@@ -17,7 +17,8 @@ from msp_sim.model.trial import Trial, contexts
 from tests.support.curves import with_curve
 from tests.support.slow import slow_but
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+SHIPPED = Path(__file__).parents[2] / "configs" / "sensors"
+SENSOR = load_sensor_model(SHIPPED / "mb1242.yaml")
 CODES = codes(SENSOR)
 TRIALS = {name: Trial(effect, SENSOR) for name, effect in CATALOGUE.items()}
 IN_MILLIMETRES = Trial(CATALOGUE["clutter"], SENSOR).base.with_step(0.1).sensor
@@ -44,6 +45,16 @@ def test_an_effect_keeps_the_contract(name: str, check: Check) -> None:
 def test_an_effect_keeps_the_contract_in_millimetres(name: str, check: Check) -> None:
     """One of each kind of component and fault, and one with the hits' own place."""
     assert check.find(Trial(CATALOGUE[name], IN_MILLIMETRES)) is None, check.advice
+
+
+@pytest.mark.parametrize("name", ["lidar_sick", "hcsr04"])
+def test_slopes_of_a_sensor_that_never_saturates(name: str) -> None:
+    """Its saturated fraction of 0 cannot be lowered."""
+    other = load_sensor_model(SHIPPED / f"{name}.yaml")
+    assert other.reading_model.saturated_fraction == 0.0
+    (slopes,) = [each for each in CHECKS if each.find.__name__ == "_slopes"]
+    for effect in ("mounting_offset", "missed"):
+        assert slopes.find(Trial(CATALOGUE[effect], other)) is None
 
 
 def test_a_fault_of_bytes_needs_whole_centimetres() -> None:

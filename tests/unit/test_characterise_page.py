@@ -14,12 +14,15 @@ from PIL import Image
 from msp_lab.characterise.findings import Findings, HeldOut
 from msp_lab.characterise.page.answers import conclusions_table
 from msp_lab.characterise.page.errors import Errors, draw_errors
+from msp_lab.characterise.page.mixture import density
+from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.write import write_report
 from msp_lab.comparison.report import check_sensor
 from msp_lab.comparison.write import write_comparison
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
+from msp_sim.page.style import draw_pit_bars, new_axes
 from tests.support.characterised import found_in, measured
 from tests.support.known import known
 
@@ -155,6 +158,13 @@ def test_page_asks_for_nothing_from_outside(complete: Complete) -> None:
             assert reference[1:] in page.anchors, reference
     assert not {"script", "link", "iframe", "object", "embed"} & set(page.tags)
     assert not re.search(r"@import|url\(|https?://", page.html)
+
+
+@pytest.mark.slow
+def test_the_words_for_who_cannot_see_a_picture_are_not_its_heading_again(complete: Complete) -> None:
+    pairs = re.findall(r'<h3>(.*?)</h3>\s*<img src="[^"]*" alt="(.*?)">', complete.page.html)
+    assert len(pairs) > 20
+    assert all(heading != alternative for heading, alternative in pairs)
 
 
 @pytest.mark.slow
@@ -347,3 +357,59 @@ def test_a_stray_reading_hides_neither_the_others_nor_their_mean() -> None:
     assert axes.get_ylim()[0] > -5.0
     means: Any = next(each for each in axes.containers if type(each).__name__ == "ErrorbarContainer")
     assert means.lines[0].get_ydata().tolist() == [0.0, 1.0]
+
+
+def test_an_axis_of_about_five_centimetres_is_to_scale() -> None:
+    ranges = np.repeat([100.0, 200.0], 400)
+    errors = np.random.default_rng(1).normal(0.0, 1.25, 800)
+    (row, *_) = draw_errors([Errors("one", ranges, errors, np.zeros(800, dtype=bool))]).axes
+    assert 4.0 < row.get_ylim()[1] < 5.0
+    assert row.get_yscale() == "linear"
+    assert len(row.get_yticks()) > 4
+
+
+@pytest.mark.parametrize("stray_cm", [-3.6, -80.0])
+def test_readings_that_are_drawn_at_the_edge_are_counted(stray_cm: float) -> None:
+    errors = np.repeat([0.0, 1.0], [300, 300])
+    errors[0] = stray_cm
+    figure = draw_errors([Errors("one", np.repeat([100.0, 200.0], 300), errors, np.zeros(600, dtype=bool))])
+    (axes,) = figure.axes
+    (above,) = axes.child_axes
+    (edge,) = [line for line in axes.lines if line.get_label() == "readings farther off"]
+    assert edge.get_ydata() == pytest.approx([axes.get_ylim()[0]])
+    assert [text.get_text() for text in above.get_xticklabels()] == ["1/300\n0", "0\n0"]
+    assert [text.get_text() for text in axes.texts] == ["off the axis\nmissed"]
+
+
+def test_on_a_compressed_axis_what_is_beyond_5_cm_is_counted_and_nothing_nearer_is_off_it() -> None:
+    errors = np.zeros(1000)
+    errors[:40] = 60.0
+    errors[40] = -4.5
+    figure = draw_errors([Errors("one", np.repeat([100.0, 200.0], 500), errors, np.zeros(1000, dtype=bool))])
+    (axes,) = figure.axes
+    assert axes.get_yscale() == "symlog"
+    assert axes.get_ylim()[0] <= -5.0
+    (above,) = axes.child_axes
+    assert [text.get_text() for text in above.get_xticklabels()] == ["40/500\n0", "0\n0"]
+    assert [text.get_text() for text in axes.texts] == ["over ±5 cm\nmissed"]
+
+
+def test_the_band_of_a_pit_histogram_is_that_of_its_counts() -> None:
+    """With few readings a bin its ends are whole readings."""
+    _, axes = new_axes(3.0)
+    draw_pit_bars(axes, np.full(20, 4))
+    (band,) = [each for each in axes.patches if each.get_label() == "random variation (95 %)"]
+    low, high = np.array(band.get_extents().transformed(axes.transData.inverted()).intervaly)
+    # Of 80 in 20 bins: 1 to 8 have 2.5 % at most below and above.
+    assert (low, high) == pytest.approx((0.25, 2.0))
+
+
+def test_of_a_kind_without_a_reading_the_picture_says_whose_rate_is_drawn() -> None:
+    data = measured(most=300)
+    weights = MODEL.reading_model.weights
+    none_short = weights.model_copy(update={"short": 0.0, "hit": weights.hit + weights.short})
+    mixture = MODEL.reading_model.model_copy(update={"weights": none_short})
+    model = MODEL.model_copy(update={"reading_model": mixture})
+    figure, _ = density(PictureData(found_in(data), data, model), "short")
+    (axes,) = figure.axes
+    assert any("its rate is the starting model's" in text.get_text() for text in axes.texts)

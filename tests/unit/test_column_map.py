@@ -1,13 +1,14 @@
 """Other people's names and units, and what is reported where a map does not fit."""
 
 import gzip
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from msp_lab.readings.column_map import load_map, read_mapped
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.csv_form import MeasuredData, csv_rows, to_number
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
@@ -181,6 +182,48 @@ def test_columns_of_ones_own_are_numbers_or_words(tmp_path: Path) -> None:
     assert (data["anchor"][0], data["anchor"][-1]) == ("a1", "")
     # Words that begin after two thousand numbers: it was words all along.
     assert (data["state"][0], data["state"][-1]) == ("0", "none")
+
+
+def test_parts_with_words_and_with_numbers_keep_both(tmp_path: Path) -> None:
+    parts = "[{columns: {reading_cm: a, mark: b}}, {columns: {reading_cm: c, mark: d}}]"
+    data = mapped(tmp_path, "a,b,c,d\n100,wet,200,1\n101,dry,201,02\n", f"parts: {parts}\n")
+    assert data["mark"].tolist() == ["wet", "dry", "1", "02"]
+    data = mapped(tmp_path, "a,b,c,d\n100,3,200,1\n101,,201,02\n", f"parts: {parts}\n")
+    assert data["mark"] == pytest.approx([3.0, np.nan, 1.0, 2.0], nan_ok=True)
+
+
+def test_a_file_of_parts_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Path] = []
+
+    def counted(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+        read.append(path)
+        return csv_rows(path, delimiter)
+
+    monkeypatch.setattr("msp_lab.readings.column_map.csv_rows", counted)
+    parts = "[{columns: {reading_cm: a}}, {columns: {reading_cm: b}}, {columns: {reading_cm: c}}]"
+    assert len(mapped(tmp_path, "a,b,c\n100,200,300\n", f"parts: {parts}\n")) == 3
+    assert len(read) == 1
+
+
+def test_a_constant_is_parsed_once_for_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once for a block of rows; where it is no number it is named with a line."""
+    parsed: list[str] = []
+
+    def counted(cell: str) -> float:
+        parsed.append(cell)
+        return to_number(cell)
+
+    monkeypatch.setattr("msp_lab.readings.column_map.to_number", counted)
+    table = "a\n" + "100\n" * 3000
+    columns = "reading_cm: a, air_temperature_c: {value: 68, unit: F}, target: {value: wood}, mark: {value: '7'}"
+    data = mapped(tmp_path, table, f"columns: {{{columns}}}\n")
+    assert np.all(data["air_temperature_c"] == 20.0)
+    assert 0 < parsed.count("68.0") < 10
+    assert set(data["target"].tolist()) == {"wood"}
+    assert np.all(data["mark"] == 7.0)
+    assert len(data) == 3000
+    with pytest.raises(RecordingError, match=r"theirs.csv:2: column 'air_temperature_c': found 'warm'"):
+        mapped(tmp_path, table, "columns: {reading_cm: a, air_temperature_c: {value: warm}}\n")
 
 
 def test_without_a_time_column_nothing_drifts_over_the_rows_numbers(tmp_path: Path) -> None:

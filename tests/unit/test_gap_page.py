@@ -163,9 +163,10 @@ def test_a_model_that_changed_between_steps_is_reported(tmp_path: Path) -> None:
     assert "given.yaml: has changed since 'msp-lab compare'" in named.output
 
 
-def test_readings_in_place_of_a_folder_of_findings_are_reported(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["show", "add", "name", "design"])
+def test_readings_in_place_of_a_folder_of_findings_are_reported(command: str, tmp_path: Path) -> None:
     write_csv(tmp_path / "flights.csv", readings(400, 4))
-    result = CliRunner().invoke(app, ["show", str(tmp_path / "flights.csv")])
+    result = CliRunner().invoke(app, [command, str(tmp_path / "flights.csv")])
     assert result.exit_code == 3
     assert "is a file; expected the folder" in " ".join(result.output.split())
 

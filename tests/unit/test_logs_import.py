@@ -387,3 +387,19 @@ def test_the_same_dataset_whatever_the_number_of_jobs(tmp_path: Path) -> None:
     for one, two in zip(*files, strict=True):
         assert one.relative_to(tmp_path / "1") == two.relative_to(tmp_path / "2")
         assert one.read_bytes() == two.read_bytes()
+
+
+def test_a_format_that_cannot_be_loaded_leaves_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    metadata = tmp_path / "site" / "somebodys_logs-1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: somebodys-logs\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[msp_lab.logs]\nbroken = somebodys_missing_logs:FORMAT\n")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    write_csv(tmp_path / "bench.csv", readings(100))
+    (found,) = imported(tmp_path / "bench.csv", "--out", tmp_path / "set")
+    assert found["form"] == "CSV table"
+    (tmp_path / "log.pilot").write_bytes(b"PILOT 1\n")
+    done = run("import", tmp_path / "log.pilot", "--out", tmp_path / "other")
+    assert done.exit_code == 3
+    assert "no log that is known" in done.output
+    assert "the log format 'broken' (somebodys_missing_logs:FORMAT) cannot be loaded" in done.output

@@ -5,11 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
+from msp_lab.readings.intake import LoadedReadings
 from msp_range.correction.calibration import IDENTITY
+from msp_range.reading_model.fit_result import FitError
 from msp_range.reading_model.sensor_model import load_sensor_model
+from tests.support.characterised import measured
 from tests.support.known import known
 from tests.support.plain_bench import point, table
 
@@ -65,5 +69,15 @@ def test_a_sensor_without_255_among_its_readings_is_fitted_unless_its_file_has_t
     no_code = SENSOR.reading_model.model_copy(update={"saturated_fraction": 0.0})
     without = with_code.model_copy(update={"reading_model": no_code})
     fit_mixture(points, IDENTITY, without, np.random.default_rng(4))
-    with pytest.raises(ValueError, match="expected a second code outside of the limits or on the grid, found 255 cm"):
+    with pytest.raises(FitError, match="expected a second code outside of the limits or on the grid, found 255 cm"):
         fit_mixture(points, IDENTITY, with_code, np.random.default_rng(4))
+
+
+def test_an_error_of_the_program_is_not_shown_as_readings_without_a_mixture(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*given: object, **more: object) -> None:
+        raise ValueError("operands could not be broadcast together")
+
+    monkeypatch.setattr("msp_lab.characterise.mixture.fit_readings", broken)
+    loaded = LoadedReadings(measured(most=300), ())
+    with pytest.raises(ValueError, match="broadcast"):
+        characterise(loaded, SENSOR, date="2026-10-05", rng=np.random.default_rng(1))

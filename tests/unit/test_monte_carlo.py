@@ -1,11 +1,13 @@
 """Many flights: what is counted in one, how they are kept, and the numbers of all, without flying any."""
 
+import math
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
@@ -125,6 +127,29 @@ def test_flights_are_kept_and_an_interrupted_table_is_resumed(tmp_path: Path) ->
     whole.close()
     assert table.read_bytes() == (tmp_path / "whole" / FLIGHTS).read_bytes()
     assert again.rows == whole.rows
+
+
+@pytest.mark.parametrize("value", [3, 0.25, math.inf, -math.inf, True, False, None, "grass", "[1, 2]", "(1)", "None"])
+def test_a_value_of_a_flight_is_read_as_it_was_written(value: object, tmp_path: Path) -> None:
+    store = FlightStore(tmp_path, ["drawn"], {"seed": 1})
+    store.add(0, {"drawn": value})
+    store.close()
+    again = FlightStore(tmp_path, ["drawn"], {"seed": 1})
+    again.close()
+    found = again.rows[0]["drawn"]
+    assert (found, type(found)) == (value, type(value))
+
+
+@pytest.mark.parametrize(("count", "of"), [(0, 20), (81, 263), (20, 20), (9, 10)])
+def test_the_interval_of_a_share_is_scipy_s(count: int, of: int) -> None:
+    low, high = binomtest(count, of).proportion_ci(0.95, "wilson")
+    assert wilson(count, of) == pytest.approx((low, high), abs=1e-12)
+
+
+def test_the_interval_of_a_weighted_count_keeps_its_fraction() -> None:
+    (low, high), (lower, higher) = wilson(0.9, 10.0), wilson(0.0, 10.0)
+    assert low > lower
+    assert high > higher
 
 
 def test_flights_of_another_seed_are_not_mixed(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """What a person is shown while a point is read: outliers, doubts, and nothing where all is well."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -88,3 +90,14 @@ def test_the_histogram_has_a_line_for_each_centimetre_and_one_for_the_rest() -> 
     counts = [cell.plain for cell in histogram(watch).columns[2].cells]  # type: ignore[union-attr]
     assert labels == ["shorter", "120 cm", "121 cm", "122 cm", "longer", "no echo"]
     assert counts == ["1", "30", "0", "4", "1", "1"]
+
+
+def test_the_median_of_many_readings_is_found_from_their_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The screen asks for it several times a second, all night."""
+    watch, _ = watched(*[120, 121, 122] * 40, 187)
+
+    def no_readings(counts: Counter[int]) -> None:
+        raise AssertionError("all readings are gone through")
+
+    monkeypatch.setattr(Counter, "elements", no_readings)
+    assert watch.median_cm == 121.0

@@ -5,9 +5,12 @@ recorded, and the fit decides what it is.
 """
 
 import math
+from bisect import bisect_right
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
-from statistics import median
+from itertools import accumulate
+from typing import Any
 
 from msp_range.reading import Reading, Status
 
@@ -92,7 +95,7 @@ class PointWatch:
     @property
     def median_cm(self) -> float | None:
         """Median of the readings with an echo [cm]."""
-        return float(median(self.counts.elements())) if self.counts else None
+        return _median(self.counts) if self.counts else None
 
     def warnings(self) -> list[str]:
         """Return what to check before the set-up is changed."""
@@ -120,8 +123,10 @@ class PointWatch:
         median_cm = self.median_cm
         if median_cm is None:
             return -math.inf, math.inf
-        spread_cm = 1.4826 * median(abs(reading_cm - median_cm) for reading_cm in self.counts.elements())
-        reach_cm = max(CORE_LEAST_CM, CORE_SPREADS * spread_cm)
+        deviations: Counter[float] = Counter()
+        for reading_cm, count in self.counts.items():
+            deviations[abs(reading_cm - median_cm)] += count
+        reach_cm = max(CORE_LEAST_CM, CORE_SPREADS * 1.4826 * _median(deviations))
         return median_cm - reach_cm, median_cm + reach_cm
 
     def _why(self, reading: Reading) -> str:
@@ -130,3 +135,11 @@ class PointWatch:
         median_cm = self.median_cm or 0.0
         away_cm = (reading.raw or 0) - median_cm
         return f"{abs(away_cm):g} cm {'longer' if away_cm > 0 else 'shorter'} than the others"
+
+
+def _median(counts: Mapping[Any, int]) -> float:
+    """Median of values with counts, at least one; there are as few values as a sensor has centimetres."""
+    values = sorted(counts)
+    passed = list(accumulate(counts[value] for value in values))
+    low, high = (values[bisect_right(passed, place)] for place in ((passed[-1] - 1) // 2, passed[-1] // 2))
+    return float(low + high) / 2.0

@@ -25,6 +25,7 @@ from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import curve_through
+from msp_range.reading_model.fit_result import FitError
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
@@ -98,7 +99,7 @@ def characterise(
     correlation = hit_correlation(undisturbed, loaded.data)
     try:
         mixture, parameters = fit_mixture(undisturbed, curve, sensor, rng, correlation)
-    except ValueError as error:
+    except FitError as error:
         no_mixture = str(error)
     progress("maximum range, field of view and sonar equation")
     view = find_field_of_view(by["field_of_view"], curve)

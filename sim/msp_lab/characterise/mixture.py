@@ -17,7 +17,7 @@ from msp_lab.characterise.points import PointReadings
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import KINDS, FitResult, with_floors
+from msp_range.reading_model.fit_result import KINDS, FitError, FitResult, with_floors
 from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.likelihood import MIN_WEIGHT
 from msp_range.reading_model.mixture import ReadingModel
@@ -51,10 +51,13 @@ def fit_mixture(
 
     Raises
     ------
-    ValueError
+    FitError
         It cannot be fitted; the reason.
     """
-    grid = ReadingGrid.of(sensor)
+    try:
+        grid = ReadingGrid.of(sensor)
+    except ValueError as error:
+        raise FitError(str(error)) from None
     set_ups = [_placement_error(point, calibration) for point in points]
     reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
     whole, notes = grid.nearest(reading_cm), []

@@ -108,11 +108,12 @@ class Search:
 
     def _shared(self, numbers: Sequence[Number]) -> bool:
         """One more effect that the fleet shares."""
+        of_all = self._of_all
         open_ = [
             each
             for each in numbers
             if not (each.term.is_base or each.term.sessions)
-            and each.term.key not in self._of_all
+            and each.term.key not in of_all
             and (-1, each.term.key) not in self._without
             and each.fleet.ordinary.sum() > len(self.units) / 2.0
         ]
@@ -188,13 +189,14 @@ class Search:
         worst = min(flagged, key=lambda unit: flagged[unit].log_p)
         # What all units have is fitted in all: a unit with more or less of it needs no refit.
         best = min(flagged[worst].own, key=lambda each: each[0], default=None)
-        if best is not None and best[1].term.key in self._of_all:
+        of_all = self._of_all
+        if best is not None and best[1].term.key in of_all:
             self._take(FleetFinding("odd", best[1].term, (worst,), (best[0],)))
             return True
         tried: dict[Key, FleetTerm] = {}
         for suspect in sorted(flagged.values(), key=lambda each: each.log_p):
             for number, j in suspect.candidates():
-                if number.term.key not in self._of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
+                if number.term.key not in of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
                     tried.setdefault(number.term.key, _tried(number, float(number.value[j])))
         if not tried:
             self._without |= {(worst, number.term.key) for _, number, _ in (*flagged[worst].own, *flagged[worst].other)}

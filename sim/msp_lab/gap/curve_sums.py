@@ -56,4 +56,4 @@ class KnotWeights:
     def by_unit(self, values: Array, unit: Indices) -> Array:
         """Sums of values (n,) times weights over units, (units, knots)."""
         of_units = csr_matrix((values, (unit, np.arange(unit.size))))
-        return np.asarray(of_units @ self.matrix.toarray().T)
+        return np.asarray((of_units @ self.matrix.T).toarray())

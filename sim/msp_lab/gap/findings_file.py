@@ -82,10 +82,7 @@ def read_findings(folder: Path) -> GapFindings:
     ConfigError
         There is none, or it is none.
     """
-    try:
-        return _read(folder / NUMBERS, "'msp-lab compare' or 'msp-lab gap' makes it", from_json)
-    except NotADirectoryError:
-        raise ConfigError(f"{folder}: is a file; expected the folder that 'msp-lab gap' wrote (--out)") from None
+    return _read(folder / NUMBERS, "'msp-lab compare' or 'msp-lab gap' makes it", from_json)
 
 
 def write_named(models: ExtendedModels, findings: GapFindings, folder: Path) -> None:
@@ -139,7 +136,7 @@ def _read(path: Path, to_do: str, parse: Callable[[str], Content]) -> Content:
     try:
         return parse(read_text(path, LARGEST_BYTES))
     except NotADirectoryError:
-        raise
+        raise ConfigError(f"{path.parent}: is a file; expected the folder that 'msp-lab gap' wrote (--out)") from None
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file; {to_do}") from None
     except OSError as error:

@@ -194,7 +194,8 @@ def refit(
         return float(here.log_p.sum()) - 0.5 * float(precision @ at**2), here
 
     def slopes(at: Array, here: ChannelSlopes) -> NumberSlopes:
-        columns = [prepared.slope_of(k, p, *placed(at), here) for k, p in numbers]
+        base, terms = placed(at)
+        columns = [prepared.slope_of(k, p, base, terms, here) for k, p in numbers]
         scores = np.column_stack([here.by, *columns])
         gradient = scores.sum(axis=0) - precision * at
         information = scores.T @ scores + np.diag(precision)

@@ -12,6 +12,7 @@ from msp_range.input_file import open_input
 from msp_range.plugins import installed, load_entry
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
+from msp_range.yaml_file import ConfigError
 
 GROUP = "msp_lab.logs"
 """Entry points of formats of other packages, each a `LogFormat`."""
@@ -86,22 +87,27 @@ def format_of(path: Path) -> LogFormat:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     ending = ".csv" if path.name.lower().endswith(".csv.gz") else path.suffix.lower()
-    known = []
-    for each in _formats():
+    known: list[LogFormat] = []
+    unusable: list[str] = []
+    for each in _formats(unusable):
         known.append(each)
         if each.begins and begins.startswith(each.begins):
             return ROS_2 if each is RECORDING and begins[17:].startswith(_ROS_PROFILES) else each
     found = next((each for each in known if each.ending == ending), None)
     if found is None:
         listed = ", ".join(f"{each.ending} ({each.what})" for each in known)
-        raise RecordingError(f"{path}: no log that is known: it begins with {begins[:8]!r}; known are {listed}")
+        words = f"no log that is known: it begins with {begins[:8]!r}; known are {listed}"
+        raise RecordingError("; ".join([f"{path}: {words}", *unusable]))
     if not begins:
         raise RecordingError(f"{path}: the file is empty")
     return found
 
 
-def _formats() -> Iterator[LogFormat]:
-    """All formats, those of other packages last."""
+def _formats(unusable: list[str]) -> Iterator[LogFormat]:
+    """All formats, those of other packages last; what is wrong with one that cannot be used is added to the list."""
     yield from FORMATS
     for entry in installed(GROUP).values():
-        yield load_entry(entry, "log format", LogFormat)
+        try:
+            yield load_entry(entry, "log format", LogFormat)
+        except ConfigError as error:
+            unusable.append(str(error))

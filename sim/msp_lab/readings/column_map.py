@@ -26,7 +26,6 @@ from msp_range.recording.csv_form import (
     csv_rows,
     is_number,
     join_columns,
-    join_tables,
     read_csv,
     short_list,
     to_number,
@@ -244,8 +243,23 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     RecordingError
         The file cannot be read, lacks a column, or a cell is no number; with file, line and column.
     """
-    parts = [part.columns for part in column_map.parts] or [{}]
-    data = _with_times(path, join_tables([_read_part(path, column_map, each, maximum_cm) for each in parts]))
+    rows = csv_rows(path, column_map.delimiter)
+    header = [name.strip() for name in next(rows, (0, []))[1]]
+    if not header:
+        raise RecordingError(f"{path}: empty, expected a header")
+    # What already has a name of the CSV form keeps it.
+    known = [name for name in header if name in KNOWN and header.count(name) == 1]
+    shared = {name: MappedColumn(column=name) for name in known} | column_map.columns
+    own = [part.columns for part in column_map.parts] or [{}]
+    parts = [_TablePart(path, header, shared | each) for each in own]
+    while block := list(itertools.islice(rows, BLOCK)):
+        for part in parts:
+            part.read(block, column_map, maximum_cm)
+    columns = {}
+    for name in dict.fromkeys(name for part in parts for name in part.places):
+        is_word = name in WORD_COLUMNS or any(part.has_words(name) for part in parts)
+        columns[name] = join_columns(str(path), name, [piece for part in parts for piece in part.column(name, is_word)])
+    data = _with_times(path, MeasuredData(columns))
     for name, values in column_map.leave_out.items():
         if name not in data:
             raise RecordingError(f"{path}: the map leaves out rows by {name}, but has no column for it")
@@ -263,45 +277,66 @@ def _with_times(path: Path, table: MeasuredData) -> MeasuredData:
     return MeasuredData(columns)
 
 
-def _read_part(path: Path, column_map: ColumnMap, own: dict[str, MappedColumn], maximum_cm: float) -> MeasuredData:
-    """One of the tables side by side in a file, with the columns that only it has."""
-    rows = csv_rows(path, column_map.delimiter)
-    header = [name.strip() for name in next(rows, (0, []))[1]]
-    if not header:
-        raise RecordingError(f"{path}: empty, expected a header")
-    # What already has a name of the CSV form keeps it.
-    known = [name for name in header if name in KNOWN and header.count(name) == 1]
-    places = {name: MappedColumn(column=name) for name in known} | column_map.columns | own
-    if "reading_cm" not in places:
-        raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
-    where = {name: _index(path, header, name, place) for name, place in places.items()}
-    pieces: dict[str, list[Column]] = {name: [] for name in places}
-    while block := list(itertools.islice(rows, BLOCK)):
+class _TablePart:
+    """One of the tables side by side in a file, read block by block."""
+
+    def __init__(self, path: Path, header: list[str], places: dict[str, MappedColumn]) -> None:
+        if "reading_cm" not in places:
+            raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
+        self.places = places
+        self._path = path
+        self._header = header
+        self._where = {name: _index(path, header, name, place) for name, place in places.items()}
+        self._pieces: dict[str, list[Column]] = {name: [] for name in places}
+
+    def read(self, block: list[tuple[int, list[str]]], column_map: ColumnMap, maximum_cm: float) -> None:
+        """Read some rows, each with the number of its line."""
         # A table next to a longer one ends where all its cells are empty.
-        used = [(line, row) for line, row in block if any(_cell(row, index) for index in where.values())]
-        for name, place in places.items():
-            index = where[name]
-            cells = [str(place.value) if index is None else _cell(row, index) for _, row in used]
-            if column_map.decimal == "," and name not in WORD_COLUMNS:
-                cells = [_with_point(cell) if is_number(_with_point(cell)) else cell for cell in cells]
-            if name in WORD_COLUMNS or name not in KNOWN:
-                pieces[name].append(word_column(str(path), name, cells))
-                continue
-            heading = name if index is None else header[index] or f"number {index + 1}"
-            lines = [line for line, _ in used]
-            numbers = [_number(path, *each, name) for each in zip(lines, itertools.repeat(heading), cells)]
-            converted = _converted(name, place, np.array(numbers, dtype=float))
-            if name == "reading_cm":
-                converted[np.isin(numbers, column_map.codes.no_echo)] = maximum_cm
-                converted[np.isin(numbers, column_map.codes.no_answer)] = math.nan
-            pieces[name].append(converted)
-    columns = {name: join_columns(str(path), name, found) for name, found in pieces.items()}
-    for name in columns.keys() - KNOWN.keys():
-        # Whether a column of one's own holds words is known when all of it is read.
-        if all(map(is_number, np.unique(columns[name]).tolist())):
-            known_or_nan = np.where(columns[name] == "", "nan", columns[name]).astype(float)
-            columns[name] = _converted(name, places[name], known_or_nan)
-    return MeasuredData(columns)
+        used = [(line, row) for line, row in block if any(_cell(row, index) for index in self._where.values())]
+        if not used:
+            return
+        lines = [line for line, _ in used]
+        for name, place in self.places.items():
+            index = self._where[name]
+            if index is None:
+                constant = self._read_cells(name, [str(place.value)], lines[:1], column_map, maximum_cm)
+                piece = np.full(len(used), constant[0])
+            else:
+                cells = [_cell(row, index) for _, row in used]
+                piece = self._read_cells(name, cells, lines, column_map, maximum_cm)
+            self._pieces[name].append(piece)
+
+    def has_words(self, name: str) -> bool:
+        """Whether a column of one's own holds anything but numbers, which is known when all of it is read."""
+        pieces = [] if name in KNOWN else self._pieces.get(name, [])
+        return not all(is_number(cell) for piece in pieces for cell in np.unique(piece).tolist())
+
+    def column(self, name: str, is_word: bool) -> list[Column]:
+        """Pieces of a column, one after the other; unknown where this table does not have it."""
+        if name not in self.places:
+            return [np.full(len(piece), "" if is_word else math.nan) for piece in self._pieces["reading_cm"]]
+        pieces = self._pieces[name]
+        if is_word or name in KNOWN:
+            return pieces
+        numbers = [np.where(piece == "", "nan", piece).astype(float) for piece in pieces]
+        return [_converted(name, self.places[name], each) for each in numbers]
+
+    def _read_cells(
+        self, name: str, cells: list[str], lines: list[int], column_map: ColumnMap, maximum_cm: float
+    ) -> Column:
+        """Cells as a column, each with its line."""
+        if column_map.decimal == "," and name not in WORD_COLUMNS:
+            cells = [_with_point(cell) if is_number(_with_point(cell)) else cell for cell in cells]
+        if name in WORD_COLUMNS or name not in KNOWN:
+            return word_column(str(self._path), name, cells)
+        index = self._where[name]
+        heading = name if index is None else self._header[index] or f"number {index + 1}"
+        numbers = [_number(self._path, line, heading, cell, name) for cell, line in zip(cells, lines, strict=True)]
+        converted = _converted(name, self.places[name], np.array(numbers, dtype=float))
+        if name == "reading_cm":
+            converted[np.isin(numbers, column_map.codes.no_echo)] = maximum_cm
+            converted[np.isin(numbers, column_map.codes.no_answer)] = math.nan
+        return converted
 
 
 def _cell(row: Sequence[str], index: int | None) -> str:

@@ -150,8 +150,10 @@ def _slopes(trial: Trial) -> str | None:
     with np.errstate(invalid="ignore"):
         for j, name in enumerate(FREE):
             step = 1e-4 * (rows.sigma_cm if j == 0 else 1.0)
-            more, less = (rows.changed(Base(**{name: h})).log_prob(reading_cm) for h in (step, -step))
-            numeric = ((more - less) / (2.0 * step))[can]
+            more, less = (rows.changed(Base(**{name: h})) for h in (step, -step))
+            # A saturated fraction of 0 is not lowered.
+            apart = more.saturated_fraction - less.saturated_fraction if name == "saturated" else 2.0 * step
+            numeric = ((more.log_prob(reading_cm) - less.log_prob(reading_cm)) / apart)[can]
             # Short readings end at the hit: where a step of it crosses the edge of a code there is a kink.
             close = np.isclose(by[can, j], numeric, rtol=5e-3, atol=2e-2 if j == 0 else 5e-3)
             if not close.all():

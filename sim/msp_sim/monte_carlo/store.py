@@ -6,7 +6,6 @@ file.
 
 import csv
 import json
-from ast import literal_eval
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,7 +96,9 @@ def _value(column: str, text: str) -> Any:
     """A value as it was written."""
     if column in WORDS:
         return text
-    try:
-        return literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text or None
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return {"": None, "True": True, "False": False}.get(text, text)

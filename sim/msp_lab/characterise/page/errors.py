@@ -4,6 +4,7 @@ At a fixed range the errors of a sensor with whole centimetres take few values, 
 read, as a bar whose width is its share. Ranges that change all the time are drawn as a cloud.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -70,8 +71,22 @@ class Scale(NamedTuple):
     low: float
     high: float
     """Lowest and highest error [cm]."""
-    linear_cm: float
-    """Errors within this are to scale [cm]."""
+
+    @property
+    def is_compressed(self) -> bool:
+        """Whether only errors within `LINEAR_CM` are to scale."""
+        return max(-self.low, self.high) > 6.0 * LINEAR_CM
+
+    @property
+    def linear_cm(self) -> float:
+        """Errors within this are to scale [cm]."""
+        return LINEAR_CM if self.is_compressed else math.ceil(max(-self.low, self.high))
+
+    def is_far(self, error_cm: Array) -> Flags:
+        """Which errors are not drawn to scale: those off the axis, or beyond its linear part."""
+        if self.is_compressed:
+            return np.abs(error_cm) > LINEAR_CM
+        return (error_cm < self.low) | (error_cm > self.high)
 
 
 def draw_errors(
@@ -99,7 +114,7 @@ def draw_errors(
     # One axis of ranges for all panels, also where some have fewer of them.
     ranges_cm = np.unique(np.concatenate([each.true_range_cm for each in panels]))
     for each, row in zip(panels, rows, strict=True):
-        if scale.linear_cm == LINEAR_CM:
+        if scale.is_compressed:
             row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=0.8)
             row.yaxis.set_major_locator(FixedLocator([tick for tick in TICKS_CM if scale.low <= tick <= scale.high]))
             row.yaxis.set_minor_locator(NullLocator())
@@ -126,9 +141,8 @@ def scale_of(panels: Sequence[Errors], marked: Line | None = None) -> Scale:
     # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
     shown = [-2.4, 2.4, *(() if marked is None else marked.error_cm)]
     shown += list(np.quantile(errors, [0.0025, 0.9975])) if errors.size else []
-    low, high = min(shown) - 0.8, max(shown) + 0.8
-    farthest_cm = max(-low, high)
-    return Scale(low, high, LINEAR_CM if farthest_cm > 6.0 * LINEAR_CM else np.ceil(farthest_cm))
+    scale = Scale(min(shown) - 0.8, max(shown) + 0.8)
+    return Scale(min(scale.low, -LINEAR_CM), max(scale.high, LINEAR_CM)) if scale.is_compressed else scale
 
 
 def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
@@ -157,12 +171,10 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
         middles.append((range_cm, *_middle_of(errors, scale)))
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
         centre_cm = float(np.quantile(errors, 0.5, method="nearest"))
-        steps, counts = np.unique(np.rint(errors - centre_cm), return_counts=True)
-        for error_cm, count in zip(centre_cm + steps, counts, strict=True):
-            if abs(error_cm) > scale.linear_cm or not scale.low < error_cm < scale.high:
-                far.append((range_cm, np.clip(error_cm, scale.low, scale.high)))
-            else:
-                bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
+        rounded_cm, is_far = centre_cm + np.rint(errors - centre_cm), scale.is_far(errors)
+        far += [(range_cm, error_cm) for error_cm in np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))]
+        for error_cm, count in zip(*np.unique(rounded_cm[~is_far], return_counts=True), strict=True):
+            bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
     if bars:
         x, y, width = np.array(bars).T
         share_bars(row, x - width / 2.0, y, width)
@@ -178,7 +190,8 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
 
 def _count_above(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     """Write over each range how many of its readings are missed, and where there are any, how many are far off."""
-    counted = {"missed": each.missed, f"over ±{scale.linear_cm:g} cm": np.abs(each.error_cm) > scale.linear_cm}
+    far_off = f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis"
+    counted = {"missed": each.missed, far_off: scale.is_far(each.error_cm)}
     counted = {words: flags for words, flags in counted.items() if words == "missed" or np.any(flags)}
     at = np.searchsorted(ranges_cm, each.true_range_cm)
     counts = np.array([np.bincount(at, flags, ranges_cm.size) for flags in counted.values()]).astype(int)[::-1]

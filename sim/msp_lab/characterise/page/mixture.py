@@ -196,7 +196,8 @@ def density(rows: PictureData, kind: str) -> Drawn:
         axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
         axes.margins(y=0.25)
     if kind in ("short", "random") and fitted.weight[kind] < NO_WEIGHT:
-        note(axes, "weight 0: no reading was found to be of this kind", y=0.9)
+        rate = ",\nand its rate is the starting model's" if kind == "short" else ""
+        note(axes, f"weight 0: no reading was found to be of this kind{rate}", y=0.9)
     axes.axvline(fitted.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
     axes.set_ylim(bottom=0.0)
     axes.yaxis.set_major_formatter("{x:.3g}")

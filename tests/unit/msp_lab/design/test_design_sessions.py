@@ -1,9 +1,11 @@
 """Sessions, how far they tell answers apart, and the power that follows."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from msp_lab.design.answers import FittedAnswer, OldReadings, fit_answers, with_strength
 from msp_lab.design.bench import BenchSessions
@@ -330,3 +332,19 @@ def test_flights_at_the_ends_of_the_throttle_do_not_hover_between_them() -> None
     some, ends = (pilot.session(("throttle",), ends_only, RECORD, 40) for ends_only in (False, True))
     assert np.var(ends.contexts["throttle"]) > 1.4 * np.var(some.contexts["throttle"])
     assert len(pilot.flown) == 2
+
+
+def test_sensors_that_ping_together_give_a_flight_as_many_readings_as_are_planned(tmp_path: Path) -> None:
+    vehicle = yaml.safe_load((ROOT / "configs/quad_pallet.yaml").read_text())
+    vehicle["sensors"] = [sensor | {"model": str(SENSOR)} for sensor in vehicle["sensors"]]
+    first, second, *others = [sensor["name"] for sensor in vehicle["sensors"]]
+    minutes = []
+    for groups in ([[first], [second], others], [[first, second], others]):
+        file = tmp_path / f"{len(groups)}.yaml"
+        file.write_text(yaml.safe_dump(vehicle | {"polling": {"groups": groups}}))
+        session = Pilot(file, load_airframe(file)).session(("throttle",), False, RECORD, 400)
+        assert session.per_point == 400
+        # The climb to the height of the session comes on top.
+        assert 400 <= np.count_nonzero(session.contexts["sensor"] == first) / session.runs < 480
+        minutes.append(session.minutes - session.runs * 3.0)
+    assert minutes[1] < 0.75 * minutes[0]
