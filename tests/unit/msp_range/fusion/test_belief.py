@@ -305,9 +305,7 @@ def test_answers_that_begin_to_come_late_in_a_steady_climb_are_not_sent(climb_m:
     climbs, level_m = [4.0 + i for i in range(8)], 4.2 - 2.8 * climb_m
     late = Moving(lambda name, time_s, height_m: level_m + height_m, climbs, climb_m, late_from_s=7.95)
     assert not [time_s for time_s in late.sent if 8.4 < time_s < 10.0]
-    kerb = Moving(
-        lambda name, time_s, height_m: level_m + height_m - 0.4 * climb_m * (time_s > 7.95), climbs, climb_m
-    )
+    kerb = Moving(lambda name, time_s, height_m: level_m + height_m - 0.4 * climb_m * (time_s > 7.95), climbs, climb_m)
     assert len([time_s for time_s in kerb.sent if 8.4 < time_s < 10.0]) > 12
 
 
