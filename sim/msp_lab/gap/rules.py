@@ -446,25 +446,21 @@ EXPANSION_NATS = 3.0
 """A part's fit follows from the sums of scores if it gains no more than so many nats for each number over that of all.
 Half a nat is usual where readings are independent. Higher: parts that differ are taken for more alike; lower:
 slower."""
-STEP_SHARES = (1.0, 0.5, 0.25, 0.1)
-"""Of a step that is too large for a quadratic, the first of these shares is taken that is better for the part that is
-fitted. As in the refits, a step that makes the fit worse is too long. More: slower."""
 SPLITS_FITTED = 3
 """Of the splits with parts that have to be fitted since no quadratic says what their fit would, so many are used, next
 to all others. Six terms in ten splits of five parts are 700 fits. More: slower, and surer where readings are few for a
 number.
 """
-PART_ROUNDS = 2
-"""From such a step a part is fitted by so many steps of Newton at most, and so is the base to the other part. What is
-left after three steps is small against what a name gains. More: slower, on a robot's log of 4,819 readings by a minute.
-"""
+PART_ROUNDS = 3
+"""Such a part is fitted by so many steps of Newton at most, from the fit of all runs. What is left after three steps is
+small against what a name gains. More: slower, on a robot's log of 4,819 readings by a minute."""
 MIN_SPEAKING = 5.0
 """Of a number of which fewer readings speak, a part knows nothing by a quadratic. One 255 among the missed readings
 moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
-"""A held-out reading counts for at most so many nats for or against a term, and one at which the truth moves for or
-against repeated readings. A hit that becomes a random reading loses about 8; nine such rows of 700 removed a true slant
-range. Lower: effects that explain rare readings need more of them; higher: single rows decide."""
+"""A reading at which the truth moves counts for at most so many nats for or against repeated readings. A hit that
+becomes a random reading loses about 8. Higher: where the truth jumps by an error of its own, one reading decides; lower:
+repeats need more of them."""
 FINAL_ROWS = 60_000
 """The values that are reported are fitted to a sample of at most so many readings. Three times those of the
 search. More: slower, and narrower intervals."""
