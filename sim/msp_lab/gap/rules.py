@@ -337,8 +337,6 @@ CURVES_REFITTED = 6
 More: slower."""
 MAX_CURVES = 3
 """At most so many curves are added in one go. What needs more has another cause. More: slower."""
-CURVES_BETWEEN_RUNS = 4
-"""Where runs differ, so many curves are tried that could explain it. As `CURVES_REFITTED`. More: slower."""
 CURVE_OF_RUNS_SHARE = 0.5
 """A curve with more of the variance of its shift between runs is one of runs, and has to be known from as many of them.
 One that is known from readings inside runs has less there. Higher: sessions become curves; lower: curves over what
@@ -357,10 +355,6 @@ FORM_P_FACTOR = 0.1
 """A curve takes the place of names at this share of `CURVE_P`. A name is worth more to its reader than a curve. Higher:
 right names become unknown."""
 
-CANCEL_SHARE = 0.5
-"""Two effects whose sum varies by less than this share of the smaller one cancel, and are one curve. A bend of 11 %
-with a scale of -10 % stands for a curve of 1 %, and neither number means anything. Higher: two right effects of
-opposite signs become a curve."""
 
 # Exchange, alternatives, elimination.
 
@@ -459,8 +453,8 @@ MIN_SPEAKING = 5.0
 moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
 """A reading at which the truth moves counts for at most so many nats for or against repeated readings. A hit that
-becomes a random reading loses about 8. Higher: where the truth jumps by an error of its own, one reading decides; lower:
-repeats need more of them."""
+becomes a random reading loses about 8. Higher: where the truth jumps by an error of its own, one reading decides;
+lower: repeats need more of them."""
 FINAL_ROWS = 60_000
 """The values that are reported are fitted to a sample of at most so many readings. Three times those of the
 search. More: slower, and narrower intervals."""

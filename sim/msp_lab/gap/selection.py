@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.curves import add_curves, merge_cancelling, name_curves
+from msp_lab.gap.curves import add_curves, name_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
     CandidateFit,
@@ -88,7 +88,7 @@ def settled(problem: Problem, selection: Selection) -> Selection:
     needed = selection.needed_nats
     state = name_curves(problem, compete_with_tails(problem, selection.state, needed), needed)
     state, alternatives = exchange(problem, state, needed)
-    state = merge_cancelling(problem, eliminate(problem, state, needed))
+    state = eliminate(problem, state, needed)
     return replace(
         selection,
         state=state,
