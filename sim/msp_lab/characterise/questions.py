@@ -95,9 +95,7 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
         else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
         for _, metric, test in tests
     ]
-    return tuple(
-        _answered(question, effects[len(NAMES) * i : len(NAMES) * (i + 1)]) for i, question in enumerate(asked)
-    )
+    return tuple(_answered(question, effects[len(NAMES) * i : len(NAMES) * (i + 1)]) for i, question in enumerate(asked))
 
 
 def _compared(name: str, everything: Sequence[PointResult]) -> Iterable[Question]:

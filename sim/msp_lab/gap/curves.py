@@ -135,7 +135,7 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
     for term in [each for each in state.terms if each.active.shape is not None]:
         less = with_terms(problem, state, [each for each in state.terms if each.key != term.key])
         least = max(rules.FORM_SHARE * loss(problem, less.fit, state), needed_nats)
-        found = trials(problem, less, screened(problem, less), 0.0, rules.SCREEN_KEEPS * least)
+        found = trials(problem, less, screened(problem, less), rules.SCREEN_KEEPS * least)
         for each in found:
             assert term.active.shape is not None
             if each.gain_nats >= least and term.active.shape[0] in each.term.active.effect.channels:

@@ -233,19 +233,16 @@ FIRST_WINDOW = (10.0, 0.2)
 MIN_HIT_SHARE = 0.3
 """A base fit starts at the readings' median if this share of them is in that window. Fewer are not most of the hits.
 Lower: it starts at outliers."""
-MAX_COMPONENT_SHARE = 0.98
-"""Reject a component with a larger share: it has replaced the base. Any value from 0.9 to 0.99 gives the same names on
-the blind tables. Higher: a shifted base is named a component."""
 
 # Forward selection.
 
 REFITS_PER_STEP = 12
 """At most so many of the best candidates are refitted in a step. 4 and 36 gave the same names on the first seven blind
 tables of seed 7. More: slower."""
-REFIT_WITHIN_NATS = 6.0
-"""Candidates whose screened gain is within so many nats of the best are refitted. A screen is a quadratic, and off by
-some nats for gains of ten to twenty; 2 and 18 gave the same names on the first seven blind tables of seed 7. Lower:
-wrong names; higher: slower."""
+REFIT_WITHIN_NATS = 8.0
+"""Candidates whose screened gain is within so many nats of the best are refitted, wider than `ALTERNATIVE_NATS`. A
+screen is a quadratic, and off by some nats for gains of ten to twenty; 2 and 18 gave the same names on the first seven
+blind tables of seed 7. Lower: wrong names, and alternatives are missed; higher: slower."""
 REFIT_WITHIN_SHARE = 0.5
 """Of large gains, those within this share of the best are refitted. A quadratic promises too little of what is large.
 Higher: slower."""
@@ -358,9 +355,6 @@ right names become unknown."""
 
 # Exchange, alternatives, elimination.
 
-EXCHANGE_WITHIN = (8.0, 0.25)
-"""Candidates within so many nats, or this share of the term's gain, of the best are refitted in its place. Wider than
-`ALTERNATIVE_NATS`, since screened gains are rough. Lower: alternatives are missed."""
 EXCHANGE_LOSES = (8.0, 0.1)
 """A candidate takes a term's place if the readings alone lose so many nats by it at most, or this share of the term's
 gain. Where each run is at one range and has an offset of its own, a rounding to 2.54 cm took the place of a scale that
@@ -368,9 +362,6 @@ gains seven times as much. Higher: that; lower: among runs with offsets the firs
 EXCHANGE_KEEPS = 0.3
 """They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
 ones. Higher: alternatives of weak effects are missed."""
-EXCHANGE_LEAD_NATS = 0.3
-"""A candidate takes a term's place if it gains so much more. It keeps rounding from going round in circles. Higher: the
-second best name stays."""
 SIMPLER_NATS = 2.0
 """Of two effects of the same form (`SAME_FORM`) one has to gain so much more for each number that it has more. A number
 that is not there gains more in one case of 20. Higher: a late threshold and a bend are scales; lower: a scale is a late
