@@ -133,7 +133,7 @@ def test_two_effects_that_shift_the_same_readings_alike_are_not_fitted_together(
     contexts = {"true_range_cm": true_cm, "air_temperature_c": rng.uniform(18.0, 22.0, N)}
     problem = Problem.of(MODEL, contexts, np.rint(true_cm), np.arange(N) * RUNS // N, rng)
     terms = [make_term("range_scale", None, {"scale_pct": -1.0}), make_term(name, None, values)]
-    assert _has_its_form(problem, refit(problem.readings, terms, rounds=0, fit_effects=False)) == alike
+    assert _has_its_form(problem, refit(problem.readings, terms, rounds=0)) == alike
 
 
 def test_what_explains_something_else_takes_nobodys_place() -> None:

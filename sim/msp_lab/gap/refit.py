@@ -159,7 +159,6 @@ def refit(
     effects: Sequence[Term],
     start: Base | None = None,
     rounds: int = ROUNDS,
-    fit_effects: bool = True,
 ) -> JointFit:
     """Fit base and effects together.
 
@@ -173,11 +172,9 @@ def refit(
         Of the base; the given model's unless given.
     rounds
         At most.
-    fit_effects
-        False: the effects keep their values, and only the base is fitted.
     """
     effects = [_off_neutral(each) for each in effects]
-    numbers = free_numbers(effects) if fit_effects else []
+    numbers = free_numbers(effects)
     nb = len(BASE)
     low, high = _bounds(prepared, numbers)
     if start is None:
