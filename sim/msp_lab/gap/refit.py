@@ -13,8 +13,8 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
+from msp_lab.mixture_fit.maximise import ROUNDS, held_numbers, maximise
 from msp_range.arrays import Array, Flags, Indices
-from msp_range.reading_model.maximise import ROUNDS, held_numbers, maximise
 from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
