@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from scipy.stats import t
@@ -31,6 +32,7 @@ from msp_lab.gap.summary import with_words
 from msp_lab.gap.terminal import print_findings
 from msp_lab.gap.verdict import verdict
 from msp_sim.model.model import load_model
+from tests.support.known import known
 from tests.support.measured import MODEL
 from tests.unit.test_gap_page import page_of
 
@@ -56,16 +58,16 @@ OTHERS = replace(scale(), verdict="indistinguishable", alternatives=(Alternative
 DOUBTED = replace(scale(), verdict="suggested", doubt="share may be 0")
 PATH = (PathStep("", 0.5, -3.0),)
 SLICE = Slice("throttle 0.5 to 1", ("throttle",), 99, *(0.1,) * 11, "bias", 4.0, 0.002)
-FOUND: dict[str, dict[str, tuple[object, ...]]] = {
-    "nothing": {},
-    "one": {"effects": (scale(),)},
-    "a weak one": {"effects": (scale(WEAK),)},
-    "one and a weak one": {"effects": (scale(), replace(scale(WEAK), name="latency"))},
-    "alternatives": {"effects": (OTHERS,)},
-    "a suggestion": {"effects": (DOUBTED,)},
-    "a curve": {"unknown": (curve(),)},
-    "a weak curve": {"unknown": (curve(WEAK),)},
-    "one and a curve": {"effects": (scale(),), "unknown": (curve(),)},
+FOUND: dict[str, tuple[tuple[FoundEffect, ...], tuple[UnknownEffect, ...]]] = {
+    "nothing": ((), ()),
+    "one": ((scale(),), ()),
+    "a weak one": ((scale(WEAK),), ()),
+    "one and a weak one": ((scale(), replace(scale(WEAK), name="latency")), ()),
+    "alternatives": ((OTHERS,), ()),
+    "a suggestion": ((DOUBTED,), ()),
+    "a curve": ((), (curve(),)),
+    "a weak curve": ((), (curve(WEAK),)),
+    "one and a curve": ((scale(),), (curve(),)),
 }
 GAPS = {
     "closed before": gap(0.002, 0.001, 0.004),
@@ -78,14 +80,13 @@ GAPS = {
 
 
 def outcomes() -> Iterator[GapFindings]:
-    for (found, (what, measured)), runs, p in itertools.product(
-        itertools.product(FOUND.values(), GAPS.items()), (1, 12), (0.41, 0.02, 1e-6)
+    for (effects, unknown), (what, measured), runs, p in itertools.product(
+        FOUND.values(), GAPS.items(), (1, 12), (0.41, 0.02, 1e-6)
     ):
         # Blocks stand in for few runs.
         units = tuple(f"unit {k}" for k in range(60 if runs == 1 else runs))
-        content = GapFindings(
-            None, 2000, runs, measured, slices=(SLICE,), p_value=p, training_runs=units, selection_path=PATH, **found
-        )  # type: ignore[arg-type]
+        content = GapFindings(None, 2000, runs, measured, effects, unknown, slices=(SLICE,), p_value=p)
+        content = replace(content, training_runs=units, selection_path=PATH)
         yield with_words(replace(content, verdict=verdict(content, GIVEN)))
         if what == "left":
             yield with_words(content)
@@ -94,13 +95,17 @@ def outcomes() -> Iterator[GapFindings]:
 OUTCOMES = [*outcomes()]
 
 
+def z_of(each: FoundEffect | UnknownEffect) -> float:
+    return known(each.z)
+
+
 def test_the_outcomes_have_every_verdict() -> None:
-    assert {each.verdict for each in OUTCOMES} == {None, *Verdict.__args__}  # type: ignore[attr-defined]
+    assert {each.verdict for each in OUTCOMES} == {None, *get_args(Verdict)}
 
 
 @pytest.mark.parametrize("found", OUTCOMES, ids=lambda each: each.sentence[:50])
 def test_decision_number_and_next_step_agree(found: GapFindings) -> None:
-    named = [*found.confirmed, *found.unknown]
+    named: list[FoundEffect | UnknownEffect] = [*found.confirmed, *found.unknown]
     alpha, sentence, step = found.settings.alpha, found.sentence, found.next_step
     assert found.random_share is not None
     assert of_tables(found.random_share) in found.how_sure
@@ -109,7 +114,7 @@ def test_decision_number_and_next_step_agree(found: GapFindings) -> None:
     flies = step.startswith("fly ")
     if named:
         # The number is that of the weakest finding, by Student's t, and never that of another test.
-        weakest = max(float(t.sf(each.z, len(found.training_runs) - 1)) for each in named if each.z is not None)
+        weakest = max(float(t.sf(z_of(each), len(found.training_runs) - 1)) for each in named)
         assert found.random_share == pytest.approx(weakest)
         assert not sentence.startswith(("Nothing", "The model is", "Readings and model"))
         assert not (weak and flies)

@@ -51,13 +51,11 @@ def share_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> float:
     return float(stdtr(max(units - 1, 1), -(each.z or 0.0)))
 
 
-def how_sure_of(share: float, findings: GapFindings) -> str:
+def how_sure_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
     """How sure a finding is, in words, by its `share_of`."""
     where = "runs" if findings.runs >= rules.MIN_RUNS else "parts of a run"
-    return (
-        f"random variation alone would improve the prediction of {where} that were not fitted as much in "
-        f"{of_tables(share)}"
-    )
+    tables = of_tables(share_of(each, findings))
+    return f"random variation alone would improve the prediction of {where} that were not fitted as much in {tables}"
 
 
 def of_tables(share: float) -> str:
@@ -76,8 +74,9 @@ def of_tables(share: float) -> str:
 
 def _random_share(findings: GapFindings) -> float | None:
     """How often random variation alone shows as much as the decision rests on; None where that is not known."""
-    if parts := found_parts(findings):
-        return max(share_of(each, findings) for each in parts)
+    weakest = _weakest(findings)
+    if weakest is not None:
+        return share_of(weakest, findings)
     if findings.verdict in NOTHING_NAMED:
         return findings.p_value
     return min((each.p_value for each in findings.slices if each.p_value is not None), default=None)
@@ -93,7 +92,7 @@ def _how_sure(findings: GapFindings) -> str:
         return ""
     if weakest is not None:
         of_which = f" ({finding_label(weakest)} is the weakest)" * (len(found_parts(findings)) > 1)
-        return how_sure_of(share, findings) + of_which
+        return how_sure_of(weakest, findings) + of_which
     if findings.verdict in NOTHING_NAMED:
         unseen = f"; a gap below {short(findings.nats.noise_floor)} nats per reading would not be seen"
         model = "refitted model" if findings.verdict == "absorbed" else "model"
@@ -170,7 +169,7 @@ def _next_step(findings: GapFindings) -> str:
     bias = Measure(None) if findings.gap is None else findings.gap.bias_cm
     if verdict in STILL_OPEN and bias.is_beyond_floor and (bias.after or 0.0) > (bias.before or 0.0):
         return f"find out why the bias grew to {short(bias.after)} cm before you fly with this model"
-    if weakest is not None and share_of(weakest, findings) > findings.settings.alpha:
+    if weakest is not None and (findings.random_share or 0.0) > findings.settings.alpha:
         return f"record more runs like these: {finding_label(weakest)} is not sure yet"
     for each in found_parts(findings):
         if isinstance(each, UnknownEffect):

@@ -94,7 +94,8 @@ def finding_label(each: FoundEffect | UnknownEffect) -> str:
     """
     if isinstance(each, UnknownEffect):
         return f"an unknown effect on {each.channel} over {' and '.join(map(name_of, each.variables))}"
-    return " or ".join(effect_label(one.name, one.of) for one in (each, *each.alternatives))
+    others = (effect_label(one.name, one.of) for one in each.alternatives)
+    return " or ".join([effect_label(each.name, each.of), *others])
 
 
 def unit_after(unit: str) -> str:

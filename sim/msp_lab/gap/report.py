@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.conclusion import how_sure_of, share_of
+from msp_lab.gap.conclusion import how_sure_of
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.labels import channel_label, effect_label, extension_label
 from msp_lab.gap.measures import HeldOutReadings
@@ -77,7 +77,7 @@ def write_report(
         rules=rules,
         effect_label=effect_label,
         channel_label=channel_label,
-        how_sure_of=lambda each: how_sure_of(share_of(each, findings), findings),
+        how_sure_of=lambda each: how_sure_of(each, findings),
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
 
