@@ -95,7 +95,8 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
         else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
         for _, metric, test in tests
     ]
-    return tuple(_answered(question, effects[len(NAMES) * i : len(NAMES) * (i + 1)]) for i, question in enumerate(asked))
+    starts = range(0, len(effects), len(NAMES))
+    return tuple(_answered(question, effects[i : i + len(NAMES)]) for i, question in zip(starts, asked, strict=True))
 
 
 def _compared(name: str, everything: Sequence[PointResult]) -> Iterable[Question]:
