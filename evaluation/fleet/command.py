@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from evaluation.fleet.generator import FAULTS, KINDS, SPREADS, fleet
+from evaluation.fleet.generator import KINDS, fleet
 from evaluation.fleet.score import Outcome, run, table
 from evaluation.runner import Row, as_objects, campaign_options, publish, run_cases
 
@@ -31,15 +31,13 @@ USUAL = (
     "shared:multipath",
 )
 """Kinds in the order in which fleets are drawn, again and again."""
-FAULT = f"fault:NUMBER or fault:NUMBER:SPREADS ({SPREADS:g}) of {', '.join(FAULTS)}"
-"""How a fault is written, for the help."""
 
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     campaign_options(parser)
     parser.add_argument("--fleets", type=int, default=len(USUAL), help="number of fleets (default: %(default)s)")
-    parser.add_argument("--kinds", nargs="+", help=f"default: some of each; effects: {', '.join(KINDS)}; {FAULT}")
+    parser.add_argument("--kinds", nargs="+", help=f"default: some of each; effects: {', '.join(KINDS)}")
 
 
 def main(given: argparse.Namespace) -> None:

@@ -3,8 +3,7 @@
 ``fleet("odd:latency", 7)`` is always the same fleet. Its sensors have one base with numbers that scatter from unit to
 unit. Kinds: ``null``; ``odd:EFFECT``, three vehicles with an effect of 10 standard errors each; ``shared:EFFECT``, all
 of them; ``change:offset``, three vehicles whose offset changes at one of their sessions; ``odd:offset``, three that are
-mounted too high or too low; ``fault:NUMBER``, one with another plain number by 7 standard deviations between vehicles,
-or by as many as ``fault:NUMBER:5`` says.
+mounted too high or too low.
 """
 
 import zlib
@@ -30,18 +29,6 @@ ODD = 3
 STANDARD_ERRORS = 10.0
 OFFSET_CM, LOG_SIGMA, LOG_ODDS = 0.3, 0.05, 0.2
 """Standard deviations between sensors of one make: offset, logarithms of scatter and of odds of outliers."""
-FAULTS = {
-    "offset": ("offset_cm", OFFSET_CM, frozenset({"offset"})),
-    "scale": ("scale", 0.002, frozenset({"range_scale"})),
-    "scatter": ("sigma_cm", LOG_SIGMA, frozenset({"scatter"})),
-    "short": ("short", LOG_ODDS, frozenset({"short"})),
-    "missed": ("missed", LOG_ODDS, frozenset({"missed"})),
-    "random": ("random", LOG_ODDS, frozenset({"random"})),
-}
-"""Plain numbers: which one of the base it is, its standard deviation between vehicles (of the scatter that of its
-logarithm), and the names that are right. Scales differ only in fleets with a fault."""
-SPREADS = 7.0
-"""A fault is so many of them."""
 LEAST_ROOT = 7.0
 """Root of twice the log-likelihood ratio that an effect of 10 standard errors has to have at least (`likelihood.py`).
 The table on which it is taken makes it uncertain by 1, so that three below 10 is no less than was asked for. Where an
@@ -96,12 +83,9 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
         There is no such kind.
     """
     family, _, title = kind.partition(":")
-    if family == "fault" and title.partition(":")[0] in FAULTS:
-        return _with_fault(kind, np.random.default_rng([seed, zlib.crc32(kind.encode())]), vehicles)
     if not (kind in ("null", "change:offset", "odd:offset") or (family in ("odd", "shared") and title in KINDS)):
         raise ValueError(
-            f"kind {kind!r}: expected null, change:offset, odd:EFFECT or shared:EFFECT of {', '.join(KINDS)}, "
-            f"or fault:NUMBER of {', '.join(FAULTS)}"
+            f"kind {kind!r}: expected null, change:offset, odd:EFFECT or shared:EFFECT of {', '.join(KINDS)}"
         )
     rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
     for _ in range(DRAWS):
@@ -109,32 +93,6 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
         if drawn is not None:
             return drawn
     raise RuntimeError(f"{kind} {seed}: no possible size in {DRAWS} fleets")
-
-
-def _with_fault(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet:
-    """A fleet in which one vehicle has another plain number."""
-    title, _, spreads = kind.removeprefix("fault:").partition(":")
-    field, deviation, names = FAULTS[title]
-    # What is wrong with a sensor makes it scatter more and gives more outliers; an offset or a scale has either sign.
-    sign = float(rng.choice((-1.0, 1.0))) if title in ("offset", "scale") else 1.0
-    size = float(spreads or SPREADS) * deviation * sign
-    common = draw_base(rng)
-    columns = frozenset(name for name in CONTEXTS if rng.random() < 0.6)
-    design = Design(sensors=1, columns=columns)
-    bench_rows = draw_bench(rng, draw_flights(rng, design))
-    odd = int(rng.integers(vehicles))
-    made = []
-    for number in range(vehicles):
-        base = replace(_of_unit(common, rng), scale=common.scale + FAULTS["scale"][1] * rng.standard_normal())
-        if number == odd:
-            value = getattr(base, field)
-            base = replace(base, **{field: value * np.exp(size) if title == "scatter" else value + size})
-        rows = draw_flights(rng, design)
-        table = _columns(rows, draw(rows, base, base_law(rows, base), rng).reading_cm, columns, "flight")
-        made.append(Vehicle(f"V{number + 1:02d}", table, title if number == odd else "", size * (number == odd)))
-    drawn = draw(bench_rows, common, base_law(bench_rows, common), rng)
-    bench = _columns(bench_rows, drawn.reading_cm, frozenset(CONTEXTS), "bench")
-    return Fleet(tuple(made), bench, names, frozenset({f"V{odd + 1:02d}"}))
 
 
 def _drawn(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet | None:

@@ -1,41 +1,41 @@
-"""Which effects the fleet shares, which units are odd ones out, and which have changed: the plainest explanation first.
+"""Which effects the fleet shares, which units are odd ones out, and which have changed: one finding after the other.
 
-1. A unit's own numbers that changed over its sessions, where no effect is clearer.
-2. Effects of the catalogue: what the gap workflow's search names in single units. Each is then estimated in every unit,
-   where those that do not have it show how much of it is nothing.
-3. The six plain numbers (the base's five, and the scale), next to the effects that were found.
+All hypotheses (each number's mean over the fleet, each unit's deviation from the others, its change and its drift) are
+one family. The smallest p-value is a finding if it is at most ``fdr (found + 1) / tests``: the limits of Benjamini &
+Hochberg (1995, J. R. Stat. Soc. B 57:289), one step at a time from the smallest. After each finding its effect enters
+the fits of the units that have it, so that what only looked like it is not found in its wake.
 
-Plain numbers are free in every fit, so that an effect is named only where they do not explain the readings. They have a
-part of the false-discovery rate for themselves: they are few, and next to the tests of effects they would be missed.
-Changes, and for each unit what its search names (which counts its own candidates), are one family: a p-value is a
-finding if it is at most ``rate (found + 1) / tests``, the limits of Benjamini & Hochberg (1995, J. R. Stat. Soc. B
-57:289), one step at a time.
+Which effect a unit has is decided by refits: that which gains most over all units that are odd in the same way. Effects
+that gain nearly as much are its alternatives.
 """
 
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from msp_lab.fleet.findings import Kind
-from msp_lab.fleet.statistics import Change, Number, number_of
-from msp_lab.fleet.terms import BASE_NUMBERS, SCALE, FleetTerm
-from msp_lab.fleet.unit import MIN_READINGS, NamedTerm, Unit, UnitEstimates, estimate, search
+from msp_lab.fleet.statistics import Change, Number, changes_of, numbers_of
+from msp_lab.fleet.terms import FleetTerm, candidate_of, effect_of
+from msp_lab.fleet.unit import RefittedTerm, Unit, UnitScores, compare, examine
+from msp_lab.gap import rules
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 from msp_sim.workers import ItemOutcome
 
+Key = tuple[str, str | None]
 Map = Callable[[Callable[[Model, Any], Any], Sequence[Any]], Iterable[ItemOutcome[Any]]]
 """Calls a function with the model and each item of a list; other processes may do it."""
-PLAIN = tuple(FleetTerm(name, "value") for name in BASE_NUMBERS)
-"""Numbers that every fit has."""
 
-PLAIN_SHARE = 0.2
-"""Share of the false-discovery rate that is the probability of any false finding among the plain numbers (Bonferroni).
-A vehicle that is 7 spreads from 19 others is found in 93 % at 0.2 and a rate of 0.05, and 1 of 100 fleets without one
-has a false alarm; at 0.1 it is 89 % and 1 of 200, at 0.4 96 % and 1 of 50. The rest is for effects and changes."""
+MAX_FINDINGS = 40
+"""The search ends after so many: what is then left has a common cause that nobody has named."""
+SHARED_NATS = 8.0
+"""An effect that the fleet shares gains so much in the mean sensor [nat], 4 standard errors. Twenty vehicles show less
+for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn fleet without any effect. Lower:
+shared effects that are the bench's error; higher: weak ones are missed."""
+SHARED_TRIED = 6
+"""So many effects are refitted in all units when the fleet shares one. More: slower."""
 
 
 @dataclass(frozen=True)
@@ -45,160 +45,349 @@ class FleetFinding:
     kind: Kind
     """``shared``: the fleet has it; ``calibration``: that too, and it is a number of the sensor model; ``odd``: some
     units do, or have more or less of it; ``change`` or ``drift``: one unit's became another one."""
-    number: Number
-    """The number in every unit."""
-    units: tuple[int, ...] = ()
-    """Places of the units; of what the fleet shares none."""
-    alternatives: tuple[tuple[str, float], ...] = ()
+    term: FleetTerm
+    """The number."""
+    units: tuple[int, ...]
+    """Places of the units."""
+    log_p: tuple[float, ...]
+    """Logarithms of their p-values, or the one of the fleet's mean."""
+    alternatives: tuple[tuple[FleetTerm, float], ...] = ()
     """Other effects that explain it as well, with how much less they gain [nat]."""
     change: Change | None = None
     """Of one unit."""
-    before_change: UnitEstimates | None = None
-    """Its estimates, before the change was known."""
 
 
 @dataclass
 class Search:
     """The state of the search: what each unit is known to have, and what was found."""
 
-    units: list[Unit]
-    """Those that can be used; of one that changed, from then on its sessions before it."""
-    estimates: list[UnitEstimates]
+    units: Sequence[Unit]
+    """Those that can be used."""
+    scores: list[UnitScores]
     """Of each unit."""
     fdr: float
     """False-discovery rate."""
     run: Map
     """Calls functions for several units."""
     found: list[FleetFinding] = field(default_factory=list)
+    tests: int = 0
+    """Number of hypotheses."""
 
     def __post_init__(self) -> None:
         self.terms: list[tuple[FleetTerm, ...]] = [() for _ in self.units]
         """What each unit is known to have."""
-        self.plain_tests = (len(PLAIN) + 1) * len(self.units)
-        self.other_tests = self.plain_tests
-        """Number of hypotheses: the plain numbers, and as many changes with, for each unit, what its search names."""
+        self.before_change: dict[int, UnitScores] = {}
+        """Of a unit that changed, its scores before the change was known."""
+        self._without: set[tuple[int, Key]] = set()
+        """Units, or -1 for the fleet, and effects that did not gain what their scores promised."""
 
     def search(self) -> None:
-        """Find what there is, in the order of the module's description."""
-        named = dict(enumerate(self._searched(range(len(self.units)))))
-        # An effect of what differs between sessions looks like a change, and a change like an effect.
-        clear = {k: max((each.deviations for each in own if not each.is_base), default=0.0) for k, own in named.items()}
-        changed = self._changes(PLAIN, clear)
-        named |= zip(changed, self._searched(changed), strict=True)
-        self._effects(named)
-        self._changes([*PLAIN, *(each.number.term for each in self.found if each.change is None)], {})
-        self._plain(named)
-
-    def _searched(self, places: Sequence[int]) -> list[tuple[NamedTerm, ...]]:
-        """What the search names in some units; it counts its candidates itself."""
-        alpha = (1.0 - PLAIN_SHARE) * self.fdr / len(self.units)
-        return self._asked(search, [(self.units[k], alpha) for k in places])
+        """Find until nothing is left that random variation does not explain."""
+        while len(self.found) < MAX_FINDINGS:
+            numbers, changes = numbers_of(self.scores), changes_of(self.scores)
+            # A mean for each effect, a deviation for each unit, and its changes and drifts.
+            tests = sum(each.units.size + (not each.term.is_base) for each in numbers) + 2 * len(changes)
+            self.tests = max(self.tests, tests)
+            if not (self._shared(numbers) or self._of_units(numbers, changes) or self._of_base(numbers)):
+                break
 
     @property
     def _log_level(self) -> float:
-        """Logarithm of the p-value that the next finding may have, other than of a plain number."""
-        count = 1 + sum(max(len(each.units), 1) for each in self.found)
-        return float(np.log((1.0 - PLAIN_SHARE) * self.fdr * count / self.other_tests))
+        """Logarithm of the p-value that the next finding may have."""
+        count = sum(len(each.log_p) for each in self.found)
+        return float(np.log(self.fdr * (count + 1) / max(self.tests, 1)))
 
-    def _asked(self, question: Callable[..., Any], items: Sequence[Any]) -> list[Any]:
-        """Answers of some units; RecordingError where there is none, since the files could be read before."""
-        outcomes = list(self.run(question, items))
-        for each in outcomes:
-            if each.error is not None:
-                raise RecordingError(f"a sensor's readings could be used once, and now not: {each.error}")
-        return [each.value for each in outcomes]
+    @property
+    def _of_all(self) -> set[Key]:
+        """Effects that all units are known to have."""
+        return {each.term.key for each in self.found if each.kind in ("shared", "calibration")}
 
-    def _estimated(self, places: Sequence[int], *more: FleetTerm) -> dict[int, UnitEstimates]:
-        """Estimates of some units with what they are known to have and more."""
-        tasks = [(self.units[k], (*self.terms[k], *more)) for k in places]
-        return dict(zip(places, self._asked(estimate, tasks), strict=True))
+    def _has(self, unit: int, key: Key) -> bool:
+        kinds = [each for each in self.found if each.term.key == key and each.kind == "odd"]
+        return (unit, key) in self._without or any(unit in each.units for each in kinds)
 
-    def _learn(self, term: FleetTerm, places: Sequence[int]) -> None:
-        """Some units are known to have one more term."""
-        for k, each in self._estimated(places, term).items():
-            self.terms[k], self.estimates[k] = (*self.terms[k], term), each
+    def _shared(self, numbers: Sequence[Number]) -> bool:
+        """One more effect that the fleet shares."""
+        of_all = self._of_all
+        open_ = [
+            each
+            for each in numbers
+            if not (each.term.is_base or each.term.sessions)
+            and each.term.key not in of_all
+            and (-1, each.term.key) not in self._without
+            and each.fleet.ordinary.sum() > len(self.units) / 2.0
+        ]
+        best = _best_by_key((each.shared_log_p, each) for each in open_)
+        best = [pair for pair in best if pair[0] <= self._log_level]
+        if not best:
+            return False
+        # What every sensor has a number for, such as the tails of its noise, is calibrated before anything is named.
+        numbered = [pair for pair in best if effect_of(pair[1].term.effect).base is not None]
+        near = [pair for pair in best if pair[0] <= rules.REFIT_WITHIN_SHARE * best[0][0]]
+        best = numbered[:1] or near[:SHARED_TRIED]
+        everyone = list(range(len(self.units)))
+        tried = [_tried(number, number.fleet.mean) for _, number in best]
+        gains = self._gains(everyone, tried)
+        total = gains.nats.sum(axis=0)
+        k = int(np.argmax(total))
+        calibration = effect_of(tried[k].effect).base is not None
+        needed = -self._log_level if calibration else max(-self._log_level, SHARED_NATS * len(self.units))
+        if total[k] < needed:
+            self._without |= {(-1, each.key) for each in tried}
+            return True
+        term = gains.common(k, everyone)
+        log_p = next(each for each, number in best if number.term.key == term.key)
+        kind: Kind = "calibration" if calibration else "shared"
+        self._take(FleetFinding(kind, term, tuple(everyone), (log_p,), gains.near(k, total)))
+        return True
 
-    def number(self, term: FleetTerm, odd: Sequence[int] = ()) -> Number | None:
-        """A number in every unit, next to what else each is known to have; `odd` is as in `number_of`."""
-        plain = replace(term, start=0.0)
-        again = self._estimated([k for k, each in enumerate(self.estimates) if plain not in each.terms], term)
-        return number_of([again.get(k, each) for k, each in enumerate(self.estimates)], plain, odd)
+    def _of_units(self, numbers: Sequence[Number], changes: Sequence[tuple[FleetTerm, int, Change]]) -> bool:
+        """Some units with one more effect, or one that changed."""
+        level = self._log_level
+        flagged = self._flagged(numbers, level)
+        done = {each.units[0] for each in self.found if each.change is not None}
+        changed = [each for each in changes if each[2].log_p <= level and each[1] not in done]
+        first = min((each.log_p for each in flagged.values()), default=0.0)
+        if changed and min(each[2].log_p for each in changed) <= first:
+            self._take_change(*min(changed, key=lambda each: each[2].log_p), changes)
+            return True
+        if not flagged:
+            return False
+        return self._odd(flagged, level)
 
-    def _changes(self, terms: Sequence[FleetTerm], clear: Mapping[int, float]) -> list[int]:
-        """The clearest change of each unit, as long as random variation does not explain it; which units changed.
+    def _flagged(self, numbers: Sequence[Number], level: float) -> dict[int, "_Suspect"]:
+        """Units that are odd, each with the effects that may be why.
 
-        It is no finding yet where it is fewer standard errors than `clear` says of an effect.
+        Those are effects whose own number is odd, and where a number of the base is, all that change the same: where
+        throttle hardly varies, a score says little of what grows with throttle, and a refit more.
         """
-        changed = []
-        known = {each.units[0] for each in self.found if each.change is not None}
-        clearest: dict[int, tuple[Change, Number]] = {}
-        for number in filter(None, (number_of(self.estimates, each) for each in terms)):
-            for k, change in zip(number.units.tolist(), number.changes, strict=True):
-                if change and k not in known and (k not in clearest or change.log_p < clearest[k][0].log_p):
-                    clearest[k] = change, number
-        for k, (change, number) in sorted(clearest.items(), key=lambda each: each[1][0].log_p):
-            if change.log_p > self._log_level:
-                break
-            if abs(change.size) < clear.get(k, 0.0) * change.error:
+        of_base: dict[tuple[int, str], float] = {}
+        for number in numbers:
+            for j, unit in enumerate(number.units.tolist()):
+                log_p, is_known = float(number.log_p[j]), number.term.sessions or self._has(unit, number.term.key)
+                if number.term.is_base and not is_known and log_p <= level:
+                    of_base[unit, effect_of(number.term.effect).channels[0]] = log_p
+        found: dict[int, _Suspect] = {}
+        for number in numbers:
+            if number.term.is_base or number.term.sessions:
                 continue
-            changed.append(k)
-            self.found.append(FleetFinding(change.kind, number, (k,), (), change, self.estimates[k]))
-            # What follows is asked of the vehicle as it was, which for a drift is in its first half.
-            last = change.first or len(self.estimates[k].sessions) // 2
-            if self.estimates[k].readings[:last].sum() >= MIN_READINGS:
-                self.units[k] = replace(self.units[k], sessions=self.estimates[k].sessions[:last])
-                self.estimates[k] = self._estimated([k])[k]
-        return changed
+            channels = effect_of(number.term.effect).channels
+            if "component" in channels:
+                # Echoes from elsewhere count as short or random readings until they have a name.
+                channels = (*channels, "short", "random")
+            for j, unit in enumerate(number.units.tolist()):
+                own, others = float(number.log_p[j]), [of_base.get((unit, each), 0.0) for each in channels]
+                is_fitted = self.fits(unit, number.term)
+                if self._has(unit, number.term.key) or min([own, *([] if is_fitted else others)]) > level:
+                    continue
+                suspect = found.setdefault(unit, _Suspect())
+                suspect.log_p = min([suspect.log_p, own, *([] if is_fitted else others)])
+                (suspect.own if own <= level else suspect.other).append((own, number, j))
+        return found
 
-    def _effects(self, named: Mapping[int, Sequence[NamedTerm]]) -> None:
-        """Effects that were named in some units: those of most units first, then the clearest."""
-        by_key: dict[Any, dict[int, NamedTerm]] = defaultdict(dict)
-        for k, terms in named.items():
-            for each in terms:
-                by_key[each.term.key][k] = each
-        by_key.pop(SCALE.key, None)
-        half = len(self.units) / 2.0
-        for members in sorted(
-            by_key.values(), key=lambda each: (len(each) <= half, -max(one.deviations for one in each.values()))
-        ):
-            clearest = max(members.values(), key=lambda each: each.deviations)
-            term, others = clearest.term, clearest.alternatives
-            number = self.number(term, () if len(members) > half else list(members))
-            if number is None:
-                continue
-            is_shared = len(members) > half and number.fleet.log_p_of_mean <= self._log_level
-            if is_shared:
-                kind: Kind = "calibration" if clearest.is_base else "shared"
-                self.found.append(FleetFinding(kind, number, (), others))
-                self._learn(term, range(len(self.units)))
-            # Of what is no effect of the fleet, more than the others have is asked only of units that it was named in.
-            suspects = {k: float(p) for k, p in zip(number.units.tolist(), number.fleet.log_p, strict=True)}
-            odd = self._odd({k: p for k, p in suspects.items() if is_shared or k in members})
-            if odd:
-                self.found.append(FleetFinding("odd", number, tuple(odd), others))
-                if not is_shared:
-                    self._learn(term, odd)
+    def _odd(self, flagged: dict[int, "_Suspect"], level: float) -> bool:
+        worst = min(flagged, key=lambda unit: flagged[unit].log_p)
+        # What all units have is fitted in all: a unit with more or less of it needs no refit.
+        best = min(flagged[worst].own, key=lambda each: each[0], default=None)
+        of_all = self._of_all
+        if best is not None and best[1].term.key in of_all:
+            self._take(FleetFinding("odd", best[1].term, (worst,), (best[0],)))
+            return True
+        tried: dict[Key, FleetTerm] = {}
+        for suspect in sorted(flagged.values(), key=lambda each: each.log_p):
+            for number, j in suspect.candidates():
+                if number.term.key not in of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
+                    tried.setdefault(number.term.key, _tried(number, float(number.value[j])))
+        if not tried:
+            self._without |= {(worst, number.term.key) for _, number, _ in (*flagged[worst].own, *flagged[worst].other)}
+            return True
+        units = list(flagged)
+        gains = self._gains(units, list(tried.values()))
+        nats = gains.nats
+        row = units.index(worst)
+        k = int(np.argmax(nats[row]))
 
-    def _odd(self, log_p: dict[int, float]) -> list[int]:
-        """Units that random variation does not explain, the clearest first."""
-        odd: list[int] = []
-        for k in sorted(log_p, key=lambda k: log_p[k]):
-            if log_p[k] > self._log_level + np.log1p(len(odd)):
-                break
-            odd.append(k)
-        return odd
+        def alike(k: int) -> list[int]:
+            """Units that this effect explains as well as any other does."""
+            behind = nats.max(axis=1) - nats[:, k] <= rules.ALTERNATIVE_NATS
+            return [
+                i
+                for i in np.flatnonzero(behind & (nats[:, k] >= -level)).tolist()
+                if not self._has(units[i], gains.terms[k].key)
+            ]
 
-    def _plain(self, named: Mapping[int, Sequence[NamedTerm]]) -> None:
-        """Units with another number of the base, or another scale, next to what effects explain."""
-        level = float(np.log(PLAIN_SHARE * self.fdr / self.plain_tests))
-        for term in (SCALE, *PLAIN):
-            number = self.number(term)
-            if number is None:
-                continue
-            odd = tuple(number.units[number.fleet.log_p <= level].tolist())
-            if not odd:
-                continue
-            others = [each.alternatives for k in odd for each in named[k] if each.term.key == term.key]
-            self.found.append(FleetFinding("odd", number, odd, others[0] if others else ()))
-            if term == SCALE:
-                self._learn(term, odd)
+        group = alike(k)
+        if row not in group:
+            self._without |= {(worst, each.key) for each in tried.values()}
+            return True
+        total = nats[group].sum(axis=0)
+        k = int(np.argmax(total))
+        term = gains.common(k, group)
+        members = tuple(units[i] for i in group)
+        smallest = tuple(flagged[unit].log_p for unit in members)
+        self._take(FleetFinding("odd", term, members, smallest, gains.near(k, total)))
+        self._prune(members)
+        return True
+
+    def _of_base(self, numbers: Sequence[Number]) -> bool:
+        """A unit with another number of the base, once no effect explains it."""
+        pairs = [
+            (float(number.log_p[j]), number.term, unit)
+            for number in numbers
+            if number.term.is_base and not number.term.sessions
+            for j, unit in enumerate(number.units.tolist())
+            if not self._has(unit, number.term.key)
+        ]
+        log_p, term, unit = min(pairs, key=lambda each: each[0], default=(0.0, None, -1))
+        if term is None or log_p > self._log_level:
+            return False
+        same = next((k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term), None)
+        if same is None:
+            self._take(FleetFinding("odd", term, (unit,), (log_p,)))
+        else:
+            old = self.found[same]
+            self.found[same] = replace(old, units=(*old.units, unit), log_p=(*old.log_p, log_p))
+        return True
+
+    def _take_change(
+        self, term: FleetTerm, unit: int, change: Change, changes: Sequence[tuple[FleetTerm, int, Change]]
+    ) -> None:
+        """Only the clearest change of a unit, with the other numbers that it could be a change of."""
+        nats = 0.5 * (change.size / change.error) ** 2
+        near = []
+        for other, place, each in changes:
+            lost = nats - 0.5 * (each.size / each.error) ** 2
+            if place == unit and other != term and lost <= rules.ALTERNATIVE_NATS:
+                near.append((other, lost))
+        self.found.append(FleetFinding(change.kind, term, (unit,), (change.log_p,), tuple(near), change))
+        self.before_change[unit] = self.scores[unit]
+        sessions = self.scores[unit].sessions
+        # A drift is a change in the middle, as far as it could pass for another effect.
+        later = sessions[change.first if change.kind == "change" else len(sessions) // 2 :]
+        self._fit({unit: replace(term, sessions=later, start=change.size)})
+
+    def _take(self, finding: FleetFinding) -> None:
+        self.found.append(finding)
+        if not finding.term.is_base:
+            self._fit({unit: finding.term for unit in finding.units if not self.fits(unit, finding.term)})
+
+    def _prune(self, units: Iterable[int]) -> None:
+        """Take out effects of units that others, found later, have made needless."""
+        for unit in units:
+            for term in [each for each in self.terms[unit] if not each.sessions]:
+                own = [k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term]
+                others = tuple(each for each in self.terms[unit] if each != term)
+                if not own or not others or unit not in self.found[own[0]].units:
+                    continue
+                ((lost,),) = values_of(self.run(compare, [(self.units[unit], others, (term,))]))
+                if lost.gain_nats >= -rules.KEEP_SHARE * self._log_level:
+                    continue
+                self.terms[unit] = others
+                (self.scores[unit],) = self.examined([unit], self.terms)
+                # It is not asked again, so that effects do not take each other's place in turn.
+                self._without.add((unit, term.key))
+                old = self.found[own[0]]
+                kept = [k for k, each in enumerate(old.units) if each != unit]
+                units_left, log_p = tuple(old.units[k] for k in kept), tuple(old.log_p[k] for k in kept)
+                self.found[own[0]] = replace(old, units=units_left, log_p=log_p)
+        self.found = [each for each in self.found if each.units]
+
+    def fits(self, unit: int, term: FleetTerm) -> bool:
+        """Whether a unit is known to have an effect."""
+        return any(each.key == term.key and not each.sessions for each in self.terms[unit])
+
+    def _fit(self, added: dict[int, FleetTerm]) -> None:
+        """Refit units with one more term."""
+        for unit, term in added.items():
+            self.terms[unit] = (*self.terms[unit], term)
+        places = list(added)
+        for k, each in zip(places, self.examined(places, self.terms), strict=True):
+            self.scores[k] = each
+
+    def examined(
+        self, places: Sequence[int], terms: Sequence[tuple[FleetTerm, ...]], with_others: bool = True
+    ) -> list[UnitScores]:
+        """Scores of some units with these terms of all units, and of all other effects."""
+        return values_of(self.run(examine, [(self.units[k], terms[k], with_others) for k in places]))
+
+    def _gains(self, units: Sequence[int], tried: Sequence[FleetTerm]) -> "_Gains":
+        """What each effect gains in each unit, as many independent readings would."""
+        fits: list[list[RefittedTerm]] = values_of(
+            self.run(compare, [(self.units[k], self.terms[k], tried) for k in units])
+        )
+        nats = np.array([[each.gain_nats for each in row] for row in fits])
+        for i, unit in enumerate(units):
+            scores = self.scores[unit]
+            for j, term in enumerate(tried):
+                if candidate_of(term).linear:
+                    # No single reading gains much, and the scores at a share of 0 vary because of the effect itself.
+                    continue
+                same = [float(f) for f, each in zip(scores.factor, scores.terms, strict=True) if each.key == term.key]
+                nats[i, j] /= max(min(same, default=1.0), 1.0)
+        return _Gains(tuple(tried), fits, nats)
+
+
+def values_of(outcomes: Iterable[ItemOutcome[Any]]) -> list[Any]:
+    """The results; RecordingError where there is none, since the files could be read before."""
+    found = []
+    for each in outcomes:
+        if each.error is not None:
+            raise RecordingError(f"a sensor's readings could be used once, and now not: {each.error}")
+        found.append(each.value)
+    return found
+
+
+@dataclass
+class _Suspect:
+    """A unit that is odd: the smallest p-value that says so, effects that do, and others that may be why."""
+
+    log_p: float = 0.0
+    own: list[tuple[float, Number, int]] = field(default_factory=list)
+    other: list[tuple[float, Number, int]] = field(default_factory=list)
+
+    def candidates(self) -> list[tuple[Number, int]]:
+        """The effects to refit, the clearest first; each with its best shape."""
+        own = _best_by_key((log_p, (number, j)) for log_p, number, j in self.own)
+        # Not only those near the best: of what is large a score promises too little.
+        own = own[: rules.REFITS_PER_STEP]
+        return [each for _, each in (*own, *_best_by_key((log_p, (number, j)) for log_p, number, j in self.other))]
+
+
+@dataclass(frozen=True)
+class _Gains:
+    """Effects refitted in several units, and what they gain, (units, effects)."""
+
+    terms: tuple[FleetTerm, ...]
+    fits: list[list[RefittedTerm]]
+    nats: Any
+
+    def near(self, k: int, total: Any) -> tuple[tuple[FleetTerm, float], ...]:
+        """Alternatives to the k-th effect."""
+        lost = total[k] - total
+        order = [j for j in np.argsort(lost).tolist() if j != k and lost[j] <= rules.ALTERNATIVE_NATS]
+        return tuple((self.terms[j], float(lost[j])) for j in order)
+
+    def common(self, k: int, group: Sequence[int]) -> FleetTerm:
+        """The effect with one shape for all of these units: the median of their own, by what they gain."""
+        term = self.terms[k]
+        rows = sorted(group, key=lambda i: -self.nats[i, k])
+        some = [dict(self.fits[i][k].values) for i in rows[: max(1, len(rows) // 2)]]
+        shape = tuple((name, float(f"{np.median([each[name] for each in some]):.4g}")) for name, _ in term.shape)
+        return replace(
+            term, shape=shape, shape_fitted=False, start=float(np.median([each[term.number] for each in some]))
+        )
+
+
+def _best_by_key(pairs: Iterable[tuple[float, Any]]) -> list[tuple[float, Any]]:
+    """For each effect the shape with the smallest p-value, the smallest first."""
+    best: dict[Key, tuple[float, Any]] = {}
+    for log_p, each in pairs:
+        number = each if isinstance(each, Number) else each[0]
+        key = number.term.key
+        if key not in best or log_p < best[key][0]:
+            best[key] = log_p, each
+    return sorted(best.values(), key=lambda each: each[0])
+
+
+def _tried(number: Number, start: float) -> FleetTerm:
+    return replace(number.term, shape_fitted=True, start=start)

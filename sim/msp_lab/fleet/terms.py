@@ -1,15 +1,16 @@
-"""Numbers that are compared over a fleet: effects of the catalogue and numbers of the base.
+"""Numbers that are compared over a fleet: effects of the catalogue and numbers of the base, in all sessions or in some.
 
 A `FleetTerm` is plain data, so that it can be sent to another process. There it becomes a candidate of the search, by
 `candidate_of`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from msp_lab.gap.candidates import CandidateEffect, SelectedTerm
+from msp_lab.gap.candidates import CandidateEffect
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
 
@@ -38,9 +39,13 @@ class FleetTerm:
     of: str | None = None
     """The target that it is of, or None."""
     shape: tuple[tuple[str, float], ...] = ()
-    """Values of its other parameters, which are held, so that numbers of vehicles compare."""
+    """Values of its other parameters."""
+    sessions: tuple[str, ...] = ()
+    """Sessions in which it acts; none: all."""
+    shape_fitted: bool = False
+    """Whether the shape is fitted for each vehicle; else it is held, so that numbers of vehicles compare."""
     start: float = 0.0
-    """Its number where a fit starts, as a change from the neutral value."""
+    """Its number where a fit starts, as a change from the neutral value; 0: not known."""
 
     @property
     def key(self) -> tuple[str, str | None]:
@@ -51,10 +56,6 @@ class FleetTerm:
     def is_base(self) -> bool:
         """A number that every sensor has."""
         return self.effect in BASE_NUMBERS
-
-
-SCALE = FleetTerm("range_scale", "scale_pct", start=0.1)
-"""The scale of the ranges, which is as plain as an offset."""
 
 
 def base_effect(name: str) -> Effect:
@@ -80,12 +81,29 @@ def candidate_of(term: FleetTerm) -> CandidateEffect:
     """The term as a candidate of the search."""
     effect = effect_of(term.effect)
     number = next(each for each in effect.parameters if each.name == term.number)
-    return CandidateEffect(replace(effect, parameters=(number,)), term.of, term.shape, number)
+    if term.sessions:
+        effect = _in_sessions(effect, term.sessions)
+    if not term.shape_fitted:
+        effect = replace(effect, parameters=(number,))
+    return CandidateEffect(effect, term.of, term.shape, number)
 
 
-def term_of(named: SelectedTerm, candidate: CandidateEffect) -> FleetTerm:
-    """What the search named, with its values."""
-    shape = tuple((name, named.active.values[name]) for name, _ in candidate.shape)
-    number = candidate.parameter.name
-    start = named.active.values[number] - candidate.neutral
-    return FleetTerm(candidate.effect.name, number, candidate.of, shape, start=start)
+def term_of(candidate: CandidateEffect) -> FleetTerm:
+    """A candidate of the search as plain data."""
+    return FleetTerm(candidate.effect.name, candidate.parameter.name, candidate.of, candidate.shape)
+
+
+def _in_sessions(effect: Effect, sessions: Sequence[str]) -> Effect:
+    """The effect in some sessions only."""
+
+    def apply(scene: Scene, values: Values) -> Contribution:
+        inside = np.isin(scene["run"], sessions)
+        changed = effect.apply(scene, values)._asdict()
+        return Contribution(**{name: _inside(name, each, inside) for name, each in changed.items()})
+
+    return replace(effect, apply=apply, requires=(*effect.requires, "run"))
+
+
+def _inside(name: str, value: Any, inside: Any) -> Any:
+    """A part of what an effect changes, nothing outside of its sessions."""
+    return value if value is None or name in ("component", "fault") else np.where(inside, value, 0.0)

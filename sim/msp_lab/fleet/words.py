@@ -10,8 +10,9 @@ from msp_sim.page.text import and_list, capitalised, listed
 MAX_NAMES = 8
 """Vehicles that a sentence names; the table has all."""
 ENOUGH_VEHICLES = 6
-"""With fewer vehicles so little is known of the spread between the others that one 15 spreads off is no finding among
-all that is asked. Smaller: fleets in which nothing can be found read as fleets in which nothing is wrong."""
+"""With fewer vehicles the spread between the others has so few degrees of freedom that 40 standard errors are no
+finding among all that is asked. Smaller: fleets in which
+nothing can be found read as fleets in which nothing is wrong."""
 MAX_SENTENCES = 3
 """Findings in the first sentence; the list below it has all."""
 
@@ -63,7 +64,7 @@ def sentence_of(findings: FleetFindings) -> str:
     lines = [line_of(each, findings) for each in found[:MAX_SENTENCES]]
     more = len(found) - MAX_SENTENCES
     text = "; ".join(lines) + (f"; and {more} more finding{'s' * (more > 1)}" if more > 0 else "")
-    return f"{capitalised(text)}. At most {100.0 * findings.fdr:.3g} % of such findings are expected to be false."
+    return f"{capitalised(text)}. {100.0 * findings.fdr:.3g} % of such findings are expected to be false."
 
 
 def left_out_line(findings: FleetFindings) -> str:

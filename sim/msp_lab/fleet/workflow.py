@@ -14,9 +14,9 @@ import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
 from msp_lab.fleet.meta import shrunk
 from msp_lab.fleet.search import FleetFinding, Search
-from msp_lab.fleet.statistics import Change, number_of
+from msp_lab.fleet.statistics import Change, Number, numbers_of, series_of
 from msp_lab.fleet.terms import FleetTerm, effect_of
-from msp_lab.fleet.unit import Unit, UnitEstimates, estimate
+from msp_lab.fleet.unit import Unit, UnitScores, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
 from msp_range.recording.error import RecordingError
@@ -54,7 +54,7 @@ def find_in_fleet(
     """
     run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
-    outcomes = list(zip(every, run(estimate, [(unit, ()) for unit in every]), strict=True))
+    outcomes = list(zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True))
     left_out = [LeftOut(unit.vehicle, unit.sensor, each.error) for unit, each in outcomes if each.error is not None]
     units = [unit for unit, each in outcomes if each.error is None]
     vehicles = len({unit.vehicle for unit in units})
@@ -64,26 +64,24 @@ def find_in_fleet(
             f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
-    estimates = [each.value for _, each in outcomes if each.value is not None]
-    search = Search(list(units), list(estimates), fdr, run)
+    search = Search(units, [each.value for _, each in outcomes if each.value is not None], fdr, run)
     search.search()
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
-    effects = sorted((_effect(search, each) for each in search.found), key=lambda each: order[each.kind])
-    offsets = () if effects else filter(None, [number_of(search.estimates, FleetTerm("offset", "value"))])
+    effects = sorted(_joined([_effect(search, each) for each in search.found]), key=lambda each: order[each.kind])
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),
         model=str(model),
         vehicles=vehicles,
         sensors=len(units),
-        sessions=sum(len(each.sessions) for each in estimates),
-        readings=sum(int(each.readings.sum()) for each in estimates),
-        effects=tuple(effects) or tuple(_effect(search, FleetFinding("calibration", each)) for each in offsets),
+        sessions=sum(len(each.sessions) for each in search.scores),
+        readings=sum(int(each.readings.sum()) for each in search.scores),
+        effects=tuple(effects) or (_effect(search, FleetFinding("calibration", FleetTerm("offset", "value"), (), ())),),
         found=len(effects),
         left_out=tuple(left_out),
         fdr=fdr,
-        tests=search.plain_tests + search.other_tests,
-        untestable=_untestable(estimates),
+        tests=search.tests,
+        untestable=_untestable(search.scores),
         seed=seed,
         date=date,
         version=msp_range.__version__,
@@ -91,21 +89,23 @@ def find_in_fleet(
     return replace(findings, sentence=sentence_of(findings))
 
 
-def _untestable(estimates: Sequence[UnitEstimates]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _untestable(scores: Sequence[UnitScores]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Effects that no sensor has the columns for."""
-    common = set.intersection(*({name for name, _ in each.untestable} for each in estimates))
-    return tuple((name, absent) for name, absent in estimates[0].untestable if name in common)
+    common = set.intersection(*({name for name, _ in each.untestable} for each in scores))
+    return tuple((name, absent) for name, absent in scores[0].untestable if name in common)
 
 
 def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
-    number, term = finding.number, finding.number.term
+    term = finding.term
     unit_label = next(each.unit for each in effect_of(term.effect).parameters if each.name == term.number)
-    effect = FleetEffect(finding.kind, term.effect, term.number, unit_label, term.shape, "", finding.alternatives)
-    if finding.change is not None and finding.before_change is not None:
-        return _changed(search, finding, finding.change, finding.before_change, effect)
+    alternatives = tuple((other.effect, lost) for other, lost in finding.alternatives)
+    effect = FleetEffect(finding.kind, term.effect, term.number, unit_label, term.shape, "", alternatives)
+    if finding.change is not None:
+        return _changed(search, finding, finding.change, effect)
+    number = _estimated(search, term)
     fleet = number.fleet
-    is_odd = np.isin(number.units, finding.units)
-    numbers = (number.value, number.error, *shrunk(number.value, number.error, fleet), is_odd, np.exp(fleet.log_p))
+    is_odd = np.isin(number.units, finding.units) & (finding.kind == "odd")
+    numbers = (number.value, number.error, *shrunk(number.value, number.error, fleet), is_odd, np.exp(number.log_p))
     each_unit = zip(number.units.tolist(), *(each.tolist() for each in numbers), strict=True)
     of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
     shown = float(of_odd - fleet.mean * term.is_base)
@@ -131,18 +131,47 @@ def _estimate(
     return UnitEstimate(unit.vehicle, unit.sensor, value, error, near, near - half, near + half, odd, p_value)
 
 
-def _changed(
-    search: Search, finding: FleetFinding, change: Change, before: UnitEstimates, effect: FleetEffect
-) -> FleetEffect:
+def _estimated(search: Search, term: FleetTerm) -> Number:
+    """The number in every sensor, next to what else each is known to have."""
+    if term.is_base:
+        scores = search.scores
+    else:
+        lacking = [k for k in range(len(search.units)) if not search.fits(k, term)]
+        added = search.examined(lacking, [(*own, term) for own in search.terms], with_others=False)
+        again = dict(zip(lacking, added, strict=True))
+        scores = [again.get(k, each) for k, each in enumerate(search.scores)]
+    same = replace(term, start=0.0)
+    return next(each for each in numbers_of(scores) if each.term == same)
+
+
+def _changed(search: Search, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
     """The effect with what a unit's number changed by, and its estimates by session."""
-    j = before.terms.index(finding.number.term)
-    numbers = (each[:, j].tolist() for each in (before.session_value, before.session_error))
-    sessions = tuple(SessionEstimate(*each) for each in zip(before.sessions, *numbers, strict=True))
+    unit, term = finding.units[0], replace(finding.term, start=0.0)
+    scores = search.before_change[unit]
+    series = next(each for each in series_of([scores]) if each.term == term)
+    score, information, variance = series.score[0], series.information[0], series.variance[0]
+    known = np.flatnonzero(information > 0.0)
+    value = series.value[0] + score[known] / information[known]
+    error = np.sqrt(variance[known]) / information[known]
+    sessions = zip([scores.sessions[k] for k in known], value.tolist(), error.tolist(), strict=True)
     size = change.size, change.error
     return replace(
         effect,
-        plain=plain_of(finding.number.term, change.size, with_size=True),
-        estimates=(_estimate(search.units[finding.units[0]], *size, *size, True, float(np.exp(change.log_p))),),
-        since=before.sessions[change.first] if change.kind == "change" else "",
-        sessions=sessions,
+        plain=plain_of(finding.term, change.size, with_size=True),
+        estimates=(_estimate(search.units[unit], *size, *size, True, float(np.exp(change.log_p))),),
+        since=scores.sessions[change.first] if change.kind == "change" else "",
+        sessions=tuple(SessionEstimate(*each) for each in sessions),
     )
+
+
+def _joined(effects: Sequence[FleetEffect]) -> list[FleetEffect]:
+    """The odd ones of one effect together, whenever they were found."""
+    found: dict[tuple[object, ...], FleetEffect] = {}
+    for number, each in enumerate(effects):
+        key = (each.name, each.shape) if each.kind == "odd" else (number,)
+        if key in found:
+            odd = {(one.vehicle, one.sensor) for one in each.odd}
+            merged = [replace(one, odd=one.odd or (one.vehicle, one.sensor) in odd) for one in found[key].estimates]
+            each = replace(found[key], estimates=tuple(merged))
+        found[key] = each
+    return list(found.values())
