@@ -26,8 +26,6 @@ from msp_range.fusion.modes import (
     HIT,
     HIT_MOST,
     LATE_BEGINS,
-    LATE_BEGINS_M,
-    LATE_S,
     LOW_M,
     MISS,
     MOST,
@@ -369,7 +367,7 @@ class Belief:
             # The same answers, which did not move as the ground would.
             ground.response = self.proven.response
             self.proven.response = MotionResponse(self._motion, self._windows.turn_s)
-        self._suspect_late(max(ground.again, 0.0))
+        self._suspect_late(ground.again)
         ground.again = 0.0
         self.proven = ground
         for each in self.surfaces:
@@ -402,12 +400,9 @@ class Belief:
 
     def _began_late(self, mode: SensorMode, surface: Surface, raw: int | None) -> None:
         """A sensor sees a surface for the first time, perhaps with the answer of its ping before."""
-        ground = self.proven
-        if ground is None or raw is None or self._windows.turn_s < LATE_S:
+        if self.proven is None or raw is None:
             return
-        if abs(ground.filter.climb_m_s) * self._windows.turn_s < LATE_BEGINS_M:
-            return
-        if surface is not ground:
+        if surface is not self.proven:
             surface.again += LATE_BEGINS if raw == mode.last_raw else -LATE_BEGINS
         elif raw == mode.last_raw:
             self._suspect_late(LATE_BEGINS)

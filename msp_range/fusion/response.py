@@ -117,9 +117,10 @@ class MotionResponse:
         self._late, self.is_late = min(other._late, 0.0), other.is_late
 
     def suspect_late(self, nats: float) -> None:
-        """Answers seem to be those of the pings before, by more than how they move."""
-        self._late -= nats
-        self.is_late |= self._late <= LATE
+        """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
+        if self._turn_s >= LATE_S:
+            self._late -= max(nats, 0.0)
+            self.is_late |= self._late <= LATE
 
     def sees(self, since_s: float) -> set[str]:
         """The sensors of which a reading has been taken since a time [s]."""

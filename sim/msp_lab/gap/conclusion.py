@@ -44,8 +44,8 @@ def found_parts(findings: GapFindings) -> list[FoundEffect | UnknownEffect]:
 def share_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> float:
     """How often random variation alone gains as much where nothing was fitted: Student's t over runs, or blocks.
 
-    It is not corrected for the number of effects that were asked. The gain has half as many standard errors as the
-    effect itself, so that this share is larger than the corrected p-value of the effect's likelihood.
+    It is that of one effect that was fixed before: it is not corrected for how many were asked, of which this one
+    explained most.
     """
     units = len(findings.training_runs) + len(findings.held_out_runs) or findings.runs
     return float(stdtr(max(units - 1, 1), -(each.z or 0.0)))

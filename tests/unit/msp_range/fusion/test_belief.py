@@ -301,10 +301,17 @@ def test_a_strap_that_swings_free_is_not_believed_again(seed: int) -> None:
 
 @pytest.mark.parametrize("climb_m", [1.0, -1.0], ids=["climb", "descent"])
 def test_answers_that_begin_to_come_late_in_a_steady_climb_are_not_sent(climb_m: float) -> None:
-    """Each sensor gives its last answer once more; a kerb of that height, that each sees anew, is ground."""
+    """Each sensor gives its last answer once more, and edges do not end that; a kerb of that height is ground."""
     climbs, level_m = [4.0 + i for i in range(8)], 4.2 - 2.8 * climb_m
     late = Moving(lambda name, time_s, height_m: level_m + height_m, climbs, climb_m, late_from_s=7.95)
     assert not [time_s for time_s in late.sent if 8.4 < time_s < 10.0]
+    edge = Moving(
+        lambda name, time_s, height_m: level_m + height_m - 0.6 * climb_m * ((time_s > 8.75) + (time_s > 9.35)),
+        climbs,
+        climb_m,
+        late_from_s=7.95,
+    )
+    assert not [time_s for time_s in edge.sent if 8.4 < time_s < 10.0]
     kerb = Moving(lambda name, time_s, height_m: level_m + height_m - 0.4 * climb_m * (time_s > 7.95), climbs, climb_m)
     assert len([time_s for time_s in kerb.sent if 8.4 < time_s < 10.0]) > 12
 
