@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.findings_file import read_findings
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
 from tests.support.measured import MODEL, readings
+from tests.support.programs import run
 
 Columns = dict[str, Any]
 SIGMA_CM = 1.9445
@@ -21,10 +20,8 @@ SIGMA_CM = 1.9445
 
 def gap(folder: Path, columns: Columns, *options: str, code: int = 0) -> str:
     write_csv(folder / "flights.csv", columns)
-    given = ["gap", str(folder / "flights.csv"), "--model", str(MODEL), "--out", str(folder / "out"), *options]
-    result = CliRunner().invoke(app, given)
-    assert result.exit_code == code, result.output
-    return " ".join(result.output.split())
+    given = [folder / "flights.csv", "--model", MODEL, "--out", folder / "out", *options]
+    return " ".join(run("msp-lab gap", *given, code=code).output.split())
 
 
 def found(folder: Path, columns: Columns, *options: str, until: str = "add") -> GapFindings:
