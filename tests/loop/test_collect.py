@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from msp_lab.campaigns.collect import TROUBLE_AFTER, Arranged, Decision
+from msp_lab.campaigns.collect import TROUBLE_AFTER, Decision
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.csv_form import read_csv
@@ -153,33 +153,6 @@ def test_a_repeat_that_is_interrupted_leaves_the_complete_one(tmp_path: Path) ->
     person = last.go(wanted=[], again=["baseline-60cm"])
     assert person.readings == 30, "the repeat begins anew or goes on, and is whole at the end"
     assert {row["run"] for row in rows(last.table())[:30]} <= {"baseline-60cm.2", "baseline-60cm.3"}
-
-
-def test_a_person_reads_again_skips_and_stops(tmp_path: Path) -> None:
-    small = campaign(tmp_path, condition(ranges_cm=[40, 60, 80]))
-    person = Told(
-        arranged=[Decision.GO, Decision.SKIP, Decision.GO, Decision.AGAIN, Decision.GO, Decision.GO],
-        judged=[Decision.GO, Decision.AGAIN, Decision.GO, Decision.GO],
-    )
-    collected = Collected(small, tmp_path / "out")
-    collected.go(person)
-    forty, sixty, eighty = (f"baseline-{each}cm" for each in (40, 60, 80))
-    #                      read   skipped  read   judged: again.  r: the one before, then the skipped one
-    assert person.visited[:4] == [forty, sixty, eighty, eighty]
-    assert all(collected.store.is_done(point) for point in collected.points)
-    stopped = Told(arranged=[Decision.STOP])
-    Collected(small, tmp_path / "other").go(stopped)
-    assert stopped.visited == [forty]
-
-
-def test_what_was_measured_at_the_bench_goes_into_the_table(tmp_path: Path) -> None:
-    small = campaign(tmp_path, condition(ranges_cm=[60]))
-    collected = Collected(small, tmp_path / "out")
-    collected.go(Told(arranged=[Arranged(Decision.GO, {"true_range_cm": 60.4, "air_temperature_c": 19.5})]))
-    table = rows(collected.table())
-    assert {(row["true_range_cm"], row["air_temperature_c"], row["target_temperature_c"]) for row in table} == {
-        ("60.4", "19.5", "22.5")
-    }
 
 
 def test_pings_that_go_out_together_are_less_than_a_millisecond_apart(tmp_path: Path) -> None:

@@ -340,16 +340,18 @@ def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str],
     assert done.output.count("\n") == 1
 
 
-def test_every_file_of_no_known_kind_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
-    for name in ("one.png", "two.png"):
-        (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n")
-    bad = tmp_path / "one.png", tmp_path / "two.png"
+def test_every_bad_file_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
+    bad = tmp_path / "one.png", tmp_path / "cut.ulg"
+    bad[0].write_bytes(b"\x89PNG\r\n\x1a\n")
+    bad[1].write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
     done = run("msp-lab import", bad[0], LOGS / "px4.ulg", bad[1], "--out", tmp_path / "set", code=4)
     assert "2 of 3 logs could not be imported" in done.stderr
-    assert [line.count(".png: no log that is known") for line in done.stderr.splitlines()[-2:]] == [1, 1]
     assert set(read_dataset(tmp_path / "set")["run"]) == {"px4"}
-    done = run("msp-lab import", *bad, "--out", tmp_path / "other", code=3)
-    assert [line.count(".png: no log that is known") for line in done.output.splitlines()] == [1, 1]
+    other = run("msp-lab import", *bad, "--out", tmp_path / "other", code=3)
+    for lines in (done.stderr.splitlines()[-2:], other.output.splitlines()):
+        picture, cut = lines
+        assert "one.png: no log that is known" in picture
+        assert "cut.ulg: " in cut
 
 
 def test_a_run_is_added_once(tmp_path: Path) -> None:
@@ -358,14 +360,6 @@ def test_a_run_is_added_once(tmp_path: Path) -> None:
     done = run("msp-lab import", LOGS / "px4.ulg", "--out", tmp_path / "set", code=3)
     assert "there is a run 'px4' already" in done.output
     assert set(read_dataset(tmp_path / "set")["run"]) == {"px4", "arducopter"}
-
-
-def test_a_bad_log_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
-    (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
-    done = run("msp-lab import", tmp_path / "cut.ulg", LOGS / "px4.ulg", "--out", tmp_path / "set", code=4)
-    assert "1 of 2 logs could not be imported:" in done.stderr
-    assert "cut.ulg" in done.stderr
-    assert set(read_dataset(tmp_path / "set")["run"]) == {"px4"}
 
 
 @pytest.mark.slow
