@@ -71,14 +71,14 @@ def characterised(folder: Path, file: Path, columns: dict[str, Any]) -> tuple[Se
     return model, result.output
 
 
-@pytest.mark.parametrize("offset_cm", slow_but([-5.0], [-5.0, 0.0, 1.0, 5.0]))
+@pytest.mark.parametrize("offset_cm", slow_but([-5.0], [-5.0, 5.0]))
 @pytest.mark.parametrize("file", EVERY_SENSOR, ids=lambda each: each.stem)
 def test_an_offset_is_calibrated(file: Path, offset_cm: float, tmp_path: Path) -> None:
     """Also where it takes the shortest reading, or the reading of a range of 0, below 0."""
     model, _ = characterised(tmp_path, file, table(file, offset_cm))
     corrected = model.calibration_curve.forward(200.0) - 200.0
     assert corrected == pytest.approx(offset_cm, abs=1.0)
-    assert (model.calibration != ()) or abs(offset_cm) < 2.0
+    assert model.calibration != ()
 
 
 @pytest.mark.parametrize("scale", slow_but([1.05], [0.95, 1.05]))
@@ -127,10 +127,7 @@ def test_few_readings_leave_the_goodness_of_fit_open(tmp_path: Path) -> None:
 @pytest.mark.parametrize("file", slow_but(QUICK_SENSORS[:1], SENSORS))
 def test_every_model_flies(file: Path, tmp_path: Path) -> None:
     """Also that of a sensor whose readings the airframe's sensors cannot answer, such as 18 cm."""
-    scenario = tmp_path / "scenario.yaml"
-    text = (ROOT / "configs" / "scenarios" / "terrain.yaml").read_text(encoding="utf-8")
-    scenario.write_text(text.replace("../", f"{ROOT / 'configs'}/"), encoding="utf-8")
-    run("msp-sim fly", scenario, "--model", file, "--out", tmp_path / "out")
+    run("msp-sim fly no_autopilot", "--model", file, "--out", tmp_path / "out")
     assert (tmp_path / "out" / "summary.json").exists()
 
 

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def test_three_vehicles_are_no_fleet(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_processes_of_which_one_is_killed_find_the_same_to_the_last_digit(tmp_path: Path) -> None:
-    dataset = make_dataset(tmp_path / "set", 6, {2: 200.0}, readings=2500)
+    dataset = make_dataset(tmp_path / "set", 4, {2: 200.0}, readings=1000)
     arguments = ["fleet", str(dataset), "--model", MODEL, "--out"]
     run("msp-lab", *arguments, tmp_path / "one")
     command = [str(Path(sys.executable).with_name("msp-lab")), *arguments, str(tmp_path / "two"), "--jobs", "2"]
@@ -108,15 +109,14 @@ def killed_worker(program: "subprocess.Popen[str]") -> bool:
     killed: list[int] = []
 
     def is_over() -> bool:
-        listed = subprocess.run(
-            ["ps", "-ww", "-eo", "pid=,ppid=,times=,args="], capture_output=True, text=True, check=True
-        )
-        for line in listed.stdout.splitlines():
-            pid, parent, seconds, command = line.split(maxsplit=3)
-            if int(parent) == program.pid and "spawn_main" in command and int(seconds) >= STARTED_S:
-                os.kill(int(pid), signal.SIGKILL)
-                killed.append(int(pid))
-                break
+        with suppress(OSError):  # It has ended.
+            threads = Path(f"/proc/{program.pid}/task").glob("*/children")
+            for child in (each for thread in threads for each in thread.read_text().split()):
+                used = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[11:13]
+                is_worker = "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()
+                if is_worker and sum(map(int, used)) >= STARTED_S * os.sysconf("SC_CLK_TCK"):
+                    os.kill(int(child), signal.SIGKILL)
+                    killed.append(int(child))
         return bool(killed) or program.poll() is not None
 
     until(is_over, 5 * LIMIT_S)
