@@ -25,8 +25,9 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_sim.device.device import Fault
-from tests.support.campaigns import CONFIGS, Collected, Told, campaign, condition, written
+from tests.support.campaigns import Collected, Told, campaign, condition, written
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 ALWAYS_S = 1e9
 CROSSTALK = condition(

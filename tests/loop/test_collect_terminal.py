@@ -12,8 +12,9 @@ from rich.console import Console
 from msp_lab.campaigns.collect import Collection
 from msp_lab.campaigns.terminal import Terminal
 from msp_sim.device.device import Fault
-from tests.support.campaigns import CONFIGS, Collected, campaign, condition, written
+from tests.support.campaigns import Collected, campaign, condition, written
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 
 class Bench:

@@ -36,9 +36,9 @@ from tests.support.far_ends import (
 from tests.support.kernel_bus import Other, Sonar, kernel_bus
 from tests.support.parameter_autopilot import RANGE_FINDER, ParameterAutopilot
 from tests.support.service import LinkEnd, running_service
+from tests.support.shipped import ROOT
 from tests.support.slow import slow_but
 
-ROOT = Path(__file__).parents[2]
 THERE = 1e9
 """Until the end of a test."""
 BAUD = 921_600

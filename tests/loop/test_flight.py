@@ -25,8 +25,8 @@ from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 from msp_sim.model.model import load_model
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = CONFIGS / "scenarios"
 
 

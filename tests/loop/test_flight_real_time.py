@@ -14,8 +14,7 @@ from pymavlink.dialects.v20 import common
 
 from msp_range.clock import SystemClock
 from tests.support.programs import run
-
-CONFIGS = Path(__file__).parents[2] / "configs"
+from tests.support.shipped import CONFIGS
 
 
 def receive(listener: socket.socket, ended: threading.Event, received: list[Any]) -> None:

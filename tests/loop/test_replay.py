@@ -23,8 +23,7 @@ from msp_sim.model.model import load_model
 from tests.support.bench import FUSED_ID, START_S, Bench, airframe
 from tests.support.data import measured_data
 from tests.support.programs import run
-
-CONFIGS = Path(__file__).parents[2] / "configs"
+from tests.support.shipped import CONFIGS
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import pytest
 
 from tests.peers.fetch_flights import FLIGHTS, Flight, fetch, main
 from tests.support.programs import run
+from tests.support.shipped import ROOT
 
 FOLDER = os.environ.get("MSP_RANGE_FLIGHTS", "")
 """A folder with the logs."""
-ROOT = Path(__file__).parents[2]
 
 
 def fetched(name: str) -> Path:

@@ -30,7 +30,9 @@ def _campaign(rng: np.random.Generator, most: int) -> Iterator[dict[str, Any]]:
     def at(condition: str, z: float, error_cm: float = 0.0, **more: Any) -> dict[str, Any]:
         usual = {"missed": 0.0015, "saturated": 0.0005, "sigma_cm": 0.45, "sensor": "left", "target": "plywood"}
         numbers = {"air_temperature_c": 20.5, "incidence_deg": 0.0, "vibration_hz": 0.0}
-        given = usual | numbers | {"condition": condition, "run": condition, "error_cm": error_cm} | more
+        given: dict[str, Any] = (
+            usual | numbers | {"condition": condition, "run": condition, "error_cm": error_cm} | more
+        )
         return point(rng, z, **given)
 
     setup = {range_cm: rng.normal(0.0, 0.15) for range_cm in BASELINE_CM}

@@ -1,7 +1,6 @@
 """Calibration of readings against the reference: recovered, kept only where it predicts, with honest intervals."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +9,11 @@ from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import Calibration
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from tests.support.known import contains
 from tests.support.plain_bench import point, table
+from tests.support.shipped import SENSOR
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 RANGES_CM = np.arange(40.0, 301.0, 20.0)
 
 

@@ -25,8 +25,8 @@ from msp_range.yaml_file import ConfigError
 from tests.support import programs
 from tests.support.data import measured_data
 from tests.support.plain_bench import point, table
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SENSOR = CONFIGS / "sensors" / "mb1242.yaml"
 EDGES = {50: 21.6, 100: 16.2, 150: 12.6, 200: 10.8}
 """Breakaway angles of the bench, each a step from those that the starting model has."""

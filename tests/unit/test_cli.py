@@ -21,8 +21,8 @@ from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.scenario import Scenario
 from tests.support.programs import PROGRAMS, commands_of, run
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 COMMANDS = [f"{program} {name}" for program in PROGRAMS for name in commands_of(program)]
 
 

@@ -14,8 +14,8 @@ from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import ConfigError
-from tests.support.campaigns import CONFIGS
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 
 class ClockAt(VirtualClock):

@@ -1,7 +1,5 @@
 """The mixture of a bench whose set-ups are each off by more than the sensor scatters."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,12 +10,10 @@ from msp_lab.characterise.points import sort_into_points
 from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings
 from msp_range.correction.calibration import IDENTITY
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.characterised import measured
 from tests.support.known import known
 from tests.support.plain_bench import point, table
-
-SENSOR = load_sensor_model(Path("configs/sensors/mb1242.yaml"))
+from tests.support.shipped import SENSOR
 
 
 def fitted(seed: int, *, n: int, off_cm: float) -> Mixture:

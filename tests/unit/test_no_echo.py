@@ -8,13 +8,11 @@ import pytest
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
 from tests.support.programs import run
+from tests.support.shipped import SENSOR
 from tests.support.slow import slow
-
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 
 
 def readings(*rows: tuple[float, float, float]) -> MeasuredData:

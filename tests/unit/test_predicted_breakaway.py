@@ -16,9 +16,8 @@ from msp_range.plausible import doubts
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS, MB1242
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-MB1242 = CONFIGS / "sensors" / "mb1242.yaml"
 SENSOR = load_sensor_model(MB1242)
 TEXT = MB1242.read_text(encoding="utf-8")
 TABLE = TEXT[TEXT.index("predicted_breakaway:") : TEXT.index("# Report 4.3.2")].rstrip() + "\n"

@@ -14,8 +14,8 @@ from msp_range.replay import ReplayOutcome, show
 from msp_range.terminal import PlainConsole
 from msp_sim.page.style import files_of, new_figure, style
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 ODD = "[red]quad[/] [/red] :warning: \\[x]"
 
 

@@ -13,8 +13,8 @@ from msp_range.config import load_airframe
 from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
 from msp_range.filters.tune import NOT_COUNTED, log_likelihood, tune, without_outliers
 from msp_range.recording.writer import Recorder
-from tests.support.bench import CONFIGS
 from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 VELOCITY = KalmanParameters(filter="kalman")
 CONSTANT = KalmanParameters(filter="kalman", model="constant")

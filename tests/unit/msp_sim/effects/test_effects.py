@@ -7,17 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from msp_lab.cli import app as lab_app
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.acoustics.atmosphere import Atmosphere
+from msp_sim.cli import app
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.model import Model, load_model
 from msp_sim.model.sampler import Sampler
 from msp_sim.model.streams import RandomStreams
 from tests.property.test_effects import strong
 from tests.support.humid_air import speed_of_sound_humid
-from tests.support.programs import run
 
 SENSORS = Path(__file__).parents[4] / "configs" / "sensors"
 
@@ -205,8 +207,8 @@ def test_what_cannot_be_read_has_no_probability() -> None:
 
 def test_the_catalogue_explains_itself() -> None:
     assert all(name == effect.name for name, effect in CATALOGUE.items())
-    listed = run("msp-lab effects").output
-    data = json.loads(run("msp-lab effects --json").output)
+    listed = CliRunner().invoke(lab_app, ["effects"]).output
+    data = json.loads(CliRunner().invoke(lab_app, ["effects", "--json"]).output)
     assert [each["name"] for each in data] == list(CATALOGUE)
     assert all(f"{name} (" in listed for name in CATALOGUE)
 
@@ -215,8 +217,9 @@ def test_samples_of_a_model_file_with_effects(tmp_path: Path) -> None:
     """A column that is absent is named; the others act."""
     csv = tmp_path / "contexts.csv"
     csv.write_text("true_range_cm,air_temperature_c\n" + "300,0\n" * 400)
-    arguments = [SENSORS / "mb1242_in_flight.yaml", "--contexts", csv, "--out", tmp_path / "readings.csv"]
-    result = run("msp-sim sample", *arguments)
+    arguments = ["sample", SENSORS / "mb1242_in_flight.yaml", "--contexts", csv, "--out", tmp_path / "readings.csv"]
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert result.exit_code == 0, result.output
     assert "prop_wash has no effect: there is no column throttle" in result.stderr
     readings_cm = np.loadtxt(tmp_path / "readings.csv", delimiter=",", skiprows=1, usecols=0)
     assert np.median(readings_cm) == pytest.approx(312.0, abs=1.0)

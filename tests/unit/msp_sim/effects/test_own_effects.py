@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from msp_lab.cli import app
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.own import add_own_effects, effects_of_file, find_effect
-from tests.support.programs import run
 
 EXAMPLE = Path(__file__).parents[3] / "third_party" / "package" / "sonar_extras" / "supply_sag.py"
 ACT = 'return Contribution(bias_cm=-values["sag_pct"] / 100.0 * scene["throttle"] * scene.range_cm)'
@@ -23,7 +24,9 @@ COMPONENT = "return Contribution(component=Own(100.0, 5.0, {}), share=np.maximum
 
 
 def check(path: Path, code: int) -> str:
-    return run("msp-lab check-effect", path, code=code).output
+    result = CliRunner().invoke(app, ["check-effect", str(path)])
+    assert result.exit_code == code, result.output
+    return result.output
 
 
 def failed(output: str) -> list[str]:
