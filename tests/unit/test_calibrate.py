@@ -143,8 +143,8 @@ def test_a_bend_is_kept_and_predicts_ranges_that_were_left_out() -> None:
 
 
 def test_a_sensor_without_error_gets_no_calibration() -> None:
-    forms = [calibrated(bench(seed, lambda z: 0.0, setup_cm=0.3)).form for seed in range(20)]
-    assert forms.count("none") >= 18
+    forms = [calibrated(bench(seed, lambda z: 0.0, setup_cm=0.3)).form for seed in range(10)]
+    assert forms.count("none") >= 9
     assert "piecewise linear" not in forms
 
 
