@@ -227,11 +227,11 @@ def test_classifier_finds_a_shift_that_comes_with_throttle(model: Model) -> None
 def test_classifier_finds_nothing_where_nothing_is_missing(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     p_values = []
-    for seed in range(10):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         contexts, _ = table(seed, n=400)
         p_values.append(classifier(compare(model, contexts, model.sample(contexts, rng), rng), rng))
-    assert sum(p < 0.05 for p in p_values) <= 2
+    assert sum(p < 0.05 for p in p_values) <= 1
     assert 0.25 < np.mean(p_values) < 0.75
 
 
