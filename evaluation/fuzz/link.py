@@ -26,7 +26,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import open_transport
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
-from tests.support.bench import CONFIGS
+from tests.support.shipped import CONFIGS
 from tests.support.transports import free_port
 
 AREA = "link"

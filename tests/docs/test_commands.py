@@ -76,7 +76,10 @@ OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 
 def options_in_texts(path: Path) -> set[str]:
     """Options that a module's texts name; its docstrings are for programmers."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    source = path.read_text(encoding="utf-8")
+    if OPTION.search(source) is None:
+        return set()
+    tree = ast.parse(source)
     docs = {ast.get_docstring(node, clean=False) for node in ast.walk(tree) if isinstance(node, DOCUMENTED)}
     texts = (node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
     return {found for text in texts if text not in docs for found in OPTION.findall(text)}

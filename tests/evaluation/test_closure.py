@@ -105,6 +105,11 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def _two_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("evaluation.closure.closure.DRAWS", 2)
+
+
 def test_right_model_closes_the_gap_on_held_out_runs(case: Path) -> None:
     found = case_closed(case, case / "given.yaml")
     assert found.rows == 800

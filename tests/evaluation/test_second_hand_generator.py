@@ -12,11 +12,11 @@ from evaluation.second_hand import generator
 from evaluation.second_hand.base import MAXIMUM_CM, SATURATED_CM, Base, draw_base
 from evaluation.second_hand.density import base_law, log_probability, normal_score
 from evaluation.second_hand.effect import Effect, Kind, law_with
-from evaluation.second_hand.flights import Design, draw_bench, draw_flights
+from evaluation.second_hand.flights import draw_bench, draw_flights
 from evaluation.second_hand.physics import KNOWN
 from evaluation.second_hand.rows import Rows
 from evaluation.second_hand.sample import MISSED, RANDOM, SHORT, draw
-from evaluation.second_hand.size import NUISANCE, information, known_from_bench, scores, sizes_of, standard_errors
+from evaluation.second_hand.size import NUISANCE, known_from_bench, scores, sizes_of, standard_errors
 from evaluation.second_hand.unknown import UNKNOWN
 
 pytestmark = pytest.mark.slow
@@ -165,15 +165,6 @@ def test_correlation_costs_information_of_an_offset() -> None:
     free = standard_errors(rows, base, [effect], [0.5], 1)[0]
     correlated = standard_errors(rows, replace(base, correlation=0.8), [effect], [0.5], 1)[0]
     assert 1.5 < correlated / free < 4.0
-
-
-def test_information_knows_each_base_number() -> None:
-    rng = np.random.default_rng(8)
-    rows = draw_flights(rng, Design())
-    base = draw_base(rng, 0.5)
-    matrix = information(rows, base, [], [], 1, tables=1)
-    assert matrix.shape == (len(NUISANCE), len(NUISANCE))
-    assert (np.diag(matrix) > 0).all()
 
 
 @pytest.mark.parametrize("kind", ["one:10", "unknown:10", "two:10"])

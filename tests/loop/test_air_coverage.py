@@ -8,7 +8,6 @@ few flights cover what varies.
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,9 +23,9 @@ from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import Scenario, Thermometer
 from msp_sim.world.world import AirSection, WarmLayer
+from tests.support.shipped import CONFIGS
 from tests.support.slow import slow_but
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 FUSED_ID = 10
 COLDEST_C, HOTTEST_C = -20.0, 45.0
 FLIGHTS = 20

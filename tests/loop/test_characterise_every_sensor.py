@@ -13,13 +13,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import write_csv
-from msp_sim.cli import app as sim_app
 from tests.support.data import measured_data
 from tests.support.measured import EVERY_SENSOR, QUICK_SENSORS, ROOT, SENSORS
+from tests.support.programs import app_of, run
 from tests.support.slow import slow_but
 
 HCSR04 = ROOT / "configs" / "sensors" / "hcsr04.yaml"
@@ -61,9 +60,8 @@ def characterised(folder: Path, file: Path, columns: dict[str, Any]) -> tuple[Se
     """The new model, which gives each of the readings, and what was printed."""
     write_csv(folder / "bench.csv", columns)
     out = folder / "model.yaml"
-    command = ["characterise", str(folder / "bench.csv"), "--out", str(out), "--sensor", str(file)]
-    result = CliRunner().invoke(app, command, env={"COLUMNS": "500"})
-    assert result.exit_code == 0, result.output
+    command = ["msp-lab characterise", folder / "bench.csv", "--out", out, "--sensor", file]
+    result = run(*command, env={"COLUMNS": "500"})
     model = load_sensor_model(out)
     given = ReadingModel.of(model)
     log_prob = given.log_prob(columns["reading_cm"], {"true_range_cm": columns["true_range_cm"]})
@@ -73,14 +71,14 @@ def characterised(folder: Path, file: Path, columns: dict[str, Any]) -> tuple[Se
     return model, result.output
 
 
-@pytest.mark.parametrize("offset_cm", slow_but([-5.0], [-5.0, 0.0, 1.0, 5.0]))
+@pytest.mark.parametrize("offset_cm", slow_but([-5.0], [-5.0, 5.0]))
 @pytest.mark.parametrize("file", EVERY_SENSOR, ids=lambda each: each.stem)
 def test_an_offset_is_calibrated(file: Path, offset_cm: float, tmp_path: Path) -> None:
     """Also where it takes the shortest reading, or the reading of a range of 0, below 0."""
     model, _ = characterised(tmp_path, file, table(file, offset_cm))
     corrected = model.calibration_curve.forward(200.0) - 200.0
     assert corrected == pytest.approx(offset_cm, abs=1.0)
-    assert (model.calibration != ()) or abs(offset_cm) < 2.0
+    assert model.calibration != ()
 
 
 @pytest.mark.parametrize("scale", slow_but([1.05], [0.95, 1.05]))
@@ -112,8 +110,8 @@ def test_a_kind_of_reading_that_never_comes_has_a_floor_and_a_mark(
 def test_one_kind_of_reading_only_is_a_note_or_a_refusal(file: Path, kind: str, tmp_path: Path) -> None:
     shares = dict.fromkeys(SHARES, 0.0) | {kind: 1.0}
     write_csv(tmp_path / "bench.csv", table(file, shares=shares))
-    command = ["characterise", str(tmp_path / "bench.csv"), "--out", str(tmp_path / "m.yaml"), "--sensor", str(file)]
-    result = CliRunner().invoke(app, command)
+    command = ["characterise", tmp_path / "bench.csv", "--out", tmp_path / "m.yaml", "--sensor", file]
+    result = CliRunner().invoke(app_of("msp-lab"), [*map(str, command)])
     assert result.exit_code in (0, 3), result.output
     assert result.exception is None or isinstance(result.exception, SystemExit)
     if result.exit_code == 0:
@@ -129,27 +127,20 @@ def test_few_readings_leave_the_goodness_of_fit_open(tmp_path: Path) -> None:
 @pytest.mark.parametrize("file", slow_but(QUICK_SENSORS[:1], SENSORS))
 def test_every_model_flies(file: Path, tmp_path: Path) -> None:
     """Also that of a sensor whose readings the airframe's sensors cannot answer, such as 18 cm."""
-    scenario = tmp_path / "scenario.yaml"
-    text = (ROOT / "configs" / "scenarios" / "terrain.yaml").read_text(encoding="utf-8")
-    scenario.write_text(text.replace("../", f"{ROOT / 'configs'}/"), encoding="utf-8")
-    result = CliRunner().invoke(sim_app, ["fly", str(scenario), "--model", str(file), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+    run("msp-sim fly no_autopilot", "--model", file, "--out", tmp_path / "out")
     assert (tmp_path / "out" / "summary.json").exists()
 
 
 def test_echoes_that_are_missed_near_only_give_a_model_that_the_gap_can_use(tmp_path: Path) -> None:
     """The MB1433 misses echoes nearer than 50 cm: its share at 3 m was 1e-17 with a growth of -13 per metre."""
-    columns = ["--map", str(ROOT / "configs/maps/enmt482-sonar2.yaml")]
+    columns = ["--map", ROOT / "configs/maps/enmt482-sonar2.yaml"]
     out, sensor = tmp_path / "m.yaml", ROOT / "configs/sensors/mb1433.yaml"
-    bench = str(measured_data("enmt482/calibration.csv"))
-    lab = CliRunner()
-    result = lab.invoke(app, ["characterise", bench, *columns, "--sensor", str(sensor), "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    bench = measured_data("enmt482/calibration.csv")
+    run("msp-lab characterise", bench, *columns, "--sensor", sensor, "--out", out)
     model = load_sensor_model(out).reading_model
     assert model.weights.missed >= 1e-4
     assert abs(model.missed_growth_per_m) <= 10.0
-    command = ["compare", str(measured_data("enmt482/training1.csv")), *columns, "--model", str(out)]
-    result = lab.invoke(app, [*command, "--out", str(tmp_path / "gap")])
-    assert result.exit_code == 0, result.output
+    flight = measured_data("enmt482/training1.csv")
+    run("msp-lab compare", flight, *columns, "--model", out, "--out", tmp_path / "gap")
     gap = json.loads((tmp_path / "gap" / "gap.json").read_text(encoding="utf-8"))["gap"]
     assert 0.0 < gap["nats_per_reading"]["before"] < 5.0

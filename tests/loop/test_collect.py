@@ -16,10 +16,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.campaigns.collect import TROUBLE_AFTER, Arranged, Decision
-from msp_lab.cli import app
+from msp_lab.campaigns.collect import TROUBLE_AFTER, Decision
 from msp_range.clock import VirtualClock
 from msp_range.reading import Reading, Status
 from msp_range.recording.csv_form import read_csv
@@ -27,12 +25,15 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_sim.device.device import Fault
-from tests.support.campaigns import CONFIGS, Collected, Told, campaign, condition, written
+from tests.support.campaigns import Collected, Told, campaign, condition, written
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 ALWAYS_S = 1e9
 CROSSTALK = condition(
     condition="crosstalk", sensors=["one", "two"], apart_cm=15.24, firing=["simultaneous", "sequential"]
 )
+
 SEVERAL = (condition(), CROSSTALK, condition(condition="fov", angles_deg=[-30, 0], targets=[{"material": "wall"}]))
 
 
@@ -153,33 +154,6 @@ def test_a_repeat_that_is_interrupted_leaves_the_complete_one(tmp_path: Path) ->
     person = last.go(wanted=[], again=["baseline-60cm"])
     assert person.readings == 30, "the repeat begins anew or goes on, and is whole at the end"
     assert {row["run"] for row in rows(last.table())[:30]} <= {"baseline-60cm.2", "baseline-60cm.3"}
-
-
-def test_a_person_reads_again_skips_and_stops(tmp_path: Path) -> None:
-    small = campaign(tmp_path, condition(ranges_cm=[40, 60, 80]))
-    person = Told(
-        arranged=[Decision.GO, Decision.SKIP, Decision.GO, Decision.AGAIN, Decision.GO, Decision.GO],
-        judged=[Decision.GO, Decision.AGAIN, Decision.GO, Decision.GO],
-    )
-    collected = Collected(small, tmp_path / "out")
-    collected.go(person)
-    forty, sixty, eighty = (f"baseline-{each}cm" for each in (40, 60, 80))
-    #                      read   skipped  read   judged: again.  r: the one before, then the skipped one
-    assert person.visited[:4] == [forty, sixty, eighty, eighty]
-    assert all(collected.store.is_done(point) for point in collected.points)
-    stopped = Told(arranged=[Decision.STOP])
-    Collected(small, tmp_path / "other").go(stopped)
-    assert stopped.visited == [forty]
-
-
-def test_what_was_measured_at_the_bench_goes_into_the_table(tmp_path: Path) -> None:
-    small = campaign(tmp_path, condition(ranges_cm=[60]))
-    collected = Collected(small, tmp_path / "out")
-    collected.go(Told(arranged=[Arranged(Decision.GO, {"true_range_cm": 60.4, "air_temperature_c": 19.5})]))
-    table = rows(collected.table())
-    assert {(row["true_range_cm"], row["air_temperature_c"], row["target_temperature_c"]) for row in table} == {
-        ("60.4", "19.5", "22.5")
-    }
 
 
 def test_pings_that_go_out_together_are_less_than_a_millisecond_apart(tmp_path: Path) -> None:
@@ -332,9 +306,7 @@ def test_the_recording_holds_campaign_and_models(tmp_path: Path) -> None:
 
 def test_the_command_end_to_end(tmp_path: Path) -> None:
     """The afternoon's campaign by the command: what the table says of the sensor is what its model says."""
-    args = ["collect", str(CONFIGS / "campaigns/afternoon.yaml"), "--simulate", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, args, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    result = run("msp-lab collect --simulate", CONFIGS / "campaigns/afternoon.yaml", "--out", tmp_path / "out")
     assert "7260 readings" in result.output
     assert "0 of 29 points are left" in result.output
     data = read_csv(tmp_path / "out/readings.csv")
@@ -380,19 +352,14 @@ def test_a_disk_that_is_full_ends_it_with_a_line_and_it_can_be_resumed(tmp_path:
     ],
 )
 def test_user_errors_are_one_line(args: list[str], message: str, tmp_path: Path) -> None:
-    path = written(tmp_path)
-    result = CliRunner().invoke(app, ["collect", str(path), "--simulate", "--out", str(tmp_path / "out"), *args])
-    assert result.exit_code == 3
+    result = run("msp-lab collect --simulate", written(tmp_path), "--out", tmp_path / "out", *args, code=3)
     assert message in result.output
     assert len(result.output.strip().splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
 def test_only_and_repeat_by_the_command(tmp_path: Path) -> None:
-    args = ["collect", str(written(tmp_path, *SEVERAL)), "--simulate", "--out", str(tmp_path / "out")]
-    first = CliRunner().invoke(app, [*args, "--only", "fov"], catch_exceptions=False)
-    assert "120 readings, 120 of them now" in first.output
-    second = CliRunner().invoke(app, [*args, "--repeat", "fov-60cm-+0deg"], catch_exceptions=False)
-    assert "120 readings, 30 of them now" in second.output
-    third = CliRunner().invoke(app, args, catch_exceptions=False)
-    assert "0 of 10 points are left" in third.output
+    args = ["msp-lab collect --simulate", written(tmp_path, *SEVERAL), "--out", tmp_path / "out"]
+    assert "120 readings, 120 of them now" in run(*args, "--only", "fov").output
+    assert "120 readings, 30 of them now" in run(*args, "--repeat", "fov-60cm-+0deg").output
+    assert "0 of 10 points are left" in run(*args).output

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
 from msp_lab.campaigns.collect import Collection
 from msp_lab.campaigns.terminal import Terminal
-from msp_lab.cli import app
 from msp_sim.device.device import Fault
-from tests.support.campaigns import CONFIGS, Collected, campaign, condition, written
+from tests.support.campaigns import Collected, campaign, condition, written
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 
 class Bench:
@@ -218,29 +218,25 @@ def test_on_a_terminal_the_histogram_is_live(tmp_path: Path) -> None:
 
 
 def test_the_plan_can_be_looked_at_without_a_bench(tmp_path: Path) -> None:
-    args = ["collect", str(CONFIGS / "campaigns/table_4_1.yaml"), "--out", str(tmp_path / "out"), "--plan"]
-    result = CliRunner().invoke(app, args, catch_exceptions=False)
-    assert result.exit_code == 0
+    args = ["msp-lab collect --plan", CONFIGS / "campaigns/table_4_1.yaml", "--out", tmp_path / "out"]
+    result = run(*args)
     assert "316  field_of_view" in result.output
     assert "50500 readings are left; estimated time" in result.output
     assert not (tmp_path / "out").exists()
-    some = CliRunner().invoke(app, [*args, "--only", "baseline"], catch_exceptions=False)
-    assert "2400 readings are left" in some.output
+    assert "2400 readings are left" in run(*args, "--only", "baseline").output
 
 
 def test_a_bench_of_emulated_sensors_is_no_bench(tmp_path: Path) -> None:
     """What the simulator collected is not resumed on real sensors."""
     Collected(campaign(tmp_path), tmp_path / "out").go()
-    result = CliRunner().invoke(app, ["collect", str(written(tmp_path)), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 3
+    result = run("msp-lab collect", written(tmp_path), "--out", tmp_path / "out", code=3)
     assert "collected from the simulator" in result.output
     assert len(result.output.strip().splitlines()) == 1
 
 
 def test_without_a_bus_nobody_sets_anything_up(tmp_path: Path) -> None:
-    args = ["collect", str(written(tmp_path)), "--out", str(tmp_path / "out"), "--bus", str(tmp_path / "i2c-1")]
-    result = CliRunner().invoke(app, args)
-    assert result.exit_code == 3
+    args = [written(tmp_path), "--out", tmp_path / "out", "--bus", tmp_path / "i2c-1"]
+    result = run("msp-lab collect", *args, code=3)
     assert "i2c-1: cannot be opened: No such file or directory" in result.output
     assert not (tmp_path / "out").exists()
 
@@ -248,8 +244,7 @@ def test_without_a_bus_nobody_sets_anything_up(tmp_path: Path) -> None:
 def test_a_table_that_was_not_collected_here_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out/readings.csv").write_text("mine", encoding="utf-8")
-    result = CliRunner().invoke(app, ["collect", str(written(tmp_path)), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 3
+    result = run("msp-lab collect", written(tmp_path), "--out", tmp_path / "out", code=3)
     assert "not collected here" in result.output
     assert (tmp_path / "out/readings.csv").read_text(encoding="utf-8") == "mine"
 
@@ -270,8 +265,6 @@ def test_stopping_at_the_question_for_the_air_stops(tmp_path: Path) -> None:
 
 
 def test_the_plan_of_flights_asks_nothing(tmp_path: Path) -> None:
-    args = ["collect", str(CONFIGS / "campaigns/flight.yaml"), "--out", str(tmp_path / "out"), "--plan"]
-    result = CliRunner().invoke(app, args, catch_exceptions=False)
-    assert result.exit_code == 0
+    result = run("msp-lab collect --plan", CONFIGS / "campaigns/flight.yaml", "--out", tmp_path / "out")
     assert "The recording" not in result.output
     assert "The reference" in result.output

@@ -32,9 +32,9 @@ from tests.support import hand_held
 from tests.support.fake_computer import FakeComputer
 from tests.support.hand_held import EmulatedBus, HandHeld, Person
 from tests.support.parameter_autopilot import RANGE_FINDER
+from tests.support.shipped import CONFIGS
 from tests.support.slow import slow_but
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 GOOD = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
 STEPS = ("addresses", "bench", "lift")
 SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 4))]

@@ -9,22 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model
 from tests.docs.shown import shown
 from tests.support.measured import ROOT
+from tests.support.programs import run
 
 MODEL = ROOT / "configs/sensors/mb1242.yaml"
 RUNS, ROWS = 8, 150
-
-
-def run(*arguments: Any, code: int = 0) -> str:
-    result = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert result.exit_code == code, result.output
-    return result.output
 
 
 def options(words: list[str]) -> set[str]:
@@ -53,7 +46,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("design")
     write_csv(made / "OLD.csv", one_cold_day())
     shutil.copy(MODEL, made / "MODEL.yaml")
-    run("gap", made / "OLD.csv", "--model", made / "MODEL.yaml", "--out", made / "gaps/june", "--until", "add")
+    run("msp-lab gap", made / "OLD.csv", "--model", made / "MODEL.yaml", "--out", made / "gaps/june", "--until", "add")
     return made
 
 
@@ -63,10 +56,10 @@ def test_the_readings_of_the_session_decide_between_air_and_clock(
 ) -> None:
     """As docs/experiment.md shows it; the campaign is collected from emulated sensors whose clock is slow."""
     monkeypatch.chdir(folder)
-    _, *design = shlex.split(shown("msp-lab design gaps/june --bench --max-minutes 90"))
-    _, *collect = shlex.split(shown("msp-lab collect gaps/june/design/1-*/campaign.yaml --out new"))
-    _, *gap = shlex.split(shown("msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july"))
-    assert "right in 2 of 2 sessions" in run(*design, "--sessions", "2")
+    design = shlex.split(shown("msp-lab design gaps/june --bench --max-minutes 90"))
+    collect = shlex.split(shown("msp-lab collect gaps/june/design/1-*/campaign.yaml --out new"))
+    gap = shlex.split(shown("msp-lab gap OLD.csv new/readings.csv --model MODEL.yaml --out gaps/july"))
+    assert "right in 2 of 2 sessions" in run(*design, "--sessions", "2").output
     questions = json.loads(Path("gaps/june/design/design.json").read_text())["questions"]
     (question,) = [each for each in questions if each["kind"] == "indistinguishable"]
     named = {each["name"] for each in question["answers"]}
@@ -80,8 +73,8 @@ def test_the_readings_of_the_session_decide_between_air_and_clock(
     slow = yaml.safe_load(MODEL.read_text())
     slow["effects"] = [*slow["effects"], {"name": "range_scale", "parameters": {"scale_pct": -3.0}}]
     Path("slow.yaml").write_text(yaml.safe_dump(slow))
-    (campaign,) = Path().glob(collect[1])
-    run("collect", campaign, *collect[2:], "--simulate", "--model", "slow.yaml")
+    (campaign,) = Path().glob(collect[2])
+    run("msp-lab collect", campaign, *collect[3:], "--simulate", "--model", "slow.yaml")
     run(*gap, "--until", "add")
     (found,) = json.loads(Path("gaps/july/gap.json").read_text())["effects"]
     for printed, of_document in zip(session["commands"], (collect, gap), strict=True):
@@ -90,18 +83,18 @@ def test_the_readings_of_the_session_decide_between_air_and_clock(
     assert "range_scale" in names
     assert "air_temperature" not in names
 
-    assert "give --force" in run(*design, code=3)
+    assert "give --force" in run(*design, code=3).output
     Path("taken").write_text("")
-    assert "taken: is a file" in run(*design, "--out", "taken", code=3)
+    assert "taken: is a file" in run(*design, "--out", "taken", code=3).output
 
 
 @pytest.mark.slow
 def test_no_session_is_promised_in_less_time_than_it_takes(folder: Path) -> None:
     out = folder / "short"
-    printed = run("design", folder / "gaps/june", "--bench", "--sessions", "0", "--max-minutes", "5", "--out", out)
-    assert "with --max-minutes" in printed
+    options = ["--bench", "--sessions", "0", "--max-minutes", "5", "--out", out]
+    assert "with --max-minutes" in run("msp-lab design", folder / "gaps/june", *options).output
     assert not list(out.glob("*/campaign.yaml"))
 
 
 def test_a_folder_without_a_gap_run_says_how_to_make_one(tmp_path: Path) -> None:
-    assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("design", tmp_path, code=3)
+    assert "'msp-lab compare' or 'msp-lab gap' makes it" in run("msp-lab design", tmp_path, code=3).output

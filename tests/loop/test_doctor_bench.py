@@ -1,15 +1,13 @@
 """`msp-range doctor --bench` on this computer: the figures are there and of a sensible size."""
 
 import re
-from pathlib import Path
 
 import pytest
 
 from msp_range.doctor import bench
 from msp_range.doctor.command import lines_of
+from tests.support.shipped import CONFIGS
 from tests.support.slow import slow
-
-CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.mark.real_time

@@ -5,18 +5,18 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
+from evaluation.fleet import score
 from evaluation.fleet.generator import fleet
-from evaluation.fleet.score import run
-from msp_lab.cli import app
 from msp_lab.readings.dataset import record_runs, write_tables
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.model import load_model
+from tests.support.programs import run
 from tests.support.waiting import LIMIT_S, until
 
 MODEL = "configs/sensors/mb1242.yaml"
@@ -55,8 +55,7 @@ def test_the_late_vehicle_is_named_on_the_page_in_the_table_and_on_the_terminal(
     table = MeasuredData({"time_s": np.arange(5.0), "reading_cm": np.full(5, 99.0), "true_range_cm": np.full(5, 99.0)})
     add_run(dataset, "V9/1", table)
     out = tmp_path / "out"
-    result = CliRunner().invoke(app, ["fleet", str(dataset), "--model", MODEL, "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    result = run("msp-lab fleet", dataset, "--model", MODEL, "--out", out)
     assert max(map(len, result.stdout.splitlines())) <= 80
     flat = " ".join(result.stdout.split())
     assert "1 of 6 vehicles differs" in flat
@@ -76,30 +75,24 @@ def test_the_late_vehicle_is_named_on_the_page_in_the_table_and_on_the_terminal(
 
 @pytest.mark.slow
 def test_three_odd_vehicles_of_a_drawn_fleet_are_found_and_no_others(tmp_path: Path) -> None:
-    outcome = run("odd:slant_axis", 1, fleet("odd:slant_axis", 1, vehicles=10), tmp_path)
+    outcome = score.run("odd:slant_axis", 1, fleet("odd:slant_axis", 1, vehicles=10), tmp_path)
     assert outcome.crash == ""
     assert (outcome.found, outcome.false) == (3, ())
 
 
 def test_three_vehicles_are_no_fleet(tmp_path: Path) -> None:
     dataset = make_dataset(tmp_path / "set", 3, {}, readings=5)
-    arguments = ["fleet", str(dataset), "--model", MODEL, "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 3
-    assert "logs of 3 vehicles (V1, V2, V3), and a fleet is at least 4" in result.stderr
-    result = CliRunner().invoke(app, [*arguments, "--vehicle", "X"])
-    assert result.exit_code == 3
-    assert "fits neither the run 'V1/1' nor its log" in result.stderr
-    result = CliRunner().invoke(app, [*arguments, "--vehicle", "("])
-    assert result.exit_code == 3
-    assert "no regular expression" in result.stderr
+    arguments = ["msp-lab fleet", dataset, "--model", MODEL, "--out", tmp_path / "out"]
+    assert "logs of 3 vehicles (V1, V2, V3), and a fleet is at least 4" in run(*arguments, code=3).stderr
+    assert "fits neither the run 'V1/1' nor its log" in run(*arguments, "--vehicle", "X", code=3).stderr
+    assert "no regular expression" in run(*arguments, "--vehicle", "(", code=3).stderr
 
 
 @pytest.mark.slow
 def test_two_processes_of_which_one_is_killed_find_the_same_to_the_last_digit(tmp_path: Path) -> None:
-    dataset = make_dataset(tmp_path / "set", 6, {2: 200.0}, readings=2500)
+    dataset = make_dataset(tmp_path / "set", 4, {2: 200.0}, readings=1000)
     arguments = ["fleet", str(dataset), "--model", MODEL, "--out"]
-    assert CliRunner().invoke(app, [*arguments, str(tmp_path / "one")]).exit_code == 0
+    run("msp-lab", *arguments, tmp_path / "one")
     command = [str(Path(sys.executable).with_name("msp-lab")), *arguments, str(tmp_path / "two"), "--jobs", "2"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as program:
         killed = killed_worker(program)
@@ -116,15 +109,14 @@ def killed_worker(program: "subprocess.Popen[str]") -> bool:
     killed: list[int] = []
 
     def is_over() -> bool:
-        listed = subprocess.run(
-            ["ps", "-ww", "-eo", "pid=,ppid=,times=,args="], capture_output=True, text=True, check=True
-        )
-        for line in listed.stdout.splitlines():
-            pid, parent, seconds, command = line.split(maxsplit=3)
-            if int(parent) == program.pid and "spawn_main" in command and int(seconds) >= STARTED_S:
-                os.kill(int(pid), signal.SIGKILL)
-                killed.append(int(pid))
-                break
+        with suppress(OSError):  # It has ended.
+            threads = Path(f"/proc/{program.pid}/task").glob("*/children")
+            for child in (each for thread in threads for each in thread.read_text().split()):
+                used = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[11:13]
+                is_worker = "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()
+                if is_worker and sum(map(int, used)) >= STARTED_S * os.sysconf("SC_CLK_TCK"):
+                    os.kill(int(child), signal.SIGKILL)
+                    killed.append(int(child))
         return bool(killed) or program.poll() is not None
 
     until(is_over, 5 * LIMIT_S)

@@ -12,23 +12,21 @@ from matplotlib.image import imread
 from mcap.reader import make_reader
 from pymavlink.dialects.v20 import common
 from scipy.stats import kstest
-from typer.testing import CliRunner
 
-from msp_range.cli import app as bridge_app
 from msp_range.clock import VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
-from msp_sim.cli import app
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.recorded import recorded_flight
 from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 from msp_sim.model.model import load_model
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = CONFIGS / "scenarios"
 
 
@@ -37,12 +35,6 @@ def fly(name: str, seed: int = 1) -> tuple[FlightResult, Simulation]:
     for _ in simulation.fly():
         pass
     return simulation.flight, simulation
-
-
-def run(*args: object) -> str:
-    result = CliRunner().invoke(app, [str(each) for each in args], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +122,7 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(tmp_path: Pa
     )
     folders = [tmp_path / name for name in ("one", "two", "other")]
     for folder, seed in zip(folders, (5, 5, 6), strict=True):
-        run("fly", scenario, "--seed", seed, "--out", folder)
+        run("msp-sim fly", scenario, "--seed", seed, "--out", folder)
     summaries = [json.loads((folder / "summary.json").read_text()) for folder in folders]
     for summary in summaries:
         assert summary.pop("wall")["seconds"] > 0
@@ -235,7 +227,7 @@ def test_a_late_and_rebooting_autopilot(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_fly_prints_what_compares_with_the_true_height(tmp_path: Path) -> None:
-    output = run("fly", SCENARIOS / "demo.yaml", "--out", tmp_path / "f")
+    output = run("msp-sim fly", SCENARIOS / "demo.yaml", "--out", tmp_path / "f").output
     lines = [line for line in output.splitlines() if "true height" in line and "no estimate" not in line]
     off_cm = []
     for line in lines:
@@ -247,7 +239,7 @@ def test_fly_prints_what_compares_with_the_true_height(tmp_path: Path) -> None:
 
 
 def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
-    output = run("fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
+    output = run("msp-sim fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f").output
     assert "times real time" in output
     assert (tmp_path / "f" / "flight.png").read_bytes().startswith(b"\x89PNG")
     with (tmp_path / "f" / "flight.mcap").open("rb") as file:
@@ -266,11 +258,11 @@ def test_fly_leaves_what_other_tools_open(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_recorded_flight_is_drawn_with_its_truth_and_without(tmp_path: Path) -> None:
     """As a simulator recorded it, and as a vehicle would have: replayed, there is no truth."""
-    run("fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
+    run("msp-sim fly", SCENARIOS / "hover.yaml", "--out", tmp_path / "f")
     recording, replayed = tmp_path / "f" / "flight.mcap", tmp_path / "replayed.mcap"
-    assert CliRunner().invoke(bridge_app, ["replay", str(recording), "--record", str(replayed)]).exit_code == 0
-    run("show", recording, "--out", tmp_path / "pictures" / "simulated.png")
-    printed = run("show", replayed, "--out", tmp_path / "pictures" / "real.png")
+    run("msp-range replay", recording, "--record", replayed)
+    run("msp-sim show", recording, "--out", tmp_path / "pictures" / "simulated.png")
+    printed = run("msp-sim show", replayed, "--out", tmp_path / "pictures" / "real.png").output
     assert "replayed.mcap, 60 s flown" in printed
     assert "all 4 sensors good" in printed
     sizes = [imread(tmp_path / "pictures" / f"{name}.png").shape for name in ("simulated", "real")]
@@ -303,7 +295,7 @@ def test_another_model_flies(tmp_path: Path, resolution_cm: float) -> None:
     model = model.replace("resolution_cm: 1\n", f"resolution_cm: {resolution_cm}\n")
     assert f"resolution_cm: {resolution_cm}\n" in model
     (tmp_path / "quiet.yaml").write_text(model)
-    run("fly", SCENARIOS / "hover.yaml", "--model", tmp_path / "quiet.yaml", "--out", tmp_path / "f")
+    run("msp-sim fly", SCENARIOS / "hover.yaml", "--model", tmp_path / "quiet.yaml", "--out", tmp_path / "f")
     summary = json.loads((tmp_path / "f" / "summary.json").read_text())
     for sensor in summary["sensors"].values():
         assert sensor["rejected"].keys() <= {"unconfirmed"}
@@ -317,7 +309,7 @@ def test_words_that_are_no_range_of_the_sensor_arrive_on_the_bus(tmp_path: Path,
     model = yaml.safe_load((SCENARIOS.parent / "sensors" / "mb1242.yaml").read_text())
     model["effects"].append({"name": effect, "parameters": {"share": 0.3}})
     (tmp_path / "faulty.yaml").write_text(yaml.safe_dump(model))
-    run("fly", SCENARIOS / "demo.yaml", "--model", tmp_path / "faulty.yaml", "--out", tmp_path / "f")
+    run("msp-sim fly", SCENARIOS / "demo.yaml", "--model", tmp_path / "faulty.yaml", "--out", tmp_path / "f")
     with (tmp_path / "f" / "flight.mcap").open("rb") as file:
         rangings = [
             json.loads(message.data)
@@ -332,7 +324,7 @@ def test_words_that_are_no_range_of_the_sensor_arrive_on_the_bus(tmp_path: Path,
 def test_effects_fly_as_they_are_scored(tmp_path: Path) -> None:
     """Readings of a flight with effects, as the bridge recorded them, follow their model given the recorded context."""
     path = SCENARIOS.parent / "sensors" / "mb1242_in_flight.yaml"
-    run("fly", SCENARIOS / "demo.yaml", "--model", path, "--out", tmp_path / "f")
+    run("msp-sim fly", SCENARIOS / "demo.yaml", "--model", path, "--out", tmp_path / "f")
     data = measured_data(Recording(tmp_path / "f" / "flight.mcap"))
     # A reading of a ping that the sensor did not take is the one before.
     data = data.select(~np.isnan(data["true_range_cm"]) & ~np.isnan(data["reading_cm"]))

@@ -8,24 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_lab.gap.findings_file import read_findings
 from msp_range.recording.csv_form import write_csv
-from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
+from tests.support import programs
 from tests.support.known import known
 from tests.support.measured import MODEL, ROOT, readings
 
 PICTURES = ("lead.png", "path.png", "pit.png", "autocorrelation.png")
 
 
-def run(*arguments: Any, code: int = 0) -> str:
-    program = sim_app if arguments[0] == "fly" else app
-    result = CliRunner().invoke(program, [str(each) for each in arguments])
-    assert result.exit_code == code, result.output
-    return result.output
+def run(command: str, *arguments: Any, code: int = 0) -> str:
+    return programs.run(f"msp-lab {command}", *arguments, code=code).output
 
 
 def hidden(columns: dict[str, Any]) -> np.ndarray:
@@ -73,8 +68,8 @@ def test_the_extended_model_carries_its_evidence_and_flies(folder: Path) -> None
     assert evidence["data"][0]["rows"] == 2400
     assert evidence["gap_before"]["bias_cm"] > 2.0 > evidence["gap_after"]["bias_cm"]
     assert re.fullmatch(r"\d{4}-\d\d-\d\d", evidence["date"])
-    printed = run("fly", ROOT / "configs" / "scenarios" / "hover.yaml", "--model", folder / "out" / "model.yaml")
-    assert "times real time" in printed
+    flown = programs.run("msp-sim fly hover", "--model", folder / "out" / "model.yaml")
+    assert "times real time" in flown.output
 
 
 def test_the_page_needs_nothing_but_itself(folder: Path) -> None:

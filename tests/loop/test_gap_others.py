@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import Model
+from tests.support.programs import run
 
 NAMES = ("front", "left", "rear", "right")
 MODEL = "configs/sensors/mb1242_bench.yaml"
@@ -36,9 +35,7 @@ def written(path: Path, scale_pct: float, runs: int, n: int) -> Path:
 def test_the_sensor_that_differs_is_named_and_the_others_are_not(tmp_path: Path) -> None:
     table = written(tmp_path / "flights.csv", 3.0, runs=6, n=480)
     out = tmp_path / "gap"
-    arguments = ["gap", table, "--truth", "others", "--model", MODEL, "--until", "add", "--out", out]
-    done = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert done.exit_code == 0, done.output
+    done = run("msp-lab gap --truth others --until add", table, "--model", MODEL, "--out", out)
     found = {each["sensor"]: each for each in json.loads((out / "sensors.json").read_text())}
     assert found.keys() == set(NAMES)
     assert [name for name in NAMES if found[name]["named"]] == ["left"]
@@ -50,10 +47,8 @@ def test_the_sensor_that_differs_is_named_and_the_others_are_not(tmp_path: Path)
     assert (out / "left" / "model.yaml").exists()
 
 
-@pytest.mark.parametrize("command", [["compare"], ["gap", "--until", "name"]])
-def test_only_the_whole_workflow_goes_from_sensor_to_sensor(tmp_path: Path, command: list[str]) -> None:
+@pytest.mark.parametrize("command", ["compare", "gap --until name"])
+def test_only_the_whole_workflow_goes_from_sensor_to_sensor(tmp_path: Path, command: str) -> None:
     table = written(tmp_path / "flights.csv", 0.0, runs=1, n=200)
-    options = ["--truth", "others", "--model", MODEL, "--out", str(tmp_path / "gap")]
-    done = CliRunner().invoke(app, [command[0], str(table), *command[1:], *options])
-    assert done.exit_code != 0
-    assert "--truth others: 'gap' does it" in done.output
+    options = ["--truth", "others", "--model", MODEL, "--out", tmp_path / "gap"]
+    assert "--truth others: 'gap' does it" in run(f"msp-lab {command}", table, *options, code=3).output

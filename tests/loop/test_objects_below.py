@@ -11,7 +11,7 @@ from msp_range.reading_model.mixture import ReadingModel
 from msp_range.sensors.mb1242 import MB1242, decode, encode
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
-from tests.support.bench import CONFIGS
+from tests.support.shipped import CONFIGS
 
 pytestmark = pytest.mark.slow
 AIRFRAME = load_airframe(CONFIGS / "quad_pallet.yaml")

@@ -15,9 +15,9 @@ from msp_range.config import load_airframe
 from msp_range.params.settings import Firmware, Vehicle, remarks, settings
 from tests.sitl import documented
 from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.shipped import CONFIGS
 from tests.support.transports import free_port
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 COMMAND = Path(sys.executable).with_name("msp-range")
 FRESH = {
     "RNGFND1_TYPE": 0.0,

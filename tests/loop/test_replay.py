@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
-from typer.testing import CliRunner, Result
 
 from msp_lab.gap.intake import read_readings
 from msp_lab.readings.intake import load_readings
-from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
@@ -21,23 +19,17 @@ from msp_range.recording.pings import read_recorded
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_range.replay import Nowhere, replay
-from msp_sim.cli import app as sim_app
 from msp_sim.model.model import load_model
 from tests.support.bench import FUSED_ID, START_S, Bench, airframe
 from tests.support.data import measured_data
-
-CONFIGS = Path(__file__).parents[2] / "configs"
-
-
-def run(*args: object) -> Result:
-    return CliRunner().invoke(app, [str(each) for each in args], catch_exceptions=False)
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("flight")
-    args = ["fly", str(CONFIGS / "scenarios" / "faults.yaml"), "--out", str(folder)]
-    assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
+    run("msp-sim fly", CONFIGS / "scenarios" / "faults.yaml", "--out", folder)
     return folder / "flight.mcap"
 
 
@@ -54,8 +46,7 @@ def ranges(path: Path) -> list[tuple[str, list[Any]]]:
 def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     """Every stage of every reading, faults and all, down to the last digit, from the recording alone."""
     again = tmp_path / "again.mcap"
-    result = run("replay", flight, "--record", again)
-    assert result.exit_code == 0, result.output
+    result = run("msp-range replay", flight, "--record", again)
     assert "front_left" in result.output
     assert ranges(again) == ranges(flight)
 
@@ -135,21 +126,22 @@ def test_a_flight_with_send_nothing_replays(tmp_path: Path) -> None:
 def test_a_cut_flight_replays_and_exports(flight: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
-    assert run("replay", cut, "--record", tmp_path / "again.mcap").exit_code == 0
+    run("msp-range replay", cut, "--record", tmp_path / "again.mcap")
     whole = ranges(flight)
     part = ranges(tmp_path / "again.mcap")
     assert 0.2 * len(whole) < len(part) < 0.8 * len(whole)
     assert part == whole[: len(part)]
-    assert run("export", cut, tmp_path / "cut.csv").exit_code == 0
+    run("msp-range export", cut, tmp_path / "cut.csv")
     assert len(read_csv(tmp_path / "cut.csv")) == len(part)
-    assert run("recover", cut, tmp_path / "closed.mcap").exit_code == 0
+    run("msp-range recover", cut, tmp_path / "closed.mcap")
     assert ranges(tmp_path / "closed.mcap") == part
 
 
 @pytest.mark.slow
 def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Path) -> None:
     whole = len(list(Recording(flight)))
-    assert f"{whole} messages and 2 attached files; lost: nothing" in run("recover", flight, tmp_path / "a.mcap").output
+    recovered = run("msp-range recover", flight, tmp_path / "a.mcap").output
+    assert f"{whole} messages and 2 attached files; lost: nothing" in recovered
     data = bytearray(flight.read_bytes())
     damaged = tmp_path / "damaged.mcap"
     data[data.index(b"\x04\0\0\0zstd", len(data) // 2) + 100] ^= 0x10
@@ -159,7 +151,7 @@ def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Pa
         ("export", damaged, tmp_path / "b.csv"),
         ("replay", damaged),
     ):
-        printed = run(*args).output
+        printed = run("msp-range", *args).output
         assert "lost: 1 damaged chunk (" in printed
     assert len(ranges(tmp_path / "b.mcap")) == len(read_csv(tmp_path / "b.csv")) < len(ranges(flight))
     # The tables that models are made from report it too.
@@ -173,10 +165,9 @@ def test_what_was_saved_and_what_was_lost_is_reported(flight: Path, tmp_path: Pa
 @pytest.mark.slow
 def test_an_exported_flight_replays_as_the_flight(flight: Path, tmp_path: Path) -> None:
     """A table has no early answers and no fixed temperature; everything else is the same."""
-    assert run("export", flight, tmp_path / "flight.csv").exit_code == 0
+    run("msp-range export", flight, tmp_path / "flight.csv")
     args = ["--airframe", CONFIGS / "loopback.yaml", "--record", tmp_path / "again.mcap"]
-    result = run("replay", tmp_path / "flight.csv", *args)
-    assert result.exit_code == 0, result.output
+    run("msp-range replay", tmp_path / "flight.csv", *args)
     statuses = [columns[1] for _, columns in ranges(flight) if columns[1] not in ("impossible", "part_info")]
     replayed = [columns[1] for _, columns in ranges(tmp_path / "again.mcap")]
     assert len(replayed) == pytest.approx(len(statuses), rel=0.02)
@@ -192,12 +183,11 @@ def test_an_exported_flight_replays_as_the_flight(flight: Path, tmp_path: Path) 
     ],
 )
 def test_user_errors_are_reported_in_a_line(
-    flight: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: Sequence[str], message: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, args: Sequence[str], message: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    run("export", flight, "table.csv")
-    result = run("replay", *args)
-    assert result.exit_code == 3
+    Path("table.csv").write_text("time_s,sensor,reading_cm\n1,front_left,200\n")
+    result = run("msp-range replay", *args, code=3)
     assert message in result.output
     assert "Traceback" not in result.output
 
@@ -239,8 +229,7 @@ send: {{sensors: all}}
 """
     )
     again = tmp_path / "again.mcap"
-    result = run("replay", tmp_path / "enmt482.csv", "--airframe", airframe, "--record", again)
-    assert result.exit_code == 0, result.output
+    run("msp-range replay", tmp_path / "enmt482.csv", "--airframe", airframe, "--record", again)
     messages = [message for topic, _, message in Recording(again) if topic == "/range/sonar2"]
     assert len(messages) == len(table)
     truth_m = np.interp([message["time_s"] for message in messages], table["time"], table["range"])

@@ -33,9 +33,9 @@ from msp_sim.flight.flight_log import SensorTrack
 from msp_sim.sitl.flying import load_scene
 from msp_sim.sitl.sitl import POSE_STALE_S, AutopilotVehicle, status_line
 from tests.support.known import known
+from tests.support.shipped import CONFIGS
 from tests.support.waiting import LIMIT_S, until
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SYSTEM = 7
 STANDING_RANGE_M = 0.20
 """What configs/loopback.yaml's fused stream reads on the ground: by default the sensors stand at their minimum."""

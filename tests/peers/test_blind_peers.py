@@ -206,23 +206,6 @@ def test_pysindy_takes_what_stands_out() -> None:
     assert pysindy_stlsq(toy([0.3, -0.5, 1.0])) == set()
 
 
-def test_pted_has_the_statistic_that_is_swapped() -> None:
-    pted = pytest.importorskip("pted", reason="the extra 'bench' is not installed").pted
-    rng = np.random.default_rng(7)
-    ours, theirs = [], []
-    for shift in (0.0, 0.3, 1.0):
-        one, other = rng.standard_normal((40, 3)), rng.standard_normal((40, 3)) + shift
-        ours.append(swapped(one, other, rng)[0])
-        theirs.append(pted(one, other, permutations=1, return_all=True, rng=1)[0])
-        one[::2], other[::2] = other[::2].copy(), one[::2].copy()
-        # Within one set of pairs, one is the other on a line.
-        ours[-1] -= swapped(one, other, rng)[0]
-        theirs[-1] -= pted(one, other, permutations=1, return_all=True, rng=1)[0]
-    slopes = np.divide(theirs, ours)
-    assert slopes == pytest.approx(slopes[0], rel=1e-6)
-    assert slopes[0] > 0.0
-
-
 def test_pted_as_it_comes_rejects_tables_that_share_their_contexts(model: Model) -> None:
     pytest.importorskip("pted", reason="the extra 'bench' is not installed")
     rng = np.random.default_rng(8)
@@ -244,11 +227,11 @@ def test_classifier_finds_a_shift_that_comes_with_throttle(model: Model) -> None
 def test_classifier_finds_nothing_where_nothing_is_missing(model: Model) -> None:
     pytest.importorskip("sklearn", reason="the extra 'bench' is not installed")
     p_values = []
-    for seed in range(10):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         contexts, _ = table(seed, n=400)
         p_values.append(classifier(compare(model, contexts, model.sample(contexts, rng), rng), rng))
-    assert sum(p < 0.05 for p in p_values) <= 2
+    assert sum(p < 0.05 for p in p_values) <= 1
     assert 0.25 < np.mean(p_values) < 0.75
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.service import missing
+from tests.support.shipped import ROOT
 
-ROOT = Path(__file__).parents[2]
 MAX_EXPOSURE = 2.0
 """0 is a service that can do nothing, 10 one that can do all."""
 

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from tests.peers.fetch_flights import FLIGHTS, Flight, fetch, main
+from tests.support.programs import run
+from tests.support.shipped import ROOT
 
 FOLDER = os.environ.get("MSP_RANGE_FLIGHTS", "")
 """A folder with the logs."""
-ROOT = Path(__file__).parents[2]
 
 
 def fetched(name: str) -> Path:
@@ -32,8 +31,7 @@ def fetched(name: str) -> Path:
 
 
 def imported(path: Path, out: Path, *options: str) -> dict[str, Any]:
-    done = CliRunner().invoke(app, ["import", str(path), "--out", str(out), "--json", *options])
-    assert done.exit_code == 0, done.output
+    done = run("msp-lab import --json", path, "--out", out, *options)
     (found,) = json.loads(done.stdout)
     assert isinstance(found, dict)
     return found
@@ -42,8 +40,7 @@ def imported(path: Path, out: Path, *options: str) -> dict[str, Any]:
 def gap(dataset: Path, model: str, out: Path) -> dict[str, Any]:
     """The findings of `msp-lab gap`, without pictures."""
     sensor = ROOT / "configs" / "sensors" / model
-    done = CliRunner().invoke(app, ["gap", str(dataset), "--model", str(sensor), "--out", str(out), "--until", "add"])
-    assert done.exit_code == 0, done.output
+    run("msp-lab gap --until add", dataset, "--model", sensor, "--out", out)
     found = json.loads((out / "gap.json").read_text())
     assert isinstance(found, dict)
     return found
@@ -185,6 +182,5 @@ def test_a_log_with_too_few_readings_for_a_height(tmp_path: Path) -> None:
     found = imported(path, tmp_path / "set")
     assert found["truth"] == ""
     assert "cs_rng_hgt is set for 31 % of the time" in found["others"]["ekf"]
-    done = CliRunner().invoke(app, ["import", str(path), "--truth", "barometer", "--out", str(tmp_path / "baro")])
-    assert done.exit_code == 3
+    done = run("msp-lab import --truth barometer", path, "--out", tmp_path / "baro", code=3)
     assert "found 46 readings with an echo and vehicle_air_data.baro_alt_meter, expected at least 50" in done.output

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from tests.peers.test_page import browser
+from tests.support.shipped import ROOT
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 

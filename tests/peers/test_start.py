@@ -10,8 +10,8 @@ import pytest
 
 from tests.support.kernel_bus import Sonar, kernel_bus
 from tests.support.service import LinkEnd, running_service
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 LABORATORY = {
     "IPython",
     "asyncio",

@@ -1,7 +1,6 @@
 """What holds for every filter: a shifted scene gives a shifted estimate, and it lies among the readings."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +12,8 @@ from msp_range.filters.base import Estimate
 from msp_range.filters.chain import MEMORY_S, Chain, Filtered
 from msp_range.filters.table import BUILT_IN, FilterParameters
 from msp_range.reading import Reading, Status
-from msp_range.reading_model.sensor_model import Weights, load_sensor_model
+from msp_range.reading_model.sensor_model import Weights
+from tests.support.shipped import SENSOR
 
 STD_M = 0.0207
 """Of a reading: not round, or four of them would be whole centimetres, and rounding would decide at the gate."""
@@ -66,7 +66,6 @@ def test_an_estimate_lies_among_the_readings(filters: list[dict[str, Any]], flig
             assert 0 < filtered.estimate.variance_m2 <= STD_M**2 * (1 + 1e-9)
 
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 QUIET = SENSOR.model_copy(
     update={
         "reading_model": SENSOR.reading_model.model_copy(

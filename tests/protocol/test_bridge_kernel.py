@@ -6,8 +6,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from msp_sim.device.device import DeviceTiming
-from tests.support.bench import CONFIGS
 from tests.support.kernel_bus import KernelTestbed, Sonar, kernel_bus
+from tests.support.shipped import CONFIGS
 
 BRIDGE = """
 from msp_range.bridge import Bridge

@@ -29,9 +29,10 @@ from msp_sim.flight.scenario import load_scenario
 from msp_sim.world.surfaces import Box, GroundSection
 from msp_sim.world.vehicle import Pose
 from msp_sim.world.world import AirSection, MountedBeam, Ping, World
-from tests.support.bench import CONFIGS, Bench, airframe, sensor
+from tests.support.bench import Bench, airframe, sensor
 from tests.support.plain_device import PlainDevice
 from tests.support.scripted_bus import Expected, read, scripted_bus, write
+from tests.support.shipped import CONFIGS
 
 ADDRESS, OTHER = 0x62, 0x64
 MODEL = {"model": "sensors/lidar_lite_v3.yaml"}

@@ -8,12 +8,10 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from evaluation.blind.flight import Columns, Regime, contexts, habits
 from evaluation.blind.mechanisms import MECHANISMS
@@ -21,11 +19,11 @@ from evaluation.blind.run import SENSOR, write
 from evaluation.blind.score import Outcome, accepted_names, judge
 from evaluation.blind.size import Hidden, stage
 from evaluation.blind.tables import CONFOUNDED, ROWS, RUNS, fly_base
-from msp_lab.cli import app
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.findings_file import read_findings
 from msp_sim.model.model import load_model
 from tests.support.known import known
+from tests.support.programs import run
 from tests.support.slow import slow
 
 BASE_SEED = 11
@@ -73,11 +71,6 @@ def flown(seed: int, hidden: Hidden = (), regime: Regime = "iid", twist: str = "
     return Flown(flight.columns, reading_cm, regime, hidden)
 
 
-def run(*arguments: Any) -> None:
-    result = CliRunner().invoke(app, [str(each) for each in arguments])
-    assert result.exit_code == 0, result.output
-
-
 @pytest.fixture(scope="session")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Regime], Path]:
     """The model that a user has before anything is hidden: characterised, one a regime."""
@@ -88,7 +81,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Regime], Path]:
         if not model.exists():
             write(folder / f"{regime}.csv", *fly_base(BASE_SEED, regime))
             given = ("--sensor", SENSOR, "--set-up-std-cm", "0.02")
-            run("characterise", folder / f"{regime}.csv", *given, "--out", model)
+            run("msp-lab characterise", folder / f"{regime}.csv", *given, "--out", model)
         return model
 
     return of
@@ -101,7 +94,16 @@ def look(base: Callable[[Regime], Path], tmp_path_factory: pytest.TempPathFactor
     def at(flights: Flown) -> Looked:
         folder = tmp_path_factory.mktemp("table")
         write(folder / "measured.csv", flights.columns, flights.reading_cm)
-        run("gap", folder / "measured.csv", "--model", base(flights.regime), "--out", folder / "gap", "--until", "add")
+        run(
+            "msp-lab gap",
+            folder / "measured.csv",
+            "--model",
+            base(flights.regime),
+            "--out",
+            folder / "gap",
+            "--until",
+            "add",
+        )
         gap = json.loads((folder / "gap" / "gap.json").read_text(encoding="utf-8"))
         hidden = [
             {"mechanism": name, "channel": MECHANISMS[name].channel, "variables": MECHANISMS[name].variables}

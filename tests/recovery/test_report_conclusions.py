@@ -11,12 +11,11 @@ from evaluation.blind.campaign import campaign
 from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import FactorEffect, Findings, Question
 from msp_lab.readings.intake import load_readings
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from tests.support.known import known
+from tests.support.shipped import SENSOR
 from tests.support.slow import slow
 
-SENSOR = load_sensor_model(Path("configs/sensors/mb1242.yaml"))
 STEP_DEG = 1.8
 REPORT_DEG = {50.0: 23.4, 100.0: 18.0, 150.0: 14.4, 200.0: 12.6}
 

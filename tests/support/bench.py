@@ -2,7 +2,6 @@
 
 import random
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
@@ -14,8 +13,8 @@ from msp_range.mavlink.transport.base import TransportStats
 from msp_sim.device.bus import Device, EmulatedBus
 from msp_sim.device.device import Fault
 from msp_sim.device.table import emulated_kind
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 CALIBRATED_C = 22.5
 """Air in which an MB1242's reading is the range."""
 FUSED_ID = 10

@@ -14,8 +14,8 @@ from msp_lab.campaigns.store import Store
 from msp_lab.campaigns.watch import Outlier, PointWatch
 from msp_range.reading import Reading
 from msp_sim.device.device import Fault
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 MODEL = str(CONFIGS / "sensors/mb1242.yaml")
 BENCH_MODEL = str(CONFIGS / "sensors/mb1242_bench.yaml")
 SENSORS = [

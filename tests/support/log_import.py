@@ -7,6 +7,7 @@ from typing import Any
 from typer.testing import CliRunner, Result
 
 from msp_lab.cli import app
+from tests.support import programs
 
 LOGS = Path(__file__).parents[1] / "data" / "logs"
 
@@ -16,7 +17,5 @@ def run(*arguments: object) -> Result:
 
 
 def imported(*arguments: object) -> list[dict[str, Any]]:
-    done = run("import", *arguments, "--json")
-    assert done.exit_code == 0, done.output
-    found: list[dict[str, Any]] = json.loads(done.stdout)
+    found: list[dict[str, Any]] = json.loads(programs.run("msp-lab import", *arguments, "--json").stdout)
     return found

@@ -1,17 +1,13 @@
 """Baseline accuracy, and peaks at the longest range before and after missed echoes are masked."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range, peaks
 from msp_lab.characterise.points import sort_into_points
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.known import contains
 from tests.support.plain_bench import point, table
-
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+from tests.support.shipped import SENSOR
 
 
 def test_765_and_255_are_masked_to_one_peak() -> None:

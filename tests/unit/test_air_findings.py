@@ -1,7 +1,6 @@
 """Where hot air must have been, and Table 5.1: one air temperature a row, and what is wrong with its first row."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,10 @@ from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.comparison.report import implied_temperature_c
 from msp_range.correction.calibration import IDENTITY, Calibration
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.known import contains
 from tests.support.plain_bench import point, table
+from tests.support.shipped import SENSOR
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 RANGES_CM = tuple(range(40, 261, 20))
 
 

@@ -1,7 +1,6 @@
 """Calibration of readings against the reference: recovered, kept only where it predicts, with honest intervals."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +9,11 @@ from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import Calibration
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from tests.support.known import contains
 from tests.support.plain_bench import point, table
+from tests.support.shipped import SENSOR
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 RANGES_CM = np.arange(40.0, 301.0, 20.0)
 
 
@@ -145,8 +143,8 @@ def test_a_bend_is_kept_and_predicts_ranges_that_were_left_out() -> None:
 
 
 def test_a_sensor_without_error_gets_no_calibration() -> None:
-    forms = [calibrated(bench(seed, lambda z: 0.0, setup_cm=0.3)).form for seed in range(20)]
-    assert forms.count("none") >= 18
+    forms = [calibrated(bench(seed, lambda z: 0.0, setup_cm=0.3)).form for seed in range(10)]
+    assert forms.count("none") >= 9
     assert "piecewise linear" not in forms
 
 

@@ -11,7 +11,8 @@ from msp_lab.campaigns.campaign import load_campaign
 from msp_lab.campaigns.flights import is_of_flights, load_flights
 from msp_lab.campaigns.plan import Point, Setup, changes, make_plan, reading_s, setup_s
 from msp_range.yaml_file import ConfigError
-from tests.support.campaigns import CONFIGS, PLYWOOD, campaign, condition, written
+from tests.support.campaigns import PLYWOOD, campaign, condition, written
+from tests.support.shipped import CONFIGS
 
 BENCH_CAMPAIGNS = sorted(path.stem for path in (CONFIGS / "campaigns").glob("*.yaml") if not is_of_flights(path))
 

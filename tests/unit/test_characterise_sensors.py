@@ -2,21 +2,13 @@
 
 import csv
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
-
-
-def run(*arguments: Any, code: int = 0) -> str:
-    result = CliRunner().invoke(app, ["characterise", *map(str, arguments)])
-    assert result.exit_code == code, result.output
-    return result.output
+from tests.support.programs import run
 
 
 @pytest.fixture
@@ -36,9 +28,11 @@ def bench(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 def test_each_sensor_has_its_own_model(bench: Path, tmp_path: Path) -> None:
-    shown = run(bench, "--out", tmp_path / "models", "--each", "sensor", "--date", "2026-11-22", code=4)
+    options = ["--each", "sensor", "--date", "2026-11-22"]
+    shown = run("msp-lab characterise", bench, "--out", tmp_path / "models", *options, code=4).output
     assert "dead: no model: " in shown
-    run(bench, "--out", tmp_path / "rough.yaml", "--of", "rough", "--date", "2026-11-22")
+    options = ["--of", "rough", "--date", "2026-11-22"]
+    run("msp-lab characterise", bench, "--out", tmp_path / "rough.yaml", *options)
     assert (tmp_path / "models" / "rough.yaml").read_bytes() == (tmp_path / "rough.yaml").read_bytes()
     with (tmp_path / "models" / "sensors.csv").open(encoding="utf-8", newline="") as file:
         rows = {row["sensor"]: row for row in csv.DictReader(file)}
@@ -49,12 +43,14 @@ def test_each_sensor_has_its_own_model(bench: Path, tmp_path: Path) -> None:
 
 
 def test_several_jobs_need_several_models(bench: Path, tmp_path: Path) -> None:
-    assert "give --each sensor" in run(bench, "--out", tmp_path / "model.yaml", "--jobs", "2", code=3)
+    shown = run("msp-lab characterise --jobs 2", bench, "--out", tmp_path / "model.yaml", code=3).output
+    assert "give --each sensor" in shown
 
 
 @pytest.mark.slow
 def test_the_same_models_whatever_the_number_of_jobs(bench: Path, tmp_path: Path) -> None:
     for jobs in (1, 2):
-        run(bench, "--out", tmp_path / str(jobs), "--each", "sensor", "--jobs", jobs, "--date", "2026-11-22", code=4)
+        options = ["--each", "sensor", "--jobs", jobs, "--date", "2026-11-22"]
+        run("msp-lab characterise", bench, "--out", tmp_path / str(jobs), *options, code=4)
     for name in ("quiet.yaml", "rough.yaml"):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()

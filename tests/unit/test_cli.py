@@ -11,70 +11,36 @@ from pathlib import Path
 
 import pytest
 import typer
-from typer.testing import CliRunner
 
-from msp_lab.cli import app as lab_app
 from msp_range import __version__
-from msp_range.cli import app
 from msp_range.clock import SystemClock
 from msp_range.config import Airframe, load_airframe
 from msp_range.extras import EXTRAS
 from msp_range.user_errors import report_user_errors
-from msp_sim.cli import app as sim_app
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
 from msp_sim.flight.scenario import Scenario
+from tests.support.programs import PROGRAMS, commands_of, run
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
-COMMANDS = [
-    "run",
-    "check",
-    "doctor",
-    "params",
-    "schema",
-    "scan",
-    "address",
-    "replay",
-    "recover",
-    "export",
-    "layout",
-    "tune",
-]
+COMMANDS = [f"{program} {name}" for program in PROGRAMS for name in commands_of(program)]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_itself(command: str) -> None:
-    assert command in CliRunner().invoke(app, ["--help"]).output
-    result = CliRunner().invoke(app, [command, "--help"])
-    assert result.exit_code == 0
-    assert len(result.output.splitlines()) > 6
+    program, name = command.split()
+    assert name in run(program, "--help").output
+    assert len(run(command, "--help").output.splitlines()) > 6
 
 
-@pytest.mark.parametrize(("program", "name"), [(app, "msp-range"), (sim_app, "msp-sim"), (lab_app, "msp-lab")])
-def test_every_program_says_its_version(program: typer.Typer, name: str) -> None:
-    found = CliRunner().invoke(program, ["--version"], prog_name=name)
-    assert found.exit_code == 0
-    assert found.output.startswith(f"{name} {__version__} (Python 3")
-
-
-@pytest.mark.parametrize("command", ["fly", "sample", "sitl", "show"])
-def test_every_simulator_command_explains_itself(command: str) -> None:
-    assert command in CliRunner().invoke(sim_app, ["--help"]).output
-    assert CliRunner().invoke(sim_app, [command, "--help"]).exit_code == 0
-
-
-@pytest.mark.parametrize(
-    "command", ["collect", "characterise", "gap", "compare", "name", "add", "show", "effects", "filters"]
-)
-def test_every_command_of_the_laboratory_explains_itself(command: str) -> None:
-    assert command in CliRunner().invoke(lab_app, ["--help"]).output
-    assert CliRunner().invoke(lab_app, [command, "--help"]).exit_code == 0
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_every_program_says_its_version(program: str) -> None:
+    assert run(program, "--version").output.startswith(f"{program} {__version__} (Python 3")
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
 def test_check_shows_what_would_fly(path: Path) -> None:
-    result = CliRunner().invoke(app, ["check", str(path)])
-    assert result.exit_code == 0, result.output
+    result = run("msp-range check", path)
     airframe = load_airframe(path)
     assert all(f"0x{sensor.address:02x}" in result.output for sensor in airframe.sensors)
     # Air of -4 C where 20 C was taken.
@@ -86,11 +52,11 @@ def test_check_shows_what_would_fly(path: Path) -> None:
 
 
 def test_check_says_what_each_thermometer_is_worth() -> None:
-    output = CliRunner().invoke(app, ["check", str(CONFIGS / "forward_and_down.yaml")]).output
+    output = run("msp-range check", CONFIGS / "forward_and_down.yaml").output
     assert "SCALED_PRESSURE.temperature +-4.16 C: up to 11 cm off at 7.65 m" in output
     assert "humidity, unless the autopilot sends HYGROMETER_SENSOR: also +-" in output
     assert "no thermometer" not in output
-    assert "air: no thermometer" in CliRunner().invoke(app, ["check", str(CONFIGS / "loopback.yaml")]).output
+    assert "air: no thermometer" in run("msp-range check", CONFIGS / "loopback.yaml").output
 
 
 @pytest.mark.parametrize(
@@ -116,42 +82,39 @@ def test_a_user_error_is_one_line_and_exit_code_3(
     args: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(CONFIGS.parent)
-    result = CliRunner().invoke(app, args, catch_exceptions=False)
-    assert result.exit_code == 3
+    result = run("msp-range", *args, code=3)
     assert message in result.output
     assert "Traceback" not in result.output
     assert len(result.output.strip().splitlines()) == 1
 
 
 def test_doctor_without_an_airframe_file_says_that_one_has_to_be_named(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["doctor", str(tmp_path / "airframe.yaml")])
-    assert result.exit_code == 1
+    result = run("msp-range doctor", tmp_path / "airframe.yaml", code=1)
     assert "no such file" in result.output
     assert "-> name your airframe file: msp-range doctor AIRFRAME.yaml" in result.output
 
 
 def test_a_wrong_command_line_is_exit_code_2() -> None:
-    assert CliRunner().invoke(app, ["params", str(CONFIGS / "quad_pallet.yaml"), "--port", "10"]).exit_code == 2
-    assert CliRunner().invoke(app, ["run"]).exit_code == 2
-    assert CliRunner().invoke(app, ["rnu", "x.yaml"]).exit_code == 2
+    run("msp-range params", CONFIGS / "quad_pallet.yaml", "--port", "10", code=2)
+    run("msp-range run", code=2)
+    run("msp-range rnu x.yaml", code=2)
 
 
 def test_the_schema_describes_every_key() -> None:
-    schema = json.loads(CliRunner().invoke(app, ["schema"]).output)
+    schema = json.loads(run("msp-range schema").output)
     assert set(schema["properties"]) == set(Airframe.model_fields)
     assert all("description" in each for each in schema["properties"].values())
     assert schema["$defs"]["SensorSettings"]["additionalProperties"] is False
-    assert "breakaway" in json.loads(CliRunner().invoke(app, ["schema", "sensor"]).output)["properties"]
+    assert "breakaway" in json.loads(run("msp-range schema sensor").output)["properties"]
     assert Scenario.model_json_schema()["properties"]
 
 
 def test_sample_draws_from_the_model(tmp_path: Path) -> None:
     (tmp_path / "where.csv").write_text("true_range_cm,target\n" + "300,grass\n" * 500 + ",grass\n" * 5)
-    args = ["sample", str(CONFIGS / "sensors/mb1242.yaml"), "--contexts", str(tmp_path / "where.csv"), "--seed", "3"]
+    args = [CONFIGS / "sensors/mb1242.yaml", "--contexts", tmp_path / "where.csv", "--seed", "3"]
     outcomes = []
     for name in ("one.csv", "two.csv"):
-        result = CliRunner().invoke(sim_app, [*args, "--out", str(tmp_path / name)], catch_exceptions=False)
-        assert result.exit_code == 0, result.output
+        run("msp-sim sample", *args, "--out", tmp_path / name)
         outcomes.append((tmp_path / name).read_text())
     assert outcomes[0] == outcomes[1]
     rows = [line.split(",") for line in outcomes[0].splitlines()]
@@ -162,9 +125,8 @@ def test_sample_draws_from_the_model(tmp_path: Path) -> None:
 
 def test_sample_refuses_contexts_in_another_unit(tmp_path: Path) -> None:
     (tmp_path / "where.csv").write_text("true_range_cm,air_temperature_c\n300,293\n")
-    args = ["sample", str(CONFIGS / "sensors/mb1242.yaml"), "--contexts", str(tmp_path / "where.csv")]
-    result = CliRunner().invoke(sim_app, [*args, "--out", str(tmp_path / "out.csv")])
-    assert result.exit_code == 3
+    args = [CONFIGS / "sensors/mb1242.yaml", "--contexts", tmp_path / "where.csv"]
+    result = run("msp-sim sample", *args, "--out", tmp_path / "out.csv", code=3)
     assert "found air_temperature_c of 293 to 293, expected deg C from -50 to 65" in result.output
     assert not (tmp_path / "out.csv").exists()
 
@@ -185,20 +147,20 @@ def sonar(monkeypatch: pytest.MonkeyPatch) -> EmulatedMB1242:
 
 
 def test_scan_pings_only_with_its_option(sonar: EmulatedMB1242) -> None:
-    assert "0x70" in CliRunner().invoke(app, ["scan"], catch_exceptions=False).output
+    assert "0x70" in run("msp-range scan").output
     assert sonar.pings == 0
-    assert "258 cm" in CliRunner().invoke(app, ["scan", "--ping"], catch_exceptions=False).output
+    assert "258 cm" in run("msp-range scan --ping").output
     # On a busy computer the first answer may be read too late, and it is asked again.
     assert 1 <= sonar.pings <= 2
 
 
 def test_address_asks_before_it_moves_a_sensor(sonar: EmulatedMB1242) -> None:
-    result = CliRunner().invoke(app, ["address", "0x70", "0x72"], input="n\n")
-    assert (result.exit_code, sonar.address) == (1, 0x70)
-    result = CliRunner().invoke(app, ["address", "0x70", "0x72"], input="y\n", catch_exceptions=False)
-    assert (result.exit_code, sonar.address) == (0, 0x72)
-    result = CliRunner().invoke(app, ["address", "0x72", "0x74", "--yes"], catch_exceptions=False)
-    assert (result.exit_code, sonar.address) == (0, 0x74)
+    run("msp-range address 0x70 0x72", code=1, input="n\n")
+    assert sonar.address == 0x70
+    run("msp-range address 0x70 0x72", input="y\n")
+    assert sonar.address == 0x72
+    run("msp-range address 0x72 0x74 --yes")
+    assert sonar.address == 0x74
 
 
 @pytest.fixture
@@ -216,29 +178,24 @@ def short(tmp_path: Path) -> Path:
 def test_export_never_overwrites(short: Path, tmp_path: Path) -> None:
     """Not even the recording itself, by a slip of the keyboard."""
     out = tmp_path / "flight"
-    args = ["fly", str(short), "--out", str(out)]
-    assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
+    run("msp-sim fly", short, "--out", out)
     before = (out / "flight.mcap").read_bytes()
-    result = CliRunner().invoke(app, ["export", str(out / "flight.mcap"), str(out / "flight.mcap")])
-    assert result.exit_code == 3
+    result = run("msp-range export", out / "flight.mcap", out / "flight.mcap", code=3)
     assert "there is a file already" in result.output
     assert (out / "flight.mcap").read_bytes() == before
 
 
 def test_a_folder_that_cannot_be_made_is_a_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    args = ["fly", str(CONFIGS / "scenarios/sinusoid.yaml"), "--out", str(tmp_path / "file" / "x")]
-    result = CliRunner().invoke(sim_app, args, catch_exceptions=False)
-    assert result.exit_code == 3
-    assert "cannot be created" in result.output
+    out = tmp_path / "file" / "x"
+    assert "cannot be created" in run("msp-sim fly sinusoid --out", out, code=3).output
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused_before_the_flight(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(os, "access", lambda path, mode, **how: not mode & os.W_OK)
-    result = CliRunner().invoke(sim_app, ["fly", "hover", "--out", str(tmp_path)])
-    assert result.exit_code == 3
+    result = run("msp-sim fly hover --out", tmp_path, code=3)
     assert result.output == f"{tmp_path}: no permission to write into this folder; name another one\n"
 
 
@@ -247,29 +204,23 @@ def test_a_folder_that_cannot_be_written_to_is_refused_before_the_flight(
 )
 def test_show_refuses_a_picture_before_it_reads_the_flight(name: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "there.png").touch()
-    result = CliRunner().invoke(sim_app, ["show", "no.mcap", "--out", str(tmp_path / name)])
-    assert result.exit_code == 3
-    assert message in result.output
+    assert message in run("msp-sim show no.mcap --out", tmp_path / name, code=3).output
 
 
 def test_a_flight_is_not_replaced_unasked(short: Path, tmp_path: Path) -> None:
     """`make demo` asks for it: it flies into the same folder each time."""
     out = tmp_path / "flight"
-    args = ["fly", str(short), "--out", str(out)]
-    assert CliRunner().invoke(sim_app, args, catch_exceptions=False).exit_code == 0
+    run("msp-sim fly", short, "--out", out)
     before = {path.name: path.read_bytes() for path in out.iterdir()}
     assert set(before) == {"flight.mcap", "link.tlog", "summary.json", "flight.png", "scenario.yaml"}
 
-    result = CliRunner().invoke(sim_app, [*args, "--seed", "2"], catch_exceptions=False)
-    assert result.exit_code == 3
+    result = run("msp-sim fly", short, "--out", out, "--seed", "2", code=3)
     assert f"{out}/flight.mcap: a flight is in this folder already" in result.output
     assert "--force" in result.output
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
 
-    again = ["fly", str(out / "scenario.yaml"), "--out", str(out), "--seed", "2", "--force"]
     (out / "scenario.yaml").write_text(before["scenario.yaml"].decode() + "# once more\n")
-    result = CliRunner().invoke(sim_app, again, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    run("msp-sim fly", out / "scenario.yaml", "--out", out, "--seed", "2", "--force")
     after = {path.name: path.read_bytes() for path in out.iterdir()}
     assert set(after) == set(before)
     assert all(after[name] != before[name] for name in before)

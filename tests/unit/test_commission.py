@@ -11,10 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from msp_range.acoustics.air import FIXED
-from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, Places, common_shift, places
@@ -35,6 +33,7 @@ from msp_range.config import load_airframe
 from msp_range.doctor.finding import Verdict, right, wrong
 from msp_range.recording.topics import Message
 from msp_range.yaml_file import ConfigError
+from tests.support.programs import run
 
 AIRFRAME = load_airframe("configs/quad_pallet.yaml")
 PLACES = {sensor.name: sensor.position_m for sensor in AIRFRAME.sensors}
@@ -408,19 +407,13 @@ def test_without_a_terminal_no_question_is_asked(monkeypatch: pytest.MonkeyPatch
 def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "airframe.yaml"
     path.write_text(Path("configs/quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242"))
-    asked = CliRunner().invoke(app, ["commission", str(path), "--step", "bench"])
-    assert asked.exit_code == 3
-    assert "--yes" in asked.stderr
-    centimetres = CliRunner().invoke(app, ["commission", str(path), "--yes", "--height", "72"])
-    assert centimetres.exit_code == 3
-    assert "--height 72: expected metres" in centimetres.stderr
+    command = ["msp-range commission", path]
+    assert "--yes" in run(*command, "--step", "bench", code=3).stderr
+    assert "--height 72: expected metres" in run(*command, "--yes", "--height", "72", code=3).stderr
     (tmp_path / "airframe.commission.json").write_text("[]")
-    damaged = CliRunner().invoke(app, ["commission", str(path)])
-    assert damaged.exit_code == 3
-    assert "remove it to begin anew" in damaged.stderr
+    assert "remove it to begin anew" in run(*command, code=3).stderr
     monkeypatch.setattr("os.access", lambda path, mode: mode != os.W_OK)
-    forbidden = CliRunner().invoke(app, ["commission", str(path)])
-    assert "use sudo" in forbidden.stderr
+    assert "use sudo" in run(*command, code=3).stderr
 
 
 def test_what_has_passed_is_kept_whole_or_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

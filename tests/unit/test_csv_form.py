@@ -42,12 +42,6 @@ def test_text_in_utf_16_is_said_to_be_that(tmp_path: Path, encoding: str) -> Non
         read_csv(path)
 
 
-def test_a_row_with_more_cells_than_the_header_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.csv", "time_s,sensor,reading_cm\n0.5,left,120\n0.6,left,120,7\n")
-    with pytest.raises(RecordingError, match=r"a\.csv:3: found 4 cells, expected 3 as in the header"):
-        read_csv(path)
-
-
 def test_a_column_of_numbers_that_has_a_word_further_on_is_words_as_they_were_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -178,6 +172,7 @@ HEADER = "time_s,sensor,reading_cm,target\n"
         ("time_s,sensor,reading_cm,\n", "a.csv:1: column 4 has no name"),
         ("time_s,sensor,reading_cm,sensor\n", "a.csv:1: the column 'sensor' is there twice"),
         (HEADER + "1,a,2,\n1,a,2\n", "a.csv:3: found 3 cells, expected 4 as in the header"),
+        (HEADER + "1,a,2,,7\n", "a.csv:2: found 5 cells, expected 4 as in the header"),
         (
             HEADER + '1,a,2,"two\nlines"\n\n2,a,x,\n',
             "a.csv:5: column 'reading_cm': found 'x', expected a number, or nothing where it is unknown",
@@ -224,9 +219,6 @@ def test_what_is_no_table_is_refused_at_once(tmp_path: Path) -> None:
         read_csv("/dev/zero")
     with pytest.raises(RecordingError, match="cannot be read: found a directory, expected a file"):
         read_csv(tmp_path)
-    (tmp_path / "a.csv").write_bytes(HEADER.encode("utf-16"))
-    with pytest.raises(RecordingError, match=r"a\.csv: found text in UTF-16, expected UTF-8"):
-        read_csv(tmp_path / "a.csv")
     with (tmp_path / "sparse.csv").open("wb") as file:
         file.truncate(2**40)
     with pytest.raises(RecordingError, match=r"sparse\.csv: cannot be read: found 1099511.6 MB, expected at most 536"):

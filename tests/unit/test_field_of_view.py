@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +10,10 @@ from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_vie
 from msp_lab.characterise.findings import FieldOfView
 from msp_lab.characterise.points import sort_into_points
 from msp_range.correction.calibration import IDENTITY, Calibration
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.known import known
 from tests.support.plain_bench import point, table
+from tests.support.shipped import SENSOR
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 REPORT = {50: 23.4, 100: 18.0, 150: 14.4, 200: 12.6}
 ANGLES_DEG = [round(1.8 * k, 1) for k in range(-15, 16)]
 

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_sim.page.page import Picture, write_page
 from msp_sim.page.style import choose_format, files_of, new_figure, save, style
 from msp_sim.page.table import PageTable
+from tests.support.programs import run
 
 FIRST_BYTES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
@@ -57,6 +56,4 @@ def test_the_name_of_a_file_chooses_too(tmp_path: Path) -> None:
 
 
 def test_another_format_is_a_user_error() -> None:
-    result = CliRunner().invoke(app, ["--format", "gif", "effects"])
-    assert result.exit_code == 2
-    assert "gif" in result.output
+    assert "gif" in run("msp-lab --format gif effects", code=2).output

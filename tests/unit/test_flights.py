@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 import yaml
 from rich.console import Console
-from typer.testing import CliRunner
 
 from msp_lab.campaigns.flights import FlightArchive, collect_flights, load_flights
-from msp_lab.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.recording.csv_form import read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import ConfigError
-from tests.support.campaigns import CONFIGS
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 
 class ClockAt(VirtualClock):
@@ -136,12 +135,7 @@ def test_the_same_flight_twice_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_simulated_and_real_flights_do_not_mix(tmp_path: Path) -> None:
-    result = CliRunner().invoke(
-        app,
-        ["collect", str(campaign_file(tmp_path)), "--simulate", "--out", str(tmp_path / "out")],
-        catch_exceptions=False,
-    )
-    assert result.exit_code == 0, result.output
+    run("msp-lab collect --simulate", campaign_file(tmp_path), "--out", tmp_path / "out")
     data = read_csv(tmp_path / "out/readings.csv")
     assert set(data["condition"]) == {"hover"}
     hovering = data.select((data["time_s"] > 10) & (data["time_s"] < 50))

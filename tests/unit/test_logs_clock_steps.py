@@ -1,5 +1,7 @@
 """Logs of every kind whose clock was set while they were written: by NTP, or by a computer that started again."""
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,12 @@ def read(folder: Path, form: str, clock: Clock, path: Path | None = None) -> tup
     return found, data.select(data["sensor"] != "distance_sensor_0")
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], MeasuredData]:
+    """The readings of a log of this form whose clock is right."""
+    return cache(lambda form: read(tmp_path_factory.mktemp("right"), form, right)[1])
+
+
 def assert_same(found: MeasuredData, expected: MeasuredData) -> None:
     """Every reading is there, in its order, with the true range that it has with a clock that is right."""
     np.testing.assert_array_equal(found["reading_cm"], expected["reading_cm"])
@@ -44,10 +52,11 @@ def assert_same(found: MeasuredData, expected: MeasuredData) -> None:
 
 @pytest.mark.parametrize("step_s", slow_but([-0.6], [-0.6, -14.0]))
 @pytest.mark.parametrize("form", FORMS)
-def test_a_clock_that_is_set_back_begins_a_run(tmp_path: Path, form: str, step_s: float) -> None:
-    _, whole = read(tmp_path / "right", form, right)
+def test_a_clock_that_is_set_back_begins_a_run(
+    tmp_path: Path, form: str, step_s: float, whole: Callable[[str], MeasuredData]
+) -> None:
     found, data = read(tmp_path / "set", form, set_by(step_s))
-    assert_same(data, whole)
+    assert_same(data, whole(form))
     assert sorted(set(data["run"].tolist())) == ["flight", "flight/2"]
     notes = [note for each in found for note in each["notes"] if "clock steps back" in note]
     assert len(notes) == 1
@@ -59,14 +68,15 @@ def test_a_clock_that_is_set_back_begins_a_run(tmp_path: Path, form: str, step_s
 
 
 @pytest.mark.parametrize("form", [form for form in FORMS if form not in ("recording", "ulg")])
-def test_a_clock_that_is_set_forward_begins_a_run_where_another_contradicts_it(tmp_path: Path, form: str) -> None:
+def test_a_clock_that_is_set_forward_begins_a_run_where_another_contradicts_it(
+    tmp_path: Path, form: str, whole: Callable[[str], MeasuredData]
+) -> None:
     """Of autopilots the satellites', of a ground station the autopilot's, of a bag the recorder's."""
-    _, whole = read(tmp_path / "right", form, right)
     (tmp_path / "set").mkdir()
     is_bag = form in ("ros1", "sqlite3", "mcap")
     path = write_bag(tmp_path / "set", form, clock=set_by(100.0), arrived=right) if is_bag else None
     found, data = read(tmp_path / "set", form, set_by(100.0), path)
-    assert_same(data, whole)
+    assert_same(data, whole(form))
     assert sorted(set(data["run"].tolist())) == ["flight", "flight/2"]
     assert sum("goes forward by 100 s where another clock does not" in note for each in found for note in each["notes"])
 

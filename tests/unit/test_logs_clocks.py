@@ -11,7 +11,8 @@ from msp_lab.logs.log import Series
 from msp_lab.logs.opening import open_log
 from msp_range.arrays import Array
 from msp_range.recording.error import RecordingError
-from tests.support.log_import import LOGS, imported, run
+from tests.support.log_import import LOGS, imported
+from tests.support.programs import run
 
 
 def flown_cm(time_s: Array) -> Array:
@@ -96,6 +97,5 @@ def test_what_cannot_be_used_is_a_line(tmp_path: Path, truth: str, expected: str
     rows = [f"{time_s:.1f},up,{0.001 * (time_s % 1.0)}" for time_s in np.arange(0.0, 60.0, 0.1)]
     (tmp_path / "a.csv").write_text("\n".join(["t,word,flat", *rows]))
     given = truth.format(csv=tmp_path / "a.csv", px4=LOGS / "px4.ulg")
-    done = run("import", LOGS / "arducopter.BIN", "--truth", given, "--out", tmp_path / "set")
-    assert done.exit_code == 3, done.output
+    done = run("msp-lab import", LOGS / "arducopter.BIN", "--truth", given, "--out", tmp_path / "set", code=3)
     assert expected in done.output

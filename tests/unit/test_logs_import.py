@@ -19,8 +19,9 @@ from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
-from tests.support.log_import import LOGS, imported, run
+from tests.support.log_import import LOGS, imported
 from tests.support.measured import MODEL, readings
+from tests.support.programs import run
 
 RECORDING = Path(__file__).parents[1] / "loop" / "recordings" / "old_keys.mcap"
 
@@ -63,7 +64,7 @@ def test_an_ardupilot_log_has_readings_context_and_truth(tmp_path: Path) -> None
 def test_the_example_of_the_document_is_what_is_printed(tmp_path: Path) -> None:
     text = (LOGS.parents[2] / "docs" / "logs.md").read_text()
     shown = text.split("arducopter.BIN --out build/logs/set\n")[1].split("      ...\n")[0]
-    printed = run("import", LOGS / "arducopter.BIN", "--out", tmp_path / "set").output
+    printed = run("msp-lab import", LOGS / "arducopter.BIN", "--out", tmp_path / "set").output
     lines = {line.strip() for line in printed.splitlines()}
     missing = [line for line in shown.splitlines() if line.strip() not in lines | {""} and "arducopter.BIN" not in line]
     assert missing == []
@@ -91,7 +92,7 @@ def test_a_reference_that_stays_while_the_range_changes_is_named(tmp_path: Path)
     down = found["rangers"][0]
     assert down["lag_s"] is None
     assert down["reference_span_cm"] == pytest.approx(0.2, abs=0.01)
-    printed = " ".join(run("import", path, "--out", tmp_path / "shown").output.split())
+    printed = " ".join(run("msp-lab import", path, "--out", tmp_path / "shown").output.split())
     assert "the reference changes by 0.2 cm in all, and the readings differ from it by more" in printed
 
 
@@ -104,8 +105,7 @@ def test_a_px4_log_has_readings_and_its_height_is_refused(tmp_path: Path) -> Non
     assert 0.0 < low_s < lag_s < high_s < 0.12
     assert follows(read_dataset(tmp_path / "set"))
     assert "cs_rng_hgt is set" in found["others"]["ekf"]
-    done = run("import", LOGS / "px4.ulg", "--truth", "ekf", "--out", tmp_path / "other")
-    assert done.exit_code == 3
+    done = run("msp-lab import", LOGS / "px4.ulg", "--truth", "ekf", "--out", tmp_path / "other", code=3)
     assert "cs_rng_hgt is set for 93 % of the time" in done.output
     assert "Independent references in the log: barometer, simulator" in done.output
 
@@ -141,16 +141,14 @@ def test_a_log_with_a_damaged_definition_is_a_line(tmp_path: Path, log: str, nam
     path = tmp_path / log
     assert name in content
     path.write_bytes(content.replace(name, damaged))
-    done = run("import", path, "--truth", "ekf", "--out", tmp_path / "set")
-    assert done.exit_code == 3, done.output
+    done = run("msp-lab import", path, "--truth", "ekf", "--out", tmp_path / "set", code=3)
     assert done.output.count("\n") == 1
 
 
 @pytest.mark.parametrize("size", [16, 300, 37_302])
 def test_a_log_that_is_cut_in_its_definitions_is_a_line(tmp_path: Path, size: int) -> None:
     (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:size])
-    done = run("import", tmp_path / "cut.ulg", "--out", tmp_path / "set")
-    assert done.exit_code == 3
+    done = run("msp-lab import", tmp_path / "cut.ulg", "--out", tmp_path / "set", code=3)
     assert done.output.count("\n") == 1
 
 
@@ -306,13 +304,11 @@ def test_a_log_becomes_an_answer_in_one_command(tmp_path: Path) -> None:
     out = tmp_path / "gap"
     log, model = LOGS / "arducopter.BIN", MODEL.parent / "mb1242.yaml"
     imported(log, "--out", out / "readings")  # what an earlier comparison left
-    done = run("compare", log, "--truth", "simulator", "--model", model, "--out", out)
-    assert done.exit_code == 0, done.output
+    done = run("msp-lab compare", log, "--truth", "simulator", "--model", model, "--out", out)
     assert "0.112 s later than the reference" in done.output
     findings = json.loads((out / "gap.json").read_text())
     assert findings["sources"][0]["path"] == str(out / "readings")
-    done = run("name", out)
-    assert done.exit_code == 0, done.output
+    run("msp-lab name", out)
 
 
 @pytest.mark.parametrize(
@@ -339,42 +335,31 @@ def test_what_cannot_be_imported_is_a_line(tmp_path: Path, arguments: list[str],
     (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     given = [each.format(logs=LOGS, tmp=tmp_path) for each in arguments]
-    done = run("import", *given, "--out", tmp_path / "set")
-    assert done.exit_code == 3, done.output
+    done = run("msp-lab import", *given, "--out", tmp_path / "set", code=3)
     assert expected in done.output
     assert done.output.count("\n") == 1
 
 
-def test_every_file_of_no_known_kind_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
-    for name in ("one.png", "two.png"):
-        (tmp_path / name).write_bytes(b"\x89PNG\r\n\x1a\n")
-    bad = tmp_path / "one.png", tmp_path / "two.png"
-    done = run("import", bad[0], LOGS / "px4.ulg", bad[1], "--out", tmp_path / "set")
-    assert done.exit_code == 4
+def test_every_bad_file_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
+    bad = tmp_path / "one.png", tmp_path / "cut.ulg"
+    bad[0].write_bytes(b"\x89PNG\r\n\x1a\n")
+    bad[1].write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
+    done = run("msp-lab import", bad[0], LOGS / "px4.ulg", bad[1], "--out", tmp_path / "set", code=4)
     assert "2 of 3 logs could not be imported" in done.stderr
-    assert [line.count(".png: no log that is known") for line in done.stderr.splitlines()[-2:]] == [1, 1]
     assert set(read_dataset(tmp_path / "set")["run"]) == {"px4"}
-    done = run("import", *bad, "--out", tmp_path / "other")
-    assert done.exit_code == 3
-    assert [line.count(".png: no log that is known") for line in done.output.splitlines()] == [1, 1]
+    other = run("msp-lab import", *bad, "--out", tmp_path / "other", code=3)
+    for lines in (done.stderr.splitlines()[-2:], other.output.splitlines()):
+        picture, cut = lines
+        assert "one.png: no log that is known" in picture
+        assert "cut.ulg: " in cut
 
 
 def test_a_run_is_added_once(tmp_path: Path) -> None:
     imported(LOGS / "px4.ulg", "--out", tmp_path / "set")
     imported(LOGS / "arducopter.BIN", "--out", tmp_path / "set")
-    done = run("import", LOGS / "px4.ulg", "--out", tmp_path / "set")
-    assert done.exit_code == 3
+    done = run("msp-lab import", LOGS / "px4.ulg", "--out", tmp_path / "set", code=3)
     assert "there is a run 'px4' already" in done.output
     assert set(read_dataset(tmp_path / "set")["run"]) == {"px4", "arducopter"}
-
-
-def test_a_bad_log_is_named_and_the_others_are_imported(tmp_path: Path) -> None:
-    (tmp_path / "cut.ulg").write_bytes((LOGS / "px4.ulg").read_bytes()[:12])
-    done = run("import", tmp_path / "cut.ulg", LOGS / "px4.ulg", "--out", tmp_path / "set")
-    assert done.exit_code == 4
-    assert "1 of 2 logs could not be imported:" in done.stderr
-    assert "cut.ulg" in done.stderr
-    assert set(read_dataset(tmp_path / "set")["run"]) == {"px4"}
 
 
 @pytest.mark.slow
@@ -399,7 +384,6 @@ def test_a_format_that_cannot_be_loaded_leaves_the_others(tmp_path: Path, monkey
     (found,) = imported(tmp_path / "bench.csv", "--out", tmp_path / "set")
     assert found["form"] == "CSV table"
     (tmp_path / "log.pilot").write_bytes(b"PILOT 1\n")
-    done = run("import", tmp_path / "log.pilot", "--out", tmp_path / "other")
-    assert done.exit_code == 3
+    done = run("msp-lab import", tmp_path / "log.pilot", "--out", tmp_path / "other", code=3)
     assert "no log that is known" in done.output
     assert "the log format 'broken' (somebodys_missing_logs:FORMAT) cannot be loaded" in done.output

@@ -1,7 +1,10 @@
 """Bags of ROS 1 and 2, written by rosbags, as logs; cut, damaged, and with topics that are not known."""
 
 import tracemalloc
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from shutil import copytree
 from types import SimpleNamespace
 
 import numpy as np
@@ -95,18 +98,39 @@ def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
     assert np.isfinite(rtk.series.values).tolist() == [True, False, False, False]
 
 
-def cut(folder: Path, form: str, share: float) -> Path:
+Cut = Callable[[str, float], Path]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """The folder with a bag of this form."""
+
+    @cache
+    def write(form: str) -> Path:
+        folder = tmp_path_factory.mktemp(form)
+        write_bag(folder, form)
+        return folder
+
+    return write
+
+
+@pytest.fixture
+def cut(written: Callable[[str], Path], tmp_path: Path) -> Cut:
     """A bag that ends early, as its computer lost power: without an index, and without what else is at its end."""
-    path = write_bag(folder, form)
-    (file,) = [each for each in (path.iterdir() if path.is_dir() else [path]) if each.suffix != ".yaml"]
-    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
-    return path
+
+    def make(form: str, share: float) -> Path:
+        (path,) = copytree(written(form), tmp_path / form).iterdir()
+        (file,) = [each for each in (path.iterdir() if path.is_dir() else [path]) if each.suffix != ".yaml"]
+        file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+        return path
+
+    return make
 
 
 @pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
 @pytest.mark.parametrize(("share", "least"), [(0.3, 150), (0.5, 280), (0.8, 470), (0.95, 560), (0.999, 590)])
-def test_a_cut_bag_gives_what_is_whole(tmp_path: Path, form: str, share: float, least: int) -> None:
-    log = open_log(cut(tmp_path, form, share), nothing)
+def test_a_cut_bag_gives_what_is_whole(cut: Cut, form: str, share: float, least: int) -> None:
+    log = open_log(cut(form, share), nothing)
     (ranger,) = log.rangers
     assert least <= len(ranger.series) <= 600
     heights_m = [height_m(each + 0.02 - 0.1) for each in ranger.series.time_s]
@@ -121,9 +145,9 @@ def test_a_cut_bag_gives_what_is_whole(tmp_path: Path, form: str, share: float, 
 
 
 @pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
-def test_a_bag_without_a_whole_message_is_a_line(tmp_path: Path, form: str) -> None:
+def test_a_bag_without_a_whole_message_is_a_line(cut: Cut, form: str) -> None:
     with pytest.raises(RecordingError) as failed:
-        open_log(cut(tmp_path, form, 0.0), nothing)
+        open_log(cut(form, 0.0), nothing)
     assert len(str(failed.value).splitlines()) == 1
 
 

@@ -13,8 +13,9 @@ from msp_lab.logs.recorded import rangers_of
 from msp_lab.readings.dataset import read_dataset
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
-from tests.support.log_import import LOGS, imported, run
+from tests.support.log_import import LOGS, imported
 from tests.support.measured import readings
+from tests.support.programs import run
 
 
 def test_a_height_counts_until_the_range_is_fused_into_it() -> None:
@@ -83,8 +84,7 @@ def test_old_logs_of_px4_have_the_throttle_among_the_controls() -> None:
 def test_a_column_into_which_the_range_is_fused_is_refused_too(
     tmp_path: Path, log: str, column: str, expected: str
 ) -> None:
-    done = run("import", LOGS / log, "--truth", f"column:{column}", "--out", tmp_path / "set")
-    assert done.exit_code == 3, done.output
+    done = run("msp-lab import", LOGS / log, "--truth", f"column:{column}", "--out", tmp_path / "set", code=3)
     assert expected in " ".join(done.output.split())
 
 
@@ -239,22 +239,19 @@ def test_the_other_sensors_are_the_truth(tmp_path: Path) -> None:
 def test_forward_sensors_are_no_reference_for_each_other(tmp_path: Path) -> None:
     forward = [each for each in telemetry() if getattr(each[2], "orientation", 0) != 25]
     path = write_telemetry(tmp_path / "forward.tlog", forward)
-    done = run("import", path, "--truth", "others", "--out", tmp_path / "set")
-    assert done.exit_code == 3, done.output
+    done = run("msp-lab import", path, "--truth", "others", "--out", tmp_path / "set", code=3)
     assert "no range finder that looks down" in done.output
 
 
 def test_a_truth_that_no_reading_has_is_a_line_or_none(tmp_path: Path) -> None:
     """Of a log of 2 s: what was asked for is missing; without --truth the readings are imported without one."""
     short = write_telemetry(tmp_path / "short.tlog", [each for each in telemetry() if each[0] < 2.0])
-    done = run("import", short, "--truth", "ekf", "--out", tmp_path / "asked")
-    assert done.exit_code == 3, done.output
+    done = run("msp-lab import", short, "--truth", "ekf", "--out", tmp_path / "asked", code=3)
     assert (
         "--truth ekf: distance_sensor_10: no true range: found 39 readings with an echo and GLOBAL_POSITION_INT"
         in done.output
     )
-    shown = run("import", short, "--out", tmp_path / "set")
-    assert shown.exit_code == 0
+    shown = run("msp-lab import", short, "--out", tmp_path / "set", code=0)
     printed = " ".join(shown.output.split())
     assert "true range: none" in printed
     assert "--model" not in printed
@@ -265,6 +262,5 @@ def test_a_truth_that_no_reading_has_is_a_line_or_none(tmp_path: Path) -> None:
     forward = write_telemetry(
         tmp_path / "forward.tlog", [each for each in telemetry() if getattr(each[2], "orientation", 0) != 25]
     )
-    done = run("import", forward, "--truth", "ekf", "--out", tmp_path / "asked")
-    assert done.exit_code == 3
+    done = run("msp-lab import", forward, "--truth", "ekf", "--out", tmp_path / "asked", code=3)
     assert "no range finder looks down" in done.output

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from msp_range.extras import EXTRAS
-from tests.support.bench import CONFIGS
+from tests.support.shipped import CONFIGS
 
 ROOT = CONFIGS.parent
 WRITES_DOWN = '#!/bin/sh\necho "${{0##*/}} $*" >> calls\nexit {}\n'

@@ -1,7 +1,5 @@
 """The mixture of a bench whose set-ups are each off by more than the sensor scatters."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,12 +10,10 @@ from msp_lab.characterise.points import sort_into_points
 from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings
 from msp_range.correction.calibration import IDENTITY
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.characterised import measured
 from tests.support.known import known
 from tests.support.plain_bench import point, table
-
-SENSOR = load_sensor_model(Path("configs/sensors/mb1242.yaml"))
+from tests.support.shipped import SENSOR
 
 
 def fitted(seed: int, *, n: int, off_cm: float) -> Mixture:
@@ -71,6 +67,15 @@ def test_a_sensor_without_255_among_its_readings_is_fitted_unless_its_file_has_t
     fit_mixture(points, IDENTITY, without, np.random.default_rng(4))
     with pytest.raises(FitError, match="expected a second code outside of the limits or on the grid, found 255 cm"):
         fit_mixture(points, IDENTITY, with_code, np.random.default_rng(4))
+
+
+def test_a_weight_that_the_readings_leave_open_is_the_fit_s() -> None:
+    """It is no number of its own in the starting model, whose value was asked for."""
+    points = sort_into_points(measured(3, most=2000), SENSOR)
+    undisturbed = [each for each in points if each.found.condition in ("baseline", "maximum_range")]
+    found, fitted = fit_mixture(undisturbed, IDENTITY, SENSOR, np.random.default_rng(1))
+    assert "short: not identifiable from these readings" in found.notes
+    assert fitted.weights.short < 0.01
 
 
 def test_an_error_of_the_program_is_not_shown_as_readings_without_a_mixture(monkeypatch: pytest.MonkeyPatch) -> None:

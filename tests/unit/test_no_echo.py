@@ -4,18 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from msp_lab.cli import app
 from msp_lab.readings.dataset import read_dataset
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.no_echo import NO_ECHO, in_code_of
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from tests.support.flight_logs import telemetry, write_telemetry
+from tests.support.programs import run
+from tests.support.shipped import SENSOR
 from tests.support.slow import slow
-
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 
 
 def readings(*rows: tuple[float, float, float]) -> MeasuredData:
@@ -80,8 +77,7 @@ def test_an_imported_log_with_another_maximum_has_the_misses_of_the_model(tmp_pa
                 messages.append((time_s + 0.001 * number, component, type(message)(**values)))
         messages.sort(key=lambda each: each[0])
         path = write_telemetry(tmp_path / "a.tlog", messages)
-    done = CliRunner().invoke(app, ["import", str(path), "--truth", truth, "--out", str(tmp_path / "set")])
-    assert done.exit_code == 0, done.output
+    done = run("msp-lab import", path, "--truth", truth, "--out", tmp_path / "set")
     shown = " ".join(done.output.split())
     assert "12 without an echo within" in shown
     loaded = load_readings([tmp_path / "set"], SENSOR, sensors=["distance_sensor_10"])

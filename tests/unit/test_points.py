@@ -1,15 +1,11 @@
 """Readings sorted into points: what is one set-up, what is a code, what is of the surface."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from msp_lab.characterise.points import conditions, sort_into_points
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.plain_bench import point, table
-
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
+from tests.support.shipped import SENSOR
 
 
 def test_a_point_is_what_was_set_up_once() -> None:

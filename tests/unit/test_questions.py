@@ -1,7 +1,6 @@
 """Does it matter: effects recovered, false alarms kept rare, and 'cannot tell' where the data cannot."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -12,11 +11,10 @@ from numpy.typing import NDArray
 from msp_lab.characterise.findings import FactorEffect, Question
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.characterise.questions import _paired, answer_questions
-from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.known import contains, known
 from tests.support.plain_bench import point, table
+from tests.support.shipped import SENSOR
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 RANGES_CM = tuple(range(40, 261, 20))
 Columns = dict[str, NDArray[Any]]
 

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from msp_lab.readings.column_map import Codes, load_map
 from msp_lab.readings.intake import LoadedReadings, load_readings, without_impossible
 from msp_lab.readings.resolution import measured_step, step_of
-from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, read_csv, write_csv
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 from tests.support.plain_bench import point, table
+from tests.support.shipped import SENSOR
 
-SENSOR = load_sensor_model(Path(__file__).parents[2] / "configs" / "sensors" / "mb1242.yaml")
 Columns = dict[str, NDArray[Any]]
 
 

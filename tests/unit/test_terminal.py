@@ -6,17 +6,16 @@ from pathlib import Path
 import pytest
 import yaml
 from rich.table import Table
-from typer.testing import CliRunner
 
-from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.replay import ReplayOutcome, show
 from msp_range.terminal import PlainConsole
 from msp_sim.page.style import files_of, new_figure, style
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 ODD = "[red]quad[/] [/red] :warning: \\[x]"
 
 
@@ -43,19 +42,15 @@ def test_markup_in_what_is_printed_and_in_tables_is_text() -> None:
 
 
 def test_check_shows_a_vehicle_of_any_name(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["check", str(airframe_file(tmp_path, ODD))], catch_exceptions=False)
-    assert result.exit_code == 0
-    assert ODD in result.output
+    assert ODD in run("msp-range check", airframe_file(tmp_path, ODD)).output
     # What a terminal would obey is no name.
-    result = CliRunner().invoke(app, ["check", str(airframe_file(tmp_path, "\x1b[31mred"))], catch_exceptions=False)
-    assert result.exit_code == 3
+    result = run("msp-range check", airframe_file(tmp_path, "\x1b[31mred"), code=3)
     assert "found the control character '\\x1b'" in result.output
 
 
 def test_a_file_of_any_name_is_reported_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / f"\x1b[31m{ODD.replace('/', '')}.csv"
-    result = CliRunner().invoke(app, ["replay", str(path)], catch_exceptions=False)
-    assert result.exit_code == 3
+    result = run("msp-range replay", path, code=3)
     assert "\\x1b[31m[red]quad" in result.output
     assert "\x1b" not in result.output
     show(ReplayOutcome({}, {}, 0, {}, 1.0, 0.0), Path(path.name))

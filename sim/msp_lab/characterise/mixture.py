@@ -77,8 +77,10 @@ def fit_mixture(
     bound = {*result.at_bound, *raised}
     notes += [_bound_note(name, name in raised) for name in result.estimates if name in bound]
     unknown = result.not_identified
-    notes += [f"{name}: not identifiable from these readings; the starting model's value is kept" for name in unknown]
-    changed = {name: getattr(sensor.reading_model, name) for name in unknown}
+    # All weights are one number together, so none of them alone can be the starting model's.
+    changed = {name: getattr(sensor.reading_model, name) for name in unknown if name in MixtureParameters.model_fields}
+    kept = dict.fromkeys(changed, "; the starting model's value is kept")
+    notes += [f"{name}: not identifiable from these readings{kept.get(name, '')}" for name in unknown]
     if correlation is not None:
         changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
         notes.append(correlation.note)

@@ -19,7 +19,8 @@ from msp_range.bus import BusError
 from msp_range.config import load_airframe
 from msp_range.recording.topics import schema_of
 from msp_sim.device.device import Fault
-from tests.support.bench import CALIBRATED_C, CONFIGS, FOUR_DOWN, FUSED_ID, START_S, Bench, airframe, one_down, sensor
+from tests.support.bench import CALIBRATED_C, FOUR_DOWN, FUSED_ID, START_S, Bench, airframe, one_down, sensor
+from tests.support.shipped import CONFIGS
 
 NAMES = "abcd"
 PREDICTED_VIEW_DEG = 22.6

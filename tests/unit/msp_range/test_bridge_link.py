@@ -9,7 +9,8 @@ from pymavlink.dialects.v20 import common
 from msp_range.config import load_airframe
 from msp_range.health.reminder import AGAIN_S
 from msp_range.yaml_file import ConfigError
-from tests.support.bench import CONFIGS, Bench, airframe
+from tests.support.bench import Bench, airframe
+from tests.support.shipped import CONFIGS
 
 HEARTBEAT = common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3)
 PX4_HEARTBEAT = common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_PX4, 0, 0, 4, 3)

@@ -20,8 +20,7 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.sensors.polling import Ranging
 from msp_range.yaml_file import ConfigError
 from msp_sim.flight.scenario import load_scenario
-
-CONFIGS = Path(__file__).parents[3] / "configs"
+from tests.support.shipped import CONFIGS
 
 
 def airframe(name: str, folder: Path, *changes: tuple[str, str]) -> Airframe:

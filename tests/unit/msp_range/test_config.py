@@ -17,7 +17,7 @@ from msp_range.mavlink.orientation import CUSTOM, DOWN
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, Section
 from msp_sim.flight.scenario import load_scenario
-from tests.support.bench import CONFIGS
+from tests.support.shipped import CONFIGS
 
 AIRFRAMES = sorted(CONFIGS.glob("*.yaml"))
 SENSORS = sorted(CONFIGS.glob("sensors/*.yaml"))

@@ -11,8 +11,7 @@ import yaml
 
 from msp_range.yaml_file import ConfigError, Section, load, read_yaml
 from msp_range.yaml_loader import MOST_NODES, load_yaml
-
-CONFIGS = Path(__file__).parents[3] / "configs"
+from tests.support.shipped import CONFIGS
 
 
 class Entry(Section):

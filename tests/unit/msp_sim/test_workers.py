@@ -16,9 +16,8 @@ import pytest
 from msp_range.yaml_file import ConfigError
 from msp_sim import workers as module
 from msp_sim.workers import ItemOutcome, Workers, workers
+from tests.support.shipped import ROOT
 from tests.support.waiting import LIMIT_S, until
-
-ROOT = Path(__file__).parents[3]
 
 
 def square(add: int, item: int) -> int:

@@ -17,8 +17,8 @@ from msp_range.reading import Reading, Status
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
+from tests.support.shipped import MB1242
 
-MB1242 = Path(__file__).parents[4] / "configs" / "sensors" / "mb1242.yaml"
 BENT = Calibration(true_cm=(50.0, 100.0, 300.0), reading_cm=(52.0, 101.0, 305.0))
 
 

@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 import yaml
 from filterpy.kalman import KalmanFilter
-from typer.testing import CliRunner
 
-from msp_range.cli import app
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
 from msp_range.filters.tune import NOT_COUNTED, log_likelihood, tune, without_outliers
 from msp_range.recording.writer import Recorder
-from tests.support.bench import CONFIGS
+from tests.support.programs import run
+from tests.support.shipped import CONFIGS
 
 VELOCITY = KalmanParameters(filter="kalman")
 CONSTANT = KalmanParameters(filter="kalman", model="constant")
@@ -112,16 +111,10 @@ def recording(path: Path, tracks: dict[str, list[tuple[float, float]]], filters:
     return path
 
 
-def run(*args: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["tune", *map(str, args)], catch_exceptions=False)
-    return result.exit_code, result.stdout, result.stderr
-
-
 def test_the_line_that_is_printed_is_one_of_an_airframe_file(tmp_path: Path) -> None:
     tracks = {name: flight(0.4, 0.03, 300, seed) for seed, name in enumerate(("front_left", "rear_left"))}
     path = recording(tmp_path / "f.mcap", tracks, [{"filter": "kalman", "gate_sigmas": 3.0}])
-    code, out, _ = run(path)
-    assert code == 0
+    out = run("msp-range tune", path).stdout
     line = yaml.safe_load(out[out.index("filters:") :])["filters"][0]
     parameters = KalmanParameters.model_validate(line)
     assert parameters.gate_sigmas == 3.0
@@ -129,9 +122,8 @@ def test_the_line_that_is_printed_is_one_of_an_airframe_file(tmp_path: Path) -> 
     assert parameters.measurement_variance_cm2 == pytest.approx(9.0, rel=0.2)
     before, after = (float(part.split()[0]) for part in out.split("log likelihood: ")[1].split("before, "))
     assert after > before + 5
-    code, out, _ = run(path, path, "--model", "constant", "--airframe", CONFIGS / "quad_pallet.yaml")
-    assert code == 0
-    assert "process_variance_cm2" in out
+    options = ["--model", "constant", "--airframe", CONFIGS / "quad_pallet.yaml"]
+    assert "process_variance_cm2" in run("msp-range tune", path, path, *options).stdout
 
 
 def test_user_errors_are_reported_in_a_line(tmp_path: Path) -> None:
@@ -144,9 +136,8 @@ def test_user_errors_are_reported_in_a_line(tmp_path: Path) -> None:
         (nothing, "no readings with a range"),
         (short, "found 20 readings with a range; expected 100 or more"),
     ):
-        code, out, error = run(path)
-        assert code == 3
-        assert out == ""
-        assert str(path) in error
-        assert words in error
-        assert len(error.strip().splitlines()) == 1
+        result = run("msp-range tune", path, code=3)
+        assert result.stdout == ""
+        assert str(path) in result.stderr
+        assert words in result.stderr
+        assert len(result.stderr.strip().splitlines()) == 1

@@ -8,7 +8,8 @@ import pytest
 from msp_range.assembly import intervals_s, windows_of
 from msp_range.config import load_airframe
 from msp_range.fusion import Windows
-from tests.support.bench import CONFIGS, FOUR_DOWN, FUSED_ID, Bench, airframe, sensor
+from tests.support.bench import FOUR_DOWN, FUSED_ID, Bench, airframe, sensor
+from tests.support.shipped import CONFIGS
 from tests.support.slow import slow_but
 
 CORNERS = [(0.25, -0.2), (0.25, 0.2), (-0.25, -0.2), (-0.25, 0.2)]

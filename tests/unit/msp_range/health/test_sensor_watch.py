@@ -20,7 +20,8 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import Model
-from tests.support.bench import CONFIGS, FOUR_DOWN, airframe
+from tests.support.bench import FOUR_DOWN, airframe
+from tests.support.shipped import CONFIGS
 
 DOWN, LEANS = (0.0, 0.0, 1.0), (math.sin(0.1), 0.0, math.cos(0.1))
 KINDS: tuple[Kind, ...] = ("short", "missed", "wider", "shifted", "repeats")

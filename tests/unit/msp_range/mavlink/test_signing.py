@@ -30,6 +30,7 @@ from msp_range.params.keys import make
 from msp_range.yaml_file import ConfigError
 from tests.support.mavlink_ends import MemoryTransport
 from tests.support.parameter_autopilot import ParameterAutopilot
+from tests.support.shipped import CONFIGS
 from tests.support.transports import free_port
 from tests.support.waiting import LIMIT_S, until
 
@@ -337,9 +338,6 @@ def test_the_command_says_that_px4_cannot_sign(tmp_path: Path) -> None:
     assert done.returncode == 3
     assert "PX4 1.17 has no MAVLink signing: take link.signing_key out of the airframe file" in done.stderr
     assert "another key" not in done.stderr
-
-
-CONFIGS = Path(__file__).parents[4] / "configs"
 
 
 def msp_range(verb: str, airframe: Path, folder: Path, *options: str) -> "subprocess.CompletedProcess[str]":

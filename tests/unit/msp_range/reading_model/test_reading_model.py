@@ -1,7 +1,6 @@
 """The base mixture: what it samples is what it scores, and both are the report's equations as corrected."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,8 @@ from scipy.stats import chisquare, norm
 
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel, Weights, load_sensor_model
+from tests.support.shipped import MB1242
 
-MB1242 = Path(__file__).parents[4] / "configs" / "sensors" / "mb1242.yaml"
 CODES = np.arange(20, 766)
 RANGES_CM = [-3.0, 18.7, 20.0, 20.4, 21.3, 57.2, 254.6, 300.0, 762.9, 764.6, 765.0, 768.0, 900.0, math.inf, math.nan]
 

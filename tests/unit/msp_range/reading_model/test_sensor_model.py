@@ -11,8 +11,8 @@ import yaml
 
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
+from tests.support.shipped import MB1242
 
-MB1242 = Path(__file__).parents[4] / "configs" / "sensors" / "mb1242.yaml"
 CONTENT: dict[str, Any] = yaml.safe_load(MB1242.read_text(encoding="utf-8"))
 
 

@@ -11,7 +11,8 @@ from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.sensors.table import DRIVERS, driver_names, find_driver
 from msp_range.yaml_file import ConfigError
 from msp_sim.device.table import EMULATED, emulated_kind
-from tests.support.bench import CONFIGS, Bench
+from tests.support.bench import Bench
+from tests.support.shipped import CONFIGS
 
 PACKAGE = """
 from msp_range.sensors.mb1242 import MB1242

@@ -19,8 +19,8 @@ from msp_range.sensors.polling import Poller, Ranging, reading_of
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
 from msp_sim.device.bus import EmulatedBus
 from tests.support.scripted_bus import ScriptedBus
+from tests.support.shipped import CONFIGS
 
-CONFIGS = Path(__file__).parents[4] / "configs"
 FIRST_S, DEADLINE_S = 0.021, 0.080
 READY_S = 0.0301
 """From ping to answer unless a test says otherwise."""

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
-from typer.testing import CliRunner
 
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
-from msp_sim.cli import app
 from msp_sim.model.derived import derived_columns, sample_in_order
 from msp_sim.model.model import Model
 from tests.support.curves import with_curve
+from tests.support.programs import run
 
 N = 2000
 SENSOR = load_sensor_model("configs/sensors/mb1242.yaml").model_copy(update={"effects": ()})
@@ -93,8 +92,7 @@ def test_the_command_says_what_it_computed(tmp_path: Path) -> None:
     (tmp_path / "model.yaml").write_text(yaml.safe_dump(content | {"effects": effects}))
     write_csv(tmp_path / "contexts.csv", contexts())
     arguments = (tmp_path / "model.yaml", "--contexts", tmp_path / "contexts.csv", "--out", tmp_path / "out.csv")
-    done = CliRunner().invoke(app, ["sample", *map(str, arguments)])
-    assert done.exit_code == 0, done.output
+    done = run("msp-sim sample", *arguments)
     assert "range_rate_cm_s was computed from true_range_cm over time_s" in done.stderr
     assert "has no effect" not in done.stderr
     drawn = read_csv(tmp_path / "out.csv")

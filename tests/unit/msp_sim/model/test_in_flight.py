@@ -8,7 +8,7 @@ from msp_range.health import Expected
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import Model
-from tests.support.bench import CONFIGS
+from tests.support.shipped import CONFIGS
 
 SENSOR = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
 DOWN = (0.0, 0.0, 1.0)
