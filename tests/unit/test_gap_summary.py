@@ -52,7 +52,7 @@ def findings(**changes: object) -> GapFindings:
 
 def test_the_first_sentence_is_for_a_pilot() -> None:
     assert with_words(findings()).sentence == (
-        "Readings are late by 0.33 s and three of four readings are repeats of the one before; "
+        "Readings are 0.33 s behind the reference and three of four readings are repeats of the one before; "
         "that is 97 % of the disagreement."
     )
 
@@ -86,7 +86,10 @@ def test_there_are_at_most_five_lines_and_they_have_the_numbers() -> None:
     assert len(said.summary) == 5
     assert said.summary[0] == "Gap 0.5 to 0.015 nats per reading, 97 % less (noise floor 0.01)"
     assert said.summary[1] == "Bias 2 to 0.05 cm (noise floor 0.06 cm)"
-    assert said.summary[3].startswith("A reading is 0.47 s old: 0.33 s late, held for 0.15 s on average. Refitted: sc")
+    assert said.summary[3].startswith(
+        "A reading is 0.47 s old: 0.33 s behind the reference, held for 0.15 s on average. "
+    )
+    assert "on average. Refitted: sc" in said.summary[3]
     assert said.summary[3].endswith("and 2 more")
     assert said.summary[4].startswith("Next: fly model.yaml")
 
