@@ -178,6 +178,10 @@ def _goes_on(time_s: Array, range_cm: Array) -> Flags:
 
 def _smoothed_cm(time_s: Array, range_cm: Array, goes_on: Flags) -> Array:
     """The parabola through the rows around each one on its path, or the ranges as they are if they have no noise."""
+    # Fourth differences are noise alone, and the sum of the squares of their weights is 70.
+    noise_cm = float(np.median(np.abs(np.diff(range_cm, 4)))) / math.sqrt(70.0) if range_cm.size > 4 else 0.0
+    if noise_cm < NOISE_CM:
+        return range_cm
     rows = int(np.clip(np.ceil(2.0 * SLOPE_S / np.median(np.diff(time_s))), *SMOOTHED_ROWS))
     stretch = np.pad(np.cumsum(~goes_on), (1 + rows, rows), constant_values=(0, -1))
     stretch[:rows] = -1
@@ -188,16 +192,14 @@ def _smoothed_cm(time_s: Array, range_cm: Array, goes_on: Flags) -> Array:
         there = slice(k, k + time_s.size)
         # Weights that end in nothing: what enters the parabola at a row must not show there.
         own = (stretch[there] == stretch[rows : rows + time_s.size]) * (1.0 - ((k - rows) / (rows + 1)) ** 2) ** 2
-        after = np.where(own, (times[there] - time_s) / SLOPE_S, 0.0)
-        powers += own * after ** np.arange(5)[:, None]
-        sums += own * after ** np.arange(3)[:, None] * (ranges[there] - range_cm)
+        weights = own * np.vander(np.where(own, (times[there] - time_s) / SLOPE_S, 0.0), 5, increasing=True).T
+        powers += weights
+        sums += weights[:3] * (ranges[there] - range_cm)
     normal = powers[np.add.outer(np.arange(3), np.arange(3))].transpose(2, 0, 1)
     # The weights of two rows are less than two.
     enough = powers[0] > 2.0
     normal[~enough] = np.eye(3)
     off_cm = np.where(enough, np.linalg.solve(normal, sums.T[:, :, None])[:, 0, 0], 0.0)
-    # Fourth differences are noise alone, and the sum of the squares of their weights is 70.
-    noise_cm = float(np.median(np.abs(np.diff(range_cm, 4)))) / math.sqrt(70.0) if range_cm.size > 4 else 0.0
     return range_cm + (off_cm if NOISE_CM < np.median(np.abs(off_cm)) < noise_cm else 0.0)
 
 
