@@ -4,8 +4,8 @@ Times and true ranges enter, of one sensor in one run after another; changes of 
 of the rows. Between two rows a path is a cubic. There is none across jumps, pauses and stamps that repeat: there it
 goes on at its own rate from the nearer side.
 
-A reference with independent noise is smoothed first. Through its rows, a delay of half an interval would explain the
-readings better than the true one: what is between two rows has less noise than a row has.
+A reference whose stated error is noise from row to row is smoothed first. Through its rows, a delay of half an interval
+would explain the readings better than the true one: what is between two rows has less noise than a row has.
 """
 
 import math
@@ -144,7 +144,8 @@ def _knots(columns: Mapping[str, Any]) -> Knots | None:
     goes_on = _goes_on(at_s, at_cm)
     if not goes_on.any():
         return None
-    path_cm = _smoothed_cm(at_s, at_cm, goes_on)
+    stated_cm = np.asarray(columns.get(REFERENCE_STD, np.zeros(range_cm.size)), dtype=np.float64)[order]
+    path_cm = _smoothed_cm(at_s, at_cm, goes_on, float(np.median(np.nan_to_num(stated_cm))))
     slope, rate = (_rate(at_s, path_cm, goes_on, within_s) for within_s in (0.0, SLOPE_S))
     smoothed_cm2 = (float(np.median(np.abs(path_cm - at_cm))) / MEDIAN_SIGMAS) ** 2
     return Knots(time_s, at_s, path_cm, slope, rate, goes_on, order, smoothed_cm2)
@@ -176,11 +177,15 @@ def _goes_on(time_s: Array, range_cm: Array) -> Flags:
     return found & (usual_cm < NOISIEST_CM)
 
 
-def _smoothed_cm(time_s: Array, range_cm: Array, goes_on: Flags) -> Array:
-    """The parabola through the rows around each one on its path, or the ranges as they are if they have no noise."""
+def _smoothed_cm(time_s: Array, range_cm: Array, goes_on: Flags, stated_cm: float) -> Array:
+    """The parabola through the rows around each one on its path, or the ranges as they are if they have no noise.
+
+    What differs from row to row is noise where a table states an error of the reference as large. Else the ground is
+    rough, and the sensor sees it.
+    """
     # Fourth differences are noise alone, and the sum of the squares of their weights is 70.
     noise_cm = float(np.median(np.abs(np.diff(range_cm, 4)))) / math.sqrt(70.0) if range_cm.size > 4 else 0.0
-    if noise_cm < NOISE_CM:
+    if not NOISE_CM < noise_cm < stated_cm:
         return range_cm
     rows = int(np.clip(np.ceil(2.0 * SLOPE_S / np.median(np.diff(time_s))), *SMOOTHED_ROWS))
     stretch = np.pad(np.cumsum(~goes_on), (1 + rows, rows), constant_values=(0, -1))
