@@ -6,8 +6,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from evaluation.benchmarks.figure import Figures, Goal, figure
-from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.grid import ReadingGrid
+from msp_lab.mixture_fit.fit import fit_readings
+from msp_lab.mixture_fit.grid import ReadingGrid
 from tests.support.plain_sampler import PlainSensor
 
 READINGS = 20_000

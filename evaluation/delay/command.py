@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from evaluation.delay.generator import KINDS, case
-from evaluation.runner import Row, campaign_options, publish, run_cases
-from evaluation.second_hand.generator import FINAL_SEED
+from evaluation.runner import Row, publish, run_cases
+from evaluation.second_hand.command import kind_options, wanted
 from evaluation.second_hand.score import matched
 from evaluation.second_hand.workflow import run_case
 
@@ -22,26 +22,16 @@ LATENCY = {"latency"}
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    campaign_options(parser)
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS[:-1]), metavar="KIND[=CASES]", help=f"of {KINDS}")
-    parser.add_argument("--cases", type=int, default=10, help="cases of a kind that names no number of its own")
-    parser.add_argument("--final", action="store_true", help=f"allow seeds from {FINAL_SEED} on")
+    kind_options(parser, KINDS[:-1], 10)
 
 
 def main(given: argparse.Namespace) -> None:
     """Make what is not there yet, and print the table."""
-    wanted: dict[str, tuple[str, int, bool]] = {}
-    for each in given.kinds:
-        kind, _, count = each.partition("=")
+    cases = wanted(given)
+    for kind, _, _ in cases.values():
         if kind not in KINDS:
             raise argparse.ArgumentTypeError(f"kind {kind!r}: expected one of {', '.join(KINDS)}")
-        wanted |= {
-            f"{kind} {given.seed + i}": (kind, given.seed + i, given.final)
-            for i in range(int(count or 0) or given.cases)
-        }
-    if max(seed for _, seed, _ in wanted.values()) >= FINAL_SEED and not given.final:
-        raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run (--final)")
-    results = run_cases(wanted, make_result, given.jobs, given.out / "cases.jsonl")
+    results = run_cases(cases, make_result, given.jobs, given.out / "cases.jsonl")
     publish(f"{table(results)}\n\n{lines(results)}", given.out)
 
 

@@ -4,7 +4,7 @@ For instance ``--kinds null:0.5=50 one:10=100 --seed 1000 --out build/second``.
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,22 +18,36 @@ KINDS = (*NULLS, "one:6", "one:10", "one:20", "two:10", "three:10", "unknown:10"
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
+    kind_options(parser, KINDS, 20)
+
+
+def kind_options(parser: argparse.ArgumentParser, kinds: Sequence[str], cases: int) -> None:
+    """Add those of a campaign with cases of several kinds."""
     campaign_options(parser)
-    parser.add_argument(
-        "--kinds", nargs="+", default=list(KINDS), metavar="KIND[=CASES]", help="default: " + " ".join(KINDS)
-    )
-    parser.add_argument("--cases", type=int, default=20, help="cases of a kind that names no number of its own")
+    usual = " ".join(kinds)
+    parser.add_argument("--kinds", nargs="+", default=list(kinds), metavar="KIND[=CASES]", help=f"default: {usual}")
+    parser.add_argument("--cases", type=int, default=cases, help="cases of a kind that names no number of its own")
     parser.add_argument("--final", action="store_true", help=f"allow seeds from {FINAL_SEED} on")
+
+
+def wanted(given: argparse.Namespace) -> dict[str, tuple[str, int, bool]]:
+    """The cases that the options ask for: kind, seed, and whether final seeds are allowed.
+
+    Raises
+    ------
+    argparse.ArgumentTypeError
+        A seed is one that is kept for a final run.
+    """
+    named = [each.partition("=") for each in given.kinds]
+    cases = [(kind, given.seed + i) for kind, _, count in named for i in range(int(count or given.cases))]
+    if max(seed for _, seed in cases) >= FINAL_SEED and not given.final:
+        raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run (--final)")
+    return {f"{kind} {seed}": (kind, seed, given.final) for kind, seed in cases}
 
 
 def main(given: argparse.Namespace) -> None:
     """Make what is not there yet, and print the table."""
-    if given.seed + given.cases > FINAL_SEED and not given.final:
-        raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run (--final)")
-    wanted = {
-        f"{kind} {seed}": (kind, seed, given.final) for kind, seed in _wanted(given.kinds, given.cases, given.seed)
-    }
-    results = run_cases(wanted, make_result, given.jobs, given.out / "cases.jsonl")
+    results = run_cases(wanted(given), make_result, given.jobs, given.out / "cases.jsonl")
     publish(f"{table(results)}\n\n{failures(results)}", given.out)
 
 
@@ -43,10 +57,3 @@ def make_result(kind: str, seed: int, final: bool = False) -> Row:
     with TemporaryDirectory() as folder:
         found = run_case(made, Path(folder))
     return {"outcome": outcome(made.truth, found), "truth": made.truth, "found": found}
-
-
-def _wanted(kinds: list[str], cases: int, seed: int) -> Iterator[tuple[str, int]]:
-    for each in kinds:
-        kind, _, count = each.partition("=")
-        for number in range(int(count or cases)):
-            yield kind, seed + number

@@ -1,5 +1,6 @@
 """The interface of a filter: one estimate in, one estimate out, or None if it rejects the reading."""
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -22,7 +23,7 @@ class Filter(Protocol):
         """Forget everything, as after a long gap."""
 
 
-class Windowed:
+class Windowed(ABC):
     """A filter that combines the last ``window`` readings; fewer until there are as many."""
 
     def __init__(self, window: int) -> None:
@@ -34,9 +35,9 @@ class Windowed:
         mean_variance_m2 = sum([each.variance_m2 for each in self._recent]) / len(self._recent) ** 2
         return self.combined([each.range_m for each in self._recent], mean_variance_m2)
 
+    @abstractmethod
     def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
         """The estimate, from the ranges [m] and the variance of their mean [m^2]."""
-        raise NotImplementedError
 
     def reset(self) -> None:
         """Forget all readings."""

@@ -25,6 +25,7 @@ from msp_range.fusion.modes import (
     EVIDENCE_MOST,
     HIT,
     HIT_MOST,
+    LATE_BEGINS,
     LOW_M,
     MISS,
     MOST,
@@ -76,6 +77,8 @@ class Surface:
         The barometer's height since which its rise is counted, and its own height then [m]; see `Belief._rises`.
     response
         Whether it answers to the vehicle's motion.
+    again
+        How much the sensors that saw it with their last answers once more say that they are a ping late [nats].
     """
 
     def __init__(self, ground: GroundFilter, prior: float, common: float, response: MotionResponse) -> None:
@@ -89,6 +92,7 @@ class Surface:
         self.seen_s = self.kept_s = float("-inf")
         self.raw: int | None = None
         self.same = 0.0
+        self.again = 0.0
 
     @property
     def travel_m(self) -> float:
@@ -214,6 +218,8 @@ class Belief:
         gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
         self._update_same(surface, raw)
+        if mode.readings == 1:
+            self._began_late(mode, surface, raw)
         has_left = surface.began_m < LOW_M and surface.filter.height_m > AWAY_M
         if surface is self.proven and (has_left or surface.response.log_odds > ANSWERED):
             surface.common = math.log(COMMON) if least else _common(surface)
@@ -255,6 +261,7 @@ class Belief:
         self._appraise(new)
         new.raw = None if self.expected() is None else raw
         new.seen_s = self._time_s
+        self._began_late(mode, new, raw)
         new.steps_m = height_m - (parent.travel_m if parent is not None else 0.0)
         if len(self.surfaces) >= SURFACES:
             self._drop(min([each for each in self.surfaces if each is not self.proven], key=lambda each: each.evidence))
@@ -360,6 +367,8 @@ class Belief:
             # The same answers, which did not move as the ground would.
             ground.response = self.proven.response
             self.proven.response = MotionResponse(self._motion, self._windows.turn_s)
+        self._suspect_late(ground.again)
+        ground.again = 0.0
         self.proven = ground
         for each in self.surfaces:
             off_m = each.filter.height_m - ground.filter.height_m
@@ -388,6 +397,19 @@ class Belief:
         if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
             # What did not answer to the motion may be here now.
             surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)
+
+    def _began_late(self, mode: SensorMode, surface: Surface, raw: int | None) -> None:
+        """A sensor sees a surface for the first time, perhaps with the answer of its ping before."""
+        if self.proven is None or raw is None:
+            return
+        if surface is not self.proven:
+            surface.again += LATE_BEGINS if raw == mode.last_raw else -LATE_BEGINS
+        elif raw == mode.last_raw:
+            self._suspect_late(LATE_BEGINS)
+
+    def _suspect_late(self, nats: float) -> None:
+        for each in self.surfaces:
+            each.response.suspect_late(nats)
 
     def _update_same(self, surface: Surface, raw: int | None) -> None:
         if surface.raw is None or raw is None or not self._is_measured:

@@ -219,6 +219,7 @@ class Fusion:
         if reading.range_m is not None:
             rejected = self._against(ground, look, rejected)
             self._others = 0 if rejected is None else self._others + (rejected != OBJECT)
+        mode.last_raw = reading.raw
         if reading.suspect:
             self._above.update_with_code()
         else:

@@ -149,6 +149,11 @@ RISES_M = 0.8
 movement yet, where that is the ground after all: the standard deviation, as well as that of the climb [m]. Rotors
 change the pressure so before a take-off. A vehicle may have taken off before its accelerations were known. With 0.4
 half a second of some take-offs is silent, larger believes a strap for longer."""
+LATE_BEGINS = 5.0
+"""Answers that come late begin with each sensor's last one once more: a new surface, where the vehicle climbs or sinks.
+Each sensor that sees one first with its last answer speaks for that by so much, and against it with another answer
+[nats]. Four sensors decide: a step of just that height has the same answer in one of four. Less waits for the next
+acceleration."""
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
@@ -269,6 +274,7 @@ class SensorMode:
         self._offs_m: deque[float | None] = deque(maxlen=OF_THE_LAST)
         self.is_ground_in_doubt = False
         self._on_ground = 0
+        self.last_raw: int | None = None
         self._raw: int | None = None
         self._range_m: float | None = None
         self._times = self._others = 0

@@ -116,6 +116,12 @@ class MotionResponse:
         """Answers that came late on another surface do on this one."""
         self._late, self.is_late = min(other._late, 0.0), other.is_late
 
+    def suspect_late(self, nats: float) -> None:
+        """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
+        if self._turn_s >= LATE_S:
+            self._late -= max(nats, 0.0)
+            self.is_late |= self._late <= LATE
+
     def sees(self, since_s: float) -> set[str]:
         """The sensors of which a reading has been taken since a time [s]."""
         return {name for name, time_s in self._taken_s.items() if time_s >= since_s}

@@ -20,7 +20,7 @@ LABORATORY = {
     "matplotlib",
     "mcap",
     "msp_lab",
-    "msp_range.reading_model.fit",
+    "msp_lab.mixture_fit.fit",
     "msp_range.reading_model.mixture",
     "msp_range.recording.reader",
     "msp_range.replay",

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from evaluation.benchmarks.bench_fit_coverage import coverage
-from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import FitError, FitResult
-from msp_range.reading_model.grid import ReadingGrid
+from msp_lab.mixture_fit.fit import fit_readings
+from msp_lab.mixture_fit.fit_result import FitError, FitResult
+from msp_lab.mixture_fit.grid import ReadingGrid
+from msp_lab.mixture_fit.pit import goodness_of_fit, pit_values
 from msp_range.reading_model.mixture import ReadingModel
-from msp_range.reading_model.pit import goodness_of_fit, pit_values
 from msp_range.reading_model.sensor_model import MixtureParameters
 from tests.support.data import measured_data
 from tests.support.plain_sampler import PlainSensor
@@ -178,7 +178,7 @@ def test_a_fit_that_has_not_converged_is_refused(monkeypatch: pytest.MonkeyPatch
     def stays(value_of: Any, slopes_of: Any, start: Any, *_: Any, **__: Any) -> Any:
         return start, *value_of(start)
 
-    monkeypatch.setattr("msp_range.reading_model.likelihood.maximise", stays)
+    monkeypatch.setattr("msp_lab.mixture_fit.likelihood.maximise", stays)
     with pytest.raises(FitError, match="does not converge"):
         fit_readings(*drawn(ROUGH, 5_000, 10), MB1242)
 

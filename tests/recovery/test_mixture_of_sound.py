@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from evaluation.blind.campaign import over_ranges
-from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import FitResult
-from msp_range.reading_model.grid import ReadingGrid
+from msp_lab.mixture_fit.fit import fit_readings
+from msp_lab.mixture_fit.fit_result import FitResult
+from msp_lab.mixture_fit.grid import ReadingGrid
 
 pytestmark = pytest.mark.slow
 GRID = ReadingGrid(minimum_cm=20, maximum_cm=765, resolution_cm=1, saturates=True)

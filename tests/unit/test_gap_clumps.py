@@ -1,13 +1,11 @@
 """Readings that a candidate explains count as one where they come in a clump, in time or at few values."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.clumps import clumping
-from msp_lab.gap.problem import Problem, _replaces_base, with_candidate
+from msp_lab.gap.problem import Problem, with_candidate
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, Term, make_term
 from tests.support.measured import MODEL as FILE
@@ -136,16 +134,6 @@ def test_one_jump_of_the_truth_makes_no_repeats() -> None:
     contexts["previous_reading_cm"] = np.concatenate([[np.nan], reading_cm[:-1]])
     found, gained = nats("stale", contexts, reading_cm)
     assert found <= 5.0 < gained
-
-
-def test_a_fault_that_leaves_the_hits_as_they_are_is_not_what_all_readings_have() -> None:
-    contexts, reading_cm = flight(8)
-    contexts["true_range_cm"] = np.asarray(contexts["true_range_cm"], dtype=float) / 2.0
-    problem = Problem.of(MODEL, contexts, np.rint(reading_cm / 2.0), RUN.astype(np.intp), np.random.default_rng(1))
-    for name, replaced in (("lost_high_byte", True), ("coarse_rounding", False)):
-        candidate = next(each for each in problem.candidates if each.key[0] == name)
-        fit = replace(problem.base, effects=(candidate.at(0.999),))
-        assert _replaces_base(problem, fit, candidate) == replaced
 
 
 def test_four_readings_are_no_dead_zone_whatever_they_gain() -> None:

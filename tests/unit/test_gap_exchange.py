@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import naming
 from msp_lab.gap.candidates import SelectedTerm
-from msp_lab.gap.exchange import _at_others
-from msp_lab.gap.problem import CandidateFit, Problem, State, _has_its_form, first_state, screened, without
+from msp_lab.gap.problem import Problem, State, _has_its_form, first_state, screened, without
 from msp_lab.gap.refit import refit
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.validation import Dropped, Validated
@@ -116,22 +115,6 @@ def test_a_slip_is_no_name_for_noise_that_is_only_wider_and_off() -> None:
     assert "cycle_slip" not in names_of(select(problem, 6))
 
 
-def test_alternatives_stand_next_to_the_other_terms_as_the_name_does() -> None:
-    """Where the others settle elsewhere without the name, a fit of an alternative from there ends lower, by itself."""
-    problem = problem_of((60.0, 700.0), 25.0)
-    base = first_state(problem)
-    of_name = {candidate.key[0]: candidate for candidate in problem.candidates}
-    latency, tails, motion = (of_name[name] for name in ("latency", "heavy_tails", "motion_during_ping"))
-    fit = problem.refit([latency.at(25.0), tails.at(0.02)], base.fit.base)
-    state = base.having(fit, [SelectedTerm(latency.at(25.0), latency), SelectedTerm(tails.at(0.02), tails)])
-    elsewhere = refit(problem.readings, [tails.at(0.9), motion.at(-0.5)], base.fit.base, rounds=1, fit_effects=False)
-    tried = CandidateFit(0.0, SelectedTerm(elsewhere.effects[-1], motion), elsewhere)
-    found = _at_others(problem, state, 0, without(problem, state, 0), tried)
-    assert found.fit.log_likelihood > elsewhere.log_likelihood + 20.0
-    assert found.fit.effects[0].values["share"] < 0.2
-    assert found.gain_nats > 20.0
-
-
 @pytest.mark.parametrize(
     ("name", "values", "alike"),
     [
@@ -149,7 +132,7 @@ def test_two_effects_that_shift_the_same_readings_alike_are_not_fitted_together(
     contexts = {"true_range_cm": true_cm, "air_temperature_c": rng.uniform(18.0, 22.0, N)}
     problem = Problem.of(MODEL, contexts, np.rint(true_cm), np.arange(N) * RUNS // N, rng)
     terms = [make_term("range_scale", None, {"scale_pct": -1.0}), make_term(name, None, values)]
-    assert _has_its_form(problem, refit(problem.readings, terms, rounds=0, fit_effects=False)) == alike
+    assert _has_its_form(problem, refit(problem.readings, terms, rounds=0)) == alike
 
 
 def test_what_explains_something_else_takes_nobodys_place() -> None:

@@ -140,13 +140,23 @@ def test_what_was_added_and_made_it_worse_explains_nothing() -> None:
     assert verdict(replace(found, effects=()), GIVEN) == "nothing missing"
 
 
-def test_a_gap_that_random_variation_makes_is_none() -> None:
+def test_a_gap_that_random_variation_may_make_decides_nothing() -> None:
     """Of sixty readings the bounds are narrower than what two draws of one model differ by."""
-    small = replace(gap(0.012), nats_per_reading=Measure(0.03, 0.012, 0.14), spread_ratio=Measure(1.11, 1.11, 1.08))
+    small = replace(gap(0.1), nats_per_reading=Measure(0.1, 0.1, 0.14), bias_cm=Measure(0.05, 0.05, 0.06))
     found = replace(FULL, verdict=None, effects=(), unknown=(), gap=small)
-    assert verdict(found, GIVEN) == "nothing missing"
-    large = replace(small, nats_per_reading=Measure(0.15, 0.15, 0.14))
+    suggested = replace(EFFECT, verdict="suggested", alternatives=())
+    assert verdict(found, GIVEN) == "undecided"
+    assert verdict(replace(found, effects=(suggested,)), GIVEN) == "undecided"
+    large = replace(small, nats_per_reading=Measure(0.25, 0.25, 0.14))
     assert verdict(replace(found, gap=large), GIVEN) == "unexplained"
+
+
+def test_an_effect_that_leaves_no_more_than_random_variation_explains_all() -> None:
+    """A gap of 0.21 of which 0.16 is left, where tables of the model itself show up to 0.36."""
+    left = replace(gap(0.16), nats_per_reading=Measure(0.21, 0.16, 0.36))
+    assert verdict(replace(FULL, verdict=None, unknown=(), gap=left), GIVEN) == "explained"
+    biased = replace(left, bias_cm=Measure(2.0, 0.5, 0.06))
+    assert verdict(replace(FULL, verdict=None, unknown=(), gap=biased), GIVEN) == "partly explained"
 
 
 def test_nothing_is_missing_only_where_nothing_was() -> None:

@@ -103,8 +103,10 @@ def test_sums_by_run_say_what_a_fit_of_a_part_does() -> None:
         ways = [way for way in parts.ways if way[0] == split]
         steps = [sums.step(~parts.runs(*way)) for way in ways]
         assert all(sums.tells(parts.runs(*way), step) for way, step in zip(ways, steps, strict=True))
-        by = sums.along if exact else sums.crossed
-        scores = [by(parts, way[0], way[1], step) for way, step in zip(ways, steps, strict=True)]
+        scores = [
+            sums.along(parts, *way) if exact else sums.crossed(parts, *way, step)
+            for way, step in zip(ways, steps, strict=True)
+        ]
         return float(sum(each.by_run.sum() for each in scores)), recalibrated(scores, np.ones(12, dtype=bool))
 
     def of_fits(fit: JointFit, split: int) -> float:

@@ -1,4 +1,4 @@
-"""The first sentence is for a pilot, the lines have the numbers, and each finding says what is next."""
+"""The first sentence is for a pilot, and the lines say how sure it is, what to do next, and the numbers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,7 +53,7 @@ def findings(**changes: object) -> GapFindings:
 def test_the_first_sentence_is_for_a_pilot() -> None:
     assert with_words(findings()).sentence == (
         "Readings are 0.33 s behind the reference and three of four readings are repeats of the one before; "
-        "that is 97 % of the disagreement."
+        "that is all of the disagreement."
     )
 
 
@@ -68,47 +68,54 @@ def test_with_many_findings_the_largest_three_are_in_the_sentence() -> None:
 def test_what_is_only_suggested_is_not_in_the_sentence() -> None:
     doubted = replace(LATE, verdict="suggested", doubt="delay_ms may be 0")
     said = with_words(findings(effects=(REPEATED, doubted)))
-    assert "late" not in said.sentence
-    assert said.effects[1].next_step.startswith("no finding yet (delay_ms may be 0); to decide it: climb and descend")
+    assert "behind" not in said.sentence
+    alone = with_words(findings(effects=(doubted,), verdict="unexplained"))
+    assert alone.sentence.endswith("it may be that readings are 0.33 s behind the reference.")
+    assert alone.next_step.startswith(
+        "to decide whether readings are 0.33 s behind the reference (delay_ms may be 0)"
+    )
 
 
-def test_alternatives_are_in_the_sentence_and_the_experiment_is_next() -> None:
+def test_alternatives_are_in_the_sentence_and_the_session_that_decides_is_next() -> None:
     scale = effect("range_scale", verdict="indistinguishable", scale_pct=0.8)
     scale = replace(scale, alternatives=(Alternative("bend", 1.0),), experiment="to tell range_scale from bend: X")
     said = with_words(findings(effects=(scale,)))
     assert said.sentence.startswith("Ranges read 0.8 % too long (or it is bend); ")
-    assert said.summary[-1] == "Next: to tell range_scale from bend: X"
+    assert said.next_step == "msp-lab design DIR plans the session that decides: range scale or bend"
 
 
 def test_there_are_at_most_five_lines_and_they_have_the_numbers() -> None:
     number = CalibrationFinding("sigma_cm", "sigma_cm is 2.1", 1.9, 2.1, 2.0, 2.2, "cm")
     said = with_words(findings(age=ReadingAge(0.326, 0.146), calibration=(number,) * 5))
     assert len(said.summary) == 5
-    assert said.summary[0] == "Gap 0.5 to 0.015 nats per reading, 97 % less (noise floor 0.01)"
-    assert said.summary[1] == "Bias 2 to 0.05 cm (noise floor 0.06 cm)"
-    assert said.summary[3].startswith(
-        "A reading is 0.47 s old: 0.33 s behind the reference, held for 0.15 s on average. "
+    assert said.summary == (
+        f"How sure: {said.how_sure}",
+        f"Next: {said.next_step}",
+        "Gap 0.5 to 0.015 nats per reading (noise floor 0.01)",
+        "Bias 2 to 0.05 cm (noise floor 0.06); spread off by a factor 1 (noise floor 1.1)",
+        "A reading is 0.47 s old: 0.33 s behind the reference, held for 0.15 s on average. Refitted: scatter (sigma) "
+        "1.9 to 2.1 cm, scatter (sigma) 1.9 to 2.1 cm, scatter (sigma) 1.9 to 2.1 cm and 2 more",
     )
-    assert "on average. Refitted: sc" in said.summary[3]
-    assert said.summary[3].endswith("and 2 more")
-    assert said.summary[4].startswith("Next: fly model.yaml")
 
 
 def test_a_bias_that_grew_is_a_warning() -> None:
     grown = replace(gap(0.015), bias_cm=Measure(3.9, 16.6, 0.9))
-    assert "it grew, so find out why before you fly" in with_words(findings(gap=grown)).summary[1]
+    said = with_words(findings(gap=grown, verdict="partly explained"))
+    assert said.next_step == "find out why the bias grew to 16.6 cm before you fly with this model"
 
 
 def test_an_unknown_effect_has_its_size_and_the_column_that_would_name_it() -> None:
     curve = ((0.0, -0.5, -0.6, -0.4), (50.0, 1.5, 1.4, 1.6))
-    unknown = UnknownEffect("bias", ("neighbour_lag_ms",), "x", 0.3, curve, (("crosstalk", "neighbour_range_cm"),))
+    unknown = UnknownEffect(
+        "bias", ("neighbour_lag_ms",), "x", 0.3, curve, (("crosstalk", "neighbour_range_cm"),), z=8.0
+    )
     said = with_words(findings(effects=(), unknown=(unknown,), verdict="partly explained"))
     assert said.sentence == (
         "The error changes by 2 cm over the neighbour lag in an unknown way; that is 97 % of the disagreement, and the "
         "rest has no name yet."
     )
-    assert said.summary[-1] == (
-        "Next: record neighbour_range_cm: crosstalk needs it and depends on the same neighbour lag, a likely cause"
+    assert said.next_step == (
+        "record neighbour_range_cm: crosstalk needs it and depends on the same neighbour lag, a likely cause"
     )
 
 
@@ -119,9 +126,9 @@ def test_an_unknown_effect_has_its_size_and_the_column_that_would_name_it() -> N
             0.45,
             0.55,
             "throttle did not vary enough to say why",
-            "Next: the vehicle tied down over a floor, with",
+            "the vehicle tied down over a floor, with",
         ),
-        (0.0, 1.0, "no recorded column says why", "Next: record more context"),
+        (0.0, 1.0, "no recorded column says why", "record more context"),
     ],
 )
 def test_what_calibration_absorbs_is_not_nothing(low: float, high: float, why: str, next_step: str) -> None:
@@ -140,7 +147,7 @@ def test_what_calibration_absorbs_is_not_nothing(low: float, high: float, why: s
     )
     said = with_words(findings(verdict="absorbed", effects=(), calibration=numbers, causes=causes))
     assert said.sentence == f"The disagreement is absorbed in scatter (sigma) and short readings; {why}."
-    assert said.summary[-1].startswith(next_step)
+    assert said.next_step.startswith(next_step)
 
 
 def test_a_column_that_was_not_recorded_comes_after_one_that_did_not_vary() -> None:

@@ -9,9 +9,9 @@ from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
+from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings
 from msp_range.correction.calibration import IDENTITY
-from msp_range.reading_model.fit_result import FitError
 from msp_range.reading_model.sensor_model import load_sensor_model
 from tests.support.characterised import measured
 from tests.support.known import known

@@ -22,10 +22,10 @@ from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
+from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import curve_through
-from msp_range.reading_model.fit_result import FitError
 from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model

@@ -1,7 +1,7 @@
 """The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
 Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
-is `msp_range.reading_model.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement
+is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement
 is not noise of the sensor; the calibration deals with the differences between set-ups.
 """
 
@@ -14,14 +14,14 @@ from msp_lab.characterise.correlation import HitCorrelation
 from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
+from msp_lab.mixture_fit.fit import fit_readings
+from msp_lab.mixture_fit.fit_result import KINDS, FitError, FitResult, with_floors
+from msp_lab.mixture_fit.grid import ReadingGrid
+from msp_lab.mixture_fit.likelihood import MIN_WEIGHT
+from msp_lab.mixture_fit.pit import goodness_of_fit
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
-from msp_range.reading_model.fit import fit_readings
-from msp_range.reading_model.fit_result import KINDS, FitError, FitResult, with_floors
-from msp_range.reading_model.grid import ReadingGrid
-from msp_range.reading_model.likelihood import MIN_WEIGHT
 from msp_range.reading_model.mixture import ReadingModel
-from msp_range.reading_model.pit import goodness_of_fit
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
 
 ENOUGH_HITS = 50

@@ -95,7 +95,8 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
         else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
         for _, metric, test in tests
     ]
-    return tuple(_answered(question, effects[4 * i : 4 * i + 4]) for i, question in enumerate(asked))
+    starts = range(0, len(effects), len(NAMES))
+    return tuple(_answered(question, effects[i : i + len(NAMES)]) for i, question in zip(starts, asked, strict=True))
 
 
 def _compared(name: str, everything: Sequence[PointResult]) -> Iterable[Question]:
@@ -130,9 +131,9 @@ def _baseline(name: str, sensor: str, everything: Sequence[PointResult]) -> tupl
     """What an experiment without a level of reference is compared with: the same sensor's points, where it has some."""
     baseline = [p for p in everything if p.condition == "baseline"]
     own = [p for p in baseline if p.sensor == sensor]
-    waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
     if own or not sensor:
         return "baseline", own or baseline
+    waiting = [p for p in everything if p.condition == "crosstalk_sequential" and p.sensor == sensor]
     if name == "crosstalk_simultaneous" and waiting:
         return "sequential", waiting
     return "the baseline of another sensor", baseline

@@ -12,7 +12,6 @@ from typing import Literal
 from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
 from msp_lab.gap.findings_file import NUMBERS
 from msp_lab.gap.labels import effect_label
-from msp_lab.gap.model_file import MODEL
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Effect
@@ -103,10 +102,7 @@ def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, .
         raise ConfigError(f"{folder / NUMBERS}: the run did not end; run 'msp-lab add {folder}' first")
     questions = questions_of(findings)
     if not questions:
-        raise ConfigError(
-            f"{folder / NUMBERS}: nothing to decide, everything was decided ({findings.verdict}): "
-            f"fly with the model, {folder / MODEL}"
-        )
+        raise ConfigError(f"{folder / NUMBERS}: nothing to decide ({findings.verdict}); next: {findings.next_step}")
     return questions
 
 

@@ -4,6 +4,7 @@ A comparison and models enter; `GapFindings` with the verdict leave. Both gaps a
 runs, the second one with a fit of the other half alone.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -54,14 +55,11 @@ def add(comparison: Comparison, findings: GapFindings, models: ExtendedModels, r
     after, impossible = _measured(model, comparison, np.random.default_rng([comparison.settings.seed, 3]))
     report("measuring the gap after each step", 0.95)
     scores = [(step.added, log_score(step.model, comparison.held_out)) for step in models.path if step.added]
-    # The last step is the gap that was measured; each step before it had what the later ones gain.
-    left = after.numbers["nats_per_reading"].value
-    later = [PathStep(added, max(left + scores[-1][1] - score, 0.0), score) for added, score in scores]
-    assert findings.gap is not None
+    left, given = after.numbers["nats_per_reading"].value, findings.nats.before or 0.0
     findings = replace(
         findings,
         gap=_gap(after, impossible, findings.gap),
-        selection_path=(*findings.selection_path, *later),
+        selection_path=(*findings.selection_path, *later_steps(given, left, scores)),
         slices=remeasured(findings.slices, after),
     )
     decided = verdict(findings, comparison.model)
@@ -71,6 +69,16 @@ def add(comparison: Comparison, findings: GapFindings, models: ExtendedModels, r
         age=reading_age(findings, model, after.readings),
         causes=possible_causes(findings.calibration, comparison.model, comparison.data),
     )
+
+
+def later_steps(given: float, left: float, scores: Sequence[tuple[str, float]]) -> Iterator[PathStep]:
+    """The selection path after the given model: what was added, and the gap and the log score with it.
+
+    The last step is the gap that was measured; one before it had what the later ones gain, and no more than the given
+    model: slices do not show all that a score does.
+    """
+    for added, score in scores:
+        yield PathStep(added, min(max(left + scores[-1][1] - score, 0.0), max(given, left)), score)
 
 
 def _measured(model: Model, comparison: Comparison, rng: np.random.Generator) -> tuple[Measures, float]:

@@ -2,8 +2,8 @@
 
 A fit of all readings and splits of their runs enter. Log-likelihood, scores and information are summed by run once; the
 fit without a part, and what it says of that part, then follow by one Newton step and a quadratic, so that a split costs
-no pass over the readings. Where the step is too large for a quadratic, the other runs are fitted from there, and the
-likelihood is taken as it is.
+no pass over the readings. Where the step is too large for a quadratic, the other runs are fitted, and the likelihood is
+taken as it is.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem
-from msp_lab.gap.refit import JointFit, free_numbers, inverse, refit, with_values
+from msp_lab.gap.refit import JointFit, inverse, refit
 from msp_lab.gap.runs import taken
 from msp_lab.gap.splits import Splits
 from msp_range.arrays import Array, Flags, Indices
@@ -57,9 +57,6 @@ class Parts:
 class CrossScore:
     """What a fit without one part says of that part's readings."""
 
-    log_p: Array
-    """Log probability of each reading, (n,), by the fit of all runs where the other one is near; of what was fitted it
-    means nothing."""
     by_run: Array
     """Log-likelihood of each run of the part, (runs,); 0 for the others."""
     base: Base
@@ -194,49 +191,32 @@ class SumsByRun:
         base = np.array(self.fit.base)
         base[self.free[moved]] += step[moved]
         slope = (score - information @ step)[:, moved]
-        return self._cross_score(
-            left_out, self.fit.here.log_p, by_run, Base(*base), slope, information[:, moved][:, :, moved]
-        )
+        return self._cross_score(left_out, by_run, Base(*base), slope, information[:, moved][:, :, moved])
 
     @cached_property
     def log_p_by_run(self) -> Array:
         """Log-likelihood of each run, (runs,)."""
         return np.bincount(self.unit, self.fit.here.log_p, self.runs).astype(np.float64)
 
-    def _cross_score(
-        self, runs: Flags, log_p: Array, by_run: Array, base: Base, slope: Array, information: Array
-    ) -> CrossScore:
+    def _cross_score(self, runs: Flags, by_run: Array, base: Base, slope: Array, information: Array) -> CrossScore:
         """With slopes and information of a part's runs by those numbers of the base that can move, put in place."""
         free = self.free[self.free < len(BASE)]
         of_base, of_pairs = np.zeros((self.runs, len(BASE))), np.zeros((self.runs, len(BASE), len(BASE)))
         of_base[np.ix_(runs, free)], of_pairs[np.ix_(runs, free, free)] = slope, information
-        return CrossScore(log_p, by_run, base, of_base, of_pairs)
+        return CrossScore(by_run, base, of_base, of_pairs)
 
-    def along(self, parts: Parts, split: int, part: int, step: Array) -> CrossScore:
-        """The likelihood by a fit without the part, from the largest share of the step that is better for the rest."""
+    def along(self, parts: Parts, split: int, part: int) -> CrossScore:
+        """The likelihood by a fit without the part, some rounds from that of all runs."""
         fitted, left_out = parts.readings(split, part, True), parts.readings(split, part, False)
         rows = parts.runs(split, part)[self.unit]
-        numbers = free_numbers(self.fit.effects)
-        base, effects = self.fit.base, self.fit.effects
-        least = float(self.fit.here.log_p[~rows].sum())
-        for share in rules.STEP_SHARES:
-            values = self.fit.values.copy()
-            values[self.free] += share * step
-            moved = with_values(self.fit.effects, numbers, values[len(BASE) :])
-            if fitted.log_likelihood(Base(*values[: len(BASE)]), moved) >= least:
-                base, effects = Base(*values[: len(BASE)]), moved
-                break
-        # One step is no fit where the likelihood is far from a quadratic.
-        fit = refit(fitted, effects, base, rules.PART_ROUNDS)
+        fit = refit(fitted, self.fit.effects, self.fit.base, rules.PART_ROUNDS)
         here = left_out.slopes(fit.base, fit.effects)
         left_out_runs = parts.runs(split, part)
-        log_p = np.zeros(self.unit.size)
-        log_p[rows] = here.log_p
         by_run = np.bincount(self.unit[rows], here.log_p, self.runs).astype(np.float64)
         by_base = here.by[:, self.free[self.free < len(BASE)]]
         slope, information = _sums(by_base, self.unit[rows], self.runs)
         of_part = slope[left_out_runs], information[left_out_runs]
-        return self._cross_score(left_out_runs, log_p, by_run, fit.base, *of_part)
+        return self._cross_score(left_out_runs, by_run, fit.base, *of_part)
 
 
 def _sums(scores: Array, unit: Indices, runs: int) -> tuple[Array, Array]:

@@ -5,10 +5,9 @@ an effect goes when a free curve on its channel gains clearly more than it does.
 """
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
-from scipy.special import chdtri, fdtrc
+from scipy.special import chdtri
 
 from msp_lab.gap import curve_scan, rules
 from msp_lab.gap.candidates import SelectedTerm
@@ -17,10 +16,9 @@ from msp_lab.gap.evidence import shift_between, wanders
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, bias_cm, free_curves, loss, screened, trials, with_terms
+from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
 from msp_range.arrays import numbered
-from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import make_curve_term
 
@@ -38,8 +36,6 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
         found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
         far = far_curves(problem, state)[: rules.FAR_REFITTED]
         found = _better(problem, state, found, _likeliest_curve(problem, state, far, singles))
-        if found is None and state.by_run:
-            found = _curve_between_runs(problem, state, singles)
         if found is None:
             break
         state = eliminate(problem, found, needed_nats)
@@ -85,20 +81,6 @@ def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCu
     asked = curve_scan.weights_of(problem.contexts, [(form.variables, (each,)) for each in near])
     best = curve_scan.scan(asked, state.fit, problem.unit if state.by_run else None, (form.channel,))
     return best[0] if best and best[0].log_p < form.log_p else form
-
-
-def _curve_between_runs(problem: Problem, state: State, asked: int) -> State | None:
-    """With a curve that differs from run to run, next to which readings are independent."""
-    forms = free_curves(problem, state, ("bias", "spread"), by_run=False)
-    for form in forms[: rules.CURVES_BETWEEN_RUNS]:
-        if _has_few_places(problem, form) or not _is_unlikely(form, asked):
-            continue
-        there = _with_curve(problem, state, form)
-        gained = 2.0 * (there.fit.log_likelihood - state.fit.log_likelihood) / form.degrees
-        left = max(problem.runs - 2 - form.degrees, 1)
-        if problem.dependence(there.fit).independent and fdtrc(form.degrees, left, gained) < rules.CURVE_P / asked:
-            return replace(there, by_run=False)
-    return None
 
 
 def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
@@ -153,33 +135,13 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
     for term in [each for each in state.terms if each.active.shape is not None]:
         less = with_terms(problem, state, [each for each in state.terms if each.key != term.key])
         least = max(rules.FORM_SHARE * loss(problem, less.fit, state), needed_nats)
-        found = trials(problem, less, screened(problem, less), 0.0, rules.SCREEN_KEEPS * least)
+        found = trials(problem, less, screened(problem, less), rules.SCREEN_KEEPS * least)
         for each in found:
             assert term.active.shape is not None
             if each.gain_nats >= least and term.active.shape[0] in each.term.active.effect.channels:
                 state = less.having(each.fit, [*less.terms, each.term])
                 state = state.logging(f"{each.term.label} in place of {term.label}")
                 break
-    return state
-
-
-def merge_cancelling(problem: Problem, state: State) -> State:
-    """With one curve in place of two effects that mostly cancel each other: their sum is known, and neither of them."""
-    effects = [each for each in state.terms if each.candidate is not None and "bias" in each.active.effect.channels]
-    for one, other in combinations(effects, 2):
-        shared = set(one.active.effect.requires) & set(other.active.effect.requires)
-        variable = next(iter(sorted(shared - {TRUE_RANGE})), TRUE_RANGE)
-        first_cm, second_cm = (bias_cm(problem, each.active) for each in (one, other))
-        smaller_cm = min(first_cm.std(), second_cm.std())
-        if not shared or (first_cm + second_cm).std() > rules.CANCEL_SHARE * smaller_cm:
-            continue
-        rest = [each for each in state.terms if each not in (one, other)]
-        less = with_terms(problem, state, rest)
-        forms = [each for each in free_curves(problem, less, ("bias",)) if each.variables == (variable,)]
-        for form in forms[:1]:
-            there = _with_curve(problem, less, form)
-            if loss(problem, there.fit, state) <= rules.ALTERNATIVE_NATS:
-                return there
     return state
 
 

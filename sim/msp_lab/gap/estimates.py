@@ -15,7 +15,7 @@ from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
 from msp_lab.gap.formula import formula
-from msp_lab.gap.labels import unit_after, unit_of
+from msp_lab.gap.labels import size_label, unit_after, unit_of
 from msp_lab.gap.prepared import BASE, Prepared, knot_weights
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -243,7 +243,9 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         else:
             text = formula(variables[0], at, values, half / 2.0)
     points = zip(at.tolist(), values.tolist(), (values - half).tolist(), (values + half).tolist(), strict=False)
-    return UnknownEffect(channel, variables, text, gained.nats_per_reading, tuple(points), period=period)
+    return UnknownEffect(
+        channel, variables, text, gained.nats_per_reading, tuple(points), period=period, z=gained.z or None
+    )
 
 
 def calibrated(problem: Problem, final: FinalFit, training: JointFit) -> list[CalibrationFinding]:
@@ -295,4 +297,4 @@ def detectable(problem: Problem, first: Screen) -> str:
         key = candidate.effect.name, parameter.name
         if smallest < parameter.high - parameter.low and (key not in least or smallest < least[key][0]):
             least[key] = smallest, parameter.unit
-    return "; ".join(f"{effect} above {size:.2g}{unit_after(unit)}" for (effect, _), (size, unit) in least.items())
+    return "; ".join(f"{effect} above {size_label(name, *size)}" for (effect, name), size in least.items())

@@ -13,7 +13,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.evidence import lead_nats
 from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
-from msp_lab.gap.refit import ENOUGH_NATS, JointFit
+from msp_lab.gap.refit import JointFit
 from msp_sim.model.model import Term
 
 TAILS = "heavy_tails"
@@ -101,18 +101,12 @@ def _in_its_place(
     term = state.terms[k]
     less = without(problem, state, k)
     own = loss(problem, less.fit, state)
-    within_nats, within_share = rules.EXCHANGE_WITHIN
-    # As in the search: readings propose, and runs count in the evidence after a refit.
-    seen = screened(problem, less, by_run=False)
-    found = trials(problem, less, seen, max(within_nats, within_share * own), rules.EXCHANGE_KEEPS * needed_nats)
+    enough_nats = rules.EXCHANGE_KEEPS * needed_nats
+    found = trials(problem, less, screened(problem, less), enough_nats)
 
     again = [each.fit for each in found if each.term.key == term.key]
     own_fit = max([state.fit, *again], key=lambda each: each.log_likelihood)
-    if not again or again[0].log_likelihood < state.fit.log_likelihood - ENOUGH_NATS:
-        # The other terms have settled elsewhere without this one: there no candidate is what it can be in its place.
-        found = [_at_others(problem, state, k, less, each) for each in found]
     # Some gain less evidence than likelihood, as repeats before a wall that stands still; the evidence is what counts.
-    enough_nats = rules.EXCHANGE_KEEPS * needed_nats
     others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
     last = len(less.terms)
     correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
@@ -145,7 +139,7 @@ def _in_its_place(
     takes = [
         -np.inf if less.keys | {each.term.key} in visited else nats for each, nats in zip(others, leads, strict=True)
     ]
-    if takes and max(takes) > rules.EXCHANGE_LEAD_NATS:
+    if takes and max(takes) > 0.0:
         best = others[int(np.argmax(takes))]
         better = less.having(best.fit, [*less.terms, best.term])
         return better.logging(f"{best.term.label} in place of {term.label}"), ()
@@ -161,16 +155,6 @@ def _in_its_place(
         and other.term.active.effect.name != term.active.effect.name
         and not _imitates(other.term, term, correlation)
     )
-
-
-def _at_others(problem: Problem, state: State, k: int, less: State, tried: CandidateFit) -> CandidateFit:
-    """A candidate in place of the k-th term, fitted from the values of the state's other terms too."""
-    others = [each for i, each in enumerate(state.fit.effects) if i != k]
-    fit, candidate = problem.refit([*others, tried.term.active], tried.fit.base), tried.term.candidate
-    if candidate is None or fit.log_likelihood <= tried.fit.log_likelihood:
-        return tried
-    gained = problem.candidate_nats(less.fit, fit, candidate, state.by_run) - candidate.cost_nats
-    return CandidateFit(gained, SelectedTerm(fit.effects[-1], candidate), fit)
 
 
 def _imitates(other: SelectedTerm, term: SelectedTerm, correlation: float) -> bool:

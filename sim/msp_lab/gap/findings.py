@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
-Verdict: TypeAlias = Literal["nothing missing", "absorbed", "explained", "improved", "partly explained", "unexplained"]
+Verdict: TypeAlias = Literal[
+    "nothing missing", "undecided", "absorbed", "explained", "improved", "partly explained", "unexplained"
+]
 Kind: TypeAlias = Literal["named", "indistinguishable", "suggested"]
 LastStep: TypeAlias = Literal["compare", "name", "add", "show"]
 
@@ -25,6 +27,11 @@ class Measure:
     low: float | None = None
     high: float | None = None
     """95 % interval of `after`; its errors are those of whole runs."""
+
+    @property
+    def is_beyond_floor(self) -> bool:
+        """Whether more is left than random variation gives, as far as that is known."""
+        return None not in (self.after, self.noise_floor) and (self.after or 0.0) > (self.noise_floor or 0.0)
 
 
 @dataclass(frozen=True)
@@ -115,8 +122,6 @@ class FoundEffect:
     """Why it is only suggested."""
     plain: str = ""
     """What was found, in words for a pilot."""
-    next_step: str = ""
-    """What to do next."""
     splits_agree: float | None = None
     """In which share of the splits of the runs it holds: each part scores better for it by a fit of the others."""
     in_model: bool = False
@@ -141,11 +146,10 @@ class UnknownEffect:
     """Effects of the catalogue that depend on the same, and the one column that each of them lacks."""
     plain: str = ""
     """What was found, in words for a pilot."""
-    next_step: str = ""
-    """What to do next."""
     period: float | None = None
     """Period of a ripple, in the unit of its variable; None: it is a curve."""
     splits_agree: float | None = None
+    z: float | None = None
     """As of a `FoundEffect`."""
 
 
@@ -291,9 +295,15 @@ class GapFindings:
     seconds: float = 0.0
     """How long it took."""
     sentence: str = ""
-    """The findings in one sentence for a pilot."""
+    """The decision, in one sentence for a pilot."""
+    random_share: float | None = None
+    """How often random variation alone shows as much as the decision rests on, 0 to 1."""
+    how_sure: str = ""
+    """That in words."""
+    next_step: str = ""
+    """What to do next, by the decision and how sure it is."""
     summary: tuple[str, ...] = ()
-    """At most five lines with numbers, the last of which says what to do next."""
+    """At most five lines: how sure, what to do next, and the numbers."""
     causes: tuple[PossibleCause, ...] = ()
     """What calibration may have absorbed."""
     age: ReadingAge | None = None
@@ -308,7 +318,7 @@ class GapFindings:
     splits: int = 0
     """How many splits of the runs validate what is named."""
     p_value: float | None = None
-    """p-value of the hypothesis that nothing is missing."""
+    """p-value of the hypothesis that nothing is missing, by the first test of all effects at once."""
     sources: tuple[ReadingsFile, ...] = ()
     settings: Settings = Settings("")
     messages: tuple[str, ...] = ()
@@ -317,6 +327,11 @@ class GapFindings:
     model_sha256: str = ""
     version: str = ""
     """Hash of the given model's file, and the version of this program."""
+
+    @property
+    def nats(self) -> Measure:
+        """The gap per reading; nothing is known of it where nothing was compared."""
+        return Measure(None) if self.gap is None else self.gap.nats_per_reading
 
     @property
     def confirmed(self) -> tuple[FoundEffect, ...]:

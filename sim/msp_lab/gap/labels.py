@@ -2,6 +2,8 @@
 
 import re
 
+import numpy as np
+
 from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect
 
 _UNITS = {
@@ -34,17 +36,6 @@ _SPECIAL = {
     "time_in_run_s": "time in the run",
     "incidence_deg": "incidence",
 }
-
-
-def agreement(each: FoundEffect | UnknownEffect) -> str:
-    """In which share of the splits of the runs it holds.
-
-    Examples
-    --------
-    >>> agreement(FoundEffect("latency", "named", {}, 0.01, 5.0, splits_agree=0.9))
-    'it holds in 90 % of the splits of the runs'
-    """
-    return f"it holds in {100.0 * (each.splits_agree or 0.0):.0f} % of the splits of the runs"
 
 
 def unit_of(column: str) -> str:
@@ -88,27 +79,23 @@ def slice_label(where: str) -> str:
     return ", ".join(_label_of_one(each) for each in where.split(", "))
 
 
-def headline(findings: GapFindings) -> str:
-    """The verdict and the names, in a few words."""
-    text = {
-        "nothing missing": "Nothing is missing",
-        None: "Readings against the model",
-        "improved": "A small gap is smaller",
-    }.get(findings.verdict, f"The gap is {findings.verdict}")
-    named = [
-        " or ".join([effect_label(each.name, each.of), *(effect_label(one.name, one.of) for one in each.alternatives)])
-        for each in findings.confirmed
-    ]
-    named += [
-        f"an unknown effect on {each.channel} over {' and '.join(name_of(one) for one in each.variables)}"
-        for each in findings.unknown
-    ]
-    return f"{text}: {', '.join(named)}" if named else text
-
-
 def effect_label(name: str, of: str | None) -> str:
     """An effect, and the sensor, run or target that it is of."""
     return name.replace("_", " ") + (f" of {of}" if of else "")
+
+
+def finding_label(each: FoundEffect | UnknownEffect) -> str:
+    """A finding in a few words, with the alternatives that these data cannot tell from it.
+
+    Examples
+    --------
+    >>> finding_label(UnknownEffect("bias", ("throttle", "uptime_s"), "", 0.1))
+    'an unknown effect on bias over throttle and time since power-up'
+    """
+    if isinstance(each, UnknownEffect):
+        return f"an unknown effect on {each.channel} over {' and '.join(map(name_of, each.variables))}"
+    others = (effect_label(one.name, one.of) for one in each.alternatives)
+    return " or ".join([effect_label(each.name, each.of), *others])
 
 
 def unit_after(unit: str) -> str:
@@ -134,11 +121,35 @@ def parameter_words(name: str, value: FittedValue) -> str:
     return f"{name} {value.value:.3g}{unit_after(value.unit)}{interval}"
 
 
+def size_label(name: str, size: float, unit: str) -> str:
+    """A parameter's size with what it is of.
+
+    Examples
+    --------
+    >>> size_label("delay_ms", 12.3, "ms"), size_label("log_odds", 3.0, "1"), size_label("share", 0.02, "1")
+    ('12 ms', '20 times the odds', '0.02 (share)')
+    """
+    if name == "log_odds":
+        return f"{np.exp(size):.2g} times the odds"
+    return f"{size:.2g} {unit}" if unit_after(unit) else f"{size:.2g} ({name})"
+
+
 def extension_label(findings: GapFindings) -> str:
     """What the extended model has that the given one has not."""
     if findings.effects or findings.unknown:
         return "with what was added"
     return "nothing added yet" if findings.verdict is None else "its numbers refitted"
+
+
+def channel_label(channel: str) -> str:
+    """What a curve changes, with its unit.
+
+    Examples
+    --------
+    >>> channel_label("bias"), channel_label("missed")
+    ('bias [cm]', 'log odds of missed')
+    """
+    return {"bias": "bias [cm]", "spread": "log of the spread"}.get(channel, f"log odds of {channel}")
 
 
 def step_name(added: str) -> str:

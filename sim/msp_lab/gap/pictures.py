@@ -16,7 +16,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from msp_lab.gap.autocorrelation import places, residual_autocorrelation
 from msp_lab.gap.cells import Partition, partitions
 from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect, error_name
-from msp_lab.gap.labels import axis_label, name_of, step_name
+from msp_lab.gap.labels import axis_label, channel_label, name_of, step_name
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.tables import shown_slices, slice_with_count
 from msp_lab.readings.intake import PREVIOUS
@@ -184,8 +184,7 @@ def _autocorrelation(both: BeforeAfter) -> Drawn:
 def _path(findings: GapFindings) -> Drawn:
     """The gap after each step, with the noise floor."""
     steps = [each for each in findings.selection_path if each.nats_per_reading is not None]
-    assert findings.gap is not None
-    floor = findings.gap.nats_per_reading.noise_floor or 1e-4
+    floor = findings.nats.noise_floor or 1e-4
     least = floor / 4.0
     widths = [max(each.nats_per_reading or 0.0, least) for each in steps]
     figure, axes = new_axes(1.2 + 0.36 * len(steps), "gap on held-out runs [nats per reading], logarithmic")
@@ -201,7 +200,8 @@ def _path(findings: GapFindings) -> Drawn:
     _plain_decades(axes)
     return figure, (
         "How much better each reading could still be predicted after each addition (in nats, the natural logarithm "
-        "of a probability). Readings that the final model draws itself show a gap up to the grey band."
+        "of a probability). The first and the last are measured, the others are what the later steps gain. Readings "
+        "that the final model draws itself show a gap up to the grey band."
     )
 
 
@@ -261,8 +261,7 @@ def _plain_decades(axes: Axes) -> None:
 
 def _curve(each: UnknownEffect) -> Drawn:
     """An unknown effect over its variable, with its band."""
-    names = {"bias": "bias [cm]", "spread": "log of the spread"}
-    figure, axes = new_axes(2.8, axis_label(each.variables[0]), names.get(each.channel, f"log odds of {each.channel}"))
+    figure, axes = new_axes(2.8, axis_label(each.variables[0]), channel_label(each.channel))
     value, curve, low, high = np.array(each.curve).T
     axes.fill_between(value, low, high, color=PALE, label="95 % band")
     axes.plot(value, curve, color=BLUE, marker="o", label="fitted")

@@ -244,12 +244,11 @@ def reinformed(problem: Problem, state: State) -> State:
     return replace(state, information=problem.information(state.fit))
 
 
-def screened(problem: Problem, state: State, by_run: bool | None = None, sums: ScoreSums | None = None) -> Screen:
-    """Every candidate at this state, with its terms as nuisance; by runs as the state says, unless it is given.
+def screened(problem: Problem, state: State, by_run: bool = False, sums: ScoreSums | None = None) -> Screen:
+    """Every candidate at this state, with its terms as nuisance: readings propose, runs count after a refit.
 
     `sums` are those of this state, where they are known.
     """
-    by_run = state.by_run if by_run is None else by_run
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
     sums = sums or scores_at(problem, state)
     free = ~state.fit.at.held[: len(BASE)]
@@ -288,7 +287,7 @@ class CandidateFit:
     """The new term, and the joint fit with it."""
 
 
-def trials(problem: Problem, state: State, seen: Screen, within_nats: float, least_nats: float) -> list[CandidateFit]:
+def trials(problem: Problem, state: State, seen: Screen, least_nats: float) -> list[CandidateFit]:
     """Refits of the candidates that gain most, the best first.
 
     Parameters
@@ -297,9 +296,9 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
         To which one candidate at a time is added.
     seen
         The screen at this state.
-    within_nats, least_nats
-        A candidate is refitted if its screened gain is within so much of the best, and at least so much. One that
-        moves part of the hits is always: offset and spread take most of it, and leave it no slope.
+    least_nats
+        A candidate is refitted if its screened gain is near the best, and at least so much. One that moves part of the
+        hits is always: offset and spread take most of it, and leave it no slope.
     """
     best: dict[tuple[str, str | None], int] = {}
     for j, candidate in enumerate(problem.candidates):
@@ -311,31 +310,17 @@ def trials(problem: Problem, state: State, seen: Screen, within_nats: float, lea
     for i, j in enumerate(order):
         candidate = problem.candidates[j]
         if not candidate.effect.moves:
-            near = top - max(within_nats, rules.REFIT_WITHIN_SHARE * top)
+            near = top - max(rules.REFIT_WITHIN_NATS, rules.REFIT_WITHIN_SHARE * top)
             if i >= rules.REFITS_PER_STEP or seen.gain[j] < least_nats or (found and seen.gain[j] < near):
                 continue
         fit = with_candidate(problem, state.fit, candidate, _start(candidate, seen, j))
-        if candidate.linear and (_replaces_base(problem, fit, candidate) or _moves_little(problem, fit)):
-            continue
-        if _has_its_form(problem, fit):
+        if _moves_little(problem, fit) or _has_its_form(problem, fit):
             continue
         gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run)
         found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
         # A screen may promise too much, and of what is large it promises too little, of one as of the other.
         top = max(top, min(found[-1].gain_nats, float(seen.gain[j])))
     return sorted(found, key=lambda each: -each.gain_nats)
-
-
-def _replaces_base(problem: Problem, fit: JointFit, candidate: CandidateEffect) -> bool:
-    """Whether nearly all readings have the last effect of a fit, and it is none of what they are: a component has
-    replaced the base, or a fault leaves most hits as they are."""
-    if fit.effects[-1].values[candidate.parameter.name] <= rules.MAX_COMPONENT_SHARE:
-        return False
-    fault = fit.effects[-1].change(problem.readings.scene).fault
-    if fault is None:
-        return True
-    hit_cm = np.rint(np.nan_to_num(problem.readings.rows.centre_cm))
-    return float(np.mean(fault.arrives(hit_cm) != hit_cm)) < 0.5
 
 
 def _moves_little(problem: Problem, fit: JointFit) -> bool:

@@ -13,8 +13,8 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
+from msp_lab.mixture_fit.maximise import ROUNDS, held_numbers, maximise
 from msp_range.arrays import Array, Flags, Indices
-from msp_range.reading_model.maximise import ROUNDS, held_numbers, maximise
 from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import Parameter
 from msp_sim.model.history import MAX_CORRELATION
@@ -159,7 +159,6 @@ def refit(
     effects: Sequence[Term],
     start: Base | None = None,
     rounds: int = ROUNDS,
-    fit_effects: bool = True,
 ) -> JointFit:
     """Fit base and effects together.
 
@@ -173,11 +172,9 @@ def refit(
         Of the base; the given model's unless given.
     rounds
         At most.
-    fit_effects
-        False: the effects keep their values, and only the base is fitted.
     """
     effects = [_off_neutral(each) for each in effects]
-    numbers = free_numbers(effects) if fit_effects else []
+    numbers = free_numbers(effects)
     nb = len(BASE)
     low, high = _bounds(prepared, numbers)
     if start is None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.gap import rules
+from msp_lab.gap.conclusion import how_sure_of
 from msp_lab.gap.findings import GapFindings
-from msp_lab.gap.labels import agreement, effect_label, extension_label, headline
+from msp_lab.gap.labels import channel_label, effect_label, extension_label
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.pictures import BeforeAfter, entries
@@ -66,7 +67,6 @@ def write_report(
             *(table for _, _, table in effects),
         ],
         findings=findings,
-        headline=headline(findings),
         capitalised=capitalised,
         training=listed(findings.training_runs),
         held_out=listed(findings.held_out_runs),
@@ -76,7 +76,8 @@ def write_report(
         measured=len(readings),
         rules=rules,
         effect_label=effect_label,
-        agreement=agreement,
+        channel_label=channel_label,
+        how_sure_of=lambda each: how_sure_of(each, findings),
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
 

@@ -233,19 +233,16 @@ FIRST_WINDOW = (10.0, 0.2)
 MIN_HIT_SHARE = 0.3
 """A base fit starts at the readings' median if this share of them is in that window. Fewer are not most of the hits.
 Lower: it starts at outliers."""
-MAX_COMPONENT_SHARE = 0.98
-"""Reject a component with a larger share: it has replaced the base. Any value from 0.9 to 0.99 gives the same names on
-the blind tables. Higher: a shifted base is named a component."""
 
 # Forward selection.
 
 REFITS_PER_STEP = 12
 """At most so many of the best candidates are refitted in a step. 4 and 36 gave the same names on the first seven blind
 tables of seed 7. More: slower."""
-REFIT_WITHIN_NATS = 6.0
-"""Candidates whose screened gain is within so many nats of the best are refitted. A screen is a quadratic, and off by
-some nats for gains of ten to twenty; 2 and 18 gave the same names on the first seven blind tables of seed 7. Lower:
-wrong names; higher: slower."""
+REFIT_WITHIN_NATS = 8.0
+"""Candidates whose screened gain is within so many nats of the best are refitted, wider than `ALTERNATIVE_NATS`. A
+screen is a quadratic, and off by some nats for gains of ten to twenty; 2 and 18 gave the same names on the first seven
+blind tables of seed 7. Lower: wrong names, and alternatives are missed; higher: slower."""
 REFIT_WITHIN_SHARE = 0.5
 """Of large gains, those within this share of the best are refitted. A quadratic promises too little of what is large.
 Higher: slower."""
@@ -337,8 +334,6 @@ CURVES_REFITTED = 6
 More: slower."""
 MAX_CURVES = 3
 """At most so many curves are added in one go. What needs more has another cause. More: slower."""
-CURVES_BETWEEN_RUNS = 4
-"""Where runs differ, so many curves are tried that could explain it. As `CURVES_REFITTED`. More: slower."""
 CURVE_OF_RUNS_SHARE = 0.5
 """A curve with more of the variance of its shift between runs is one of runs, and has to be known from as many of them.
 One that is known from readings inside runs has less there. Higher: sessions become curves; lower: curves over what
@@ -357,16 +352,9 @@ FORM_P_FACTOR = 0.1
 """A curve takes the place of names at this share of `CURVE_P`. A name is worth more to its reader than a curve. Higher:
 right names become unknown."""
 
-CANCEL_SHARE = 0.5
-"""Two effects whose sum varies by less than this share of the smaller one cancel, and are one curve. A bend of 11 %
-with a scale of -10 % stands for a curve of 1 %, and neither number means anything. Higher: two right effects of
-opposite signs become a curve."""
 
 # Exchange, alternatives, elimination.
 
-EXCHANGE_WITHIN = (8.0, 0.25)
-"""Candidates within so many nats, or this share of the term's gain, of the best are refitted in its place. Wider than
-`ALTERNATIVE_NATS`, since screened gains are rough. Lower: alternatives are missed."""
 EXCHANGE_LOSES = (8.0, 0.1)
 """A candidate takes a term's place if the readings alone lose so many nats by it at most, or this share of the term's
 gain. Where each run is at one range and has an offset of its own, a rounding to 2.54 cm took the place of a scale that
@@ -374,9 +362,6 @@ gains seven times as much. Higher: that; lower: among runs with offsets the firs
 EXCHANGE_KEEPS = 0.3
 """They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
 ones. Higher: alternatives of weak effects are missed."""
-EXCHANGE_LEAD_NATS = 0.3
-"""A candidate takes a term's place if it gains so much more. It keeps rounding from going round in circles. Higher: the
-second best name stays."""
 SIMPLER_NATS = 2.0
 """Of two effects of the same form (`SAME_FORM`) one has to gain so much more for each number that it has more. A number
 that is not there gains more in one case of 20. Higher: a late threshold and a bend are scales; lower: a scale is a late
@@ -446,25 +431,21 @@ EXPANSION_NATS = 3.0
 """A part's fit follows from the sums of scores if it gains no more than so many nats for each number over that of all.
 Half a nat is usual where readings are independent. Higher: parts that differ are taken for more alike; lower:
 slower."""
-STEP_SHARES = (1.0, 0.5, 0.25, 0.1)
-"""Of a step that is too large for a quadratic, the first of these shares is taken that is better for the part that is
-fitted. As in the refits, a step that makes the fit worse is too long. More: slower."""
 SPLITS_FITTED = 3
 """Of the splits with parts that have to be fitted since no quadratic says what their fit would, so many are used, next
 to all others. Six terms in ten splits of five parts are 700 fits. More: slower, and surer where readings are few for a
 number.
 """
-PART_ROUNDS = 2
-"""From such a step a part is fitted by so many steps of Newton at most, and so is the base to the other part. What is
-left after three steps is small against what a name gains. More: slower, on a robot's log of 4,819 readings by a minute.
-"""
+PART_ROUNDS = 3
+"""Such a part is fitted by so many steps of Newton at most, from the fit of all runs. What is left after three steps is
+small against what a name gains. More: slower, on a robot's log of 4,819 readings by a minute."""
 MIN_SPEAKING = 5.0
 """Of a number of which fewer readings speak, a part knows nothing by a quadratic. One 255 among the missed readings
 moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
-"""A held-out reading counts for at most so many nats for or against a term, and one at which the truth moves for or
-against repeated readings. A hit that becomes a random reading loses about 8; nine such rows of 700 removed a true slant
-range. Lower: effects that explain rare readings need more of them; higher: single rows decide."""
+"""A reading at which the truth moves counts for at most so many nats for or against repeated readings. A hit that
+becomes a random reading loses about 8. Higher: where the truth jumps by an error of its own, one reading decides;
+lower: repeats need more of them."""
 FINAL_ROWS = 60_000
 """The values that are reported are fitted to a sample of at most so many readings. Three times those of the
 search. More: slower, and narrower intervals."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.curves import add_curves, merge_cancelling, name_curves
+from msp_lab.gap.curves import add_curves, name_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
     CandidateFit,
@@ -53,8 +53,8 @@ def select(problem: Problem, max_terms: int) -> Selection:
     state = base = first_state(problem)
     sums = scores_at(problem, state)
     # Runs count in the evidence after a refit; the screen and what it asks for are those of independent readings.
-    seen = screened(problem, state, by_run=False, sums=sums)
-    first = screened(problem, state, sums=sums) if state.by_run else seen
+    seen = screened(problem, state, sums=sums)
+    first = screened(problem, state, by_run=True, sums=sums) if state.by_run else seen
     state = _search(problem, state, seen, seen.needed_nats, max_terms)
     is_full = 0 < max_terms <= len(state.terms)
     return settled(problem, Selection(base, state, first, {}, seen.needed_nats, is_full=is_full))
@@ -69,7 +69,7 @@ def _search(problem: Problem, state: State, seen: Screen, needed_nats: float, ma
         if unchanged or len(state.terms) >= max_terms or turn:
             break
         state = reinformed(problem, state)
-        seen = screened(problem, state, by_run=False)
+        seen = screened(problem, state)
     return state
 
 
@@ -77,7 +77,7 @@ def select_more(problem: Problem, selection: Selection, without: Set[Key], max_t
     """Go on where the search had ended for want of room, without these effects, which did not hold."""
     problem = replace(problem, candidates=tuple(each for each in problem.candidates if each.key not in without))
     state = reinformed(problem, selection.state)
-    seen = screened(problem, state, by_run=False)
+    seen = screened(problem, state)
     state = _search(problem, state, seen, selection.needed_nats, max_terms)
     is_full = max_terms <= len(state.terms)
     return settled(problem, replace(selection, state=state, is_full=is_full))
@@ -88,7 +88,7 @@ def settled(problem: Problem, selection: Selection) -> Selection:
     needed = selection.needed_nats
     state = name_curves(problem, compete_with_tails(problem, selection.state, needed), needed)
     state, alternatives = exchange(problem, state, needed)
-    state = merge_cancelling(problem, eliminate(problem, state, needed))
+    state = eliminate(problem, state, needed)
     return replace(
         selection,
         state=state,
@@ -116,7 +116,7 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
         # An effect that changes slowly looks like dependence until it is named.
         state = replace(state, by_run=problem.dependence(state.fit).dependent)
         state = reinformed(problem, state)
-        seen = screened(problem, state, by_run=False)
+        seen = screened(problem, state)
     return state
 
 
@@ -124,7 +124,7 @@ def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float)
     """The candidate that gains most after its refit, if it gains enough."""
     nothing_seen = seen.largest < seen.critical and not state.by_run
     least_nats = np.inf if nothing_seen else rules.SCREEN_KEEPS * needed_nats
-    for trial in trials(problem, state, seen, rules.REFIT_WITHIN_NATS, least_nats):
+    for trial in trials(problem, state, seen, least_nats):
         if trial.gain_nats < needed_nats:
             break
         # Of runs that all differ one is always the farthest off: an offset of it alone must leave the others alike.

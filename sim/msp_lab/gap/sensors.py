@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from msp_lab.gap.conclusion import found_parts
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.steps import Steps
-from msp_lab.gap.summary import found_parts
 from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import PREVIOUS, load_readings
 from msp_lab.readings.others import MIN_OTHERS

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
 
-from msp_lab.gap.findings import GapFindings, LastStep, Measure, Settings
-from msp_lab.gap.labels import effect_label
+from msp_lab.gap.conclusion import found_parts
+from msp_lab.gap.findings import GapFindings, LastStep, Settings
+from msp_lab.gap.labels import finding_label
 from msp_lab.gap.steps import Steps
 from msp_lab.logs.cli import with_logs_imported
 from msp_lab.readings.column_map import load_maps
@@ -95,16 +96,13 @@ def separate_gap(common: Common, job: Job) -> SeparateGap:
 
 
 def _row(name: str, findings: GapFindings) -> SeparateGap:
-    effects = [effect_label(each.name, each.of) for each in findings.confirmed]
-    unknown = [f"unknown {each.channel} over {' and '.join(each.variables)}" for each in findings.unknown]
-    nats = findings.gap.nats_per_reading if findings.gap is not None else Measure(None)
     return SeparateGap(
         name,
         findings.rows,
         findings.verdict or "",
-        ", ".join([*effects, *unknown]),
-        nats.before,
-        nats.after,
-        nats.noise_floor,
+        ", ".join(map(finding_label, found_parts(findings))),
+        findings.nats.before,
+        findings.nats.after,
+        findings.nats.noise_floor,
         findings.sentence,
     )

@@ -10,17 +10,27 @@ from rich.text import Text
 
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import GapFindings
-from msp_lab.gap.labels import agreement, effect_label, interval, parameter_words, short, slice_label, unit_after
+from msp_lab.gap.labels import (
+    channel_label,
+    effect_label,
+    finding_label,
+    interval,
+    parameter_words,
+    short,
+    slice_label,
+    unit_after,
+)
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
 from msp_lab.gap.separate import TABLE, SeparateGap
 from msp_lab.gap.tables import measures_table
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import Bar, PlainConsole, console, plain_table
-from msp_sim.page.text import and_list, counted
+from msp_sim.page.text import counted
 
 COLOURS = {
     "nothing missing": "green",
+    "undecided": "yellow",
     "absorbed": "yellow",
     "explained": "green",
     "improved": "green",
@@ -120,10 +130,7 @@ def print_findings(findings: GapFindings) -> None:
         out.print(f"note: {message}", style="dim")
     columns = sorted({name for each in findings.not_testable for name in each.columns})
     if columns:
-        out.print(
-            f"{len(findings.not_testable)} effects could not be tested: record {', '.join(columns)}",
-            style="dim",
-        )
+        out.print(f"{len(findings.not_testable)} effects cannot be tested without {', '.join(columns)}", style="dim")
 
 
 def print_files(findings: GapFindings, folder: Path) -> None:
@@ -137,16 +144,14 @@ def print_files(findings: GapFindings, folder: Path) -> None:
 
 
 def _found_table(findings: GapFindings) -> Table:
-    """Each finding with its numbers, and what to do next."""
-    table = plain_table(("finding", "effect, with 95 % intervals", "next"), align="l")
+    """Each finding with its numbers, and what would show it alone or tell it from its alternatives."""
+    table = plain_table(("finding", "effect, with 95 % intervals", "experiment"), align="l")
     table.show_lines = True
     for each in findings.effects:
         label = effect_label(each.name, each.of)
         what = label if each.verdict == "named" else f"{label} ({each.verdict})"
         values = [parameter_words(name, value) for name, value in each.parameters.items()]
-        agree = [] if each.splits_agree is None else [agreement(each)]
-        table.add_row(each.plain, "\n".join([what, *values, *agree]), each.next_step)
+        table.add_row(each.plain, "\n".join([what, *values, *filter(None, [each.doubt])]), each.experiment)
     for one in findings.unknown:
-        what = f"unknown effect on {one.channel} over {and_list(one.variables)}"
-        table.add_row(one.plain, f"{what}\n{one.formula}\n{agreement(one)}", one.next_step)
+        table.add_row(one.plain, f"{finding_label(one)}\n{channel_label(one.channel)} = {one.formula}", "")
     return table

@@ -102,7 +102,6 @@ class _Agreement:
 
     holds: Flags
     gain: Gain
-    reported: Gain
     recalibrated_nats: float
 
     @property
@@ -125,7 +124,7 @@ def validated(problem: Problem, state: State, splits: Splits) -> Validated:
             keys = [term.key for term in state.terms]
             return Validated(
                 state,
-                {key: each.reported for key, each in zip(keys, found, strict=True)},
+                {key: each.gain for key, each in zip(keys, found, strict=True)},
                 {key: each.share for key, each in zip(keys, found, strict=True)},
                 tuple(dropped),
             )
@@ -158,8 +157,9 @@ class _Crossed:
     def score(self, way: tuple[int, int], exact: bool) -> CrossScore:
         """Of a part, by the quadratic or by a fit."""
         if (*way, exact) not in self.kept:
-            by = self.sums.along if exact else self.sums.crossed
-            self.kept[*way, exact] = by(self.parts, *way, self.steps[way])
+            self.kept[*way, exact] = (
+                self.sums.along(self.parts, *way) if exact else self.sums.crossed(self.parts, *way, self.steps[way])
+            )
         return self.kept[*way, exact]
 
 
@@ -170,10 +170,9 @@ def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _A
         return _inside_its_run(parts, k, whole, smaller.sums)
     counts = np.bincount(whole.unit, minlength=whole.runs)
     numbers = _strength(whole.fit, k)
-    excess = _Excess(whole.unit, whole.runs)
     fits_left = rules.SPLITS_FITTED
     holds: list[bool] = []
-    of_runs, limited_of_runs, recalibrated_of_splits = [], [], []
+    of_runs, recalibrated_of_splits = [], []
     for split in range(len(parts.splits)):
         if sum(not each for each in holds) > (1.0 - rules.SPLITS_AGREE) * len(parts.splits) + 1e-9:
             # Dropped, whatever the others say, unless another term is worse.
@@ -184,7 +183,7 @@ def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _A
             fits_left -= 1
             if fits_left < 0:
                 continue
-        gained, limited, known = (np.zeros(whole.runs) for _ in range(3))
+        gained, known = np.zeros(whole.runs), np.zeros(whole.runs)
         after, before = [], []
         for way, exact in fitted.items():
             more, less = crossed.score(way, exact), smaller.score(way, exact)
@@ -192,22 +191,18 @@ def _agreement(parts: Parts, k: int, crossed: _Crossed, smaller: _Crossed) -> _A
             # Of a run that differs from all others in the cause, a fit of the others knows nothing.
             left_out &= whole.learnt(left_out, numbers) >= rules.LEARNT_SHARE
             known += left_out
-            difference = left_out * (more.by_run - less.by_run)
-            gained += difference
-            limited += difference - left_out * excess(more.log_p, less.log_p)
+            gained += left_out * (more.by_run - less.by_run)
             after.append(more)
             before.append(less)
         runs = known > 0.0
         recalibrated_nats = recalibrated(after, runs) - recalibrated(before, runs)
-        found = gain_of_runs(limited, counts)
+        found = gain_of_runs(gained, counts)
         ahead = min(found.nats, recalibrated_nats)
         holds.append(ahead >= rules.VALIDATED_NATS and found.z >= rules.VALIDATED_Z)
         of_runs.append(gained)
-        limited_of_runs.append(limited)
         recalibrated_of_splits.append(recalibrated_nats)
     return _Agreement(
         np.array(holds),
-        gain_of_runs(np.mean(limited_of_runs, axis=0), counts),
         gain_of_runs(np.mean(of_runs, axis=0), counts),
         float(np.mean(recalibrated_of_splits)),
     )
@@ -223,7 +218,6 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
     score = fit.at.scores[:, fit.names.index(name)]
     rows = np.flatnonzero(score)
     score, difference = score[rows], (fit.here.log_p - smaller.fit.here.log_p)[rows]
-    difference = np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
     found = []
     for split in range(rules.SPLITS):
         # Each split has its stretches begin elsewhere.
@@ -235,24 +229,7 @@ def _inside_its_run(parts: Parts, k: int, whole: SumsByRun, smaller: SumsByRun) 
         found.append(gain_of_runs(gained, np.bincount(part, minlength=rules.PARTS)))
     holds = [each.nats >= rules.VALIDATED_NATS and each.z >= rules.VALIDATED_Z for each in found]
     least = min(found, key=lambda each: each.nats)
-    return _Agreement(np.array(holds), least, least, least.nats)
-
-
-@dataclass(frozen=True)
-class _Excess:
-    """By how much single readings of each run gain or lose more than `ROW_NATS`, worked out once for the same fits."""
-
-    unit: Indices
-    runs: int
-    kept: dict[tuple[int, int], Array] = field(default_factory=dict)
-
-    def __call__(self, after: Array, before: Array) -> Array:
-        key = id(after), id(before)
-        if key not in self.kept:
-            difference = after - before
-            beyond = difference - np.clip(difference, -rules.ROW_NATS, rules.ROW_NATS)
-            self.kept[key] = np.bincount(self.unit, beyond, self.runs).astype(np.float64)
-        return self.kept[key]
+    return _Agreement(np.array(holds), least, least.nats)
 
 
 def _strength(fit: JointFit, k: int) -> list[str]:

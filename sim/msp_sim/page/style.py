@@ -139,7 +139,8 @@ def choose_format(name: str) -> None:
 
 def files_of(figure: Figure) -> dict[str, bytes]:
     """The figure with its legend by format: PNG, and what was chosen. The same drawing always gives the same bytes."""
-    _add_legend(figure)
+    if not figure.legends:
+        _add_legend(figure)
     for text in figure.findobj(Text):
         # A $ in a name of a target or run is not a formula. matplotlib's own formulas are added when it draws the axes.
         if "$" in text.get_text():

@@ -147,6 +147,8 @@ def edge_echo(
         if not inside:
             return None
         t = min(inside, key=lambda end: abs(end - nearest_t))
+    else:
+        return None
     if range_m == 0:
         return 0.0, axis, 0.0
     direction = (

@@ -46,8 +46,8 @@ def test_what_could_not_be_tested_is_asked_only_where_something_has_no_name() ->
     humid = NotTestable("humidity", ("humidity_pct",))
     (question,) = open_questions(replace(EXPLAINED, verdict="partly explained", not_testable=(humid,)), HERE)
     assert question.why == "humidity_pct is not recorded"
-    with pytest.raises(ConfigError, match=r"everything was decided \(explained\): fly with the model, gaps/june/model"):
-        open_questions(replace(EXPLAINED, not_testable=(humid,)), HERE)
+    with pytest.raises(ConfigError, match=r"nothing to decide \(explained\); next: fly model.yaml"):
+        open_questions(replace(EXPLAINED, not_testable=(humid,), next_step="fly model.yaml"), HERE)
 
 
 def test_a_run_that_did_not_end_is_refused() -> None:

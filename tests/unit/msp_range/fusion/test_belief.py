@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -123,6 +124,8 @@ class Moving:
         When the accelerometer begins to say something, and the barometer [s].
     names
         Of the sensors.
+    late_from_s
+        When each sensor begins to answer with its ping before [s].
     """
 
     def __init__(
@@ -133,6 +136,7 @@ class Moving:
         seed: int = 1,
         measured_from_s: tuple[float, float] = (-1.0, -1.0),
         names: str = NAMES,
+        late_from_s: float = math.inf,
     ) -> None:
         self._climbs, self._climb_m = climbs, climb_m
         motion, draw = VerticalMotion(), np.random.default_rng(seed)
@@ -140,6 +144,7 @@ class Moving:
         fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
         self.sent: dict[float, float] = {}
         self.statuses: dict[float, Status] = {}
+        pings: dict[str, Reading] = {}
         for i in range(200):
             time_s = i * SLOT_S
             for k in range(4):
@@ -153,6 +158,9 @@ class Moving:
             name = names[i % len(names)]
             seen_m = range_m(name, time_s, self._at(time_s)[0]) + draw.normal(scale=SIGMA_M)
             seen = Reading(time_s, name, Status.NO_ANSWER) if math.isnan(seen_m) else reading(name, time_s, seen_m)
+            before, pings[name] = pings.get(name, seen), seen
+            if time_s > late_from_s:
+                seen = replace(before, time_s=time_s)
             out = fusion.update(seen, time_s + 0.03)
             self.statuses[time_s] = out.reading.status
             if out.fused is not None:
@@ -289,6 +297,23 @@ def test_a_strap_that_swings_free_is_not_believed_again(seed: int) -> None:
     strap = Moving(lambda name, time_s, height_m: 0.4 if time_s < 9.0 else 0.55, [5.0], 1.0, seed, names="a")
     assert Status.FIXED in strap.statuses.values()
     assert not [time_s for time_s in strap.sent if time_s > 7.5]
+
+
+@pytest.mark.parametrize("climb_m", [1.0, -1.0], ids=["climb", "descent"])
+def test_answers_that_begin_to_come_late_in_a_steady_climb_are_not_sent(climb_m: float) -> None:
+    """Each sensor gives its last answer once more, and edges do not end that; a kerb of that height is ground."""
+    climbs, level_m = [4.0 + i for i in range(8)], 4.2 - 2.8 * climb_m
+    late = Moving(lambda name, time_s, height_m: level_m + height_m, climbs, climb_m, late_from_s=7.95)
+    assert not [time_s for time_s in late.sent if 8.4 < time_s < 10.0]
+    edge = Moving(
+        lambda name, time_s, height_m: level_m + height_m - 0.6 * climb_m * ((time_s > 8.75) + (time_s > 9.35)),
+        climbs,
+        climb_m,
+        late_from_s=7.95,
+    )
+    assert not [time_s for time_s in edge.sent if 8.4 < time_s < 10.0]
+    kerb = Moving(lambda name, time_s, height_m: level_m + height_m - 0.4 * climb_m * (time_s > 7.95), climbs, climb_m)
+    assert len([time_s for time_s in kerb.sent if 8.4 < time_s < 10.0]) > 12
 
 
 def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_the_vehicle() -> None:

@@ -192,3 +192,19 @@ def test_a_gap_in_the_accelerations_forgets_nothing_that_was_shown() -> None:
         response.update(NAMES[i % 4], read_s, 0.3 + climb(read_s - TURN_S) + draw.gauss(0.0, 0.01), 0.0, 1e-4, False)
         if read_s > 11.0:
             assert response.is_late
+
+
+@pytest.mark.parametrize(("turn_s", "is_late"), [(0.4, True), (0.1, False)])
+def test_sensors_that_ping_together_are_never_late(turn_s: float, is_late: bool) -> None:
+    """An accelerometer's delay looks the same as a turn of theirs."""
+    response = MotionResponse(VerticalMotion(), turn_s)
+    response.suspect_late(20.0)
+    assert response.is_late is is_late
+
+
+def test_a_surface_that_is_seen_with_other_answers_does_not_take_back_that_answers_are_late() -> None:
+    response = MotionResponse(VerticalMotion(), TURN_S)
+    for nats in (12.0, -12.0, 2.0):
+        assert not response.is_late
+        response.suspect_late(nats)
+    assert response.is_late

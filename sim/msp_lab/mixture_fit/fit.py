@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from msp_lab.mixture_fit.fit_result import FitError, FitResult, columns, result_of
+from msp_lab.mixture_fit.grid import ReadingGrid
+from msp_lab.mixture_fit.likelihood import HIGHEST, MIN_WEIGHT, NAMES, Likelihood, Numbers, Optimum, bounds_of
 from msp_range.arrays import Array
-from msp_range.reading_model.fit_result import FitError, FitResult, columns, result_of
-from msp_range.reading_model.grid import ReadingGrid
 from msp_range.reading_model.kernel import NO_ECHO_CENTRE
-from msp_range.reading_model.likelihood import HIGHEST, MIN_WEIGHT, NAMES, Likelihood, Numbers, Optimum, bounds_of
 
 FEWEST_READINGS = 50
 FEWEST_HITS = 20

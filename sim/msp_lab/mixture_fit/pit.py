@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
+from msp_lab.mixture_fit.fit_result import FitResult
 from msp_range.arrays import Array
-from msp_range.reading_model.fit_result import FitResult
 
 BINS = 20
 FEWEST_IN_BIN = 5

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from msp_lab.mixture_fit.grid import ReadingGrid
+from msp_lab.mixture_fit.maximise import held_numbers, maximise
 from msp_range.arrays import Array
-from msp_range.reading_model.grid import ReadingGrid
-from msp_range.reading_model.maximise import held_numbers, maximise
 from msp_range.reading_model.rows import FREE, MIN_PROBABILITY, Base, MixtureRows
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 

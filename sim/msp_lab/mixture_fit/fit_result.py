@@ -14,10 +14,8 @@ from scipy.optimize import brentq
 from scipy.special import expit, logit, xlog1py, xlogy
 from scipy.stats import norm
 
-from msp_range.arrays import Array
-from msp_range.reading_model.grid import ReadingGrid
-from msp_range.reading_model.kernel import NO_ECHO_CENTRE
-from msp_range.reading_model.likelihood import (
+from msp_lab.mixture_fit.grid import ReadingGrid
+from msp_lab.mixture_fit.likelihood import (
     LEAST_LOG_ODDS,
     MIN_WEIGHT,
     NAMES,
@@ -26,6 +24,8 @@ from msp_range.reading_model.likelihood import (
     Optimum,
     bounds_of,
 )
+from msp_range.arrays import Array
+from msp_range.reading_model.kernel import NO_ECHO_CENTRE
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 Z = float(norm.ppf(0.975))

@@ -1,0 +1,219 @@
+"""What the findings amount to: one decision, one number for how sure it is, and one next step.
+
+Findings with their verdict enter, the same ones with these three leave. Each follows from the one before, so that they
+cannot contradict each other: terminal, page, ``gap.json`` and `msp-lab design` show them and make none of their own.
+"""
+
+import math
+from collections import Counter
+from dataclasses import replace
+
+from scipy.special import stdtr
+
+from msp_lab.gap import rules
+from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
+from msp_lab.gap.labels import effect_label, finding_label, name_of, number_label, short, slice_label
+from msp_lab.gap.measures import CHANNEL_OF
+from msp_sim.effects import CATALOGUE
+from msp_sim.page.text import and_list, capitalised
+
+MOST_IN_SENTENCE = 3
+"""Findings in the first sentence; with more nobody reads it to its end. The others are in the table below it."""
+RAREST = 1e-4
+"""A smaller share is written as fewer than this. Sums over runs follow Student's t only so far out. Lower: one of a
+million tables by forty runs, which cannot show it."""
+NOTHING_NAMED = ("nothing missing", "undecided", "absorbed")
+"""Verdicts that rest on the test of all effects at once."""
+STILL_OPEN = ("partly explained", "unexplained")
+"""Verdicts that leave a gap."""
+
+
+def concluded(findings: GapFindings) -> GapFindings:
+    """Fill in the decision, how sure it is, and what to do next."""
+    findings = replace(findings, random_share=_random_share(findings))
+    return replace(
+        findings, sentence=f"{_decision(findings)}.", how_sure=_how_sure(findings), next_step=_next_step(findings)
+    )
+
+
+def found_parts(findings: GapFindings) -> list[FoundEffect | UnknownEffect]:
+    """All that is a finding, that with the largest gain first; what is only suggested is none."""
+    return sorted([*findings.confirmed, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
+
+
+def share_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> float:
+    """How often random variation alone gains as much where nothing was fitted: Student's t over runs, or blocks.
+
+    It is that of one effect that was fixed before: it is not corrected for how many were asked, of which this one
+    explained most.
+    """
+    units = len(findings.training_runs) + len(findings.held_out_runs) or findings.runs
+    return float(stdtr(max(units - 1, 1), -(each.z or 0.0)))
+
+
+def how_sure_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+    """How sure a finding is, in words, by its `share_of`."""
+    where = "runs" if findings.runs >= rules.MIN_RUNS else "parts of a run"
+    tables = of_tables(share_of(each, findings))
+    return f"random variation alone would improve the prediction of {where} that were not fitted as much in {tables}"
+
+
+def of_tables(share: float) -> str:
+    """A share as a number of tables.
+
+    Examples
+    --------
+    >>> of_tables(0.41), of_tables(0.00123), of_tables(1e-9)
+    ('41 of 100 tables', '1 of 810 tables', 'fewer than 1 of 10,000 tables')
+    """
+    if share > 0.1:
+        return f"{100.0 * share:.0f} of 100 tables"
+    fewer = "fewer than " if share < RAREST else ""
+    return f"{fewer}1 of {float(f'{1.0 / max(share, RAREST):.2g}'):,.0f} tables"
+
+
+def _random_share(findings: GapFindings) -> float | None:
+    """How often random variation alone shows as much as the decision rests on; None where that is not known."""
+    weakest = _weakest(findings)
+    if weakest is not None:
+        return share_of(weakest, findings)
+    if findings.verdict in NOTHING_NAMED:
+        return findings.p_value
+    return min((each.p_value for each in findings.slices if each.p_value is not None), default=None)
+
+
+def _weakest(findings: GapFindings) -> FoundEffect | UnknownEffect | None:
+    return max(found_parts(findings), key=lambda each: share_of(each, findings), default=None)
+
+
+def _how_sure(findings: GapFindings) -> str:
+    share, weakest = findings.random_share, _weakest(findings)
+    if share is None:
+        return ""
+    if weakest is not None:
+        of_which = f" ({finding_label(weakest)} is the weakest)" * (len(found_parts(findings)) > 1)
+        return how_sure_of(weakest, findings) + of_which
+    if findings.verdict in NOTHING_NAMED:
+        unseen = f"; a gap below {short(findings.nats.noise_floor)} nats per reading would not be seen"
+        model = "refitted model" if findings.verdict == "absorbed" else "model"
+        return f"random variation alone would differ from the {model} as much in {of_tables(share)}{unseen}"
+    return f"random variation alone would make some slice of context differ as much in {of_tables(share)}"
+
+
+def _decision(findings: GapFindings) -> str:
+    share, alpha = findings.random_share, findings.settings.alpha
+    if parts := found_parts(findings):
+        plain = ["perhaps " * (share_of(each, findings) > alpha) + each.plain for each in parts]
+        more = len(parts) - MOST_IN_SENTENCE
+        others = f", and there {'is 1 more finding' if more == 1 else f'are {more} more findings'}" * (more > 0)
+        return capitalised(and_list(plain[:MOST_IN_SENTENCE])) + others + _share_of_gap(findings)
+    suggested = f"; it may be that {and_list([each.plain for each in findings.effects])}" * bool(findings.effects)
+    match findings.verdict:
+        case None:
+            return _compared(findings)
+        case "nothing missing" if share is not None and share < rules.SLICE_P:
+            text = "The model is close enough: something may be missing, too small to have a name"
+        case "nothing missing":
+            text = "Nothing is missing: readings and model agree as far as these data can tell"
+        case "undecided":
+            text = "These readings are too few to decide whether something is missing"
+        case "absorbed":
+            text = _absorbed(findings)
+        case _:
+            text = "Readings and model disagree, and no effect of the catalogue explains it"
+    return text + suggested
+
+
+def _share_of_gap(findings: GapFindings) -> str:
+    if findings.verdict is None:
+        return ""
+    is_ = "is" if (findings.random_share or 0.0) <= findings.settings.alpha else "would be"
+    if findings.verdict == "improved":
+        return "; the model was close enough without it"
+    if findings.verdict == "explained":
+        # Random variation may hide what would not count as closed.
+        seen = " that these readings can show" * ((findings.nats.noise_floor or 0.0) > rules.CLOSED_MAX_NATS)
+        return f"; that {is_} all of the disagreement{seen}"
+    before, after = findings.nats.before or 1.0, findings.nats.after or 0.0
+    percent = 100.0 * (1.0 - after / before)
+    if percent < 1.0:
+        return "; but the disagreement does not become smaller by that"
+    only = "only " * (findings.verdict == "unexplained")
+    return f"; that {is_} {only}{min(percent, 99.0):.0f} % of the disagreement, and the rest has no name yet"
+
+
+def _absorbed(findings: GapFindings) -> str:
+    numbers = [number_label(each.name) for each in findings.calibration if each.name not in ("resolution", "code")]
+    text = f"The disagreement is absorbed in {and_list(numbers) if numbers else 'the numbers of the base model'}"
+    if not findings.causes:
+        return f"{text}; no recorded column says why"
+    cause = findings.causes[0]
+    why = "did not vary enough to say why" if cause.recorded else "was not recorded and might say why"
+    return f"{text}; {name_of(cause.column)} {why}"
+
+
+def _compared(findings: GapFindings) -> str:
+    if findings.random_share is None or findings.random_share > rules.SLICE_P:
+        return "Readings and model agree as far as random variation lets them"
+    worst = next((each for each in findings.slices if each.variables), None)
+    where = f", most where {slice_label(worst.where)}" if worst is not None else ""
+    return f"Readings and model disagree{where}; what is missing is not named yet"
+
+
+def _next_step(findings: GapFindings) -> str:
+    """The one thing to do first: about what the decision leaves open, or else to fly."""
+    verdict, weakest = findings.verdict, _weakest(findings)
+    if verdict is None:
+        named = findings.effects or findings.unknown
+        return "msp-lab add DIR adds it and measures what is left" if named else "msp-lab name DIR names it"
+    bias = Measure(None) if findings.gap is None else findings.gap.bias_cm
+    if verdict in STILL_OPEN and bias.is_beyond_floor and (bias.after or 0.0) > (bias.before or 0.0):
+        return f"find out why the bias grew to {short(bias.after)} cm before you fly with this model"
+    if weakest is not None and (findings.random_share or 0.0) > findings.settings.alpha:
+        return f"record more runs like these: {finding_label(weakest)} is not sure yet"
+    for each in found_parts(findings):
+        if isinstance(each, UnknownEffect):
+            return _next_of_unknown(each)
+        if each.verdict == "indistinguishable":
+            return f"msp-lab design DIR plans the session that decides: {finding_label(each)}"
+    match verdict:
+        case "explained" | "improved" if findings.runs < rules.MIN_RUNS:
+            return f"record {rules.MIN_RUNS} runs or more, so that runs that were not fitted can confirm it"
+        case "explained" | "improved":
+            return "fly model.yaml (msp-sim fly SCENARIO.yaml --model DIR/model.yaml)"
+        case "nothing missing":
+            return "fly the model as it is; report.html lists the smallest effects that these readings would have shown"
+        case "undecided":
+            times = math.ceil(rules.NOISE_FLOOR_FACTOR * (findings.nats.noise_floor or 0.0) / rules.CLOSED_MAX_NATS)
+            return f"record about {max(times, 2)} times as many readings, in as many more runs"
+        case "absorbed" if findings.causes:
+            return findings.causes[0].experiment
+        case "absorbed":
+            return "record more context (throttle, temperature, tilt)"
+    for each in findings.effects:
+        if each.verdict == "suggested":
+            return f"to decide whether {each.plain} ({each.doubt}): {each.experiment}"
+    return _likely_column(findings) or "look at the slices that are still off in report.html"
+
+
+def _next_of_unknown(each: UnknownEffect) -> str:
+    if each.likely_causes:
+        name, column = each.likely_causes[0]
+        over = and_list([name_of(one) for one in each.variables])
+        return f"record {column}: {effect_label(name, None)} needs it and depends on the same {over}, a likely cause"
+    return "look at its curve in report.html; if you know the physics, write it as an effect (docs/developing.md)"
+
+
+def _likely_column(findings: GapFindings) -> str:
+    """The column that is not recorded and would show most effects on what is still off; empty where none would."""
+    measures = {} if findings.gap is None else findings.gap.measures
+    off = {CHANNEL_OF[key] for key, each in measures.items() if key in CHANNEL_OF and each.is_beyond_floor}
+    likely = [
+        (each.columns[0], effect_label(each.name, None))
+        for each in findings.not_testable
+        if len(each.columns) == 1 and each.name in CATALOGUE and off & set(CATALOGUE[each.name].channels)
+    ]
+    for column, _ in Counter(column for column, _ in likely).most_common(1):
+        names = and_list([name for one, name in likely if one == column][:MOST_IN_SENTENCE])
+        return f"record {column}: {names} would need it, and may be what is left"
+    return ""
