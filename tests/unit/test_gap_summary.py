@@ -71,9 +71,7 @@ def test_what_is_only_suggested_is_not_in_the_sentence() -> None:
     assert "behind" not in said.sentence
     alone = with_words(findings(effects=(doubted,), verdict="unexplained"))
     assert alone.sentence.endswith("it may be that readings are 0.33 s behind the reference.")
-    assert alone.next_step.startswith(
-        "to decide whether readings are 0.33 s behind the reference (delay_ms may be 0)"
-    )
+    assert alone.next_step.startswith("to decide whether readings are 0.33 s behind the reference (delay_ms may be 0)")
 
 
 def test_alternatives_are_in_the_sentence_and_the_session_that_decides_is_next() -> None:
