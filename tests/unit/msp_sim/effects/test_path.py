@@ -107,3 +107,30 @@ def test_noise_of_the_reference_is_smoothed_and_prefers_no_delay() -> None:
         for each in (0.0, 0.05, 0.125, 0.2, 0.225)
     ]
     np.testing.assert_allclose(scatter, scatter[0], rtol=0.03)
+
+
+def test_noise_that_no_table_states_is_smoothed_unless_readings_follow_it() -> None:
+    time_s: Array = np.arange(4000, dtype=np.float64) * 0.05
+    detail_cm = RNG.normal(0.0, 2.0, time_s.size)
+    smooth_cm = height_cm(time_s - 0.2)
+    given = {"time_s": time_s, "true_range_cm": height_cm(time_s) + detail_cm}
+    blind = smooth_cm + RNG.normal(0.0, 2.0, time_s.size)
+    assert np.std(with_path(given | {"reading_cm": blind})["true_range_cm"] - height_cm(time_s)) < 1.3
+    # Rough ground: four rows later the sensor reads it.
+    seen = given | {"reading_cm": blind + np.roll(detail_cm, 4)}
+    np.testing.assert_array_equal(with_path(seen)["true_range_cm"], given["true_range_cm"])
+    np.testing.assert_array_equal(with_path(given)["true_range_cm"], given["true_range_cm"])
+
+
+def test_rows_far_from_each_other_go_on_at_their_recorded_rate() -> None:
+    time_s: Array = np.arange(400, dtype=np.float64) * 0.5
+    turns = 2.0 * np.pi * time_s / 5.0
+    columns = {"time_s": time_s, "true_range_cm": height_cm(time_s)}
+    wanted_cm = height_cm(time_s - 0.2)
+
+    def off_cm(given: dict[str, Array]) -> float:
+        found = with_path(given)
+        return float(np.abs(found["true_range_cm"] + found[PATH].moved_cm(0.2) - wanted_cm)[2:-2].max())
+
+    rate = 60.0 * 2.0 * np.pi / 5.0 * np.cos(turns)
+    assert off_cm(columns | {"range_rate_cm_s": rate}) < 0.05 < 0.2 < off_cm(columns)
