@@ -9,7 +9,7 @@ Gaussian Markov Random Fields, section 2.3).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -20,6 +20,7 @@ from scipy.optimize import minimize_scalar
 from msp_lab.gap.prepared import Prepared
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
+from msp_sim.effects.base import Parameter
 from msp_sim.model.model import Term, history_of
 
 SHARES = (0.1, 0.3, 0.6, 0.9)
@@ -37,6 +38,9 @@ ROUNDS = 3
 """Noise and value are estimated in turn, so many times: the noise is that of errors without the delay."""
 EXACT = 1e-4
 """A value is searched to this share of its reach, a hundredth of what any table knows it to."""
+SIDE = 0.05
+"""An error is that by which the likelihood falls over so much of the reach, 10 ms of a delay, to each side. Shorter: an
+edge of the ground that one row more is beyond decides; longer: the likelihood is no parabola any more."""
 LEAST_HITS = 30
 """Of fewer hits a value stays as it is: five numbers are estimated from them."""
 
@@ -45,37 +49,78 @@ def with_shifts(prepared: Prepared, base: Base, effects: Sequence[Term]) -> tupl
     """The effects of a fit, of which those that are shifts have their likeliest values."""
     found = list(effects)
     for k, each in enumerate(effects):
-        if each.effect.is_shift and each.shape is None:
-            found[k] = _likeliest(prepared, base, found, k)
+        if each.effect.is_shift:
+            shift = Shift(prepared, base, found, k)
+            last, value = math.inf, shift.value
+            for _ in range(ROUNDS):
+                if abs(value - last) > 10.0 * EXACT * shift.reach:
+                    last, value = value, shift.next_to(value)
+            found[k] = shift.at(value)[k]
     return tuple(found)
 
 
-def _likeliest(prepared: Prepared, base: Base, effects: Sequence[Term], k: int) -> Term:
-    (parameter,), term = effects[k].effect.parameters, effects[k]
-    reach = REACH * (parameter.high - parameter.low)
+def shift_variance(prepared: Prepared, base: Base, effects: Sequence[Term], k: int) -> float:
+    """Of the value of a shift, the k-th of some effects, by how the likelihood falls to both sides of it."""
+    shift = Shift(prepared, base, effects, k)
+    loss, step = shift.loss_next_to(shift.value), SIDE * shift.reach
+    if loss is None:
+        return 0.0
+    lost = 0.5 * (loss(shift.value + step) + loss(shift.value - step)) - loss(shift.value)
+    return float(step**2 / (2.0 * lost)) if lost > 0.0 else 0.0
 
-    def at(value: float) -> list[Term]:
-        return [*effects[:k], replace(term, values={**term.values, parameter.name: value}), *effects[k + 1 :]]
 
-    def next_to(value: float) -> float:
-        hits = Hits.of(prepared, base, at(value))
+@dataclass(frozen=True)
+class Shift:
+    """The k-th effect of a fit, which is a shift."""
+
+    prepared: Prepared
+    base: Base
+    effects: Sequence[Term]
+    k: int
+
+    @property
+    def parameter(self) -> Parameter:
+        """Its number."""
+        (found,) = self.effects[self.k].effect.parameters
+        return found
+
+    @property
+    def value(self) -> float:
+        """Of its number, in the fit."""
+        return self.effects[self.k].values[self.parameter.name]
+
+    @property
+    def reach(self) -> float:
+        """How far to each side a value is searched."""
+        return REACH * (self.parameter.high - self.parameter.low)
+
+    def at(self, value: float) -> list[Term]:
+        """The effects with another value of its number."""
+        own = self.effects[self.k]
+        changed = replace(own, values={**own.values, self.parameter.name: value})
+        return [*self.effects[: self.k], changed, *self.effects[self.k + 1 :]]
+
+    def loss_next_to(self, value: float) -> Callable[[float], float] | None:
+        """Negative log-likelihood by its number, with hits and noise as they are at a value; None of too few hits."""
+        hits = Hits.of(self.prepared, self.base, self.at(value))
         if hits.order.size < LEAST_HITS:
-            return value
-        error_cm = hits.errors(prepared, base, at(value))
-        noise = min(product(SHARES, MEMORIES), key=lambda each: hits.loss(error_cm, *each))
-        found = minimize_scalar(
-            lambda each: hits.loss(hits.errors(prepared, base, at(each)), *noise),
-            bounds=(max(value - reach, parameter.low), min(value + reach, parameter.high)),
-            method="bounded",
-            options={"xatol": EXACT * reach},
-        )
-        return float(found.x)
+            return None
 
-    last, value = math.inf, term.values[parameter.name]
-    for _ in range(ROUNDS):
-        if abs(value - last) > 10.0 * EXACT * reach:
-            last, value = value, next_to(value)
-    return at(value)[k]
+        def errors(there: float) -> Array:
+            return hits.errors(self.prepared, self.base, self.at(there))
+
+        error_cm = errors(value)
+        noise = min(product(SHARES, MEMORIES), key=lambda each: hits.loss(error_cm, *each))
+        return lambda there: hits.loss(errors(there), *noise)
+
+    def next_to(self, value: float) -> float:
+        """The likeliest value near one, with hits and noise as they are there."""
+        loss = self.loss_next_to(value)
+        if loss is None:
+            return value
+        bounds = max(value - self.reach, self.parameter.low), min(value + self.reach, self.parameter.high)
+        options = {"xatol": EXACT * self.reach}
+        return float(minimize_scalar(loss, bounds=bounds, method="bounded", options=options).x)
 
 
 @dataclass(frozen=True)
