@@ -17,11 +17,11 @@ import numpy as np
 from scipy.linalg.lapack import dpttrf, dpttrs
 from scipy.optimize import minimize_scalar
 
-from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.prepared import Prepared, templates
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import Parameter
-from msp_sim.model.model import Term, history_of
+from msp_sim.model.model import Term, applies, history_of
 
 SHARES = (0.1, 0.3, 0.6, 0.9)
 """Shares of the noise's variance that neighbours have in common, which are tried. Closer: slower, and values within a
@@ -106,12 +106,15 @@ class Shift:
         if hits.order.size < LEAST_HITS:
             return None
 
-        def errors(there: float) -> Array:
-            return hits.errors(self.prepared, self.base, self.at(there))
+        def moved_cm(there: float) -> Array:
+            own, scene = self.at(there)[self.k], self.prepared.scene
+            return np.broadcast_to(templates(applies(scene, own), own.change(scene))[0], len(self.prepared))[hits.order]
 
-        error_cm = errors(value)
+        # What other effects make of the range at another time is that of the range here: they come in again next time.
+        error_cm = hits.errors(self.prepared, self.base, self.at(value))
+        still_cm = error_cm + moved_cm(value)
         noise = min(product(SHARES, MEMORIES), key=lambda each: hits.loss(error_cm, *each))
-        return lambda there: hits.loss(errors(there), *noise)
+        return lambda there: hits.loss(still_cm - moved_cm(there), *noise)
 
     def next_to(self, value: float) -> float:
         """The likeliest value near one, with hits and noise as they are there."""
