@@ -20,7 +20,6 @@ from msp_lab.gap.prepared import BASE, Prepared, knot_weights
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.screen import Screen
-from msp_lab.gap.shift_value import shift_variance
 from msp_lab.gap.validation import Gain, Validated
 from msp_range.arrays import Array, Indices
 from msp_sim.effects import CATALOGUE
@@ -55,10 +54,6 @@ class FinalFit:
     def of(cls, readings: Prepared, fit: JointFit, unit: Indices, by_run: bool) -> "FinalFit":
         """With errors by whole runs, of which there are few, or by readings."""
         covariance = fit.covariance(unit if by_run else None)
-        for k, each in enumerate(fit.effects):
-            if each.effect.is_shift:
-                own = fit.names.index(f"{k}.{each.effect.parameters[0].name}")
-                covariance[own, own] = shift_variance(readings, fit.base, fit.effects, k)
         runs = int(np.unique(unit).size)
         width = -float(stdtrit(max(runs - 1, 1), 0.025)) if by_run else 1.959964
         return cls(readings, fit, covariance * width**2, width)
