@@ -129,9 +129,8 @@ class Hits:
         rows = prepared.at(base, effects)
         history = history_of(prepared.scene, 0.0, 1.0)
         ordered = rows.are_hits(prepared.reading_cm)[history.order]
-        order, series, time_s = (each[ordered] for each in (history.order, history.series, history.time_s))
-        starts = np.diff(series, prepend=-1) != 0
-        steps_s = np.diff(time_s)
+        order = history.order[ordered]
+        starts, steps_s = np.diff(history.series[ordered], prepend=-1) != 0, np.diff(history.time_s[ordered])
         usual_s = float(np.median(steps_s[~starts[1:]])) if np.any(~starts[1:]) else 1.0
         sigma_cm = np.broadcast_to(rows.sigma_cm, len(prepared))[order]
         return cls(order, starts, np.maximum(steps_s, 0.0) / max(usual_s, 1e-9), sigma_cm)
