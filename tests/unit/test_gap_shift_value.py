@@ -58,14 +58,21 @@ def test_a_delay_is_found_next_to_noise_that_neighbours_have_in_common(start_ms:
     assert again.values["delay_ms"] == pytest.approx(found.values["delay_ms"], abs=3.0)
 
 
-def test_a_fit_takes_that_value_and_fits_the_rest_next_to_it() -> None:
+def test_a_value_that_is_as_likely_stays_and_another_one_goes() -> None:
     prepared = flown(0.25)
-    fit = refit(prepared, [late(100.0)], Base(log_sigma=0.7, correlation=0.5))
-    (of_noise,) = with_shifts(prepared, Base(log_sigma=0.7, correlation=0.5), [late(100.0)])
-    assert fit.effects[0].values == of_noise.values
+    (found,) = with_shifts(prepared, Base(log_sigma=0.7), [late(100.0)])
+    near = found.values["delay_ms"] + 3.0
+    assert with_shifts(prepared, Base(log_sigma=0.7), [late(near)])[0].values == {"delay_ms": near}
+    assert with_shifts(prepared, Base(log_sigma=0.7), [late(near + 150.0)])[0].values["delay_ms"] < near + 60.0
+
+
+def test_a_fit_ends_at_no_value_that_is_not_likely() -> None:
+    prepared = flown(0.25)
+    fit = refit(prepared, [late(400.0)], Base(log_sigma=0.7, correlation=0.5))
+    assert with_shifts(prepared, fit.base, fit.effects) == fit.effects
     own = fit.names.index("0.delay_ms")
-    assert fit.bounds[0][own] == fit.bounds[1][own]
     assert fit.covariance()[own, own] > 0.0
+    assert fit.effects[0].values["delay_ms"] == pytest.approx(250.0, abs=40.0)
 
 
 def test_the_likelihood_is_that_of_the_whole_covariance() -> None:

@@ -1,11 +1,11 @@
-"""How much later readings are than the reference, by generalised least squares.
+"""How much later readings are than the reference, by generalised least squares, which overrule a fit of the mixture.
 
-Readings at a fit enter; its effects leave, those that are shifts in time at their likeliest values. Neighbouring errors
-are alike, and a sensor that wanders for a while has a delay of any size explained by its noise. So the hits' errors are
-an offset of each run, an Ornstein-Uhlenbeck process and white noise, all normal, whatever form the mixture has: its
-tails are what many hits in motion are when the delay is wrong, and a fit that takes them for tails gives them no
-weight. Of that noise on any times the precision is tridiagonal, so that a likelihood takes one pass (Rue & Held 2005,
-Gaussian Markov Random Fields, section 2.3).
+Readings at a fit enter; its effects leave, those that are shifts in time at other values where theirs are not likely.
+Neighbouring errors are alike, and a sensor that wanders for a while has a delay of any size explained by its noise. So
+the hits' errors are an offset of each run, an Ornstein-Uhlenbeck process and white noise, all normal, whatever form the
+mixture has: its tails are what many hits in motion are when the delay is wrong, and a fit that takes them for tails
+gives them no weight. Of that noise on any times the precision is tridiagonal, so that a likelihood takes one pass (Rue
+& Held 2005, Gaussian Markov Random Fields, section 2.3).
 """
 
 import math
@@ -38,12 +38,20 @@ ROUNDS = 3
 """Noise and value are estimated in turn, so many times: the noise is that of errors without the delay."""
 EXACT = 1e-4
 """A value is searched to this share of its reach, a hundredth of what any table knows it to."""
+MOST_OFF = 6.0
+"""Hits that are off by so many times the median of that are left out, four standard deviations of normal errors: those
+on a box below wander with it, and no normal process jumps so. Fewer: of a wrong delay what moves fast is left out;
+more: a box decides the delay."""
+ENOUGH_NATS = 5.0
+"""A value that explains the errors by so much better is taken, which is three standard errors. Less: which readings are
+hits moves the value from one fit to the next, and small effects are lost in that; more: a mixture's value stays that
+tails and correlated noise make."""
 LEAST_HITS = 30
 """Of fewer hits a value stays as it is: five numbers are estimated from them."""
 
 
 def with_shifts(prepared: Prepared, base: Base, effects: Sequence[Term]) -> tuple[Term, ...]:
-    """The effects of a fit, of which those that are shifts have their likeliest values."""
+    """The effects of a fit; a shift whose value is much less likely than another one has that."""
     found = list(effects)
     for k, each in enumerate(effects):
         if each.effect.is_shift:
@@ -88,7 +96,7 @@ class Shift:
         return [*self.effects[: self.k], changed, *self.effects[self.k + 1 :]]
 
     def next_to(self, value: float) -> float:
-        """The likeliest value near one, with hits and noise as they are there."""
+        """The likeliest value near one, with hits and noise as they are there; that one if it is nearly as likely."""
         hits = Hits.of(self.prepared, self.base, self.at(value))
         if hits.order.size < LEAST_HITS:
             return value
@@ -101,13 +109,17 @@ class Shift:
         error_cm = hits.errors(self.prepared, self.base, self.at(value))
         still_cm = error_cm + moved_cm(value)
         noise = min(product(SHARES, MEMORIES), key=lambda each: hits.loss(error_cm, *each))
+
+        def loss(there: float) -> float:
+            return hits.loss(still_cm - moved_cm(there), *noise)
+
         found = minimize_scalar(
-            lambda there: hits.loss(still_cm - moved_cm(there), *noise),
+            loss,
             bounds=(max(value - self.reach, self.parameter.low), min(value + self.reach, self.parameter.high)),
             method="bounded",
             options={"xatol": EXACT * self.reach},
         )
-        return float(found.x)
+        return float(found.x) if loss(value) - float(found.fun) > ENOUGH_NATS else value
 
 
 @dataclass(frozen=True)
@@ -128,7 +140,11 @@ class Hits:
         """At a fit."""
         rows = prepared.at(base, effects)
         history = history_of(prepared.scene, 0.0, 1.0)
-        ordered = rows.are_hits(prepared.reading_cm)[history.order]
+        off, found = (prepared.reading_cm - rows.centre_cm) / rows.sigma_cm, rows.are_hits(prepared.reading_cm)
+        if found.any():
+            middle = float(np.median(off[found]))
+            found &= np.abs(off - middle) <= MOST_OFF * float(np.median(np.abs(off[found] - middle)))
+        ordered = found[history.order]
         order = history.order[ordered]
         starts, steps_s = np.diff(history.series[ordered], prepend=-1) != 0, np.diff(history.time_s[ordered])
         usual_s = float(np.median(steps_s[~starts[1:]])) if np.any(~starts[1:]) else 1.0
