@@ -33,7 +33,8 @@ Reported
     A silence: from 1 s before its beginning until the limit + 0.5 s after it a STATUSTEXT of severity WARNING or worse
     has come that is not on an object, a hole or the air's temperature, or the last HEARTBEAT before that deadline says
     CRITICAL. A wrong distance: the same from 1 s before its beginning until 2 s after it, texts on temperature
-    included.
+    included. That the air's temperature lags, 'up to 48 cm off', reports an error of no more than that from then on,
+    until a text says that this is over.
 False object
     A STATUSTEXT with 'object' or 'hole' while none of the grounds of the last 2 s was 8 cm from another.
 """
@@ -72,6 +73,7 @@ QUALITY_SURE = 90
 _ON_OBJECTS = re.compile(r"\b(object|hole|ground below)\b", re.IGNORECASE)
 _IS_OBJECT = re.compile(r"\b(object|hole)\b")
 _ON_AIR = re.compile(r"\b(air temp|temperature|thermometer)", re.IGNORECASE)
+_LAGS_CM = re.compile(r"air temp lags, up to (\d+) cm off")
 
 
 class Distance(NamedTuple):
@@ -214,6 +216,12 @@ class Received:
                 return "text"
         before = [state for time_s, state in self._states if time_s <= to_s]
         return "critical" if before and before[-1] == mavlink.MAV_STATE_CRITICAL else None
+
+    def stated_off_m(self, time_s: float) -> float:
+        """How far off a distance may be by the last text on the air's temperature until a time [m]."""
+        on_air = [text for text_s, _, text in self.texts if text_s <= time_s and _ON_AIR.search(text)]
+        stated = _LAGS_CM.search(on_air[-1]) if on_air else None
+        return 0.0 if stated is None else int(stated[1]) / 100
 
 
 def _distance(time_s: float, boot_s: float, message: Any) -> Distance:
@@ -390,6 +398,8 @@ def _wrong(off: Sequence[tuple[float, float]], received: Received, conditions: C
                     faulty_from_s=conditions.faulty_from_s,
                 )
                 worst_m = float(some_m[np.argmax(np.abs(some_m))])
+                if report is None and abs(worst_m) <= received.stated_off_m(from_s):
+                    report = "text"
                 events.append(Event(round(from_s, 3), round(for_s, 3), round(worst_m, 2), report))
     return events
 

@@ -121,8 +121,9 @@ class Belief:
         other surface, is the ground below the vehicle.
     noise
         The probability that the readings of all sensors are noise.
-    is_doubted
-        Whether a ground was known, and what most sensors see now is more probably a fault.
+    is_doubted, is_unanswered
+        Whether a ground was known, and what most sensors see now is more probably a fault; and whether that is too
+        probable since it does not follow the vehicle's motion. Either lasts until some ground is sure.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
     """
@@ -134,11 +135,12 @@ class Belief:
         self.surfaces: list[Surface] = []
         self.proven: Surface | None = None
         self._known: Known | None = None
+        self._response: MotionResponse | None = None  # Of the last ground.
         self._time_s = float("-inf")
         self._is_measured = self._was_fixed = False
         self.ground: Surface | None = None
         self.sure = self.noise = 0.0
-        self.is_doubted = False
+        self.is_doubted = self.is_unanswered = False
 
     def predict(self, time_s: float) -> None:
         """Move all surfaces on, and forget those that nobody has seen for long."""
@@ -256,8 +258,8 @@ class Belief:
             may_climb = not self._is_measured and abs(off_m) < BLIND_NEAR_M
             ground.shift(off_m, STEP_STD_M**2, (BLIND_M_S if may_climb else STEP_CLIMB_STD_M_S) ** 2)
         new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
-        if parent is not None:
-            new.response.inherit(parent.response)
+        if self._response is not None:
+            new.response.inherit(self._response)
         self._appraise(new)
         new.raw = None if self.expected() is None else raw
         new.seen_s = self._time_s
@@ -310,19 +312,22 @@ class Belief:
         best = max(scores, key=lambda each: scores[each], default=None)
         self.noise = all_noise([mode.noise for mode in voters]) if voters else 0.0
         if best is None:
-            self.ground, self.sure, self.is_doubted = None, 0.0, False
+            self.ground, self.sure = None, 0.0
+            if not any(mode.is_fixed for mode in self._modes):
+                self.is_doubted = self.is_unanswered = False
             return
         most = scores[best]
         weights = {each: math.exp(score - most) for each, score in scores.items()}
         total = sum(weights.values()) + math.exp(min(nothing - most, 50.0))
         self.ground, self.sure = best, weights[best] / total * (1 - self.noise)
+        self._response = best.response
         most_seen = max(counts, key=lambda each: counts[each])
-        self.is_doubted = (
-            self._known is not None
-            and 2 * counts[most_seen] > len(voters)
-            and most_seen.evidence >= EVIDENCE_MOST
-            and 2 * weights[most_seen] < total
-        )
+        is_most = 2 * counts[most_seen] > len(voters) and most_seen.evidence >= EVIDENCE_MOST
+        answers, share = most_seen.response.log_odds > UNANSWERED, weights[most_seen] / total
+        is_open = self.sure < SURE
+        self.is_unanswered = (is_most and share < SURE and not answers) or (self.is_unanswered and is_open)
+        is_new = is_most and share < 0.5 and answers and self._known is not None
+        self.is_doubted = is_new or (self.is_doubted and is_open and not self.is_unanswered)
         if self.sure < SURE and self.proven is not None and counts[self.proven]:
             # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
             self.ground = self.proven

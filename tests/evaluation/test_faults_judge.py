@@ -244,6 +244,28 @@ def test_a_wrong_distance_is_reported_within_two_seconds_or_not() -> None:
         assert event.reported == reported
 
 
+LAGS, SETTLED = "Range: air temp lags, up to 48 cm off at 7.65 m", "Range: thermometer has settled"
+
+
+@pytest.mark.parametrize(
+    ("off_cm", "texts", "reported"),
+    [
+        (45, [(1.0, LAGS)], "text"),
+        (51, [(1.0, LAGS)], None),
+        (45, [(1.0, LAGS), (2.0, SETTLED)], None),
+        (45, [(1.0, LAGS), (2.0, "Range rear_left: stuck")], "text"),
+        (45, [(9.0, LAGS)], None),
+    ],
+)
+def test_that_the_air_temperature_lags_reports_what_it_says_until_that_is_over(
+    off_cm: int, texts: list[tuple[float, str]], reported: str | None
+) -> None:
+    wrong = stream(lambda time_s: 200 + off_cm * (time_s > 5.0))
+    said = [text(*each) for each in texts]
+    (event,) = verdict_on([*wrong, *said], wrong_m=0.2, wrong_share=0.05).wrong
+    assert event.reported == reported
+
+
 @pytest.mark.parametrize(
     ("words", "reported"),
     [

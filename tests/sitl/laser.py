@@ -53,7 +53,7 @@ def ideal_laser(autopilot: Autopilot, course: Path) -> Iterator[Callable[[], lis
     thread = threading.Thread(target=send, daemon=True)
     thread.start()
     try:
-        yield lambda: sent_s
+        yield lambda: list(sent_s)
     finally:
         ended.set()
         thread.join()

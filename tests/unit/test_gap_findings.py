@@ -41,10 +41,10 @@ EFFECT = FoundEffect(
 )
 
 
-def gap(after: float, bias_cm: float = 0.05) -> Gap:
+def gap(after: float, bias_cm: float = 0.05, low: float = 0.001) -> Gap:
     return Gap(
-        Measure(0.5, after, 0.003, 0.0, 0.01),
-        Measure(2.0, bias_cm, 0.06, 0.0, 0.1),
+        Measure(0.5, after, 0.003, low, 0.01),
+        Measure(2.0, bias_cm, 0.06, 0.01, 0.1),
         ONE,
         OddsMeasures(ONE, ONE, ONE, ONE),
     )
@@ -121,6 +121,8 @@ def test_a_file_that_is_not_one_of_findings_is_reported(tmp_path: Path, content:
         ((), gap(0.4), "unexplained"),
         ((EFFECT,), gap(0.002), "explained"),
         ((EFFECT,), gap(0.2), "partly explained"),
+        ((EFFECT,), gap(0.2, low=0.0), "explained"),
+        ((), gap(0.2, low=0.0), "unexplained"),
         ((EFFECT,), gap(0.49), "unexplained"),
         ((EFFECT,), gap(0.002, bias_cm=0.5), "partly explained"),
     ],

@@ -53,7 +53,7 @@ def findings(**changes: object) -> GapFindings:
 def test_the_first_sentence_is_for_a_pilot() -> None:
     assert with_words(findings()).sentence == (
         "Readings are 0.33 s behind the reference and three of four readings are repeats of the one before; "
-        "that is all of the disagreement."
+        "that is all of the disagreement that these readings can show."
     )
 
 

@@ -14,6 +14,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, UnknownEffect
 from msp_lab.gap.labels import effect_label, finding_label, name_of, number_label, short, slice_label
 from msp_lab.gap.measures import CHANNEL_OF
+from msp_lab.gap.verdict import NO_GAP
 from msp_sim.effects import CATALOGUE
 from msp_sim.page.text import and_list, capitalised
 
@@ -131,8 +132,9 @@ def _share_of_gap(findings: GapFindings) -> str:
     if findings.verdict == "improved":
         return "; the model was close enough without it"
     if findings.verdict == "explained":
-        # Random variation may hide what would not count as closed.
-        seen = " that these readings can show" * ((findings.nats.noise_floor or 0.0) > rules.CLOSED_MAX_NATS)
+        # Random variation may hide what would not count as closed, or be what is left.
+        hides = (findings.nats.noise_floor or 0.0) > rules.CLOSED_MAX_NATS or _is_left(findings)
+        seen = " that these readings can show" * hides
         return f"; that {is_} all of the disagreement{seen}"
     before, after = findings.nats.before or 1.0, findings.nats.after or 0.0
     percent = 100.0 * (1.0 - after / before)
@@ -140,6 +142,11 @@ def _share_of_gap(findings: GapFindings) -> str:
         return "; but the disagreement does not become smaller by that"
     only = "only " * (findings.verdict == "unexplained")
     return f"; that {is_} {only}{min(percent, 99.0):.0f} % of the disagreement, and the rest has no name yet"
+
+
+def _is_left(findings: GapFindings) -> bool:
+    """Whether some measure is still beyond its noise floor."""
+    return findings.gap is not None and any(getattr(findings.gap, key).is_beyond_floor for key in NO_GAP)
 
 
 def _absorbed(findings: GapFindings) -> str:

@@ -2,7 +2,8 @@
 
 Findings enter, a word leaves. Where 'closed' is decided: `bounds`. A gap is closed if it is equivalent to none (a bias
 of a tenth of sigma, a spread within 5 %, 0.005 nats per reading) or near the noise floor. To the nats the cost of
-fitting is added. A gap near a noise floor that is too high for that is neither closed nor seen.
+fitting is added. A gap near a noise floor that is too high for that is neither closed nor seen; nor is one that is left
+where effects were named, if its 95 % interval reaches no gap.
 """
 
 from typing import Literal
@@ -13,6 +14,9 @@ from msp_lab.gap import rules
 from msp_lab.gap.findings import GapFindings, Measure, Verdict
 from msp_lab.gap.prepared import BASE
 from msp_sim.model.model import Model
+
+NO_GAP = {"nats_per_reading": 0.0, "bias_cm": 0.0, "spread_ratio": 1.0}
+"""Each measure of readings that agree with their model."""
 
 
 def bounds(findings: GapFindings, model: Model, widened: float = 1.0) -> dict[str, float]:
@@ -41,6 +45,12 @@ def bounds(findings: GapFindings, model: Model, widened: float = 1.0) -> dict[st
         "bias_cm": _near_floor(gap.bias_cm, 0.0, least_cm, most_cm),
         "spread_ratio": _near_floor(gap.spread_ratio, 1.0, rules.CLOSED_SPREAD_RATIO, most_ratio),
     }
+
+
+def _is_closed(measure: Measure, nothing: float, limit: float) -> bool:
+    """Whether what is left is within a limit, or random variation may be all of it."""
+    may_be_random = measure.low is not None and measure.low <= nothing
+    return measure.after is not None and (measure.after <= limit or may_be_random)
 
 
 def _near_floor(measure: Measure, nothing: float, least: float, most: float) -> float:
@@ -74,7 +84,9 @@ def verdict(findings: GapFindings, model: Model) -> Verdict:
     if not sure and not is_closed and is_within(hidden, "before"):
         return "undecided"
     # What the base's own numbers close was there all the same.
-    if (sure or not added) and is_within(hidden, "after"):
-        return "explained" if sure else "absorbed"
+    if sure and all(_is_closed(getattr(findings.gap, key), NO_GAP[key], limit) for key, limit in hidden.items()):
+        return "explained"
+    if not added and is_within(hidden, "after"):
+        return "absorbed"
     before, after = findings.nats.before or 0.0, findings.nats.after or 0.0
     return "partly explained" if added and after < rules.PARTLY * before else "unexplained"

@@ -144,6 +144,7 @@ class Moving:
         fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
         self.sent: dict[float, float] = {}
         self.statuses: dict[float, Status] = {}
+        self.texts: dict[str | None, float] = {}
         pings: dict[str, Reading] = {}
         for i in range(200):
             time_s = i * SLOT_S
@@ -163,6 +164,7 @@ class Moving:
                 seen = replace(before, time_s=time_s)
             out = fusion.update(seen, time_s + 0.03)
             self.statuses[time_s] = out.reading.status
+            self.texts |= {each.text: time_s for each in fusion.conditions() if each.text not in self.texts}
             if out.fused is not None:
                 self.sent[time_s] = out.fused.range_m
 
@@ -314,6 +316,24 @@ def test_answers_that_begin_to_come_late_in_a_steady_climb_are_not_sent(climb_m:
     assert not [time_s for time_s in edge.sent if 8.4 < time_s < 10.0]
     kerb = Moving(lambda name, time_s, height_m: level_m + height_m - 0.4 * climb_m * (time_s > 7.95), climbs, climb_m)
     assert len([time_s for time_s in kerb.sent if 8.4 < time_s < 10.0]) > 12
+
+
+def test_answers_stay_late_on_a_ground_that_was_lost_meanwhile() -> None:
+    """For 3 s no sensor answers, which is longer than any surface is remembered."""
+
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        return math.nan if 11.0 < time_s < 14.0 else 1.0 + height_m
+
+    flight = Moving(range_m, [4.0, 8.0, 16.0], late_from_s=6.0)
+    assert not [time_s for time_s in flight.sent if 9.5 < time_s < 18.0]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_does_not_follow_the_motion_is_reported_when_it_is_not_sent_any_more(seed: int) -> None:
+    flight = Moving(lambda name, time_s, height_m: min(0.2 + height_m, 0.57), [5.0, 9.0], 1.0, seed)
+    reported_s = flight.texts["Range: readings do not follow the motion"]
+    last_s = max(time_s for time_s in flight.sent if time_s < 11.0)
+    assert reported_s - last_s < 2.5 * SLOT_S
 
 
 def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_the_vehicle() -> None:
