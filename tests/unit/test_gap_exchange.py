@@ -27,10 +27,9 @@ N, RUNS = 2000, 20
 
 
 def problem_of(ranges_cm: tuple[float, float], delay_ms: float) -> Problem:
-    """Flights up and down whose readings are late."""
+    """Readings up and down in no order, which are late."""
     rng = np.random.default_rng(3)
     contexts = {
-        "time_s": 0.1 * np.arange(N),
         "run": np.array([f"run{k:02d}" for k in np.arange(N) * RUNS // N]),
         "true_range_cm": rng.uniform(*ranges_cm, N),
         "range_rate_cm_s": 80.0 * rng.standard_normal(N),

@@ -14,6 +14,8 @@ from msp_lab.gap.refit import refit
 from msp_lab.gap.splits import draw_splits
 from msp_range.arrays import numbered
 from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.plain import plain_finding
 from msp_sim.model.model import Model
 from tests.support.known import contains
 from tests.support.measured import MODEL as FILE
@@ -48,13 +50,14 @@ def named(contexts: dict[str, Any], reading_cm: Array, model: Model = MODEL) -> 
 
 
 @pytest.mark.slow
-def test_readings_from_the_future_are_suggested_and_no_finding() -> None:
+def test_readings_from_the_future_are_ahead_of_the_reference() -> None:
+    """Of two clocks only the difference is known, and either may be the one that is late."""
     contexts = flown(1)
     found = named(contexts, read(contexts, 1, 0.02 * contexts["range_rate_cm_s"]))
     (effect,) = [each for each in found.effects if each.name == "latency"]
-    assert effect.verdict == "suggested"
-    assert "delay_ms cannot be -2" in effect.doubt
-    assert "reference's delay" in effect.doubt
+    assert effect.verdict == "named"
+    assert contains(effect.parameters["delay_ms"], -20.0)
+    assert plain_finding(CATALOGUE["latency"], {"delay_ms": -20.0}) == "readings are 20 ms ahead of the reference"
 
 
 @pytest.mark.slow

@@ -101,7 +101,7 @@ def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     written = entry["parameters"]["delay_ms"]
     assert written["value"] == pytest.approx(effect.parameters["delay_ms"].value, rel=1e-5)
     said = with_words(findings).sentence
-    number, unit = re.findall(r"late by (\S+) (m?s)", said)[0]
+    number, unit = re.findall(r"are (\S+) (m?s) behind the reference", said)[0]
     assert float(number) * (1000.0 if unit == "s" else 1.0) == pytest.approx(written["value"], rel=0.06)
 
 
@@ -114,7 +114,7 @@ def test_an_effect_that_the_model_had_keeps_its_own_value_in_the_file(tmp_path: 
     had, added = yaml.safe_load(model_text(models.final_fit, findings, "test"))["effects"]
     assert had == {"name": "latency", "parameters": {"delay_ms": -100.0}}
     assert added["parameters"]["delay_ms"]["value"] == pytest.approx(150.0, rel=0.1)
-    assert "late by 0.15 s, on top of what the model says" in with_words(findings).sentence
+    assert "are 0.15 s behind the reference, on top of what the model says" in with_words(findings).sentence
 
 
 def test_where_nothing_is_missing_no_number_of_the_base_is_said_to_move() -> None:

@@ -52,7 +52,7 @@ def findings(**changes: object) -> GapFindings:
 
 def test_the_first_sentence_is_for_a_pilot() -> None:
     assert with_words(findings()).sentence == (
-        "Readings are late by 0.33 s and three of four readings are repeats of the one before; "
+        "Readings are 0.33 s behind the reference and three of four readings are repeats of the one before; "
         "that is all of the disagreement that these readings can show."
     )
 
@@ -68,12 +68,10 @@ def test_with_many_findings_the_largest_three_are_in_the_sentence() -> None:
 def test_what_is_only_suggested_is_not_in_the_sentence() -> None:
     doubted = replace(LATE, verdict="suggested", doubt="delay_ms may be 0")
     said = with_words(findings(effects=(REPEATED, doubted)))
-    assert "late" not in said.sentence
+    assert "behind" not in said.sentence
     alone = with_words(findings(effects=(doubted,), verdict="unexplained"))
-    assert alone.sentence.endswith("it may be that readings are late by 0.33 s.")
-    assert alone.next_step.startswith(
-        "to decide whether readings are late by 0.33 s (delay_ms may be 0): climb and desc"
-    )
+    assert alone.sentence.endswith("it may be that readings are 0.33 s behind the reference.")
+    assert alone.next_step.startswith("to decide whether readings are 0.33 s behind the reference (delay_ms may be 0)")
 
 
 def test_alternatives_are_in_the_sentence_and_the_session_that_decides_is_next() -> None:
@@ -93,8 +91,8 @@ def test_there_are_at_most_five_lines_and_they_have_the_numbers() -> None:
         f"Next: {said.next_step}",
         "Gap 0.5 to 0.015 nats per reading (noise floor 0.01)",
         "Bias 2 to 0.05 cm (noise floor 0.06); spread off by a factor 1 (noise floor 1.1)",
-        "A reading is 0.47 s old: 0.33 s late, held for 0.15 s on average. Refitted: scatter (sigma) 1.9 to 2.1 cm, "
-        "scatter (sigma) 1.9 to 2.1 cm, scatter (sigma) 1.9 to 2.1 cm and 2 more",
+        "A reading is 0.47 s old: 0.33 s behind the reference, held for 0.15 s on average. Refitted: scatter (sigma) "
+        "1.9 to 2.1 cm, scatter (sigma) 1.9 to 2.1 cm, scatter (sigma) 1.9 to 2.1 cm and 2 more",
     )
 
 

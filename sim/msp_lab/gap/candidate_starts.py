@@ -88,7 +88,7 @@ def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, v
 
     here = best(*shapes_of(candidate))
     stronger = [np.clip(here.values[parameter.name] * each, parameter.low, parameter.high) for each in (0.25, 4.0)]
-    here = best(*({parameter.name: float(each)} for each in stronger))
+    here = best(*({parameter.name: float(each)} for each in (*stronger, *parameter.grid)))
     for name in list(lines)[1:]:
         here = best(*({name: place} for place in lines[name]))
     return here

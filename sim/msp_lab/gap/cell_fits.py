@@ -167,7 +167,7 @@ def free_fit(rows: ModelRows, reading_cm: Array, unit: Indices, stack: Stack) ->
     cells = _Cells(rows.take(stack.readings), reading_cm[stack.readings], stack.counts)
     nothing = np.zeros((len(stack), len(CHANNELS)))
     base = cells.at(nothing).posterior
-    numbers = _robust_start(cells)
+    numbers, most = _robust_start(cells)
     numbers[cells.at(numbers).posterior < base] = 0.0
     best = cells.at(numbers)
     active = np.arange(len(stack))
@@ -178,6 +178,7 @@ def free_fit(rows: ModelRows, reading_cm: Array, unit: Indices, stack: Stack) ->
         left, todo = active, np.arange(active.size)
         for shorter in SHORTER:
             tried = numbers[left] + shorter * step[todo]
+            tried[:, 0] = np.clip(tried[:, 0], -most[left], most[left])
             value = cells.some(left).at(tried)
             better = value.posterior > best.posterior[left]
             numbers[left[better]] = tried[better]
@@ -244,8 +245,9 @@ class _Cells:
         return found
 
 
-def _robust_start(cells: _Cells) -> Array:
-    """Median and spread of what looks like hits, cell by cell: a gap of many sigma has no slope to follow."""
+def _robust_start(cells: _Cells) -> tuple[Array, Array]:
+    """Median and spread of what looks like hits, cell by cell: a gap of many sigma has no slope to follow; and the most
+    that is a bias, in standard deviations."""
     rows = cells.rows
     usual = (cells.reading_cm < rows.maximum_cm) & np.isfinite(rows.centre_cm)
     off = (cells.reading_cm - rows.centre_cm)[usual] / rows.sigma_cm[usual]
@@ -254,13 +256,13 @@ def _robust_start(cells: _Cells) -> Array:
     low, middle, high = _quantiles(off, hits, (0.25, 0.5, 0.75))
     (usual_cm,) = _quantiles(rows.centre_cm[usual], hits, (0.5,))
     sigma_cm = np.bincount(cell, rows.sigma_cm, cells.counts.size) / np.maximum(cells.counts, 1)
-    known = hits >= rules.CELL_MIN_HITS
-    known &= np.abs(middle) * sigma_cm <= rules.CELL_MAX_BIAS_CM + rules.CELL_MAX_BIAS_SHARE * usual_cm
+    most = (rules.CELL_MAX_BIAS_CM + rules.CELL_MAX_BIAS_SHARE * np.maximum(usual_cm, 0.0)) / np.maximum(sigma_cm, 1e-9)
+    known = (hits >= rules.CELL_MIN_HITS) & (np.abs(middle) <= most)
     numbers = np.zeros((cells.counts.size, len(CHANNELS)))
     numbers[known, 0] = middle[known]
     spread = np.maximum((high[known] - low[known]) / 1.349, 0.05)
     numbers[known, 1] = np.clip(np.log(spread), -2.0, 3.0)
-    return numbers
+    return numbers, most
 
 
 def _quantiles(values: Array, counts: Indices, shares: tuple[float, ...]) -> Array:

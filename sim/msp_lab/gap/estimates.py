@@ -175,9 +175,6 @@ def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:
         return f"{parameter.name} is at its bound, {found.value:.3g}"
     if found.low <= neutral <= found.high:
         return f"{parameter.name} may be {neutral:g} ({found.low:.3g} to {found.high:.3g})"
-    if parameter.physical_low is not None and found.value < parameter.physical_low:
-        causes = " or ".join(term.active.effect.equivalent_causes)
-        return f"{parameter.name} cannot be {found.value:.3g}: {causes or 'another cause'} would explain it"
     for shape in term.active.effect.parameters if term.candidate.linear else ():
         if shape.unit == "cm" and shape.high - values[shape.name].value < 1e-3 * (shape.high - shape.low):
             # An echo that is nowhere in particular is no echo: its place or width explains what others leave.

@@ -5,6 +5,7 @@ out, readings and model are put onto the grid of the readings, and point masses 
 aside as calibration. Runs are split before anything is looked at.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,10 +27,11 @@ from msp_range.arrays import Array, Column, Indices, Texts, numbered
 from msp_range.reading_model.kernel import is_on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.effects.base import REFERENCE, REFERENCE_STD
+from msp_sim.effects.base import PATH, REFERENCE, REFERENCE_STD
+from msp_sim.effects.path import ReferencePath, with_path
 from msp_sim.model.model import Model
 
-NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD})
+NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD, PATH})
 SAME_CM = 1e-6
 """Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
 
@@ -89,6 +91,9 @@ def read_readings(
     loaded = load_readings(paths, model.sensor, column_map, run_column=run_column, sensors=sensors, runs=runs)
     # By name, so that nothing depends on the order in which the files are given.
     data = loaded.data.select(time_order(loaded.data.columns))
+    # Before any row is left out: the path is known wherever the reference is.
+    data = MeasuredData(with_path(data.columns))
+    smoothed = _about_noise(data.columns.get(PATH))
     sources = tuple(
         ReadingsFile(str(path), each.sha256, each.rows) for path, each in zip(paths, loaded.sources, strict=True)
     )
@@ -97,7 +102,7 @@ def read_readings(
     step_cm = step_with(data, model)
     data, calibration = _on_grid(data, model, step_cm)
     data, codes = _without_codes(data, model.with_step(step_cm))
-    messages = (*loaded.messages, *left_out, *copies, *suspicious(loaded.data))
+    messages = (*loaded.messages, *smoothed, *left_out, *copies, *suspicious(loaded.data))
     messages = (*messages, *_about_contexts(data), *_about_runs(data["run"], data["time_s"]))
     return Readings(data, sources, (*calibration, *codes), messages, step_cm)
 
@@ -138,7 +143,7 @@ class Comparison:
             With the random seed.
         """
         model, messages = with_least_weights(readings.in_step(model))
-        data = dict(readings.data.columns)
+        data = dict(with_path(readings.data.columns))
         parts = draw_splits(data, np.random.default_rng([settings.seed, 0]))
         rows = np.flatnonzero(parts.held_out)
         rows = sample(data, rows, rules.MAX_MEASURED, np.random.default_rng([settings.seed, 3]))
@@ -187,6 +192,14 @@ def with_least_weights(model: Model) -> tuple[Model, list[str]]:
         "of probability 0 would decide the comparison alone."
     )
     return replace(model, sensor=sensor), [text]
+
+
+def _about_noise(path: Column | None) -> list[str]:
+    """That noise was taken off the reference, if so."""
+    if not isinstance(path, ReferencePath) or path.knots is None or path.knots.smoothed_cm2 == 0.0:
+        return []
+    noise_cm = math.sqrt(path.knots.smoothed_cm2)
+    return [f"true_range_cm differs from row to row by {noise_cm:.2g} cm of noise, which is smoothed."]
 
 
 def _compared_rows(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
@@ -299,7 +312,7 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
 def _about_contexts(data: MeasuredData) -> Iterator[str]:
     """A sentence on each column that never changes."""
     for name, column in data.columns.items():
-        if name in ("reading_cm", "time_s", PREVIOUS, "run", "sensor", REFERENCE_STD, REFERENCE):
+        if name in (*NO_SLICES, "run", "sensor", REFERENCE):
             continue
         known = known_values(column)
         if known.size and (known == known[0]).all():

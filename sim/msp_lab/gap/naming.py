@@ -29,6 +29,7 @@ from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.kernel import is_on_grid
 from msp_range.reading_model.rows import Base
+from msp_sim.effects.path import with_path
 from msp_sim.model.model import Model
 
 
@@ -155,6 +156,7 @@ def name_effects(
     """
     if not is_on_grid(reading_cm, model.sensor.resolution_cm).all():
         reading_cm = to_step(reading_cm, model.sensor.resolution_cm)
+    contexts = with_path(contexts)
     if PREVIOUS not in contexts:
         contexts = {PREVIOUS: previous(contexts, reading_cm), **contexts}
     report("fitting the base", 0.02)

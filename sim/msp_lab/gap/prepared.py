@@ -16,7 +16,7 @@ from msp_range.arrays import Array
 from msp_range.reading_model.rows import MIN_PROBABILITY, Base
 from msp_sim.effects.base import Contribution, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
-from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of
+from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of, shifted
 from msp_sim.model.rows import Carry, ModelRows, log_prob
 
 BASE = Base._fields
@@ -36,7 +36,7 @@ class Prepared:
     model: Model
     """The given model, with its effects."""
     scene: Scene
-    """Contexts of the readings."""
+    """Contexts of the readings, of when the given model has them."""
     rows: ModelRows
     """The given model's distribution of each reading."""
     reading_cm: Array
@@ -58,7 +58,7 @@ class Prepared:
             spacing_s = given.correlation_spacing_s
         elif spacing_s is not None:
             rows = replace(rows, history=history_of(scene, 0.0, spacing_s))
-        return cls(model, scene, rows, reading_cm, spacing_s)
+        return cls(model, shifted(scene, model.effects), rows, reading_cm, spacing_s)
 
     def __len__(self) -> int:
         return self.reading_cm.size
@@ -99,16 +99,17 @@ class Prepared:
             return (self._with_component(each, there, here) - here.log_p) / step
         if "code" in each.effect.channels or each.effect.name == "run_offsets":
             return (self.log_prob(base, [*effects[:k], there, *effects[k + 1 :]]) - here.log_p) / step
-        known = applies(self.scene, each)
+        scene = self.scene if each.effect.is_shift else shifted(self.scene, effects)
+        known = applies(scene, each)
         if known is False:
             return np.zeros(len(self))
         if each.shape is not None:
             # Linear in its values: the weights of this knot.
-            weights = knot_weights(self.scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
+            weights = knot_weights(scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
             if each.shape[0] == "bias" and each.is_added:
-                weights = self.scene.about_run_mean(weights)
+                weights = scene.about_run_mean(weights)
             return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
-        before, after = (templates(known, term.change(self.scene)) for term in (each, there))
+        before, after = (templates(known, term.change(scene)) for term in (each, there))
         slope = np.zeros(len(self))
         for i, template in after.items():
             slope += here.score(i, (template - before[i]) / step)

@@ -30,6 +30,7 @@ from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import CurveChannel
+from msp_sim.effects.path import with_path
 from msp_sim.model.model import Model, Term, applies
 from msp_sim.model.rows import log_prob
 
@@ -90,7 +91,8 @@ class Problem:
     ) -> "Problem":
         """Prepare a sample of these readings; the parameters are as the attributes."""
         rows = sample(contexts, np.arange(reading_cm.size), rules.READINGS, rng)
-        whole, contexts = contexts, taken(contexts, rows)
+        whole = with_path(contexts)
+        contexts = taken(whole, rows)
         reading_cm, unit = reading_cm[rows], unit[rows]
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)

@@ -13,6 +13,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, ODDS_CHANNELS, ChannelSlopes, Prepared
+from msp_lab.gap.shift_value import with_shifts
 from msp_lab.mixture_fit.maximise import ROUNDS, held_numbers, maximise
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
@@ -198,10 +199,18 @@ def refit(
         information = scores.T @ scores + np.diag(precision)
         return NumberSlopes(scores, gradient, information, held_numbers(at, gradient, information, low, high))
 
+    shifts = np.array([False] * nb + [effects[k].effect.is_shift for k, _ in numbers])
     theta = np.concatenate([start, [effects[k].values[p.name] for k, p in numbers]])
-    at, best, here = maximise(total, lambda *given: slopes(*given)[1:3], theta, (low, high), ENOUGH_NATS, rounds)
+    bounds = low, high
+    at, best, here = maximise(total, lambda *given: slopes(*given)[1:3], theta, bounds, ENOUGH_NATS, rounds)
+    if rounds and shifts.any():
+        own = with_shifts(prepared, *placed(at))
+        theta = np.concatenate([at[:nb], [own[k].values[p.name] for k, p in numbers]])
+        if np.any(theta != at):
+            bounds = np.where(shifts, theta, low), np.where(shifts, theta, high)
+            at, best, here = maximise(total, lambda *given: slopes(*given)[1:3], theta, bounds, ENOUGH_NATS, rounds)
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
-    return JointFit(*placed(at), best, names, at, (low, high), here, partial(slopes, at, here))
+    return JointFit(*placed(at), best, names, at, bounds, here, partial(slopes, at, here))
 
 
 def _correlation(prepared: Prepared) -> float:

@@ -30,7 +30,7 @@ def places_in(unit: Indices) -> Indices:
 
 def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, Column]:
     """Some rows of all columns."""
-    return {name: np.asarray(column)[rows] for name, column in columns.items()}
+    return {name: np.asanyarray(column)[rows] for name, column in columns.items()}
 
 
 def known_values(column: Column) -> Column:

@@ -55,7 +55,7 @@ def _lines(findings: GapFindings) -> Iterator[str]:
 def _age(findings: GapFindings) -> Iterator[str]:
     age = findings.age
     if age is not None:
-        late, hold = f"{age.latency_s:.2f} s late", f"held for {age.mean_hold_s:.2f} s on average"
+        late, hold = f"{age.latency_s:.2f} s behind the reference", f"held for {age.mean_hold_s:.2f} s on average"
         yield f"A reading is {age.total_s:.2f} s old: {late}, {hold}"
 
 

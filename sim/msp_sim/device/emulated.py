@@ -3,11 +3,13 @@
 An airframe, a world, a pose over time and sensor models enter; a bus leaves, behind which the bridge finds its sensors.
 """
 
+import math
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
+import numpy as np
 from numpy.random import Generator, SeedSequence, default_rng
 
 from msp_range.bus import Bus
@@ -16,6 +18,7 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import DeviceTiming, Fault, RangeFinder
 from msp_sim.device.table import emulated_kind
+from msp_sim.effects.base import PATH
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
 from msp_sim.world.vehicle import Pose
@@ -38,6 +41,31 @@ class Surroundings:
     """Where the vehicle is at a time of the flight [s]."""
     keep: KeepTruth = lambda *_: None
     """Called for each ping."""
+
+
+class FlownPath:
+    """The path of one ping's true range: what the vehicle was above at another time.
+
+    Parameters
+    ----------
+    range_cm
+        True range at a time of the flight [s]; None: there is no surface.
+    ping_s
+        When the ping was.
+    """
+
+    size = 1
+
+    def __init__(self, range_cm: Callable[[float], float | None], ping_s: float) -> None:
+        self._range_cm, self._ping_s = range_cm, ping_s
+
+    def __getitem__(self, part: slice) -> "FlownPath":
+        return self
+
+    def moved_cm(self, ago_s: Any) -> float:
+        """How far the range was from that at the ping, so long before it [cm]; NaN where there was no surface."""
+        then_cm, now_cm = (self._range_cm(time_s) for time_s in (self._ping_s - float(np.squeeze(ago_s)), self._ping_s))
+        return math.nan if then_cm is None or now_cm is None else then_cm - now_cm
 
 
 class EmulatedSensor:
@@ -80,13 +108,16 @@ class EmulatedSensor:
         """The reading of a ping at a time of the flight [s], in whole centimetres, as devices answer."""
         context = self.context(ping_s)
         context["previous_reading_cm"] = self._previous_cm
+        context[PATH] = FlownPath(lambda time_s: self._ping(time_s).true_range_cm, ping_s)
         self._previous_cm = reading_cm = self._readings.sample_one(context)
         return round(reading_cm)
 
+    def _ping(self, time_s: float) -> Ping:
+        return self._around.world.ping(self._around.pose(time_s), self._beam)
+
     def context(self, ping_s: float) -> dict[str, Any]:
         """What a ping at a time of the flight [s] meets, as the context of its reading; None where it is unknown."""
-        pose = self._around.pose(ping_s)
-        ping = self._around.world.ping(pose, self._beam)
+        pose, ping = self._around.pose(ping_s), self._ping(ping_s)
         context: dict[str, Any] = ping._asdict()
         context["uptime_s"] = ping_s
         if pose.throttle is not None:

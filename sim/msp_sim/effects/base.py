@@ -23,6 +23,8 @@ Values: TypeAlias = Mapping[str, float]
 Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "component", "code"]
 
 TRUE_RANGE = "true_range_cm"
+PATH = "path"
+"""Places of the readings on the reference's path (`msp_sim.effects.path`)."""
 REFERENCE_STD = "true_range_std_cm"
 REFERENCE = "reference"
 OTHERS = "others"
@@ -49,13 +51,11 @@ class Parameter:
     default: float | None = None
     """Default of a shape parameter, if a model file leaves it out."""
     grid: tuple[float, ...] = ()
-    """Values of a shape parameter at which a search starts."""
+    """Values at which a search starts, of a shape parameter or of a strength in which the effect is far from linear."""
     step: float = 1e-3
     """A small change, for numeric derivatives."""
     power: int = 1
     """Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero."""
-    physical_low: float | None = None
-    """A fit below this means another cause: an age below 0 is that of the reference. None: no such limit."""
     jumps: bool = False
     """The likelihood jumps along it, so that its slope says nothing: the values of its grid are tried, and no
     others."""
@@ -83,6 +83,9 @@ class Scene:
         self._contexts = contexts
         self._known: dict[str, Any] = {}
         self._run: Indices | None = None
+        self._ago_s: Any = 0.0
+        self._stamped: Scene | None = None
+        self._shifted: Scene | None = None
         self.kept: dict[Any, Any] = {}
         """Cache for what an effect computes once for all values of its parameters."""
 
@@ -109,6 +112,20 @@ class Scene:
         if known is True or known is False:
             return self._contexts[column] if known else otherwise
         return np.where(known, self._contexts[column], otherwise)
+
+    def at(self, ago_s: Any) -> "Scene":
+        """The scene so long before this one [s]: other true ranges, from the reference's path, or from the rate where
+        there is none."""
+        stamped, ago_s = self._stamped or self, self._ago_s + ago_s
+        last = stamped._shifted
+        if last is not None and np.array_equal(last._ago_s, ago_s):
+            # A fit asks for it again for each of its numbers.
+            return last
+        moved_cm = stamped[PATH].moved_cm(ago_s) if PATH in stamped else -ago_s * stamped["range_rate_cm_s"]
+        scene = Scene(self.sensor, {**stamped._contexts, TRUE_RANGE: stamped.range_cm + np.nan_to_num(moved_cm)})
+        scene._ago_s, scene._stamped = ago_s, stamped
+        stamped._shifted = scene
+        return scene
 
     def about_run_mean(self, bias_cm: Any) -> Any:
         """What was added to a bias [cm], as it shows against the reference.
@@ -145,6 +162,8 @@ class Contribution(NamedTuple):
 
     bias_cm: Any = None
     """Added to the centre of the hits [cm]."""
+    ago_s: Any = None
+    """The reading is of what was there so long before its stamp [s]; the bias is by how much the range was another."""
     log_spread: Any = None
     """Added to the logarithm of the hits' standard deviation."""
     run_offset_cm: float | None = None
@@ -213,6 +232,8 @@ class Effect:
     """Parameter in proportion to which it moves a part of the hits, all else as it was; empty: it does not."""
     gathers: str = ""
     """Parameter with the range [cm] at which it gathers readings, wherever the surface is; empty: it does not."""
+    is_shift: bool = False
+    """It says when the scene was that a reading is of: all other effects are those of that scene."""
     any_step: bool = False
     """Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres."""
     finding: str = ""

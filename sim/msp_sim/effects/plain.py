@@ -10,7 +10,7 @@ and a parameter in braces is its number with its unit, in one of these formats:
     {wider:number}                  the number alone
     {growth:factor}                 a growth of 2.9 as 3.9 times as much
     {log_odds:times}                log odds: 20 times as often, 20 times less often
-    {offset_cm:too far|too near}    the size and a word for its sign: 1.5 cm too near
+    {offset_cm:too far|too near}    the size and words for its sign: 1.5 cm too near, 0.33 s behind
     {share:% too far|% too near}    the same of a share: 98 % too near
 """
 
@@ -107,7 +107,7 @@ def plain_finding(effect: Effect, values: Mapping[str, float], of: str | None = 
     --------
     >>> from msp_sim.effects import CATALOGUE
     >>> plain_finding(CATALOGUE["latency"], {"delay_ms": 325.0})
-    'readings are late by 0.33 s'
+    'readings are 0.33 s behind the reference'
     >>> plain_finding(CATALOGUE["stale"], {"share": 0.74})
     'three of four readings are repeats of the one before'
     >>> plain_finding(CATALOGUE["mounting_offset"], {"offset_cm": -1.5}, "front_left")

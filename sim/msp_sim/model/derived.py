@@ -8,9 +8,10 @@ from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
-from msp_range.arrays import Array, Column, Indices, angle_deg, numbered
+from msp_range.arrays import Array, Column, angle_deg, numbered
 from msp_range.recording.export import neighbour_lags_ms
 from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.path import ReferencePath
 from msp_sim.model.history import History
 from msp_sim.model.model import Model
 
@@ -18,21 +19,9 @@ _Columns = Mapping[str, Column]
 
 PREVIOUS = "previous_reading_cm"
 """Column of the reading of the same sensor and run before this one [cm], which the intake of readings adds."""
-CLOSEST_S = 1e-6
-"""Rows of a sensor that are closer in time than this say nothing of a rate [s]; two stamps of one reading are."""
-SLOPE_S = 0.1
-"""Rows so long before and after one give the slope of the true range there [s]. Shorter, and the noise of the truth is
-taken for motion: of 2 cm, 50 times a second, +-70 cm/s from neighbouring rows and +-14 from these. Longer flattens how
-a vehicle moves up and down: sin(x)/x with x = 2 pi f 0.1 s, which is 2 % less at 0.5 Hz and 6 % at 1 Hz."""
-FARTHEST_S = 1.0
-"""A row without another one so near in time has no rate [s]: a vehicle turns round meanwhile, and in a campaign at a
-bench the next place begins."""
 LEAST_KNOWN = 0.5
 """A column is added that more than this share of the rows would have: ranges in random order have no rate, and a log
 of one sensor has no neighbours. Lower: an effect that needs it is judged by few rows."""
-LARGEST_CM_S2 = 2000.0
-"""A range whose rate changes more quickly has jumped, at an edge of the ground or to the next place of a campaign, and
-has no rate there. Vehicles reach half of it."""
 
 
 def derived_columns(names: Collection[str], contexts: _Columns) -> tuple[dict[str, Column], dict[str, str]]:
@@ -112,39 +101,9 @@ def tilt_deg(roll_rad: Array, pitch_rad: Array) -> Array:
 
 
 def _range_rate_cm_s(columns: _Columns) -> Array:
-    """Slope of the true range over the rows near in time, of the same sensor and run [cm/s]; NaN where it jumps."""
-    range_cm, time_s = (np.asarray(columns[name], dtype=np.float64) for name in (TRUE_RANGE, "time_s"))
-    words = [numbered(columns[name]) for name in ("run", "sensor") if name in columns]
-    order = np.lexsort((time_s, *words))
-    order = order[np.isfinite(range_cm[order])]
-    starts = np.diff(time_s[order], prepend=-math.inf) > FARTHEST_S
-    for each in words:
-        starts[1:] |= np.diff(each[order]) != 0
-    rate = np.full(range_cm.size, math.nan)
-    for rows in np.split(order, np.flatnonzero(starts[1:]) + 1):
-        rate[rows] = _slope_cm_s(time_s[rows], range_cm[rows])
-    return rate
-
-
-def _slope_cm_s(time_s: Array, range_cm: Array) -> Array:
-    """Slope at each row between two rows as many before as after it, within `SLOPE_S` where there are such; at the ends
-    between what there is."""
-    place, last = np.arange(time_s.size), time_s.size - 1
-    before = np.minimum(np.searchsorted(time_s, time_s - SLOPE_S - CLOSEST_S), np.maximum(place - 1, 0))
-    after = np.maximum(np.searchsorted(time_s, time_s + SLOPE_S + CLOSEST_S) - 1, np.minimum(place + 1, last))
-    rows = np.minimum(place - before, after - place)
-    inner = (before > 0) & (after < last)
-    before, after = np.where(inner, place - rows, before), np.where(inner, place + rows, after)
-
-    def between(first: Indices, last: Indices) -> Array:
-        apart_s = time_s[last] - time_s[first]
-        return np.where(apart_s > CLOSEST_S, range_cm[last] - range_cm[first], math.nan) / np.maximum(
-            apart_s, CLOSEST_S
-        )
-
-    half_s = (time_s[after] - time_s[before]) / 2.0
-    jumps = np.abs(between(place, after) - between(before, place)) > LARGEST_CM_S2 * half_s
-    return np.where(jumps, math.nan, between(before, after))
+    """Rate of the true range along its path [cm/s]; NaN where it is on none."""
+    path = ReferencePath.of(columns)
+    return np.full(columns[TRUE_RANGE].size, math.nan) if path is None else path.rate
 
 
 def _neighbour_lag_ms(columns: _Columns) -> Array:

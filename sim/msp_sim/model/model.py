@@ -20,6 +20,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, suggest
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import (
+    PATH,
     REFERENCE,
     REFERENCE_STD,
     TRUE_RANGE,
@@ -30,6 +31,7 @@ from msp_sim.effects.base import (
 )
 from msp_sim.effects.curve import CURVE, MAX_VALUE, Knots, Ripple, curve
 from msp_sim.effects.own import find_effect
+from msp_sim.effects.path import with_path
 from msp_sim.model.history import HISTORY_COLUMNS, History
 from msp_sim.model.rows import AddedComponent, AppliedFault, ModelRows, RunOffset
 from msp_sim.model.streams import RandomStreams
@@ -208,6 +210,8 @@ class Model:
         columns = {name: _column(name, contexts[name]) for name in self.columns | about_runs if name in contexts}
         if TRUE_RANGE not in columns:
             raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
+        if any(each.effect.is_shift for each in self.effects):
+            columns |= {name: each for name, each in with_path(contexts).items() if name == PATH}
         sizes = {name: column.size for name, column in columns.items()}
         if len(set(sizes.values())) > 1:
             raise ValueError(f"found context columns of different lengths: {sizes}")
@@ -247,13 +251,14 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
     logs: list[Any] = list(rows.log_weights)
     added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
     known_offsets = len(offsets)
-    for each in effects:
+    for each in shifts_first(effects):
         known = applies(scene, each)
         if known is False:
             continue
         change = each.change(scene)
         if change.bias_cm is not None:
             centre_cm = centre_cm + _where(known, change.bias_cm)
+        scene = shifted_by(scene, known, change)
         if change.log_spread is not None:
             log_spread = log_spread + _where(known, change.log_spread)
         if change.run_offset_cm is not None:
@@ -279,6 +284,25 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
         faults=tuple(sorted(faults, key=lambda faulty: faulty.fault.order)),
         run_offsets=tuple(offsets),
     )
+
+
+def shifted(scene: Scene, effects: Iterable[Term]) -> Scene:
+    """The scene that readings are of, by those of the effects that say when it was."""
+    for each in effects:
+        known = each.effect.is_shift and applies(scene, each)
+        if known is not False:
+            scene = shifted_by(scene, known, each.change(scene))
+    return scene
+
+
+def shifts_first(effects: Iterable[Term]) -> list[Term]:
+    """The effects, first those that say when the scene was that the others are of."""
+    return sorted(effects, key=lambda each: not each.effect.is_shift)
+
+
+def shifted_by(scene: Scene, known: Any, change: Contribution) -> Scene:
+    """The scene for the effects after one that has this change in known rows."""
+    return scene if change.ago_s is None else scene.at(_where(known, change.ago_s))
 
 
 def applies(scene: Scene, each: Term) -> Any:

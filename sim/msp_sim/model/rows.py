@@ -140,10 +140,7 @@ class ModelRows(MixtureRows):
             return self, None
         sigma_cm = np.broadcast_to(self.sigma_cm, self.centre_cm.shape)
         error_cm = reading_cm - self.centre_cm
-        with np.errstate(invalid="ignore"):
-            is_hit = (np.abs(error_cm) < HIT_SIGMAS * sigma_cm) & (reading_cm < self.maximum_cm)
-        is_hit &= (reading_cm > self.minimum_cm) & ~self._is_code(reading_cm, error_cm / sigma_cm, sigma_cm)
-        before, age_s = history.before(is_hit)
+        before, age_s = history.before(self.are_hits(reading_cm))
         has = before >= 0
         over = np.where(has, history.correlation_over(age_s), 0.0)
         ratio = np.where(has, sigma_cm / sigma_cm[before], 0.0)
@@ -161,6 +158,15 @@ class ModelRows(MixtureRows):
             reference_cm2=(self.between_cm2 + self.reference_cm2) * left,
         )
         return rows, replace(carry, log_sigma_slope=-carry.log_sigma_slope / left)
+
+    def are_hits(self, reading_cm: Array) -> Flags:
+        """Readings whose error is that of a hit, (n,)."""
+        sigma_cm = np.broadcast_to(self.sigma_cm, self.centre_cm.shape)
+        error_cm = reading_cm - self.centre_cm
+        with np.errstate(invalid="ignore"):
+            found = (np.abs(error_cm) < HIT_SIGMAS * sigma_cm) & (reading_cm < self.maximum_cm)
+        found &= (reading_cm > self.minimum_cm) & ~self._is_code(reading_cm, error_cm / sigma_cm, sigma_cm)
+        return found
 
     def _is_code(self, reading_cm: Array, off_sigmas: Array, sigma_cm: Array) -> Flags:
         """Readings that are rather the code of a component than hits, (n,): a repeated one has no error of its own."""

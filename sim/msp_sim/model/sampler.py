@@ -14,8 +14,8 @@ import numpy as np
 from msp_range.arrays import Column
 from msp_range.reading_model.kernel import Hit, Random, Short, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
-from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Scene
-from msp_sim.model.model import Model, applies
+from msp_sim.effects.base import PATH, TRUE_RANGE, WORD_COLUMNS, Scene
+from msp_sim.model.model import Model, applies, shifted_by, shifts_first
 from msp_sim.model.streams import RandomStreams
 
 
@@ -56,6 +56,8 @@ class Sampler:
         if self._plain:
             return self._draw(context)
         columns = {name: _column(name, context.get(name)) for name in self._columns}
+        if PATH in context:
+            columns[PATH] = context[PATH]
         return float(self._model.sample(columns, self._streams)[0])
 
     def _draw(self, context: Mapping[str, Any]) -> float:
@@ -65,11 +67,12 @@ class Sampler:
         sigma_cm, (hit, short, missed, random) = base.sigma_cm(centre_cm), base.log_weights(centre_cm)
         if self._model.effects:
             scene = Scene(self._model.sensor, context)
-            for each in self._model.effects:
+            for each in shifts_first(self._model.effects):
                 if not applies(scene, each):
                     continue
                 change = each.effect.apply(scene, each.values)
                 centre_cm += change.bias_cm or 0.0
+                scene = shifted_by(scene, True, change)
                 sigma_cm *= math.exp(change.log_spread or 0.0)
                 short += change.log_odds_short or 0.0
                 missed += change.log_odds_missed or 0.0
