@@ -114,7 +114,7 @@ def killed_worker(program: "subprocess.Popen[str]") -> bool:
             for child in (each for thread in threads for each in thread.read_text().split()):
                 used = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[11:13]
                 is_worker = "spawn_main" in Path(f"/proc/{child}/cmdline").read_text()
-                if is_worker and sum(map(int, used)) >= STARTED_S * os.sysconf("SC_CLK_TCK"):
+                if not killed and is_worker and sum(map(int, used)) >= STARTED_S * os.sysconf("SC_CLK_TCK"):
                     os.kill(int(child), signal.SIGKILL)
                     killed.append(int(child))
         return bool(killed) or program.poll() is not None
