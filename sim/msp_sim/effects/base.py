@@ -84,7 +84,7 @@ class Scene:
         self._known: dict[str, Any] = {}
         self._run: Indices | None = None
         self._ago_s: Any = 0.0
-        self._stamped: Scene | None = None
+        self._stamped = contexts
         self._shifted: Scene | None = None
         self.kept: dict[Any, Any] = {}
         """Cache for what an effect computes once for all values of its parameters."""
@@ -116,15 +116,15 @@ class Scene:
     def at(self, ago_s: Any) -> "Scene":
         """The scene so long before this one [s]: other true ranges, from the reference's path, or from the rate where
         there is none."""
-        stamped, ago_s = self._stamped or self, self._ago_s + ago_s
-        last = stamped._shifted
+        stamped, ago_s = self._stamped, self._ago_s + ago_s
+        last = self._shifted
         if last is not None and np.array_equal(last._ago_s, ago_s):
             # A fit asks for it again for each of its numbers.
             return last
         moved_cm = stamped[PATH].moved_cm(ago_s) if PATH in stamped else -ago_s * stamped["range_rate_cm_s"]
-        scene = Scene(self.sensor, {**stamped._contexts, TRUE_RANGE: stamped.range_cm + np.nan_to_num(moved_cm)})
+        scene = Scene(self.sensor, {**stamped, TRUE_RANGE: stamped[TRUE_RANGE] + np.nan_to_num(moved_cm)})
         scene._ago_s, scene._stamped = ago_s, stamped
-        stamped._shifted = scene
+        self._shifted = scene
         return scene
 
     def about_run_mean(self, bias_cm: Any) -> Any:
