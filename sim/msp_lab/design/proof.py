@@ -19,6 +19,7 @@ from msp_lab.gap.intake import Comparison, Readings
 from msp_lab.gap.problem import Progress
 from msp_range.arrays import numbered
 from msp_range.recording.csv_form import MeasuredData, join_tables
+from msp_sim.effects.base import PATH
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
 
@@ -87,7 +88,9 @@ def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: i
         new = held(session, design.answers[truth].model, rng)
         data = MeasuredData(new)
         if joined:
-            data = join_tables([MeasuredData(old.columns), data])
+            # Paths are those of one table, and found again for both.
+            columns = {name: column for name, column in old.columns.items() if name != PATH}
+            data = join_tables([MeasuredData(columns), data])
         comparison = Comparison.of(Readings(data, ()), old.model, old.comparison.settings)
         findings, _ = naming.name(comparison, GapFindings(None, rows=0, runs=0), lambda what, share: None)
         if is_right(findings.effects, design, truth):
