@@ -59,6 +59,9 @@ STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
 SURE_STD_M_S, START_CLIMB_STD_M_S = 0.3, 3.0
 """The barometer's rate is used at the start below this deviation [m/s]; else a vehicle may climb by the second."""
 
+CHANGE, NO_RESPONSE = "sudden change, maybe an object or fault", "readings do not follow the motion"
+"""Reasons for doubt, as the pilot reads them."""
+
 
 class Surface:
     """Something that sensors see, perhaps the ground.
@@ -121,9 +124,9 @@ class Belief:
         other surface, is the ground below the vehicle.
     noise
         The probability that the readings of all sensors are noise.
-    is_doubted, is_unanswered
-        Whether a ground was known, and what most sensors see now is more probably a fault; and whether that is too
-        probable since it does not follow the vehicle's motion. Either lasts until some ground is sure.
+    doubt
+        Why what most sensors see is perhaps no ground: `CHANGE`, a ground was known, and this is more probably a fault;
+        or `NO_RESPONSE`, it does not follow the vehicle's motion. It lasts until some ground is sure; None: no reason.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
     """
@@ -140,7 +143,7 @@ class Belief:
         self._is_measured = self._was_fixed = False
         self.ground: Surface | None = None
         self.sure = self.noise = 0.0
-        self.is_doubted = self.is_unanswered = False
+        self.doubt: str | None = None
 
     def predict(self, time_s: float) -> None:
         """Move all surfaces on, and forget those that nobody has seen for long."""
@@ -314,7 +317,7 @@ class Belief:
         if best is None:
             self.ground, self.sure = None, 0.0
             if not any(mode.is_fixed for mode in self._modes):
-                self.is_doubted = self.is_unanswered = False
+                self.doubt = None
             return
         most = scores[best]
         weights = {each: math.exp(score - most) for each, score in scores.items()}
@@ -323,11 +326,13 @@ class Belief:
         self._response = best.response
         most_seen = max(counts, key=lambda each: counts[each])
         is_most = 2 * counts[most_seen] > len(voters) and most_seen.evidence >= EVIDENCE_MOST
-        answers, share = most_seen.response.log_odds > UNANSWERED, weights[most_seen] / total
-        is_open = self.sure < SURE
-        self.is_unanswered = (is_most and share < SURE and not answers) or (self.is_unanswered and is_open)
-        is_new = is_most and share < 0.5 and answers and self._known is not None
-        self.is_doubted = is_new or (self.is_doubted and is_open and not self.is_unanswered)
+        share, is_open = weights[most_seen] / total, self.sure < SURE
+        if is_most and share < SURE and most_seen.response.log_odds <= UNANSWERED:
+            self.doubt = NO_RESPONSE
+        elif is_most and share < 0.5 and self._known is not None and not (is_open and self.doubt):
+            self.doubt = CHANGE
+        elif not is_open:
+            self.doubt = None
         if self.sure < SURE and self.proven is not None and counts[self.proven]:
             # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
             self.ground = self.proven

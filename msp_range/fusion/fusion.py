@@ -156,18 +156,16 @@ class Fusion:
         return self._belief.is_disputed
 
     def conditions(self) -> list[Condition]:
-        """Late answers, readings of nothing or that do not follow, a change to no likely ground: for the pilot."""
+        """Answers a ping late, readings of nothing, and what is perhaps no ground: for `msp_range.health`."""
         late = "Range: answers are those of the ping before" if self._is_late else None
         scatter = "Range: readings scatter, as in dust" if self._belief.is_scattered else None
         power = "switch the sensors' power off and on; check that pings are acknowledged"
-        doubted = "Range: sudden change, maybe an object or fault" if self._belief.is_doubted else None
-        unanswered = "Range: readings do not follow the motion" if self._belief.is_unanswered else None
+        doubted = self._belief.doubt and f"Range: {self._belief.doubt}"
         look = "look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground"
         return [
             Condition("late answers", late, "Range: answers are in time again", remedy=power),
             Condition("scatter", scatter, "Range: readings are of the ground again", remedy=look),
-            Condition("sudden change", doubted, "Range: ground is certain again", remedy=look),
-            Condition("no response", unanswered, "Range: ground is certain again", remedy=look),
+            Condition("doubt", doubted, "Range: ground is certain again", renews=True, remedy=look),
         ]
 
     @property

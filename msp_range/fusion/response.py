@@ -113,8 +113,9 @@ class MotionResponse:
         return self._fixed <= DECIDED and self._apart <= DECIDED_APART
 
     def inherit(self, other: "MotionResponse") -> None:
-        """Answers that came late on another surface do on this one."""
-        self._late, self.is_late = min(other._late, 0.0), other.is_late
+        """Answers that came late on another surface do on this one; what is rather fixed there has shown no lateness."""
+        if other.is_late or other._apart >= 0.0:
+            self._late, self.is_late = min(other._late, 0.0), other.is_late
 
     def suspect_late(self, nats: float) -> None:
         """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""

@@ -25,7 +25,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.writer import Recorder
 from msp_sim.device.device import Fault
-from tests.support.campaigns import Collected, Told, campaign, condition, written
+from tests.support.campaigns import Collected, ScriptedOperator, campaign, condition, written
 from tests.support.programs import run
 from tests.support.shipped import CONFIGS
 
@@ -49,7 +49,7 @@ def after(readings: int) -> Any:
         seen.append(reading)
         return Decision.STOP if len(seen) >= readings else Decision.GO
 
-    return Told(looked=look)
+    return ScriptedOperator(looked=look)
 
 
 def test_every_planned_reading_is_there_once(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_at_a_real_bench_what_is_left_is_read_in_another_run(tmp_path: Path, mon
     again = Collected(small, tmp_path / "out")
     begin = again.bench.begin
     monkeypatch.setattr(again.bench, "begin", lambda *of: (begin(*of)[0], 0))
-    person = Told()
+    person = ScriptedOperator()
     again.go(person)
     assert [row["run"] for row in rows(again.table())] == ["baseline-60cm"] * 12 + ["baseline-60cm+1"] * 18
     assert person.places[0].had == 12
@@ -240,7 +240,7 @@ def test_a_bus_that_comes_back_is_gone_on_with(tmp_path: Path) -> None:
     begins_s = Collected(small, tmp_path / "unused").bench.begins_s["baseline-60cm"]
     faults = {"one": [Fault("locked_up", begins_s + 1.0, begins_s + 3.5)]}
     collected = Collected(small, tmp_path / "out", faults=faults)
-    person = collected.go(Told())
+    person = collected.go(ScriptedOperator())
     assert len(person.texts) == 1
     assert "errno 110" in person.texts[0]
     assert sum(bool(row["reading_cm"]) for row in rows(collected.table())) == 30

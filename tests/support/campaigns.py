@@ -86,7 +86,7 @@ class Collected:
         return path.read_text()
 
 
-class Told(AutoOperator):
+class ScriptedOperator(AutoOperator):
     """An operator who answers as a test sets, when asked; GO afterwards."""
 
     def __init__(

@@ -202,13 +202,14 @@ def refit(
     shifts = np.array([False] * nb + [effects[k].effect.is_shift for k, _ in numbers])
     theta = np.concatenate([start, [effects[k].values[p.name] for k, p in numbers]])
     bounds = low, high
-    at, best, here = maximise(total, lambda *given: slopes(*given)[1:3], theta, bounds, ENOUGH_NATS, rounds)
+    climb = partial(maximise, total, lambda *given: slopes(*given)[1:3])
+    at, best, here = climb(theta, bounds, ENOUGH_NATS, rounds)
     if rounds and shifts.any():
         own = with_shifts(prepared, *placed(at))
         theta = np.concatenate([at[:nb], [own[k].values[p.name] for k, p in numbers]])
         if np.any(theta != at):
             bounds = np.where(shifts, theta, low), np.where(shifts, theta, high)
-            at, best, here = maximise(total, lambda *given: slopes(*given)[1:3], theta, bounds, ENOUGH_NATS, rounds)
+            at, best, here = climb(theta, bounds, ENOUGH_NATS, rounds)
     names = tuple([f"base.{name}" for name in BASE] + [f"{k}.{p.name}" for k, p in numbers])
     return JointFit(*placed(at), best, names, at, bounds, here, partial(slopes, at, here))
 

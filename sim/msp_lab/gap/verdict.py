@@ -37,14 +37,15 @@ def bounds(findings: GapFindings, model: Model, widened: float = 1.0) -> dict[st
     fitted += rules.CURVE_NUMBERS * len(findings.unknown)
     # A number fitted on one half of the readings costs half a nat on the other, and up to twice that.
     cost = fitted / max(findings.rows, 1)
-    least_cm, most_cm = rules.CLOSED_BIAS_SIGMAS * sigma_cm, widened * rules.CLOSED_MAX_BIAS_SIGMAS * sigma_cm
-    most_ratio = widened * rules.CLOSED_MAX_SPREAD_RATIO
-    nats = _near_floor(gap.nats_per_reading, 0.0, rules.CLOSED_NATS, widened * rules.CLOSED_MAX_NATS)
-    return {
-        "nats_per_reading": nats + cost,
-        "bias_cm": _near_floor(gap.bias_cm, 0.0, least_cm, most_cm),
-        "spread_ratio": _near_floor(gap.spread_ratio, 1.0, rules.CLOSED_SPREAD_RATIO, most_ratio),
+    limits = {
+        "nats_per_reading": (rules.CLOSED_NATS, rules.CLOSED_MAX_NATS),
+        "bias_cm": (rules.CLOSED_BIAS_SIGMAS * sigma_cm, rules.CLOSED_MAX_BIAS_SIGMAS * sigma_cm),
+        "spread_ratio": (rules.CLOSED_SPREAD_RATIO, rules.CLOSED_MAX_SPREAD_RATIO),
     }
+    found = {
+        key: _near_floor(getattr(gap, key), NO_GAP[key], least, widened * most) for key, (least, most) in limits.items()
+    }
+    return {**found, "nats_per_reading": found["nats_per_reading"] + cost}
 
 
 def _is_closed(measure: Measure, nothing: float, limit: float) -> bool:

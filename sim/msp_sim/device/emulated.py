@@ -18,7 +18,7 @@ from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import DeviceTiming, Fault, RangeFinder
 from msp_sim.device.table import emulated_kind
-from msp_sim.effects.base import PATH
+from msp_sim.effects.base import PATH, TRUE_RANGE
 from msp_sim.model.model import Model
 from msp_sim.model.sampler import Sampler
 from msp_sim.world.vehicle import Pose
@@ -50,21 +50,21 @@ class FlownPath:
     ----------
     range_cm
         True range at a time of the flight [s]; None: there is no surface.
-    ping_s
-        When the ping was.
+    ping_s, now_cm
+        When the ping was [s], and the true range then [cm].
     """
 
     size = 1
 
-    def __init__(self, range_cm: Callable[[float], float | None], ping_s: float) -> None:
-        self._range_cm, self._ping_s = range_cm, ping_s
+    def __init__(self, range_cm: Callable[[float], float | None], ping_s: float, now_cm: float | None) -> None:
+        self._range_cm, self._ping_s, self._now_cm = range_cm, ping_s, now_cm
 
     def __getitem__(self, part: slice) -> "FlownPath":
         return self
 
     def moved_cm(self, ago_s: Any) -> float:
         """How far the range was from that at the ping, so long before it [cm]; NaN where there was no surface."""
-        then_cm, now_cm = (self._range_cm(time_s) for time_s in (self._ping_s - float(np.squeeze(ago_s)), self._ping_s))
+        then_cm, now_cm = self._range_cm(self._ping_s - float(np.squeeze(ago_s))), self._now_cm
         return math.nan if then_cm is None or now_cm is None else then_cm - now_cm
 
 
@@ -108,7 +108,7 @@ class EmulatedSensor:
         """The reading of a ping at a time of the flight [s], in whole centimetres, as devices answer."""
         context = self.context(ping_s)
         context["previous_reading_cm"] = self._previous_cm
-        context[PATH] = FlownPath(lambda time_s: self._ping(time_s).true_range_cm, ping_s)
+        context[PATH] = FlownPath(lambda time_s: self._ping(time_s).true_range_cm, ping_s, context[TRUE_RANGE])
         self._previous_cm = reading_cm = self._readings.sample_one(context)
         return round(reading_cm)
 

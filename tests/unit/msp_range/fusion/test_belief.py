@@ -145,6 +145,7 @@ class Moving:
         self.sent: dict[float, float] = {}
         self.statuses: dict[float, Status] = {}
         self.texts: dict[str | None, float] = {}
+        self.is_doubted: dict[float, bool] = {}
         pings: dict[str, Reading] = {}
         for i in range(200):
             time_s = i * SLOT_S
@@ -164,7 +165,9 @@ class Moving:
                 seen = replace(before, time_s=time_s)
             out = fusion.update(seen, time_s + 0.03)
             self.statuses[time_s] = out.reading.status
-            self.texts |= {each.text: time_s for each in fusion.conditions() if each.text not in self.texts}
+            conditions = {each.key: each.text for each in fusion.conditions()}
+            self.texts |= {text: time_s for text in conditions.values() if text not in self.texts}
+            self.is_doubted[time_s] = conditions["doubt"] is not None
             if out.fused is not None:
                 self.sent[time_s] = out.fused.range_m
 
@@ -326,6 +329,17 @@ def test_answers_stay_late_on_a_ground_that_was_lost_meanwhile() -> None:
 
     flight = Moving(range_m, [4.0, 8.0, 16.0], late_from_s=6.0)
     assert not [time_s for time_s in flight.sent if 9.5 < time_s < 18.0]
+
+
+def test_a_doubt_lasts_until_a_ground_is_sent_again() -> None:
+    """Also where another reason follows, and while nothing is seen but part of the vehicle."""
+    flight = Moving(lambda name, time_s, height_m: 0.4 if 8.0 < time_s < 14.0 else 4.0 + height_m, [10.0], 1.0)
+    doubted_s = [time_s for time_s, is_doubted in flight.is_doubted.items() if is_doubted]
+    assert Status.FIXED in flight.statuses.values()
+    assert len(flight.texts) == 3  # None, and both reasons.
+    assert doubted_s[0] < 8.6
+    assert all(is_doubted for time_s, is_doubted in flight.is_doubted.items() if doubted_s[0] < time_s < 14.0)
+    assert doubted_s[-1] < min(time_s for time_s in flight.sent if time_s > 14.0) + 0.15
 
 
 @pytest.mark.parametrize("seed", [1, 2])
