@@ -113,7 +113,7 @@ class MotionResponse:
         return self._fixed <= DECIDED and self._apart <= DECIDED_APART
 
     def inherit(self, other: "MotionResponse") -> None:
-        """Answers that came late on another surface do on this one; what is rather fixed there has shown no lateness."""
+        """Answers that came late on another surface do on this one; what is rather fixed there shows no lateness."""
         if other.is_late or other._apart >= 0.0:
             self._late, self.is_late = min(other._late, 0.0), other.is_late
 

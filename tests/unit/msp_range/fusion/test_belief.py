@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
@@ -144,8 +144,7 @@ class Moving:
         fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
         self.sent: dict[float, float] = {}
         self.statuses: dict[float, Status] = {}
-        self.texts: dict[str | None, float] = {}
-        self.is_doubted: dict[float, bool] = {}
+        self.doubts: dict[float, str | None] = {}
         pings: dict[str, Reading] = {}
         for i in range(200):
             time_s = i * SLOT_S
@@ -165,9 +164,7 @@ class Moving:
                 seen = replace(before, time_s=time_s)
             out = fusion.update(seen, time_s + 0.03)
             self.statuses[time_s] = out.reading.status
-            conditions = {each.key: each.text for each in fusion.conditions()}
-            self.texts |= {text: time_s for text in conditions.values() if text not in self.texts}
-            self.is_doubted[time_s] = conditions["doubt"] is not None
+            self.doubts[time_s] = {each.key: each.text for each in fusion.conditions()}["doubt"]
             if out.fused is not None:
                 self.sent[time_s] = out.fused.range_m
 
@@ -331,21 +328,30 @@ def test_answers_stay_late_on_a_ground_that_was_lost_meanwhile() -> None:
     assert not [time_s for time_s in flight.sent if 9.5 < time_s < 18.0]
 
 
+CHANGED, UNANSWERED = "Range: sudden change, maybe an object or fault", "Range: readings do not follow the motion"
+
+
 def test_a_doubt_lasts_until_a_ground_is_sent_again() -> None:
     """Also where another reason follows, and while nothing is seen but part of the vehicle."""
     flight = Moving(lambda name, time_s, height_m: 0.4 if 8.0 < time_s < 14.0 else 4.0 + height_m, [10.0], 1.0)
-    doubted_s = [time_s for time_s, is_doubted in flight.is_doubted.items() if is_doubted]
+    doubted_s = [time_s for time_s, doubt in flight.doubts.items() if doubt]
     assert Status.FIXED in flight.statuses.values()
-    assert len(flight.texts) == 3  # None, and both reasons.
     assert doubted_s[0] < 8.6
-    assert all(is_doubted for time_s, is_doubted in flight.is_doubted.items() if doubted_s[0] < time_s < 14.0)
+    assert all(doubt for time_s, doubt in flight.doubts.items() if doubted_s[0] < time_s < 14.0)
     assert doubted_s[-1] < min(time_s for time_s in flight.sent if time_s > 14.0) + 0.15
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_doubt_has_one_reason_after_another(seed: int) -> None:
+    """Also after a movement that is too small to decide."""
+    flight = Moving(lambda name, time_s, height_m: 0.4 if time_s > 3.0 else 3.0 + height_m, [5.0], 0.4, seed)
+    assert [doubt for doubt, _ in groupby(flight.doubts.values())] in ([None, CHANGED], [None, CHANGED, UNANSWERED])
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_does_not_follow_the_motion_is_reported_when_it_is_not_sent_any_more(seed: int) -> None:
     flight = Moving(lambda name, time_s, height_m: min(0.2 + height_m, 0.57), [5.0, 9.0], 1.0, seed)
-    reported_s = flight.texts["Range: readings do not follow the motion"]
+    reported_s = min(time_s for time_s, doubt in flight.doubts.items() if doubt == UNANSWERED)
     last_s = max(time_s for time_s in flight.sent if time_s < 11.0)
     assert reported_s - last_s < 2.5 * SLOT_S
 
