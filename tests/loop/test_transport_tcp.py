@@ -81,7 +81,7 @@ def test_small_frames_go_out_at_once() -> None:
         opened(f"tcp:127.0.0.1:{port}", StepClock()) as client,
     ):
         until(lambda: server.receive() == client.receive() and server.connected and client.connected)
-        for tcp in (client._handle, server._clients[0].tcp):  # type: ignore[attr-defined]
+        for tcp in (client._handle, *server._clients):  # type: ignore[attr-defined]
             assert tcp.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
 
 
@@ -160,10 +160,10 @@ def test_tcp_does_not_take_itself_for_the_server(monkeypatch: pytest.MonkeyPatch
     """Linux can give a socket that connects to a free port of this computer that same port, and it connects."""
 
     class Unlucky(socket.socket):
-        def connect_ex(self, address: tuple[str, int]) -> int:  # type: ignore[override]
+        def connect(self, address: tuple[str, int]) -> None:  # type: ignore[override]
             if self.getsockname()[1] != address[1]:
                 self.bind(address)
-            return super().connect_ex(address)
+            super().connect(address)
 
     port = free_port(socket.SOCK_STREAM)
     monkeypatch.setattr(socket, "socket", Unlucky)

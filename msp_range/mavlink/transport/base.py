@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import FileIO
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.url import TransportUrl
@@ -38,13 +38,10 @@ class TransportStats:
 class Transport(Protocol):
     """The bytes of a MAVLink link. No method blocks, and none raises after opening."""
 
-    @property
-    def description(self) -> str:
-        """The URL."""
-
-    @property
-    def stats(self) -> TransportStats:
-        """Counters of frames."""
+    description: str
+    """The URL."""
+    stats: TransportStats
+    """Counters of frames."""
 
     @property
     def last_error(self) -> str | None:
@@ -101,27 +98,24 @@ class Wrapped:
         self._transport.close()
 
 
-Handle = TypeVar("Handle", socket.socket, FileIO)
-"""What is open."""
-
-
-class Reconnecting(ABC, Generic[Handle]):
+class Reconnecting(ABC):
     """Opens at once, then 0.5 s after a failure, with twice the delay after each further one, up to 5 s.
 
-    Subclasses implement opening, and make what that needs before they call this class's constructor.
+    Subclasses implement opening, and make what that and closing need before they call this class's constructor.
     """
 
     quiet_until_s = float("-inf")
-    _handle: Handle | None = None
+    _handle: socket.socket | FileIO | None = None
 
     def __init__(self, url: TransportUrl, clock: Clock) -> None:
         self.description = str(url)
         self.stats = TransportStats()
         self.last_error: str | None = None
+        self._url = url
         self._clock = clock
         self._open_at_s = float("-inf")
         self._retry_delay_s = RETRY_FIRST_S
-        self._was_open = False
+        self._is_open = self._was_open = False
         self._try_open()
 
     @abstractmethod
@@ -133,6 +127,7 @@ class Reconnecting(ABC, Generic[Handle]):
         if self._handle is not None:
             self._handle.close()
             self._handle = None
+        self._is_open = False
 
     @property
     def files(self) -> Sequence[int]:
@@ -144,15 +139,10 @@ class Reconnecting(ABC, Generic[Handle]):
         self._open_at_s = float("inf")
         self._release()
 
-    def _opened(self) -> Handle | None:
-        """What is open, after an attempt to open where nothing is and one is due."""
-        if self._handle is None:
-            self._try_open()
-        return self._handle
-
     def _try_open(self) -> None:
+        """Open where nothing is open and an attempt is due."""
         try:
-            if self._clock.now() < self._open_at_s or not self._open():
+            if self._is_open or self._clock.now() < self._open_at_s or not self._open():
                 return
         except OSError as error:
             self._lost(error)
@@ -160,7 +150,7 @@ class Reconnecting(ABC, Generic[Handle]):
         self._retry_delay_s = RETRY_FIRST_S
         self.last_error = None
         self.stats.reconnects += self._was_open
-        self._was_open = True
+        self._is_open = self._was_open = True
 
     def _lost(self, error: OSError) -> None:
         self._release()

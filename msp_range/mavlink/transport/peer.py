@@ -3,7 +3,7 @@
 Senders without MAVLink get nothing and cost nothing, and no new sender can replace the first autopilot.
 """
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import TypeVar
 
 from msp_range.mavlink.frames import FrameReader
@@ -48,12 +48,13 @@ class Peer:
         return now_s - self._last_autopilot_s <= PEER_SILENT_S
 
 
-SomePeer = TypeVar("SomePeer", bound=Peer)
+Place = TypeVar("Place")
+"""Where a peer is: its address, or its socket."""
 
 
-def longest_silent(peers: Iterable[SomePeer], now_s: float) -> SomePeer:
+def longest_silent(peers: Mapping[Place, Peer], now_s: float) -> Place:
     """The peer to drop for a new one: no autopilot where there is another, and never the first autopilot."""
-    first, *others = sorted(peers, key=lambda peer: (not peer.is_autopilot(now_s), peer.first_autopilot_s))
-    if not first.is_autopilot(now_s):
-        others.insert(0, first)
-    return min(others, key=lambda peer: (peer.is_autopilot(now_s), peer.last_frame_s))
+    autopilots = [peer for peer in peers.values() if peer.is_autopilot(now_s)]
+    first = min(autopilots, key=lambda peer: peer.first_autopilot_s, default=None)
+    order = {place: (peer in autopilots, peer is first, peer.last_frame_s) for place, peer in peers.items()}
+    return min(order, key=order.__getitem__)

@@ -7,7 +7,6 @@ import termios
 from contextlib import suppress
 from io import FileIO
 
-from msp_range.clock import Clock
 from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S, FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import SerialUrl
 
@@ -17,12 +16,11 @@ UARTS = ("/dev/serial0", "/dev/serial1", "/dev/ttyAMA", "/dev/ttyS")
 """Beginnings of the names of a computer's own serial ports, which may have to be switched on."""
 
 
-class Serial(StreamTransport[FileIO]):
+class Serial(StreamTransport):
     """``serial``: a device file, which may vanish (unplugged) and return under the same name."""
 
-    def __init__(self, url: SerialUrl, clock: Clock) -> None:
-        self._url = url
-        super().__init__(url, clock)
+    _url: SerialUrl
+    _handle: FileIO | None
 
     def _open(self) -> bool:
         # O_NONBLOCK: do not wait for a carrier; O_NOCTTY: a ^C that arrives must not end the bridge.

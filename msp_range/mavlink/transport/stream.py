@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Handle, Reconnecting, TransportStats
+from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting, TransportStats
 
 #: A frame that has not been started this long after ``send`` is dropped.
 FRAME_DEADLINE_S = 0.25
@@ -34,6 +34,8 @@ class FrameStream:
 
     Attributes
     ----------
+    waiting
+        What is unwritten of each frame, and its deadline [s].
     blocked_since_s
         When a write was incomplete and none has made progress after it [s]; None: the last write was complete.
     """
@@ -49,14 +51,8 @@ class FrameStream:
         self._clock = clock
         self._stats = stats
         self._stuck_after_s = stuck_after_s
-        # What is unwritten of each frame, and its deadline [s].
-        self._waiting: deque[tuple[bytes, float]] = deque()
+        self.waiting: deque[tuple[bytes, float]] = deque()
         self.blocked_since_s: float | None = None
-
-    @property
-    def is_empty(self) -> bool:
-        """True if no frame waits."""
-        return not self._waiting
 
     def send(self, frame: bytes) -> bool:
         """Write ``frame``, or keep it until its deadline; False if too many are waiting.
@@ -66,14 +62,13 @@ class FrameStream:
         OSError
             As `flush` does.
         """
-        if len(self._waiting) >= MOST_WAITING_FRAMES:
-            self.flush()
-            if len(self._waiting) >= MOST_WAITING_FRAMES:
-                self._stats.dropped_frames += 1
-                return False
-        self._waiting.append((frame, self._clock.now() + FRAME_DEADLINE_S))
+        self.waiting.append((frame, self._clock.now() + FRAME_DEADLINE_S))
         self.flush()
-        return True
+        if len(self.waiting) <= MOST_WAITING_FRAMES:
+            return True
+        self.waiting.pop()
+        self._stats.dropped_frames += 1
+        return False
 
     def flush(self) -> None:
         """Write waiting frames as far as possible, and drop late ones.
@@ -84,10 +79,10 @@ class FrameStream:
             The stream is broken; TimeoutError if it accepted nothing for too long.
         """
         now_s = self._clock.now()
-        while self._waiting:
-            unwritten, deadline_s = self._waiting[0]
+        while self.waiting:
+            unwritten, deadline_s = self.waiting[0]
             if now_s > deadline_s:
-                self._waiting.popleft()
+                self.waiting.popleft()
                 self._stats.dropped_frames += 1
                 continue
             try:
@@ -97,23 +92,23 @@ class FrameStream:
             if written:
                 self.blocked_since_s = None
                 # The rest of a frame follows, however late.
-                self._waiting[0] = unwritten[written:], float("inf")
+                self.waiting[0] = unwritten[written:], float("inf")
             if written < len(unwritten):
                 if self.blocked_since_s is None:
                     self.blocked_since_s = now_s
                 elif now_s - self.blocked_since_s > self._stuck_after_s:
                     raise TimeoutError(f"the peer has accepted nothing for {self._stuck_after_s:.0f} s")
                 return
-            self._waiting.popleft()
+            self.waiting.popleft()
             self._stats.sent_frames += 1
 
     def abandon(self) -> None:
         """Count incomplete frames as dropped, because the stream is closed."""
-        self._stats.dropped_frames += len(self._waiting)
-        self._waiting.clear()
+        self._stats.dropped_frames += len(self.waiting)
+        self.waiting.clear()
 
 
-class StreamTransport(Reconnecting[Handle]):
+class StreamTransport(Reconnecting):
     """A transport with one byte stream, which exists from ``_open`` to ``_release``."""
 
     _stream: FrameStream | None = None
@@ -121,7 +116,7 @@ class StreamTransport(Reconnecting[Handle]):
     @property
     def files(self) -> Sequence[int]:
         """The stream; none while frames wait, which `receive` writes."""
-        return () if self._stream is None or not self._stream.is_empty else super().files
+        return () if self._stream is None or self._stream.waiting else super().files
 
     @property
     def connected(self) -> bool:
@@ -130,8 +125,7 @@ class StreamTransport(Reconnecting[Handle]):
 
     def send(self, frame: bytes) -> bool:
         """Send a frame whole, now or within 0.25 s; False without a link, or with too many frames waiting."""
-        if self._stream is None:
-            self._try_open()
+        self._try_open()
         if self._stream is None:
             self.stats.dropped_frames += 1
             return False
@@ -143,8 +137,7 @@ class StreamTransport(Reconnecting[Handle]):
 
     def receive(self) -> bytes:
         """Return what has arrived; connect, and write waiting frames."""
-        if self._stream is None:
-            self._try_open()
+        self._try_open()
         if self._stream is None or self._handle is None:
             return b""
         try:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
+from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
+from msp_range.mavlink.transport.network import Networked
 from msp_range.mavlink.transport.peer import PEER_SILENT_S, Peer, longest_silent
-from msp_range.mavlink.transport.resolve import Resolver
 from msp_range.mavlink.transport.stream import FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import NetworkUrl
 
@@ -32,49 +32,34 @@ def _prepare(tcp: socket.socket) -> None:
     tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(STUCK_AFTER_S * 1000))
 
 
-class TcpOut(StreamTransport[socket.socket]):
+class TcpOut(Networked, StreamTransport):
     """``tcp``: a client of one server."""
 
-    def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        self._resolver = Resolver(url)
-        self._address = ("", 0)
-        self._give_up_at_s = 0.0
-        super().__init__(url, clock)
-
-    def _open(self) -> bool:
-        if self._handle is None:
-            address = self._resolver.address()
-            if address is None:
-                return False
-            self._address = address
-            self._give_up_at_s = self._clock.now() + CONNECT_DEADLINE_S
-            self._handle = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-            _prepare(self._handle)
-        # Called again during the attempt, connect returns its state.
-        error = self._handle.connect_ex(self._address)
-        if error in (errno.EINPROGRESS, errno.EALREADY):
-            if self._clock.now() > self._give_up_at_s:
-                raise TimeoutError(f"no answer within {CONNECT_DEADLINE_S:.0f} s")
+    def _attach(self, handle: socket.socket) -> bool:
+        _prepare(handle)
+        try:
+            # Called again during the attempt, it says how that stands.
+            handle.connect(self._address)
+        except BlockingIOError:
+            if self._clock.now() > self._made_s + CONNECT_DEADLINE_S:
+                raise TimeoutError(f"no answer within {CONNECT_DEADLINE_S:.0f} s") from None
             return False
-        if error in (0, errno.EISCONN):
-            if self._handle.getsockname() != self._handle.getpeername():
-                self._stream = FrameStream(self._handle.send, self._clock, self.stats, STUCK_AFTER_S)
-                return True
+        if handle.getsockname() == handle.getpeername():
             # A free port on this computer can be given to the socket itself, and it is then connected to itself.
-            error = errno.ECONNREFUSED
-        raise OSError(error, os.strerror(error))
+            raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
+        self._stream = FrameStream(handle.send, self._clock, self.stats, STUCK_AFTER_S)
+        return True
 
 
 class _Client(Peer):
     """An accepted connection and its output."""
 
-    def __init__(self, tcp: socket.socket, stream: FrameStream, now_s: float) -> None:
+    def __init__(self, stream: FrameStream, now_s: float) -> None:
         super().__init__(now_s)
-        self.tcp = tcp
         self.stream = stream
 
 
-class TcpIn(Reconnecting[socket.socket]):
+class TcpIn(Networked):
     """``tcpin``: a server; every frame goes to every client, and whole frames of all clients are received.
 
     A client that sends no valid frame for 10 s is dropped. If the maximum number is reached, a new client
@@ -82,8 +67,7 @@ class TcpIn(Reconnecting[socket.socket]):
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        self._resolver = Resolver(url)
-        self._clients: list[_Client] = []
+        self._clients: dict[socket.socket, _Client] = {}
         super().__init__(url, clock)
 
     @property
@@ -94,57 +78,52 @@ class TcpIn(Reconnecting[socket.socket]):
     @property
     def files(self) -> Sequence[int]:
         """All sockets; none while frames wait, which `receive` writes."""
-        if not all(client.stream.is_empty for client in self._clients):
+        if any(client.stream.waiting for client in self._clients.values()):
             return ()
-        return (*super().files, *(client.tcp.fileno() for client in self._clients))
+        return (*super().files, *(tcp.fileno() for tcp in self._clients))
 
     def send(self, frame: bytes) -> bool:
         """Send a frame to every client, now or within 0.25 s; False if no client can get it."""
         taken = False
         if not self._clients:
             self.stats.dropped_frames += 1
-        for client in self._clients.copy():
+        for tcp, client in self._clients.copy().items():
             try:
                 taken = client.stream.send(frame) or taken
             except OSError as error:
-                self._drop(client, error)
+                self._drop(tcp, error)
         return taken
 
     def receive(self) -> bytes:
         """Return the complete frames that have arrived; accept clients, and write waiting frames."""
-        listener = self._opened()
-        if listener is not None:
-            self._accept(listener)
+        self._try_open()
+        if self._handle is not None:
+            self._accept(self._handle)
         now_s = self._clock.now()
         received: list[bytes] = []
-        for client in self._clients.copy():
+        for tcp, client in self._clients.copy().items():
             try:
                 client.stream.flush()
                 with suppress(BlockingIOError):
-                    arrived = client.tcp.recv(RECEIVE_BOUND_BYTES // len(self._clients))
+                    arrived = tcp.recv(RECEIVE_BOUND_BYTES // len(self._clients))
                     if not arrived:
                         raise ConnectionError("a client has left")
                     received.append(client.read(arrived, now_s))
                 if client.is_silent(now_s):
                     raise TimeoutError(f"a client has sent no MAVLink for {PEER_SILENT_S:.0f} s")
             except OSError as error:
-                self._drop(client, error)
+                self._drop(tcp, error)
         return b"".join(received)
 
-    def _open(self) -> bool:
-        address = self._resolver.address()
-        if address is None:
-            return False
-        self._handle = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        self._handle.setblocking(False)
-        self._handle.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self._handle.bind(address)
-        self._handle.listen()
+    def _attach(self, handle: socket.socket) -> bool:
+        handle.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        handle.bind(self._address)
+        handle.listen()
         return True
 
     def _release(self) -> None:
-        for client in self._clients.copy():
-            self._drop(client)
+        for tcp in self._clients.copy():
+            self._drop(tcp)
         super()._release()
 
     def _accept(self, listener: socket.socket) -> None:
@@ -160,12 +139,11 @@ class TcpIn(Reconnecting[socket.socket]):
                 return
             if len(self._clients) >= MOST_CLIENTS:
                 self._drop(longest_silent(self._clients, now_s))
-            self._clients.append(_Client(tcp, FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S), now_s))
+            self._clients[tcp] = _Client(FrameStream(tcp.send, self._clock, self.stats, STUCK_AFTER_S), now_s)
             self.last_error = None
 
-    def _drop(self, client: _Client, error: OSError | None = None) -> None:
-        client.tcp.close()
-        client.stream.abandon()
-        self._clients.remove(client)
+    def _drop(self, tcp: socket.socket, error: OSError | None = None) -> None:
+        tcp.close()
+        self._clients.pop(tcp).stream.abandon()
         if error is not None:
             self._remember(error)

@@ -5,12 +5,11 @@ UDP has no connections. A frame counts as sent when the operating system has acc
 
 import errno
 import socket
-from abc import abstractmethod
 
 from msp_range.clock import Clock
-from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting
+from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
+from msp_range.mavlink.transport.network import Networked
 from msp_range.mavlink.transport.peer import Peer, longest_silent
-from msp_range.mavlink.transport.resolve import Resolver
 from msp_range.mavlink.transport.url import NetworkUrl
 
 MOST_PEERS = 4
@@ -27,19 +26,17 @@ socket's buffer, which holds some 250, and the autopilot's own datagrams are los
 _NO_ROOM = (errno.EAGAIN, errno.ENOBUFS)
 
 
-class _Udp(Reconnecting[socket.socket]):
+class _Udp(Networked):
     """Common part of both kinds of UDP link: one socket, and the received datagrams."""
 
-    def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        self._resolver = Resolver(url)
-        self._refused_at_s = float("-inf")
-        super().__init__(url, clock)
+    _kind = socket.SOCK_DGRAM
+    _refused_at_s = float("-inf")
 
     def receive(self) -> bytes:
         """Return the datagrams that have arrived, joined."""
         received: list[bytes] = []
         count = 0
-        self._opened()
+        self._try_open()
         for _ in range(_MOST_DATAGRAMS):
             if self._handle is None or count >= RECEIVE_BOUND_BYTES:
                 break
@@ -64,19 +61,6 @@ class _Udp(Reconnecting[socket.socket]):
         """The part of a datagram that is passed to the link."""
         return datagram
 
-    def _open(self) -> bool:
-        address = self._resolver.address()
-        if address is None:
-            return False
-        self._handle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._handle.setblocking(False)
-        self._attach(self._handle, address)
-        return True
-
-    @abstractmethod
-    def _attach(self, udp: socket.socket, address: tuple[str, int]) -> None:
-        """Connect or bind the new socket."""
-
 
 class UdpOut(_Udp):
     """``udpout``: a connected socket, so that sending is one cheap system call and a missing peer is detected."""
@@ -88,13 +72,13 @@ class UdpOut(_Udp):
 
     def send(self, frame: bytes) -> bool:
         """Send one datagram; False without a route or if the operating system's buffer is full."""
-        udp = self._opened()
+        self._try_open()
         # A refusal answers an earlier frame, and this one has not been sent: once more.
         for _ in range(2):
-            if udp is None:
+            if self._handle is None:
                 break
             try:
-                udp.send(frame)
+                self._handle.send(frame)
                 self.stats.sent_frames += 1
                 return True
             except ConnectionRefusedError:
@@ -106,8 +90,9 @@ class UdpOut(_Udp):
         self.stats.dropped_frames += 1
         return False
 
-    def _attach(self, udp: socket.socket, address: tuple[str, int]) -> None:
-        udp.connect(address)
+    def _attach(self, handle: socket.socket) -> bool:
+        handle.connect(self._address)
+        return True
 
 
 class UdpIn(_Udp):
@@ -148,25 +133,21 @@ class UdpIn(_Udp):
         now_s = self._clock.now()
         peer = self._peers.get(address) or Peer(now_s)
         frames = peer.read(datagram, now_s)
-        if not frames or not (address in self._peers or self._admit(address, peer, now_s)):
-            return b""
+        if frames and address not in self._peers:
+            self._forget_silent_peers()
+            if len(self._peers) >= MOST_PEERS:
+                if not peer.is_autopilot(now_s):
+                    return b""
+                del self._peers[longest_silent(self._peers, now_s)]
+            self._peers[address] = peer
         return frames
-
-    def _admit(self, address: tuple[str, int], newcomer: Peer, now_s: float) -> bool:
-        self._forget_silent_peers()
-        if len(self._peers) >= MOST_PEERS:
-            if not newcomer.is_autopilot(now_s):
-                return False
-            given_up = longest_silent(self._peers.values(), now_s)
-            self._peers = {each: peer for each, peer in self._peers.items() if peer is not given_up}
-        self._peers[address] = newcomer
-        return True
 
     def _forget_silent_peers(self) -> None:
         now_s = self._clock.now()
         for address in [each for each, peer in self._peers.items() if peer.is_silent(now_s)]:
             del self._peers[address]
 
-    def _attach(self, udp: socket.socket, address: tuple[str, int]) -> None:
+    def _attach(self, handle: socket.socket) -> bool:
         # Not SO_REUSEADDR: on Linux it lets a second program take the port's datagrams away unnoticed.
-        udp.bind(address)
+        handle.bind(self._address)
+        return True
