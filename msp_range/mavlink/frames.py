@@ -97,8 +97,6 @@ class FrameReader:
 
     def read(self, arrived: bytes) -> list[Frame]:
         """The frames completed by ``arrived``, in order."""
-        if not arrived:
-            return []
         stream = self._incomplete + arrived
         frames: list[Frame] = []
         false_starts = 0
@@ -111,11 +109,8 @@ class FrameReader:
             frame, passes = _check(stream, start, stop)
             if frame is not None:
                 frames.append(frame)
-            if passes:
-                start = stop
-                continue
-            false_starts += 1
-            start = start + 1 if false_starts <= MAX_FALSE_STARTS else stop
+            false_starts += not passes
+            start = stop if passes or false_starts > MAX_FALSE_STARTS else start + 1
         else:
             start = end
         self._incomplete = stream[start:]

@@ -11,7 +11,6 @@ from typing import Any
 
 from msp_range.clock import Clock
 from msp_range.health import Condition, Severity
-from msp_range.mavlink.component_information import MESSAGE_ID as COMPONENT_INFORMATION_BASIC
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.contradictions import Contradictions
 from msp_range.mavlink.dialect import dialect
@@ -54,7 +53,7 @@ TIMESYNC_BYTES = 16
 """Length of TIMESYNC without the target, which newer versions of it have at the end."""
 
 _COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
-Waiting = deque[tuple[float, Frame]]
+Waiting = list[tuple[float, Frame]]
 """When each frame arrived [s], and the frame."""
 
 
@@ -103,8 +102,8 @@ class Link:
         self._pinned_system = self._first_system = system_id
         self._signing = signing
         self._frames = FrameReader()
-        self._from_autopilot: Waiting = deque()
-        self._from_others: Waiting = deque()
+        self._from_autopilot: Waiting = []
+        self._from_others: Waiting = []
         self._mav = dialect.MAVLink(None, system_id or 1, component_id)
         now_s = clock.now()
         self._start_s = now_s
@@ -121,7 +120,7 @@ class Link:
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self._sent_frames: deque[bytes] = deque(maxlen=SENT_KEPT)
-        self._autopilot_answers, self._command_answers = _Allowance(now_s), _Allowance(now_s)
+        self._autopilot_answers, self._command_answers = _Allowance(), _Allowance()
 
     @property
     def autopilot_is_present(self) -> bool:
@@ -220,35 +219,32 @@ class Link:
         autopilot = self.autopilot_system or self._pinned_system
         own_ids = self._ids
         for frame in frames:
-            if (frame.system, frame.component) == own_ids:
-                self._from_others.append((now_s, frame))
-                continue
+            waiting = self._from_others
+            is_own = (frame.system, frame.component) == own_ids
             if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and frame.system == (autopilot or frame.system):
                 waiting = self._from_autopilot
-            elif frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat:
-                waiting = self._from_others
-            else:
+            elif not (is_own or frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat):
                 continue
-            if self._is_accepted(now_s, frame):
+            if is_own or self._is_accepted(now_s, frame):
                 waiting.append((now_s, frame))
         self._from_autopilot = _bounded(self._from_autopilot, WAITING_FROM_AUTOPILOT)
         self._from_others = _bounded(self._from_others, WAITING_FROM_OTHERS)
 
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
         """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
-        if self._signing is None:
-            if frame.is_signed and frame.is_autopilot_heartbeat:
+        is_accepted = self._signing is None or self._signing.accepts(frame)
+        if frame.is_autopilot_heartbeat:
+            if not is_accepted:
+                self._participants.seen("signing", now_s, "Range: autopilot does not sign with this key")
+            elif self._signing is None and frame.is_signed:
                 self._participants.seen("signing", now_s, "Range: autopilot signs, signing_key is missing")
-            return True
-        accepted = self._signing.accepts(frame)
-        if frame.is_autopilot_heartbeat and not accepted:
-            self._participants.seen("signing", now_s, "Range: autopilot does not sign with this key")
-        return accepted
+        return is_accepted
 
     def _decode_first(self, waiting: Waiting, count: int) -> None:
         """Decode up to ``count`` of the waiting messages."""
-        for _ in range(min(count, len(waiting))):
-            self._decode(*waiting.popleft())
+        for time_s, frame in waiting[:count]:
+            self._decode(time_s, frame)
+        del waiting[:count]
 
     def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
@@ -329,7 +325,7 @@ class Link:
         if command.command == dialect.MAV_CMD_REQUEST_MESSAGE:
             if command.param1 == dialect.MAVLINK_MSG_ID_HEARTBEAT:
                 answer = self._heartbeat()
-            elif command.param1 == COMPONENT_INFORMATION_BASIC:
+            elif command.param1 == ComponentInformationBasic.id:
                 answer = ComponentInformationBasic(self.autopilot_clock.time_boot_ms(self._clock.now()))
             result = dialect.MAV_RESULT_DENIED if answer is None else dialect.MAV_RESULT_ACCEPTED
         if (command.target_component == 0 and answer is None) or not self._command_answers.take(now_s):
@@ -355,7 +351,7 @@ def _bounded(waiting: Waiting, count: int) -> Waiting:
     if len(waiting) <= count:
         return waiting
     newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
-    return deque(list(newest.values())[-count:])
+    return list(newest.values())[-count:]
 
 
 class _Allowance:
@@ -363,14 +359,12 @@ class _Allowance:
 
     Examples
     --------
-    >>> allowance = _Allowance(0.0)
+    >>> allowance = _Allowance()
     >>> [sum(allowance.take(time_s) for _ in range(30)) for time_s in (0.0, 0.5, 9.0)]
     [20, 10, 20]
     """
 
-    def __init__(self, now_s: float) -> None:
-        self._left = float(ANSWERS_PER_S)
-        self._last_s = now_s
+    _left, _last_s = 0.0, float("-inf")
 
     def take(self, now_s: float) -> bool:
         """Whether one more is allowed; if so, it is counted."""

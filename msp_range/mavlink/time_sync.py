@@ -42,8 +42,8 @@ _WRAP_MS = 2**32
 
 
 class _Sample(NamedTuple):
-    """The offset from one message: time of arrival [s], largest error [s], autopilot's clock minus bridge's clock
-    [s]."""
+    """The offset from one message: time of arrival [s], its error [s] (of TIMESYNC the largest, of SYSTEM_TIME counted
+    from an unknown zero), autopilot's clock minus bridge's clock [s]."""
 
     received_s: float
     error_s: float
@@ -147,17 +147,15 @@ class AutopilotClock:
         if self._offset_s is not None:
             # It may have wrapped around to 0, unlike TIMESYNC with 64 bits.
             offset_s = self._offset_s + shortest(offset_s - self._offset_s)
-        self._system_times.append(_Sample(now_s, 0.0, offset_s))
+        # The later it arrives, the smaller is the offset.
+        self._system_times.append(_Sample(now_s, -offset_s, offset_s))
         self._update(now_s)
 
     def _update(self, now_s: float) -> None:
-        exchanges = [each for each in self._exchanges if now_s - each.received_s <= OLDEST_S]
-        if exchanges:
-            self._offset_s = min(exchanges, key=lambda each: each.error_s).offset_s
-            return
-        system_times = [each.offset_s for each in self._system_times if now_s - each.received_s <= OLDEST_S]
-        if system_times:
-            self._offset_s = max(system_times)
+        for samples in (self._system_times, self._exchanges):
+            used = [each for each in samples if now_s - each.received_s <= OLDEST_S]
+            if used:
+                self._offset_s = min(used, key=lambda each: each.error_s).offset_s
 
     def _goes_back(self, time_s: float) -> bool:
         """Whether a time of the autopilot is before the newest one that it has sent."""

@@ -35,14 +35,10 @@ _NOT_REFUSED = (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_TEMPORARILY_REJE
 class _Message:
     """The state of one required message."""
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, now_s: float) -> None:
         self.rate_hz = rate_hz
-        self.ask_anew(float("-inf"))
-
-    def ask_anew(self, now_s: float) -> None:
         self.refused = False
-        self.requests = 0
-        self.received = 0
+        self.requests = self.received = 0
         self.first_s = now_s
         self.next_check_s = now_s + FIRST_MEASURED_S
 
@@ -61,13 +57,16 @@ class WantedMessages:
         The dialect has no such message.
     """
 
-    _under_way: list[tuple[float, _Message]]
-
     def __init__(self, rates_hz: Mapping[str, float]) -> None:
-        self._messages: dict[int, _Message] = {
-            getattr(dialect, f"MAVLINK_MSG_ID_{name}"): _Message(rate_hz) for name, rate_hz in rates_hz.items()
-        }
+        self._rates_hz = {getattr(dialect, f"MAVLINK_MSG_ID_{name}"): rate_hz for name, rate_hz in rates_hz.items()}
         self.ask_anew(float("-inf"))
+
+    def ask_anew(self, now_s: float) -> None:
+        """Forget refusals and rates: this may be another autopilot or another firmware."""
+        self._messages = {message_id: _Message(rate_hz, now_s) for message_id, rate_hz in self._rates_hz.items()}
+        self._under_way: list[tuple[float, _Message]] = []
+        self._next_request_s = float("-inf")
+        self._apart_s = APART_S
 
     def on_message(self, now_s: float, message_id: int) -> None:
         """Count a message of the autopilot."""
@@ -108,14 +107,6 @@ class WantedMessages:
                 self._under_way = [*self._not_yet_answered(now_s), (now_s, message)]
                 return message_id, 1e6 / message.rate_hz
         return None
-
-    def ask_anew(self, now_s: float) -> None:
-        """Forget refusals and rates: this may be another autopilot or another firmware."""
-        for message in self._messages.values():
-            message.ask_anew(now_s)
-        self._under_way = []
-        self._next_request_s = float("-inf")
-        self._apart_s = APART_S
 
     def _not_yet_answered(self, now_s: float) -> list[tuple[float, _Message]]:
         return [each for each in self._under_way if now_s - each[0] < ANSWER_S]

@@ -28,7 +28,7 @@ from msp_range.mavlink.signing import (
 )
 from msp_range.params.keys import make
 from msp_range.yaml_file import ConfigError
-from tests.support.mavlink_ends import MemoryTransport
+from tests.support.mavlink_ends import Component, MemoryTransport
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.shipped import CONFIGS
 from tests.support.transports import free_port
@@ -262,7 +262,18 @@ def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
     transport.arrived += heartbeat(peer())
     link.service()
     assert link.autopilot_is_present
+    assert "Range: autopilot signs, signing_key is missing" not in [each.text for each in link.conditions()]
     assert all(received(frame).is_signed for frame in transport.frames)
+
+
+def test_a_program_with_the_bridges_ids_and_without_its_key_is_reported() -> None:
+    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
+    link = Link(transport, clock, signing=Signing(KEY, clock))
+    for _ in range(3):
+        transport.arrived += Component(1, 191).heartbeat()
+        link.service()
+        clock.sleep_until(clock.now() + 1.0)
+    assert "Range: another program sends as 1/191" in [each.text for each in link.conditions()]
 
 
 @pytest.mark.parametrize(
