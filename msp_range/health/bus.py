@@ -16,9 +16,8 @@ _REMEDY = "check the adapter's plug, the wires of data and clock and the sensors
 class BusHealth:
     """The bus that all sensors are on."""
 
-    def __init__(self) -> None:
-        self._text = ""
-        self._fault_s, self._last_s = float("-inf"), 0.0
+    _text = ""
+    _fault_s, _last_s = float("-inf"), 0.0
 
     def on_stuck(self, now_s: float) -> None:
         """Record that a transfer does not end: every device waits for it, whatever it ends with."""

@@ -63,15 +63,15 @@ class Condition(NamedTuple):
 
 
 class _SensorHealth:
+    # What is wrong, and what to do about it.
+    fault: tuple[str, str] | None = None
+    last_fault = ("", "")
+    known = False
+    streak, streak_bad = 0, False
+    to_be_good = READINGS_TO_CHANGE
+
     def __init__(self) -> None:
-        # What is wrong, and what to do about it.
-        self.fault: tuple[str, str] | None = None
-        self.known = False
-        self.streak = 0
-        self.streak_bad = False
-        self.last_fault = ("", "")
         self.recent: deque[bool] = deque(maxlen=READINGS_JUDGED)
-        self.to_be_good = READINGS_TO_CHANGE
 
 
 class Health:
@@ -117,9 +117,8 @@ class Health:
             words, remedy = _WORDS[reading.status]
             sensor.last_fault = words if ranging.error is None else f"{words} (errno {ranging.error.errno})", remedy
         in_a_row = sensor.streak >= READINGS_TO_CHANGE
-        if not in_a_row and len(sensor.recent) < READINGS_JUDGED:
-            return
-        often = len(sensor.recent) == READINGS_JUDGED and 2 * sum(sensor.recent) >= READINGS_JUDGED
+        is_full = len(sensor.recent) == READINGS_JUDGED
+        often = is_full and 2 * sum(sensor.recent) >= READINGS_JUDGED
         if sensor.fault is None and (often or (bad and in_a_row)):
             sensor.fault = sensor.last_fault
             self._report(Severity.ERROR, f"Range {reading.sensor}: {sensor.fault[0]}")
@@ -130,7 +129,7 @@ class Health:
             self._report(Severity.INFO, f"Range {reading.sensor}: good again")
         if not bad and sensor.streak > MOST_TO_BE_GOOD:
             sensor.to_be_good = READINGS_TO_CHANGE
-        if not sensor.known:
+        if not sensor.known and (in_a_row or is_full):
             sensor.known = True
             if self.complete and not self.sensor_faults:
                 self._report(Severity.INFO, f"Range: all {len(self._sensors)} sensors good")

@@ -48,12 +48,13 @@ class Evidence:
     ([False, False, False, True], 4.0)
     """
 
+    is_found = False
+    _sum = 0.0
+    # Since the likeliest beginning of a change: product of the ratios, what was expected, and what was found.
+    _since = _expected = _found = 0.0
+
     def __init__(self, threshold: float) -> None:
         self._threshold = threshold
-        self.is_found = False
-        self._sum = 0.0
-        # Since the likeliest beginning of a change: product of the ratios, what was expected, and what was found.
-        self._since = self._expected = self._found = 0.0
 
     @property
     def ratio(self) -> float:
@@ -106,11 +107,12 @@ class Occurrences(Evidence):
         Readings since it last happened.
     """
 
+    nones = _readings = 0
+    _frequency = _probability = 0.0
+
     def __init__(self, threshold: float, odds: float) -> None:
         super().__init__(threshold)
-        self.nones = 0
         self._odds = odds
-        self._frequency, self._readings, self._probability = 0.0, 0, 0.0
 
     @property
     def frequency(self) -> float:

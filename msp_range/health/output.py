@@ -30,9 +30,8 @@ takes less than the first, and one that flickers is reported once."""
 class _Lasting:
     """A condition that has to last, and to stay away."""
 
-    def __init__(self) -> None:
-        self.active = False
-        self._changes_s: float | None = None
+    active = False
+    _changes_s: float | None = None
 
     def update(self, present: bool, now_s: float) -> bool:
         """Whether the condition counts now."""

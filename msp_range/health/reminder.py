@@ -8,10 +8,9 @@ to start; a larger value leaves a pilot without the texts for longer."""
 class Reminder:
     """One autopilot's comings and restarts."""
 
-    def __init__(self) -> None:
-        self._reboots: int | None = None
-        self._waits = False
-        self._sent_s = float("-inf")
+    _reboots: int | None = None
+    _waits = False
+    _sent_s = float("-inf")
 
     def is_due(self, now_s: float, reboots: int | None) -> bool:
         """Whether the texts are to be sent now; they then count as sent.

@@ -28,6 +28,7 @@ bound holds where the model's numbers, or the others' where they replace them, a
 
 import math
 from collections.abc import Mapping
+from statistics import fmean
 
 from msp_range.geometry import Vector, dot
 from msp_range.health.evidence import Evidence, Occurrences
@@ -102,23 +103,71 @@ MOST_NEIGHBOURS = 3
 class _Sensor:
     """One sensor: what its model says, and what was seen of it."""
 
-    def __init__(self, name: str, expected: Expected, readings: float) -> None:
-        self.name, self.expected = name, expected
+    # Slow means of its readings: how many there were, offset from the others [m], mean square of e, and of the others'
+    # offsets the variance [m^2].
+    readings, offset_m, scale, rough_m2 = 0, 0.0, 1.0, 0.0
+    # The reading before: normalised difference and its time, difference [m], answer and its time, and the height by the
+    # others [m], or of a single sensor its own.
+    x, x_s = 0.0, -math.inf
+    seen_m: float | None = None
+    raw: int | None = None
+    time_s = -math.inf
+    height_m: float | None = None
+    # The probability that it was short, where it was and waits for the next one.
+    short_probability: float | None = None
+
+    def __init__(self, name: str, expected: Expected, readings: float, findings: list[SensorFinding]) -> None:
+        self.name, self.expected, self._findings = name, expected, findings
         self.others: list[_Sensor] = []
         self.rare = {kind: Occurrences(readings / WEIGHTS[kind], odds) for kind, odds in ODDS.items()}
         self.wider, self.shifted = Evidence(readings / WEIGHTS["wider"]), Evidence(readings / WEIGHTS["shifted"])
-        # Slow means of its readings: how many there were, offset from the others [m], mean square of e, and of the
-        # others' offsets the variance [m^2].
-        self.readings, self.offset_m, self.scale, self.rough_m2 = 0, 0.0, 1.0, 0.0
-        # The reading before: normalised difference and its time, difference [m], answer and its time, and the height by
-        # the others [m], or of a single sensor its own.
-        self.x, self.x_s = 0.0, -math.inf
-        self.seen_m: float | None = None
-        self.raw: int | None = None
-        self.time_s = -math.inf
-        self.height_m: float | None = None
-        # The probability that it was short, where it was and waits for the next one.
-        self.short_probability: float | None = None
+
+    def learn(self, change_m: float, e: float, limit: float) -> None:
+        """Offset and scatter, by a reading of the ground."""
+        self.readings += 1
+        change_m /= min(self.readings, OFFSET_READINGS)
+        if abs(e) > limit:
+            change_m *= limit / abs(e)
+        else:
+            self.scale += (e * e - self.scale) / min(self.readings, SCALE_READINGS)
+        self.offset_m += change_m
+        offsets_m = [each.offset_m for each in self.others]
+        if len(offsets_m) >= LEVEL_SENSORS:
+            variance_m2 = fmean([offset_m**2 for offset_m in offsets_m]) - fmean(offsets_m) ** 2
+            self.rough_m2 += (variance_m2 - self.rough_m2) / min(self.readings, ROUGH_READINGS)
+
+    def happens(self, kind: Kind, probability: float) -> None:
+        """Something rare happens, which has this probability by the model."""
+        if self.rare[kind].happens(probability, [each.rare[kind] for each in self.others]):
+            self.report(kind, self.rare[kind])
+
+    def confirm_short(self) -> None:
+        """The short reading before was one: the reading after it does not agree."""
+        if self.short_probability is not None:
+            self.happens("short", self.short_probability)
+            self.short_probability = None
+
+    def shift(self, sighting: Sighting, climb_m_s: float, off_m: float, deviation_m: float) -> None:
+        """A difference from others that agree on level ground, while the vehicle moves."""
+        if sighting.down is None or (sighting.down[2] > TILTS_COS and abs(climb_m_s) < MOVES_M_S):
+            return
+        offsets_m = [each.offset_m for each in self.others if not each.shifted.is_found]
+        if len(offsets_m) < LEVEL_SENSORS or max(offsets_m) - min(offsets_m) > LEVEL_M:
+            return
+        off_m -= fmean(offsets_m)
+        if abs(off_m) < MOST_SHIFT_M:
+            tolerated_m = SHIFT_M + ROUGH * math.sqrt(max(self.rough_m2, 0.0))
+            ratio = math.exp(min(2.0 * (abs(off_m) - tolerated_m) / deviation_m - 2.0, SHIFT_LOG))
+            if self.shifted.update(ratio, 1.0, off_m):
+                self.report("shifted", self.shifted)
+
+    def report(self, kind: Kind, evidence: Evidence) -> None:
+        """Begin or end a finding."""
+        if evidence.is_found:
+            size = math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio
+            self._findings.append(SensorFinding(self.name, kind, size))
+        else:
+            self._findings[:] = [each for each in self._findings if (each.sensor, each.kind) != (self.name, kind)]
 
 
 class SensorWatch:
@@ -133,14 +182,18 @@ class SensorWatch:
 
     Attributes
     ----------
+    is_single
+        Whether there is one sensor only, which is asked for codes and repeats and nothing else.
     findings
         What is found now, the oldest first.
     """
 
     def __init__(self, sensors: Mapping[str, Expected], turn_s: float) -> None:
         count = len(sensors)
+        self.is_single = count == 1
         readings = FALSE_ALARM_H * 3600.0 * count / turn_s
-        self._sensors = {name: _Sensor(name, each, readings) for name, each in sensors.items()}
+        self.findings: list[SensorFinding] = []
+        self._sensors = {name: _Sensor(name, each, readings, self.findings) for name, each in sensors.items()}
         for sensor in self._sensors.values():
             sensor.others = [each for each in self._sensors.values() if each is not sensor]
         self._successive_s = TURNS_APART * turn_s
@@ -148,12 +201,6 @@ class SensorWatch:
         self._window: list[Sighting] = []
         self._model_correlation = max([each.correlation for each in sensors.values()], default=0.0)
         self._product, self._square = 0.0, 1.0
-        self.findings: list[SensorFinding] = []
-
-    @property
-    def is_single(self) -> bool:
-        """Whether there is one sensor only, which is asked for codes and repeats and nothing else."""
-        return self._middle == 0
 
     def update(
         self,
@@ -212,7 +259,7 @@ class SensorWatch:
             if seen is not GroundUse.MISSED:
                 own.rare["missed"].nones += 1
             elif dot(sighting.down or LEVEL, expected.boresight) > expected.facing_cosine:
-                self._happens(own, "missed", missed_share(expected, range_m))
+                own.happens("missed", missed_share(expected, range_m))
         if (
             sighting.time_s - own.time_s < self._successive_s
             and moved_m >= max(FOLLOWS_M, FOLLOWS * sighting.std_m)
@@ -221,17 +268,17 @@ class SensorWatch:
             if sighting.raw is None or sighting.raw != own.raw:
                 own.rare["repeats"].nones += 1
             else:
-                self._happens(own, "repeats", REPEATS)
+                own.happens("repeats", REPEATS)
         own.time_s, own.height_m, own.raw = sighting.time_s, height_m, sighting.raw
         # What has not happened to a sensor with a finding may end it.
         for kind, each in own.rare.items():
             if each.is_found and each.settle():
-                self._report(own, kind, each)
+                own.report(kind, each)
 
     def _compare(self, own: _Sensor, sighting: Sighting) -> None:
         """A reading with the others' around it."""
         scales = [each.scale for each in own.others if not each.wider.is_found]
-        scale = max(sum(scales) / (len(scales) or 1), 1.0)
+        scale = max(fmean(scales or [1.0]), 1.0)
         others = reference(self._window, self._middle, scale)
         if others is None or not others.height_m > NEAREST_M:
             return
@@ -244,7 +291,7 @@ class SensorWatch:
         before, is_successive = own.x, own.x_s > time_s - self._successive_s
         own.x, own.x_s = 0.0, -math.inf
         if height_m is None or seen is GroundUse.MISSED:
-            self._confirm_short(own)
+            own.confirm_short()
             own.seen_m = None
             return
         off_m = height_m - others_m
@@ -259,7 +306,7 @@ class SensorWatch:
         agrees = own.seen_m is not None and abs(off_m - own.seen_m) < AGREE_M
         if agrees:
             own.short_probability = None
-        self._confirm_short(own)
+        own.confirm_short()
         own.seen_m = off_m
         is_ground = seen is GroundUse.GROUND
         # Two large differences in a row that are alike: a stone or an edge below the sensor.
@@ -277,9 +324,9 @@ class SensorWatch:
                 # The rest of the variance is the reference's.
                 own_share = std_m * std_m / variance_m2
                 if own.wider.update(ratio, own_share, square - 1.0 + own_share):
-                    self._report(own, "wider", own.wider)
-            if abs(own.offset_m - _mean([each.offset_m for each in self._sensors.values()])) > SHIFT_ASKED_M:
-                self._shift(own, sighting, others.climb_m_s, off_m, deviation_m)
+                    own.report("wider", own.wider)
+            if abs(own.offset_m - fmean([each.offset_m for each in self._sensors.values()])) > SHIFT_ASKED_M:
+                own.shift(sighting, others.climb_m_s, off_m, deviation_m)
         if is_ground and has_stepped:
             own.offset_m += 0.5 * (x + before) * deviation_m
         elif is_ground:
@@ -289,55 +336,4 @@ class SensorWatch:
                     self._product += (x * before - self._product) * CORRELATION_SHARE
                 self._square += (x * x - self._square) * CORRELATION_SHARE
             own.x = x
-            self._learn(own, x * deviation_m, e, limit)
-
-    def _learn(self, own: _Sensor, change_m: float, e: float, limit: float) -> None:
-        """Offset and scatter, by a reading of the ground."""
-        own.readings += 1
-        change_m /= min(own.readings, OFFSET_READINGS)
-        if abs(e) > limit:
-            change_m *= limit / abs(e)
-        else:
-            own.scale += (e * e - own.scale) / min(own.readings, SCALE_READINGS)
-        own.offset_m += change_m
-        offsets_m = [each.offset_m for each in own.others]
-        if len(offsets_m) >= LEVEL_SENSORS:
-            variance_m2 = _mean([offset_m**2 for offset_m in offsets_m]) - _mean(offsets_m) ** 2
-            own.rough_m2 += (variance_m2 - own.rough_m2) / min(own.readings, ROUGH_READINGS)
-
-    def _happens(self, own: _Sensor, kind: Kind, probability: float) -> None:
-        """Something rare happens, which has this probability by the model."""
-        if own.rare[kind].happens(probability, [each.rare[kind] for each in own.others]):
-            self._report(own, kind, own.rare[kind])
-
-    def _confirm_short(self, own: _Sensor) -> None:
-        """The short reading before was one: the reading after it does not agree."""
-        if own.short_probability is not None:
-            self._happens(own, "short", own.short_probability)
-            own.short_probability = None
-
-    def _shift(self, own: _Sensor, sighting: Sighting, climb_m_s: float, off_m: float, deviation_m: float) -> None:
-        """A difference from others that agree on level ground, while the vehicle moves."""
-        if sighting.down is None or (sighting.down[2] > TILTS_COS and abs(climb_m_s) < MOVES_M_S):
-            return
-        offsets_m = [each.offset_m for each in own.others if not each.shifted.is_found]
-        if len(offsets_m) < LEVEL_SENSORS or max(offsets_m) - min(offsets_m) > LEVEL_M:
-            return
-        off_m -= _mean(offsets_m)
-        if abs(off_m) < MOST_SHIFT_M:
-            tolerated_m = SHIFT_M + ROUGH * math.sqrt(max(own.rough_m2, 0.0))
-            ratio = math.exp(min(2.0 * (abs(off_m) - tolerated_m) / deviation_m - 2.0, SHIFT_LOG))
-            if own.shifted.update(ratio, 1.0, off_m):
-                self._report(own, "shifted", own.shifted)
-
-    def _report(self, own: _Sensor, kind: Kind, evidence: Evidence) -> None:
-        """Begin or end a finding."""
-        if evidence.is_found:
-            size = math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio
-            self.findings.append(SensorFinding(own.name, kind, size))
-        else:
-            self.findings = [each for each in self.findings if (each.sensor, each.kind) != (own.name, kind)]
-
-
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values)
+            own.learn(x * deviation_m, e, limit)

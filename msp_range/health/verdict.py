@@ -76,8 +76,7 @@ def verdict_of(conditions: Iterable[Condition], is_ready: bool) -> BridgeVerdict
         groups.setdefault(cause or key, []).append(BridgeFinding(key, text, remedy, severity, is_reported, cause))
 
     def rank(cause: str) -> tuple[int, int]:
-        place = _WIDEST.index(cause) if cause in _WIDEST else len(_WIDEST)
-        return min(each.severity for each in groups[cause]), place
+        return min(each.severity for each in groups[cause]), (*_WIDEST, cause).index(cause)
 
     return BridgeVerdict(
         state,
