@@ -11,7 +11,7 @@ from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, W
 from msp_range.geometry import Vector, quaternion
 from msp_range.health import Expected, SensorWatch
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.distance_sensor import Stream, make_stream
+from msp_range.mavlink.distance_sensor import Stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
@@ -203,7 +203,7 @@ def _own_stream(
 ) -> Stream:
     minimum_cm, maximum_cm = round(sensor.sensor_model.minimum_cm), round(100 * maximum_m(sensor, temperature_c))
     autopilot = airframe.link.autopilot
-    return make_stream(sensor.id, orientation, minimum_cm, maximum_cm, autopilot, _stream_type([sensor]))
+    return Stream(sensor.id, orientation, minimum_cm, maximum_cm, autopilot, _stream_type([sensor]))
 
 
 def fused_stream(airframe: Airframe, temperature_c: float | None = None) -> Stream | None:
@@ -211,7 +211,7 @@ def fused_stream(airframe: Airframe, temperature_c: float | None = None) -> Stre
     if airframe.send.fused is None:
         return None
     # Counted from the reference point: for a sensor below it both limits are larger.
-    return make_stream(
+    return Stream(
         airframe.send.fused.id,
         Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)),
         min(

@@ -40,10 +40,11 @@ class _Attitude(NamedTuple):
 class Contradictions:
     """The newest times and attitudes with one autopilot's ids."""
 
+    _newest: _Attitude | None = None
+    _other: _Attitude | None = None
+
     def __init__(self) -> None:
         self._times_s: dict[str, float] = {}
-        self._newest: _Attitude | None = None
-        self._other: _Attitude | None = None
 
     def update(self, message: Any) -> bool:
         """Whether a message contradicts those before it."""

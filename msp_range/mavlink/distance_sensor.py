@@ -24,41 +24,31 @@ _Message = dialect.MAVLink_distance_sensor_message
 
 @dataclass(frozen=True, slots=True)
 class Stream:
-    """The constant fields of a stream's messages."""
+    """The constant fields of a stream's messages, with the bounds and the no-echo value that the autopilot expects."""
 
     id: int
     """The message's ``id``."""
     orientation: Orientation
     """Orientation of the stream."""
-    min_distance_cm: int
+    shortest_cm: int
     max_distance_cm: int
-    """Just below the shortest distance that the stream can report, and the longest one [cm]."""
-    no_echo_cm: int
-    """``current_distance`` for no echo [cm]."""
-    type: int
+    """Shortest and longest distance that the stream can report [cm]."""
+    autopilot: Autopilot
+    """Who receives it."""
+    type: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND
     """MAV_DISTANCE_SENSOR."""
 
+    @property
+    def min_distance_cm(self) -> int:
+        """A centimetre below the shortest distance, but not below 0 [cm]: a distance that equals ``min_distance`` is
+        out of range for both autopilots."""
+        return max(self.shortest_cm - 1, 0)
 
-def make_stream(
-    id: int,
-    orientation: Orientation,
-    shortest_cm: int,
-    longest_cm: int,
-    autopilot: Autopilot,
-    type: int = dialect.MAV_DISTANCE_SENSOR_ULTRASOUND,
-) -> Stream:
-    """Make a stream with the bounds and the no-echo value that the autopilot expects.
-
-    Parameters
-    ----------
-    shortest_cm, longest_cm
-        Shortest and longest distance that the stream can report [cm]. A distance that equals ``min_distance`` is out of
-        range for both autopilots, so it is a centimetre below the shortest, but not below 0.
-    """
-    vertical = orientation.value in (DOWN, PITCH_90)
-    equals_maximum = autopilot == "px4" and not vertical
-    no_echo_cm = longest_cm if equals_maximum else longest_cm + 1
-    return Stream(id, orientation, max(shortest_cm - 1, 0), longest_cm, no_echo_cm, type)
+    @property
+    def no_echo_cm(self) -> int:
+        """``current_distance`` for no echo [cm]."""
+        vertical = self.orientation.value in (DOWN, PITCH_90)
+        return self.max_distance_cm + (vertical or self.autopilot != "px4")
 
 
 def distance_sensor(

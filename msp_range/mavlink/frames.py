@@ -92,8 +92,7 @@ class FrameReader:
     [(0, 7, 1)]
     """
 
-    def __init__(self) -> None:
-        self._incomplete = b""
+    _incomplete = b""
 
     def read(self, arrived: bytes) -> list[Frame]:
         """The frames completed by ``arrived``, in order."""

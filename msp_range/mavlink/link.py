@@ -81,6 +81,13 @@ class Link:
         Signs what is sent, and decides what may be received; None: nothing is signed.
     """
 
+    autopilot_system: int | None = None
+    autopilot_armed = False
+    """State in its last heartbeat, even if none arrives any more."""
+    system_status: int = dialect.MAV_STATE_BOOT
+    _heartbeat_s = _arrived_s = float("-inf")
+    _waits_for_files = False
+
     def __init__(
         self,
         transport: Transport,
@@ -106,17 +113,8 @@ class Link:
         self._from_others: Waiting = []
         self._mav = dialect.MAVLink(None, system_id or 1, component_id)
         now_s = clock.now()
-        self._start_s = now_s
+        self._start_s = self._next_heartbeat_s = self.next_event_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
-        self._heartbeat_s = float("-inf")
-        self.autopilot_system: int | None = None
-        self.autopilot_armed = False
-        """State in its last heartbeat, even if none arrives any more."""
-        self.system_status: int = dialect.MAV_STATE_BOOT
-        self._next_heartbeat_s = now_s
-        self.next_event_s = now_s
-        self._arrived_s = float("-inf")
-        self._waits_for_files = False
         self.sent: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
         self._sent_frames: deque[bytes] = deque(maxlen=SENT_KEPT)

@@ -17,26 +17,18 @@ CUSTOM = 100
 
 _LEVEL = "forward", "forward right", "right", "rear right", "rear", "rear left", "left", "forward left"
 """Values 0 to 7: yaw in steps of 45 deg."""
-NAMES = {
-    **dict(enumerate(_LEVEL)),
-    PITCH_90: "up",
-    DOWN: "down",
-    ROLL_90_PITCH_68_YAW_293: "up, 68 deg, towards yaw 293",
-    PITCH_315: "forward and down",
-    CUSTOM: "custom",
+_LOOKS = {
+    **{step: (name, 0.0, 45.0 * step) for step, name in enumerate(_LEVEL)},
+    PITCH_90: ("up", 90.0, 0.0),
+    DOWN: ("down", 270.0, 0.0),
+    ROLL_90_PITCH_68_YAW_293: ("up, 68 deg, towards yaw 293", 68.0, 293.0),
+    PITCH_315: ("forward and down", 315.0, 0.0),
 }
-
-# Pitch and yaw [deg] of each axis, from the enum's own descriptions in common.xml; the roll does not move it.
-_PITCH_YAW_DEG = {
-    **{step: (0.0, 45.0 * step) for step in range(8)},
-    PITCH_90: (90.0, 0.0),
-    DOWN: (270.0, 0.0),
-    ROLL_90_PITCH_68_YAW_293: (68.0, 293.0),
-    PITCH_315: (315.0, 0.0),
-}
+"""Name, pitch and yaw [deg] of each axis, from the enum's own descriptions in common.xml; the roll does not move it."""
+NAMES = {**{value: name for value, (name, _, _) in _LOOKS.items()}, CUSTOM: "custom"}
 _AXES = {
     value: boresight(0.0, math.radians(pitch_deg), math.radians(yaw_deg))
-    for value, (pitch_deg, yaw_deg) in _PITCH_YAW_DEG.items()
+    for value, (_, pitch_deg, yaw_deg) in _LOOKS.items()
 }
 
 

@@ -65,6 +65,9 @@ class Signing:
         Frames received that were signed with this key.
     """
 
+    keeps_time = True
+    verified = 0
+
     def __init__(
         self,
         key: bytes,
@@ -80,8 +83,6 @@ class Signing:
         self._keeping = threading.Lock()
         self._accepts_unsigned = accepts_unsigned
         self._streams: dict[tuple[int, int, int], int] = {}
-        self.keeps_time = True
-        self.verified = 0
 
     def timestamp(self) -> int:
         """A timestamp for the next frame: greater than all before, here and in earlier runs."""

@@ -59,11 +59,11 @@ class AutopilotClock:
         Start of the bridge [s on the bridge's clock]; until the autopilot's clock is known, time counts from here.
     """
 
+    reboots = 0
+    _newest_s: float | None = None
+
     def __init__(self, start_s: float) -> None:
-        self._start_s = start_s
-        self._newest_s: float | None = None
-        self._requested_s = self.next_request_s = start_s
-        self.reboots = 0
+        self._start_s = self._requested_s = self.next_request_s = start_s
         self._forget(False)
 
     def _forget(self, rebooted: bool) -> None:

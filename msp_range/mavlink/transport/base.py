@@ -104,18 +104,17 @@ class Reconnecting(ABC):
     Subclasses implement opening, and make what that and closing need before they call this class's constructor.
     """
 
-    quiet_until_s = float("-inf")
+    last_error: str | None = None
+    quiet_until_s = _open_at_s = float("-inf")
+    _retry_delay_s = RETRY_FIRST_S
     _handle: socket.socket | FileIO | None = None
+    _is_open = _was_open = False
 
     def __init__(self, url: TransportUrl, clock: Clock) -> None:
         self.description = str(url)
         self.stats = TransportStats()
-        self.last_error: str | None = None
         self._url = url
         self._clock = clock
-        self._open_at_s = float("-inf")
-        self._retry_delay_s = RETRY_FIRST_S
-        self._is_open = self._was_open = False
         self._try_open()
 
     @abstractmethod

@@ -22,11 +22,11 @@ class Peer:
         Time of its first bytes [s].
     """
 
+    first_autopilot_s, _last_autopilot_s = float("inf"), float("-inf")
+
     def __init__(self, now_s: float) -> None:
         self._frames = FrameReader()
         self.last_frame_s = now_s
-        self._last_autopilot_s = float("-inf")
-        self.first_autopilot_s = float("inf")
 
     def read(self, arrived: bytes, now_s: float) -> bytes:
         """The valid frames completed by these bytes, joined; other bytes are dropped."""

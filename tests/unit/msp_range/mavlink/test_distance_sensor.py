@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.distance_sensor import Autopilot, Stream, distance_sensor, make_stream
+from msp_range.mavlink.distance_sensor import Autopilot, Stream, distance_sensor
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90, Orientation
 from tests.support.mavlink_ends import read_distance_sensor
 
 NO_QUATERNION = (0.0, 0.0, 0.0, 0.0)
-DOWNWARD = make_stream(10, Orientation(DOWN, NO_QUATERNION), 20, 765, "ardupilot")
+DOWNWARD = Stream(10, Orientation(DOWN, NO_QUATERNION), 20, 765, "ardupilot")
 
 
 def fields(message: Any) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def quality(asked: int) -> int:
 
 
 def test_every_field_of_a_distance() -> None:
-    stream = make_stream(7, Orientation(CUSTOM, (0.5, -0.5, 0.5, -0.5)), 20, 765, "ardupilot")
+    stream = Stream(7, Orientation(CUSTOM, (0.5, -0.5, 0.5, -0.5)), 20, 765, "ardupilot")
     message = distance_sensor(stream, 123456, 3.0149, 0.00035, 0.25, 83)
     assert fields(message) == {
         "time_boot_ms": 123456,
@@ -119,7 +119,7 @@ def test_what_is_no_number_is_refused(range_m: float) -> None:
 def test_no_echo_is_what_the_autopilot_takes_for_far_away(
     autopilot: Autopilot, orientation: int, expected_cm: int
 ) -> None:
-    stream = make_stream(3, Orientation(orientation, NO_QUATERNION), 20, 765, autopilot)
+    stream = Stream(3, Orientation(orientation, NO_QUATERNION), 20, 765, autopilot)
     message = fields(distance_sensor(stream, 5, None, math.inf, 0.44, 80))
     assert message["current_distance"] == expected_cm
     assert (message["min_distance"], message["max_distance"]) == (19, 765)
@@ -153,7 +153,7 @@ def test_whatever_is_sent_packs_and_means_something(
     orientation: int,
     autopilot: Autopilot,
 ) -> None:
-    stream = make_stream(id, Orientation(orientation, NO_QUATERNION), 20, 765, autopilot)
+    stream = Stream(id, Orientation(orientation, NO_QUATERNION), 20, 765, autopilot)
     message = fields(distance_sensor(stream, time_boot_ms, range_m, variance_m2, field_of_view_rad, quality))
     assert message["min_distance"] < message["current_distance"] <= message["max_distance"]
     assert 1 <= message["covariance"] <= 255
