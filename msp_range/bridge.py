@@ -397,10 +397,11 @@ class Bridge:
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
         is_in_doubt = fusion.is_ground_in_doubt(reading.sensor)
-        self._below.update(reading.sensor, fusion.object_m(reading.sensor), is_in_doubt, rejected is None)
+        object_m = fusion.object_m(reading.sensor)
+        self._below.update(reading.sensor, object_m, is_in_doubt, rejected is None)
         if rejected == OUTLIER and outcome.fused is not None and not fusion.is_disputed:
             self._schedule.again(reading.sensor)
-        if rejected == OBJECT and self._below.is_object(reading.sensor):
+        if rejected == OBJECT and object_m is not None and object_m > 0:
             self._streams.send_object(now_s, boot_ms, reading, air)
 
     def _send_single(

@@ -24,7 +24,8 @@ SIGMA_M = 0.019445
 STD_M = math.hypot(SIGMA_M, 0.01 / math.sqrt(12.0))
 SHORT, MISSED, RANDOM, SHORT_RATE_PER_M = 0.01, 0.02, 0.01, 0.5
 MINIMUM_M, MAXIMUM_M = 0.20, 7.65
-MODEL = Expected(SHORT, MISSED, RANDOM, 0.0, 0.0, 1.0, MINIMUM_M, MAXIMUM_M, facing_cosine=math.cos(math.radians(8.0)))
+DOWN, FACING = (0.0, 0.0, 1.0), math.cos(math.radians(8.0))
+MODEL = Expected(SHORT, MISSED, RANDOM, 0.0, 0.0, 1.0, MINIMUM_M, MAXIMUM_M, DOWN, FACING)
 """What `configs/sensors/mb1242.yaml` says, as plain numbers."""
 USED_M = 0.15
 """Readings within this of the ground count as used by the fusion [m]."""

@@ -41,10 +41,6 @@ class ObservationsBelow:
         self._of[sensor] = object_m, text
         self._report(Severity.WARNING, text)
 
-    def is_object(self, sensor: str) -> bool:
-        """Whether an object, and no hole, is below a sensor."""
-        return sensor in self._of and self._of[sensor][0] > 0
-
     def texts(self) -> list[tuple[Severity, str]]:
         """All that is there now, for an autopilot that has just come."""
         return [(Severity.WARNING, text) for _, text in self._of.values()]

@@ -131,7 +131,8 @@ class Occurrences(Evidence):
             The same of other sensors: what happens to all of them has a common cause.
         """
         good = [each.frequency for each in others if not each.is_found]
-        if good and (mean := sum(good) / len(good)) > probability:
+        if good:
+            mean = sum(good) / len(good)
             error = (mean * (1.0 - mean) * (1.0 - KEPT) / (2.0 * len(good))) ** 0.5
             probability = max(probability, mean - FREQUENCY_SIGMAS * error)
         self._probability = probability

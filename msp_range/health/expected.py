@@ -27,9 +27,9 @@ class Expected(NamedTuple):
     minimum_m: float
     maximum_m: float
     """Limits of the ranges [m]."""
-    boresight: Vector = (0.0, 0.0, 1.0)
+    boresight: Vector
     """Unit vector along which it looks, body FRD."""
-    facing_cosine: float = 0.0
+    facing_cosine: float
     """Cosine of the largest angle between it and straight down at which level ground gives an echo for sure."""
 
 

@@ -67,8 +67,7 @@ class OutputWatch:
 
     def on_usable(self, stream: str, now_s: float) -> None:
         """Note that a distance, or 'above the maximum', of a stream has gone out."""
-        if stream in self._limits_s:
-            self._limits_s[stream] = now_s + self._silence_s
+        self._limits_s[stream] = now_s + self._silence_s
 
     def on_range(self, used: bool, fit: float) -> None:
         """Note whether a reading with a range was used, and the mean square of the normalised innovations."""

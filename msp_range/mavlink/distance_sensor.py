@@ -7,8 +7,7 @@ report, 20 cm, has to be above ``min_distance`` to be accepted.
 """
 
 import math
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.orientation import DOWN, PITCH_90, Orientation
@@ -22,8 +21,7 @@ Autopilot = Literal["ardupilot", "px4"]
 _Message = dialect.MAVLink_distance_sensor_message
 
 
-@dataclass(frozen=True, slots=True)
-class Stream:
+class Stream(NamedTuple):
     """The constant fields of a stream's messages, with the bounds and the no-echo value that the autopilot expects."""
 
     id: int

@@ -157,8 +157,11 @@ class Link:
         received = self.transport.receive()
         if received:
             self._sort(now_s, self._frames.read(received))
-        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT)
-        self._decode_first(self._from_others, DECODED_FROM_OTHERS)
+        queues = ((self._from_autopilot, DECODED_FROM_AUTOPILOT), (self._from_others, DECODED_FROM_OTHERS))
+        for waiting, count in queues:
+            for time_s, frame in waiting[:count]:
+                self._decode(time_s, frame)
+            del waiting[:count]
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
@@ -237,12 +240,6 @@ class Link:
             elif self._signing is None and frame.is_signed:
                 self._participants.seen("signing", now_s, "Range: autopilot signs, signing_key is missing")
         return is_accepted
-
-    def _decode_first(self, waiting: Waiting, count: int) -> None:
-        """Decode up to ``count`` of the waiting messages."""
-        for time_s, frame in waiting[:count]:
-            self._decode(time_s, frame)
-        del waiting[:count]
 
     def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)

@@ -5,7 +5,7 @@ an axis the lowest is used. The quaternion goes with CUSTOM only.
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from msp_range.geometry import Quaternion, angle_between, boresight, quaternion
 
@@ -32,8 +32,7 @@ _AXES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Orientation:
+class Orientation(NamedTuple):
     """Orientation fields of DISTANCE_SENSOR."""
 
     value: int

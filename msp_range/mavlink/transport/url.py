@@ -6,7 +6,7 @@ TELEM1, 57600.
 
 import ipaddress
 import re
-from dataclasses import dataclass
+from typing import NamedTuple
 
 DEFAULT_BAUD = 57600
 
@@ -27,8 +27,7 @@ _EXAMPLES = {
 }
 
 
-@dataclass(frozen=True)
-class NetworkUrl:
+class NetworkUrl(NamedTuple):
     """A UDP or TCP link; ``in`` kinds wait on an address of this computer, the others go to ``host``."""
 
     kind: str
@@ -39,8 +38,7 @@ class NetworkUrl:
         return f"{self.kind}:{self.host}:{self.port}"
 
 
-@dataclass(frozen=True)
-class SerialUrl:
+class SerialUrl(NamedTuple):
     """A serial device file and its rate [baud]."""
 
     path: str

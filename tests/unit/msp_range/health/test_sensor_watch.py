@@ -81,7 +81,7 @@ def test_a_finding_is_a_text_that_fits_whatever_the_name(kind: Kind, name: str) 
 def test_the_share_of_missed_echoes_grows_with_range(
     missed: float, growth_per_m: float, range_m: float, expected: float
 ) -> None:
-    model = Expected(0.01, missed, 0.01, growth_per_m, 0.0, 1.0, 0.2, 40.0)
+    model = Expected(0.01, missed, 0.01, growth_per_m, 0.0, 1.0, 0.2, 40.0, DOWN, 0.0)
     assert missed_share(model, range_m) == pytest.approx(expected, abs=1e-3)
 
 
