@@ -84,16 +84,15 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
         Variance of the readings over that of their model, more than 1 on rough ground.
     """
     this = window[middle]
-    befores = _nearest(window[:middle][::-1], this.sensor)
-    afters = _nearest(window[middle + 1 :], this.sensor)
-    if not befores or not afters:
+    before = _mean(window[:middle][::-1], this.sensor)
+    after = _mean(window[middle + 1 :], this.sensor)
+    if before is None or after is None:
         return None
-    before_m, before_s, first_m, first_s = _mean(befores)
-    after_m, after_s, last_m, last_s = _mean(afters)
+    before_m, before_s, first_m, first_s, befores, variance_m2 = before
+    after_m, after_s, last_m, last_s, afters, _ = after
     if after_s <= before_s:
         return None
     slope = (after_m - before_m) / (after_s - before_s)
-    _, _, variance_m2 = befores[0]
     spread_m2 = 2.0 * LARGEST_SPREAD * LARGEST_SPREAD * scale * variance_m2
     if (
         abs(slope - this.climb_m_s) > MOST_CLIMB_ERROR_M_S
@@ -104,25 +103,20 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
     early_s, late_s = this.time_s - before_s, after_s - this.time_s
     share = early_s / (early_s + late_s)
     bend_m = 0.5 * ACCELERATION_M_S2 * early_s * late_s
-    variance_m2 *= (1.0 - share) ** 2 / len(befores) + share**2 / len(afters)
+    variance_m2 *= (1.0 - share) ** 2 / befores + share**2 / afters
     return ReferenceHeight(before_m + slope * early_s, variance_m2 + bend_m**2, slope)
 
 
-_Heights = list[tuple[float, float, float]]
-"""Heights [m], their times [s] and variances [m^2]."""
-
-
-def _nearest(sightings: Sequence[Sighting], sensor: str) -> _Heights:
-    """The heights by the first two of these readings that are of other sensors."""
-    return [
+def _mean(sightings: Sequence[Sighting], sensor: str) -> tuple[float, float, float, float, int, float] | None:
+    """Of the first two of these readings that are of other sensors: mean height and time, by how much the second
+    differs in both, how many there are, and the variance of the first [m^2]; None: there are none."""
+    heights = [
         (each.common_m, each.time_s, each.std_m**2)
         for each in sightings
         if each.common_m is not None and each.sensor != sensor
     ][:2]
-
-
-def _mean(heights: _Heights) -> tuple[float, float, float, float]:
-    """Mean height and time of one or two, and by how much the second differs in both."""
-    (first_m, first_s, _), (last_m, last_s, _) = heights[0], heights[-1]
+    if not heights:
+        return None
+    (first_m, first_s, variance_m2), (last_m, last_s, _) = heights[0], heights[-1]
     apart_m, apart_s = last_m - first_m, last_s - first_s
-    return first_m + 0.5 * apart_m, first_s + 0.5 * apart_s, apart_m, apart_s
+    return first_m + 0.5 * apart_m, first_s + 0.5 * apart_s, apart_m, apart_s, len(heights), variance_m2

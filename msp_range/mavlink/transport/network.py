@@ -7,6 +7,9 @@ from abc import abstractmethod
 from msp_range.mavlink.transport.base import Reconnecting
 from msp_range.mavlink.transport.url import NetworkUrl
 
+Address = tuple[str, int]
+"""A numeric IPv4 address and a port."""
+
 
 class Networked(Reconnecting):
     """A link with a socket for one address.
@@ -35,7 +38,7 @@ class Networked(Reconnecting):
     def _attach(self, handle: socket.socket) -> bool:
         """Connect or bind the socket, as `_open`."""
 
-    def _found(self) -> tuple[str, int] | None:
+    def _found(self) -> Address | None:
         """The numeric address and the port, or None while the look-up is running: call again later.
 
         Raises

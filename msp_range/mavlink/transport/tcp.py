@@ -100,7 +100,7 @@ class TcpIn(Networked):
         if self._handle is not None:
             self._accept(self._handle)
         now_s = self._clock.now()
-        received: list[bytes] = []
+        received = b""
         for tcp, client in self._clients.copy().items():
             try:
                 client.stream.flush()
@@ -108,12 +108,12 @@ class TcpIn(Networked):
                     arrived = tcp.recv(RECEIVE_BOUND_BYTES // len(self._clients))
                     if not arrived:
                         raise ConnectionError("a client has left")
-                    received.append(client.read(arrived, now_s))
+                    received += client.read(arrived, now_s)
                 if client.is_silent(now_s):
                     raise TimeoutError(f"a client has sent no MAVLink for {PEER_SILENT_S:.0f} s")
             except OSError as error:
                 self._drop(tcp, error)
-        return b"".join(received)
+        return received
 
     def _attach(self, handle: socket.socket) -> bool:
         handle.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -8,7 +8,7 @@ import socket
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES
-from msp_range.mavlink.transport.network import Networked
+from msp_range.mavlink.transport.network import Address, Networked
 from msp_range.mavlink.transport.peer import Peer, longest_silent
 from msp_range.mavlink.transport.url import NetworkUrl
 
@@ -34,7 +34,7 @@ class _Udp(Networked):
 
     def receive(self) -> bytes:
         """Return the datagrams that have arrived, joined."""
-        received: list[bytes] = []
+        received = bytearray()
         count = 0
         self._try_open()
         for _ in range(_MOST_DATAGRAMS):
@@ -50,14 +50,14 @@ class _Udp(Networked):
                 self._lost(error)
             else:
                 count += len(datagram)
-                received.append(self._accept(datagram, peer))
-        return b"".join(received)
+                received += self._accept(datagram, peer)
+        return bytes(received)
 
     def _was_refused(self) -> None:
         self.stats.refused += 1
         self._refused_at_s = self._clock.now()
 
-    def _accept(self, datagram: bytes, address: tuple[str, int]) -> bytes:
+    def _accept(self, datagram: bytes, address: Address) -> bytes:
         """The part of a datagram that is passed to the link."""
         return datagram
 
@@ -103,7 +103,7 @@ class UdpIn(_Udp):
     """
 
     def __init__(self, url: NetworkUrl, clock: Clock) -> None:
-        self._peers: dict[tuple[str, int], Peer] = {}
+        self._peers: dict[Address, Peer] = {}
         super().__init__(url, clock)
 
     @property
@@ -129,7 +129,7 @@ class UdpIn(_Udp):
         self.stats.dropped_frames += max(len(self._peers), 1) - sent
         return sent > 0
 
-    def _accept(self, datagram: bytes, address: tuple[str, int]) -> bytes:
+    def _accept(self, datagram: bytes, address: Address) -> bytes:
         now_s = self._clock.now()
         peer = self._peers.get(address) or Peer(now_s)
         frames = peer.read(datagram, now_s)

@@ -9,10 +9,13 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from msp_range.mavlink import frames as module
-from msp_range.mavlink.frames import MAX_FRAME_BYTES, Frame, FrameReader
+from msp_range.mavlink.frames import Frame, FrameReader
 from tests.support.mavlink_ends import Component
 
 ATTITUDE = common.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+
+MAX_FRAME_BYTES = 280
+"""MAVLink 2 with the longest payload and a signature."""
 
 
 def texts(version: int, signed: bool) -> list[bytes]:
