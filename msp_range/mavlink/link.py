@@ -93,9 +93,9 @@ class Link:
         transport: Transport,
         clock: Clock,
         *,
-        component_id: int = 191,
-        on_message: Callable[[float, Any], None] | None = None,
-        wanted: Mapping[str, float] | None = None,
+        component_id: int,
+        on_message: Callable[[float, Any], None],
+        wanted: Mapping[str, float],
         autopilot: Autopilot | None = None,
         system_id: int | None = None,
         signing: Signing | None = None,
@@ -103,7 +103,7 @@ class Link:
         self.transport = transport
         self._clock = clock
         self._report_message = on_message
-        self.wanted = WantedMessages(wanted or {})
+        self.wanted = WantedMessages(wanted)
         self._participants = Participants(autopilot)
         self._contradictions = Contradictions()
         self._pinned_system = self._first_system = system_id
@@ -281,8 +281,7 @@ class Link:
         ):
             self.wanted.on_answer(now_s, message.result)
         self.wanted.on_message(now_s, frame.message_id)
-        if self._report_message is not None:
-            self._report_message(now_s, message)
+        self._report_message(now_s, message)
 
     def _take_heartbeat(self, now_s: float, system: int, message: Any) -> None:
         """Use the autopilot stated in the file, or the first one, and another one only while the first is lost."""

@@ -83,7 +83,7 @@ class ParameterClient:
             clock,
             component_id=COMPONENT_ID,
             on_message=self.on_message,
-            wanted=wanted,
+            wanted=wanted or {},
             system_id=system_id,
             signing=signing,
         )

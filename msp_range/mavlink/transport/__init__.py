@@ -10,7 +10,7 @@ from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import Transport, TransportStats, Wrapped
 from msp_range.mavlink.transport.tcp import TcpIn, TcpOut
 from msp_range.mavlink.transport.udp import UdpIn, UdpOut
-from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, TransportUrl, parse_url
+from msp_range.mavlink.transport.url import NetworkUrl, parse_url
 
 _NETWORK: dict[str, Callable[[NetworkUrl, Clock], Transport]] = {
     "udpin": UdpIn,

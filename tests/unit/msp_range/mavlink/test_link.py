@@ -47,7 +47,7 @@ class Bench:
             self.clock,
             component_id=component_id,
             on_message=lambda _, message: self.received.append(message),
-            wanted=wanted,
+            wanted=wanted or {},
             **link,
         )
         self._parser = dialect.MAVLink(None)
@@ -791,7 +791,13 @@ class TestWhatArrives:
     def test_messages_of_the_autopilot_are_passed_on_with_their_time(self) -> None:
         received: list[tuple[float, str]] = []
         transport, clock = MemoryTransport(), VirtualClock(START_S)
-        link = Link(transport, clock, on_message=lambda time_s, message: received.append((time_s, message.get_type())))
+        link = Link(
+            transport,
+            clock,
+            component_id=191,
+            on_message=lambda time_s, message: received.append((time_s, message.get_type())),
+            wanted={},
+        )
         autopilot = Component(7)
         transport.arrived += autopilot.heartbeat()
         link.service()

@@ -67,6 +67,10 @@ def our_heartbeat(signing: Signing | None = None) -> bytes:
     return frame
 
 
+def link_on(transport: MemoryTransport, clock: VirtualClock, **more: Any) -> Link:
+    return Link(transport, clock, component_id=191, on_message=lambda time_s, message: None, wanted={}, **more)
+
+
 def received(frame: bytes) -> Any:
     (found,) = FrameReader().read(frame)
     return found
@@ -246,7 +250,7 @@ def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> No
         raise OSError(28, os.strerror(28))
 
     transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = Link(transport, clock, signing=Signing(KEY, clock, keep=keep))
+    link = link_on(transport, clock, signing=Signing(KEY, clock, keep=keep))
     link.service()
     until(lambda: any(each.text and "signing time" in each.text for each in link.conditions()))
     assert peer().parse_buffer(transport.frames[0])[0].get_type() == "HEARTBEAT"
@@ -254,7 +258,7 @@ def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> No
 
 def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
     transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = Link(transport, clock, signing=Signing(KEY, clock))
+    link = link_on(transport, clock, signing=Signing(KEY, clock))
     transport.arrived += heartbeat(ardupilotmega.MAVLink(None, 1, 1))
     link.service()
     assert not link.autopilot_is_present
@@ -268,7 +272,7 @@ def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
 
 def test_a_program_with_the_bridges_ids_and_without_its_key_is_reported() -> None:
     transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = Link(transport, clock, signing=Signing(KEY, clock))
+    link = link_on(transport, clock, signing=Signing(KEY, clock))
     for _ in range(3):
         transport.arrived += Component(1, 191).heartbeat()
         link.service()
@@ -284,7 +288,7 @@ def test_a_running_bridge_says_what_to_do_about_an_autopilot_that_does_not_sign(
     autopilot: Autopilot, remedy: str
 ) -> None:
     transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = Link(transport, clock, autopilot=autopilot, signing=Signing(KEY, clock))
+    link = link_on(transport, clock, autopilot=autopilot, signing=Signing(KEY, clock))
     transport.arrived += heartbeat(ardupilotmega.MAVLink(None, 1, 1))
     link.service()
     (found,) = [each for each in link.conditions() if each.text and "does not sign" in each.text]
@@ -293,7 +297,7 @@ def test_a_running_bridge_says_what_to_do_about_an_autopilot_that_does_not_sign(
 
 def test_a_link_without_a_key_says_that_the_autopilot_has_one() -> None:
     transport = MemoryTransport()
-    link = Link(transport, VirtualClock(NOW_S))
+    link = link_on(transport, VirtualClock(NOW_S))
     transport.arrived += heartbeat(peer())
     link.service()
     assert link.autopilot_is_present

@@ -5,8 +5,7 @@ import termios
 
 import pytest
 
-from msp_range.mavlink.transport import NetworkUrl, SerialUrl, parse_url
-from msp_range.mavlink.transport.url import BAUD_RATES
+from msp_range.mavlink.transport.url import BAUD_RATES, NetworkUrl, SerialUrl, parse_url
 
 BY_PATH = "/dev/serial/by-path/platform-fd500000.pcie-pci-0000:01:00.0-usb-0:1.2:1.0"
 
