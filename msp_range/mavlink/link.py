@@ -157,11 +157,8 @@ class Link:
         received = self.transport.receive()
         if received:
             self._sort(now_s, self._frames.read(received))
-        queues = ((self._from_autopilot, DECODED_FROM_AUTOPILOT), (self._from_others, DECODED_FROM_OTHERS))
-        for waiting, count in queues:
-            for time_s, frame in waiting[:count]:
-                self._decode(time_s, frame)
-            del waiting[:count]
+        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT, WAITING_FROM_AUTOPILOT)
+        self._decode_first(self._from_others, DECODED_FROM_OTHERS, WAITING_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
             self.send(self._heartbeat())
@@ -228,8 +225,6 @@ class Link:
                 continue
             if is_own or self._is_accepted(now_s, frame):
                 waiting.append((now_s, frame))
-        self._from_autopilot = _bounded(self._from_autopilot, WAITING_FROM_AUTOPILOT)
-        self._from_others = _bounded(self._from_others, WAITING_FROM_OTHERS)
 
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
         """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
@@ -240,6 +235,15 @@ class Link:
             elif self._signing is None and frame.is_signed:
                 self._participants.seen("signing", now_s, "Range: autopilot signs, signing_key is missing")
         return is_accepted
+
+    def _decode_first(self, waiting: Waiting, decoded: int, kept: int) -> None:
+        """Decode so many messages of all that wait, or of more than ``kept`` of the newest of each type and system."""
+        if len(waiting) > kept:
+            newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
+            waiting[:] = list(newest.values())[-kept:]
+        for time_s, frame in waiting[:decoded]:
+            self._decode(time_s, frame)
+        del waiting[:decoded]
 
     def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)
@@ -338,14 +342,6 @@ def _timesync(tc1: int, ts1: int, target: tuple[int | None, int]) -> Any:
     """TIMESYNC, with its target where the dialect has those fields."""
     kind = dialect.MAVLink_timesync_message
     return kind(tc1, ts1, *target) if "target_system" in kind.fieldnames else kind(tc1, ts1)
-
-
-def _bounded(waiting: Waiting, count: int) -> Waiting:
-    """All messages, or of more than ``count`` the newest of each type and system."""
-    if len(waiting) <= count:
-        return waiting
-    newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
-    return list(newest.values())[-count:]
 
 
 class _Allowance:
