@@ -32,8 +32,7 @@ class Expected(NamedTuple):
     facing_cosine: float
     """Cosine of the largest angle between it and straight down at which level ground gives an echo for sure."""
 
-
-def missed_share(expected: Expected, range_m: float) -> float:
-    """Share of missed echoes at a range."""
-    missed, growth = expected.missed, expected.missed_growth_per_m * (range_m - WEIGHTS_M)
-    return missed / (missed + (1.0 - missed) * math.exp(min(max(-growth, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
+    def missed_at(self, range_m: float) -> float:
+        """Share of missed echoes at a range."""
+        missed, growth = self.missed, self.missed_growth_per_m * (range_m - WEIGHTS_M)
+        return missed / (missed + (1.0 - missed) * math.exp(min(max(-growth, -MOST_LOG_ODDS), MOST_LOG_ODDS)))

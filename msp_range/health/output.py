@@ -98,8 +98,8 @@ class OutputWatch:
             if name == FUSED:
                 text, over = "Range: no distance to the ground", "Range: distance is back"
             now = text if now_s >= limit_s else None
-            key, is_reported = f"silence {name}", name not in failing
-            found.append(Condition(key, now, over, Severity.ERROR, remedy=_SILENT, is_reported=is_reported))
+            key = f"silence {name}"
+            found.append(Condition(key, now, over, Severity.ERROR, remedy=_SILENT, is_reported=name not in failing))
         rejected = self._used.count(False)
         disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
         now = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None

@@ -32,7 +32,7 @@ from statistics import fmean
 
 from msp_range.geometry import Vector, dot
 from msp_range.health.evidence import Evidence, Occurrences
-from msp_range.health.expected import Expected, missed_share
+from msp_range.health.expected import Expected
 from msp_range.health.finding import Kind, SensorFinding
 from msp_range.health.neighbours import GroundUse, Sighting, reference
 
@@ -259,7 +259,7 @@ class SensorWatch:
             if seen is not GroundUse.MISSED:
                 own.rare["missed"].nones += 1
             elif dot(sighting.down or LEVEL, expected.boresight) > expected.facing_cosine:
-                own.happens("missed", missed_share(expected, range_m))
+                own.happens("missed", expected.missed_at(range_m))
         if (
             sighting.time_s - own.time_s < self._successive_s
             and moved_m >= max(FOLLOWS_M, FOLLOWS * sighting.std_m)

@@ -13,7 +13,6 @@ from msp_range.assembly import expected_of, sensor_watch_of
 from msp_range.config import load_airframe
 from msp_range.health import Expected, GroundUse, SensorWatch
 from msp_range.health.evidence import Evidence, Occurrences
-from msp_range.health.expected import missed_share
 from msp_range.health.finding import LONGEST_TEXT, Kind, SensorFinding
 from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -82,7 +81,7 @@ def test_the_share_of_missed_echoes_grows_with_range(
     missed: float, growth_per_m: float, range_m: float, expected: float
 ) -> None:
     model = Expected(0.01, missed, 0.01, growth_per_m, 0.0, 1.0, 0.2, 40.0, DOWN, 0.0)
-    assert missed_share(model, range_m) == pytest.approx(expected, abs=1e-3)
+    assert model.missed_at(range_m) == pytest.approx(expected, abs=1e-3)
 
 
 def test_what_others_show_too_is_no_finding() -> None:
