@@ -83,6 +83,11 @@ class Reading:
     suspect: bool = False
     """True if the answer is a valid range and also a known fault code of this kind of sensor."""
 
+    @property
+    def variance_m2(self) -> float:
+        """Variance of the error of ``range_m`` [m^2]; infinite if unknown."""
+        return float("inf") if self.std_m is None else self.std_m * self.std_m
+
     def __post_init__(self) -> None:
         if (self.range_m is not None) != self.status.has_range:
             raise ValueError(

@@ -79,8 +79,7 @@ class Chain:
 
     def _filter(self, reading: Reading, range_m: float) -> Filtered:
         time_s = reading.time_s
-        variance_m2 = float("inf") if reading.std_m is None else reading.std_m * reading.std_m
-        estimate = Estimate(range_m, variance_m2)
+        estimate = Estimate(range_m, reading.variance_m2)
         for each in self._filters:
             outcome = each.update(time_s, estimate)
             if outcome is None:

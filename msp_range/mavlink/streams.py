@@ -142,8 +142,7 @@ class Streams:
         stream = self._objects.get(reading.sensor)
         if stream is None or reading.range_m is None:
             return
-        variance_m2 = float("inf") if reading.std_m is None else reading.std_m**2
-        estimate = Estimate(reading.range_m, variance_m2)
+        estimate = Estimate(reading.range_m, reading.variance_m2)
         self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, reading.sensor, estimate, air, 1.0))
 
     def _message(
