@@ -47,7 +47,7 @@ class Networked(Reconnecting):
             The look-up failed. The next call starts another.
         """
         host, port = self._url.host, self._url.port
-        # `parse_url` refuses a name of digits and dots.
+        # Digits and dots are an address: `parse_url` refuses a name of them.
         if host.replace(".", "").isdigit():
             return host, port
         if self._looks_up is None:
