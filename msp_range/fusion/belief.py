@@ -13,8 +13,6 @@ from collections.abc import Mapping, Sequence
 from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.modes import (
     ANSWERED,
-    APART_M,
-    APART_MOST,
     AWAY_M,
     BLIND_M_S,
     BLIND_NEAR_M,
@@ -230,8 +228,8 @@ class Belief:
             surface.common = math.log(COMMON) if least else _common(surface)
             surface.response.is_in_doubt = self._was_fixed = False
             surface.mark = None
-        elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
-            surface.response.is_in_doubt = True
+        elif not least and _common(surface) > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
+            surface.common, surface.response.is_in_doubt = max(surface.common, _common(surface)), True
         self.seen(surface)
 
     def seen(self, surface: Surface) -> None:
@@ -311,7 +309,6 @@ class Belief:
         nothing = total
         if self.proven is not None:
             nothing += fixed[self.proven] - other[self.proven]
-            scores[self.proven] -= self._stuck(self.proven, voters)
         best = max(scores, key=lambda each: scores[each], default=None)
         self.noise = all_noise([mode.noise for mode in voters]) if voters else 0.0
         if best is None:
@@ -354,23 +351,6 @@ class Belief:
             return 0.0
         rises_m = climb.height_m - (surface.filter.height_m - surface.marked_m)
         return 0.5 * max(rises_m, 0.0) ** 2 / (climb.std_m**2 + RISES_M**2)
-
-    def _stuck(self, surface: Surface, voters: Sequence[SensorMode]) -> float:
-        """How much less likely a surface is the ground, since others move which it does not follow.
-
-        Its sensors only repeat themselves, or it has none any more: then it may be the others that do not follow the
-        vehicle, so that no more counts than they have moved themselves.
-        """
-        sees = [mode for mode in voters if mode.sees is surface]
-        if any(not mode.repeated for mode in sees):
-            return 0.0
-        moved_m = 0.0
-        for mode in voters:
-            other = mode.sees
-            if other is not None and other is not surface and not mode.repeated:
-                most_m = math.inf if sees else abs(other.filter.height_m - other.began_m)
-                moved_m = max(moved_m, min(abs(other.travel_m - surface.travel_m), most_m))
-        return min((moved_m / APART_M) ** 2 / 2, APART_MOST)
 
     def _prove(self, ground: Surface) -> None:
         if self.proven is not None and self.proven.response.expects(ground.filter.height_m):

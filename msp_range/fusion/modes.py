@@ -127,9 +127,6 @@ SURFACES = 4
 """So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
 SAME_M = 0.10
 """Surfaces as near as this are one [m]: an autopilot does the same with either."""
-APART_M, APART_MOST = 0.12, 8.0
-"""Objects keep their height over the ground to within the first [m]; how much surfaces that move apart say at most
-against the one of sensors that only repeat themselves [nats]."""
 
 # What does not answer to the vehicle's motion, see `msp_range.fusion.response`.
 ODDS_LAST_S, DOUBT_LASTS_S = 6.0, 60.0
@@ -139,11 +136,11 @@ to a movement."""
 FOLLOWS, DECIDED = 4.0, -12.0
 """Log odds are kept below the first, so that something which gets into the beams is found soon. At the second, what the
 sensors see is not what they should: five standard deviations of what noise adds up to. A take-off gives -30."""
-LATE, LATE_S = -13.0, 0.2
+LATE, LATE_S = -11.0, 0.2
 """At the first log odds the answers are those of the ping before: in healthy flights of the hostile families they stay
-above -13, the lowest where a thermometer flaps or pressure below the rotors passes for an acceleration. With turns
-shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on they are late until
-the odds are even."""
+above -10, the lowest where sensors read their minimum until after the take-off. With -13 a tenth more distances are
+wrong. With turns shorter than the second [s] it is not decided: an accelerometer's delay looks the same. From then on
+they are late until the odds are even."""
 RISES_M = 0.8
 """By how much the barometer may say that the vehicle has risen over something near which has not answered to any
 movement yet, where that is the ground after all: the standard deviation, as well as that of the climb [m]. Rotors
@@ -267,7 +264,7 @@ class SensorMode:
         self.share = 1.0
         self._outliers = 0.0
         self.noise = NOISE_LEAST
-        self.seen_s = self.read_s = self.ranged_s = float("-inf")
+        self.seen_s = self.ping_s = self.read_s = self.ranged_s = float("-inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
         self.object_m: float | None = None

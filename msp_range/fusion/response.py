@@ -10,9 +10,10 @@ acceleration b [m/s^2] that differ in one thing only:
 
     h' = w    w' = u - b + white noise    b' = -b / B_LASTS_S + white noise
 
-Over ground u is the measured acceleration, over something fixed it is 0, and where each sensor answers with the range
-of its ping before, it is the acceleration of that time. b is the accelerometer's bias, or how the ground curves below
-the vehicle. A vehicle at rest or at a steady rate favours none of the three.
+Over ground u is the measured acceleration, over something fixed it is 0. Where each sensor answers with the range of
+its ping before, the times are those of these pings: turns differ where a sensor is asked again. b is the bias of the
+accelerometer, which the ranges themselves show: the barometer does not, where rotors change the pressure. A vehicle at
+rest or at a steady rate favours none of the three.
 """
 
 import math
@@ -23,10 +24,10 @@ from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, mov
 NOISE_M2_S3 = 0.005
 """Spectral density of the white noise [m^2/s^3]: an accelerometer's noise of 0.3 m/s^2 at 25 Hz is 0.0036. Larger hides
 small movements, smaller takes a bias of the accelerometer for a lack of response."""
-B_STD_M_S2, B_LASTS_S = 0.2, 5.0
-"""Standard deviation of b [m/s^2], and how long it lasts [s]: what is left of an accelerometer's bias after a take-off
-in which rotors changed the pressure. Larger finds what is fixed only in hard manoeuvres, smaller finds it in take-offs
-over ground."""
+B_START_M_S2, B_STD_M_S2, B_LASTS_S = 0.15, 0.1, 60.0
+"""Standard deviation of b at the start, and later [m/s^2], and how long it lasts [s]: an accelerometer's bias, and how
+the ground curves below the vehicle. Larger or shorter finds what is late only in hard manoeuvres (with 0.2 that lasts
+5 s four times as many are not found), smaller finds it where ground curves."""
 NOISE_SHARE = 0.25
 """Share of a predicted height's variance by which the accelerometer's noise moves the two predictions apart: with it
 the odds of a vehicle at rest stay the same, or rise a little (by simulated rest: 0.08 to 0.15). Larger finds what is
@@ -42,14 +43,23 @@ HILL_M_S, HILL_PER_S = 0.8, 3.0
 """Ground rises below a vehicle that follows it no faster than the first [m/s]: 40 % at 2 m/s. While the barometer says
 that it rises faster, that speaks for something fixed by the second [nats/s], so that four seconds decide: longer than
 the pressure below the rotors changes at a take-off. Smaller takes a steep hill for part of the vehicle."""
-OWN_SHARE = 0.2
-"""Share of a reading in what its sensor sees higher or lower than the others: they see different things, whether ground
-or parts of the vehicle. Larger takes more of a response for that, smaller takes more of the differences for noise."""
+OWN_STD_M, OWN_SHARE = 0.1, 0.2
+"""What a sensor sees higher or lower than the others, standard deviation [m], and the share of a reading in it: they
+see different things, whether ground or parts of the vehicle. Larger takes more of a response for that, smaller takes
+more of the differences for noise."""
 NEAR_M = 0.15
 """A reading that is not of the ground is taken where it is this near to one of the predictions [m]: in a hard climb
 what is fixed leaves the ground within a turn. Larger takes readings of an edge."""
-NOISE_READINGS = 20.0
-"""The readings' noise about the better prediction is a mean over so many."""
+NOISE_STD_M, NOISE_READINGS = 0.02, 20.0
+"""The readings' noise about the best prediction, standard deviation at the start [m]: a sensor's of its own; later a
+mean over so many of those that are above the minimum."""
+OUTLIER_SIGMAS = 5.0
+"""A single reading that is farther than this from each prediction says nothing [standard deviations]: it is another
+thing's, such as one of a sensor that is stuck. Fewer leave out what a thermometer's step or a kick moves."""
+LEAST_VARIANCE_M2 = 0.01
+"""From this variance on a reading stands for any range below it, as on the ground, and the height is known no better
+after many of them [m^2]. Larger finds what is late after take-offs later, smaller takes a landing that bounces for
+something fixed."""
 SLOPE_M_S, SPEED_LASTS_S = 0.3, 1.0
 """A change of the rate that a beginning slope often has [m/s]: 30 % at 1 m/s; and the time over which changes of the
 rate are added up [s]. A larger speed finds what is fixed later in flight, a smaller one finds it where slopes begin."""
@@ -57,7 +67,10 @@ LEVEL_RISE = 0.03
 """Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
 vehicle follows."""
 
-_START = (0.01, 0.0, 0.0, 0.25, 0.0, B_STD_M_S2**2)
+LONGEST_S = 2.0
+"""A ping before is no older than this [s]: accelerations are kept for 2.5 s. It counts where a sensor was not read."""
+
+_START = (0.01, 0.0, 0.0, 0.25, 0.0, B_START_M_S2**2)
 """Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
 
 
@@ -93,10 +106,12 @@ class MotionResponse:
     def _begin(self) -> None:
         """Begin to predict; what has been shown stays."""
         self._time_s: float | None = None
-        self._change_m_s = self._noise_m2 = 0.0
+        self._ping_s = self._change_m_s = 0.0
+        self._noise_m2 = NOISE_STD_M**2
         self._covariance = _START
+        self._was_outlier = False
         self._own_m: dict[str, float] = {}
-        # Height, rate and slow acceleration over ground, over something fixed, and over ground by the ping before.
+        # Height, rate and bias over ground, over something fixed, and over ground at the time of the ping before.
         self._states = ((0.0, 0.0, 0.0),) * 3
 
     @property
@@ -105,7 +120,8 @@ class MotionResponse:
 
         After a movement they are more than `FOLLOWS`, as much as it has shown: a near ground needs that to be believed.
         """
-        return min(self._fixed, self._late) + max(self._answered - FOLLOWS, 0.0)
+        late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed.
+        return min(self._fixed, late) + max(self._answered - FOLLOWS, 0.0)
 
     @property
     def is_fixed(self) -> bool:
@@ -121,6 +137,7 @@ class MotionResponse:
         """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
         if self._turn_s >= LATE_S:
             self._late -= max(nats, 0.0)
+            self._apart += max(nats, 0.0)
             self.is_late |= self._late <= LATE
 
     def sees(self, since_s: float) -> set[str]:
@@ -132,47 +149,65 @@ class MotionResponse:
         return self._time_s is not None and min(abs(height_m - h) for h, _, _ in self._states) < NEAR_M
 
     def update(
-        self, sensor: str, time_s: float, height_m: float, climb_m_s: float, variance_m2: float, may_slope: bool
+        self,
+        sensor: str,
+        times_s: tuple[float, float],
+        height_m: float,
+        climb_m_s: float,
+        variance_m2: float,
+        may_slope: bool,
     ) -> None:
         """Update with a reading that was of the ground, or is expected.
 
         Parameters
         ----------
-        sensor, time_s
-            Whose, and when [s].
+        sensor, times_s
+            Whose, and when its ping before and this one were [s].
         height_m, climb_m_s, variance_m2
             Height of the reference point by this reading, with the slope and attitude that are known [m], how fast it
             grows by all readings before [m/s], and the variance of the height's error [m^2].
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
         """
+        ping_s, time_s = max(times_s[0], times_s[1] - LONGEST_S), times_s[1]
         if self._time_s is None:
             self._states = ((height_m, climb_m_s, 0.0),) * 3
-            self._time_s = time_s
-        before_s, t, self._time_s = self._time_s, time_s - self._time_s, time_s
+            self._time_s, self._ping_s = time_s, ping_s
+        before_s, earlier_s = self._time_s, self._ping_s
+        self._time_s, self._ping_s = time_s, ping_s
         self._taken_s[sensor] = time_s
-        up_m_s2 = self._motion.acceleration(before_s, time_s)
-        earlier_m_s2 = self._motion.acceleration(before_s - self._turn_s, time_s - self._turn_s)
+        up_m_s2 = self._motion.measured(before_s, time_s)
+        earlier_m_s2 = self._motion.measured(*sorted((earlier_s, ping_s)))
         if up_m_s2 is None or earlier_m_s2 is None:
             self._begin()
             return
+        t = time_s - before_s
         fades = math.exp(-t / B_LASTS_S)
+        moves = (up_m_s2, t), (0.0, t), (earlier_m_s2, ping_s - earlier_s)
         predicted = [
-            (h + (w + 0.5 * (u - b) * t) * t, w + (u - b) * t, b * fades)
-            for (h, w, b), u in zip(self._states, (up_m_s2, 0.0, earlier_m_s2), strict=True)
+            (h + (w + 0.5 * (u - b) * dt) * dt, w + (u - b) * dt, b * fades)
+            for (h, w, b), (u, dt) in zip(self._states, moves, strict=True)
         ]
         own_m = self._own_m.get(sensor)
-        differs_m = height_m - predicted[1][0]
-        self._own_m[sensor] = differs_m if own_m is None else own_m + OWN_SHARE * (differs_m - own_m)
-        height_m -= self._own_m[sensor] if own_m is None else own_m
-        variance_m2 = max(variance_m2, self._noise_m2)
+        is_least = variance_m2 >= LEAST_VARIANCE_M2
+        variance_m2 = max(variance_m2, self._noise_m2) + (OWN_STD_M**2 if own_m is None else 0.0)
         covariance = self._predicted(t, fades)
         total_m2 = covariance[0] + variance_m2
-        (k_h, k_w, k_b), self._covariance = corrected(covariance, variance_m2)
+        height_m -= own_m or 0.0
+        share = OWN_STD_M**2 / total_m2 if own_m is None else OWN_SHARE
+        self._own_m[sensor] = (own_m or 0.0) + share * (height_m - predicted[1][0])
         squares_m2 = [(height_m - h) ** 2 for h, _, _ in predicted]
+        if min(squares_m2) > OUTLIER_SIGMAS**2 * total_m2 and not self._was_outlier:
+            follows, fixed, late = predicted
+            self._states, self._covariance, self._was_outlier = (follows, fixed, late), covariance, True
+            return
+        self._was_outlier = False
+        (k_h, k_w, k_b), (hh, hw, hb, ww, wb, bb) = corrected(covariance, variance_m2)
+        self._covariance = max(hh, LEAST_VARIANCE_M2 if is_least else 0.0), hw, hb, ww, wb, bb
         if own_m is not None:
             self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], k_h, up_m_s2, may_slope)
-            self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
+            if not is_least:
+                self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
         follows, fixed, late = [
             (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) for h, w, b in predicted for off_m in (height_m - h,)
         ]
@@ -200,14 +235,14 @@ class MotionResponse:
             least = max(least, -SLOPING_PER_S * t * (1 + (self._change_m_s / SLOPE_M_S) ** 2))
         fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else ODDS_LAST_S))
 
-        def updated(log_odds: float, fades: float, evidence: float) -> float:
+        def updated(log_odds: float, fades: float, evidence: float, least: float) -> float:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
 
-        self._fixed = updated(self._fixed, fades, 0.5 * (fixed - follows + NOISE_SHARE * share))
+        self._fixed = updated(self._fixed, fades, 0.5 * (fixed - follows + NOISE_SHARE * share), least)
         answers = min(max(0.5 * (fixed - follows + REST_SHARE * share), least), STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
         self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
-        self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows))
+        self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows), -STRONGEST)
         if self._turn_s < LATE_S:
             self._late = 0.0
         if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):

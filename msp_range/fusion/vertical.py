@@ -146,7 +146,7 @@ class VerticalMotion:
             return False
         self._predict(time_s)
         self._acceleration_m_s2, self._acceleration_s = up_m_s2, time_s
-        self._samples.append((time_s, up_m_s2 - self._b))
+        self._samples.append((time_s, up_m_s2))
         return True
 
     def on_pressure_height(self, time_s: float, height_m: float) -> bool:
@@ -169,17 +169,29 @@ class VerticalMotion:
         self._b += k_b * off_m
         return True
 
-    def acceleration(self, from_s: float, to_s: float) -> float | None:
-        """Mean acceleration upwards between two times, bias taken off [m/s^2]; None where it is not known."""
+    def measured(self, from_s: float, to_s: float) -> float | None:
+        """Mean acceleration upwards between two times as it was measured [m/s^2]; None where it is not known.
+
+        Each is the mean since the one before.
+        """
         if to_s - self._acceleration_s > CURRENT_S or not self._samples:
             return None
-        count, total = 0, 0.0
-        for time_s, up_m_s2 in reversed(self._samples):
-            if time_s <= from_s:
+        up_m_s2, end_s, speed_m_s = self._samples[-1][1], to_s, 0.0
+        for time_s, earlier_m_s2 in reversed(self._samples):
+            if time_s < end_s:
+                begin_s = max(time_s, from_s)
+                speed_m_s += up_m_s2 * (end_s - begin_s)
+                end_s = begin_s
+            up_m_s2 = earlier_m_s2
+            if end_s <= from_s:
                 break
-            if time_s <= to_s:
-                count, total = count + 1, total + up_m_s2
-        return total / count if count else self._samples[-1][1]
+        speed_m_s += up_m_s2 * (end_s - from_s)
+        return speed_m_s / (to_s - from_s) if to_s > from_s else self._samples[-1][1]
+
+    def acceleration(self, from_s: float, to_s: float) -> float | None:
+        """As `measured`, with the bias taken off that the barometer shows."""
+        up_m_s2 = self.measured(from_s, to_s)
+        return None if up_m_s2 is None else up_m_s2 - self._b
 
     def rate(self, time_s: float) -> Rate | None:
         """How fast the vehicle climbs at a time close to now; None where the barometer says nothing."""
@@ -258,10 +270,10 @@ class RecordedMotion(VerticalMotion):
         self._now = now
         self._keep = keep
 
-    def acceleration(self, from_s: float, to_s: float) -> float | None:
-        """As `VerticalMotion.acceleration`, of what has been received by now."""
+    def measured(self, from_s: float, to_s: float) -> float | None:
+        """As `VerticalMotion.measured`, of what has been received by now."""
         self._catch_up()
-        return super().acceleration(from_s, to_s)
+        return super().measured(from_s, to_s)
 
     def mark(self, time_s: float) -> Mark | None:
         """As `VerticalMotion.mark`, of what has been received by now."""
