@@ -7,7 +7,7 @@ flights.jsonl.
 import json
 import math
 from bisect import bisect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,6 +24,7 @@ from evaluation.runner import run_cases
 from msp_range.bridge import Step
 from msp_range.clock import Clock, VirtualClock
 from msp_range.config import Airframe
+from msp_range.fusion import above, belief, fusion, modes, odd, response
 from msp_range.mavlink.transport import Transport, Wrapped
 from msp_range.recording.writer import Recorder
 from msp_sim.flight.autopilot import BOOTED_BEFORE_S, REBOOT_S
@@ -31,6 +32,9 @@ from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 
+BELIEVE = modes, response, belief, fusion, odd, above
+"""Modules of the fusion with constants that may be given other values: each has those that it imports, too."""
+Constants = Mapping[str, float]
 SATURATES_CM = 8
 """Noise takes readings this close to the sensor's maximum beyond it [cm]: four of its standard deviations."""
 HOSTILE_WRONG_M, HOSTILE_WRONG_SHARE = 0.2, 0.05
@@ -225,14 +229,22 @@ def _write(
     (out / "messages.csv").write_text("".join(rows), encoding="utf-8")
 
 
-def fly_drawn(seed: int, index: int, sends_motion: bool) -> dict[str, Any]:
-    """Draw and fly one flight, see `draw_plan`."""
+def fly_drawn(seed: int, index: int, sends_motion: bool, constants: Constants) -> dict[str, Any]:
+    """Draw and fly one flight, see `draw_plan`, with other constants of the belief."""
+    for module in BELIEVE:
+        for name in constants.keys() & vars(module).keys():
+            setattr(module, name, constants[name])
     return fly_plan(draw_plan(seed, index, sends_motion))
 
 
 def fly_all(
-    seed: int, indices: Sequence[int], jobs: int, sends_motion: bool = True, file: Path | None = None
+    seed: int,
+    indices: Sequence[int],
+    jobs: int,
+    sends_motion: bool = True,
+    file: Path | None = None,
+    constants: Constants | None = None,
 ) -> list[dict[str, Any]]:
     """Fly many, in the order of their indices, in ``jobs`` processes, with a line of the file for each."""
-    flights = {f"{seed}:{index}": (seed, index, sends_motion) for index in indices}
+    flights = {f"{seed}:{index}": (seed, index, sends_motion, constants or {}) for index in indices}
     return run_cases(flights, fly_drawn, jobs, file, resume=False)

@@ -9,15 +9,13 @@ import argparse
 import json
 import re
 from itertools import count, islice
-from pathlib import Path
 
 from rich.console import Console
 
-from evaluation.faults.campaign import fly_all, fly_plan
+from evaluation.faults.campaign import BELIEVE, fly_all, fly_plan
 from evaluation.faults.families import FAMILIES, FIRST
 from evaluation.faults.plans import SHARES, draw_plan, group_of, row_of
 from evaluation.faults.report import (
-    Line,
     coverage_table,
     edges_table,
     families_table,
@@ -49,7 +47,23 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--without-motion", action="store_true", help="the autopilot sends neither accelerations nor pressures"
     )
+    parser.add_argument(
+        "--set",
+        type=_constant,
+        nargs="+",
+        default=[],
+        metavar="NAME=VALUE",
+        help="other values of constants of the belief, to see what one is for: ODD=1e9 (none is odd), COMMON=1e-4",
+    )
     parser.add_argument("--again", metavar="SEED:INDEX", help="fly one flight again and write all of it to OUT")
+
+
+def _constant(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    known = sorted({key for module in BELIEVE for key, each in vars(module).items() if isinstance(each, float | int)})
+    if name not in known:
+        raise argparse.ArgumentTypeError(f"found {name!r}; expected one of: {', '.join(known)}")
+    return name, float(value)
 
 
 def main(given: argparse.Namespace) -> None:
@@ -68,7 +82,12 @@ def main(given: argparse.Namespace) -> None:
             raise argparse.ArgumentTypeError(f"--only: found {name!r}; expected some of: {names}")
     wanted = (index for index in count(first) if not only or {group_of(index), row_of(index)} & set(only))
     indices = list(islice(wanted, given.flights))
-    lines = _fly(given.seed, indices, given.jobs, given.out, not given.without_motion)
+    clock = SystemClock()
+    started_s = clock.now()
+    file, sends_motion = given.out / "flights.jsonl", not given.without_motion
+    lines = fly_all(given.seed, indices, given.jobs, sends_motion, file, dict(given.set))
+    flown_s = sum(line["verdict"]["flown_s"] for line in lines)
+    print(f"{len(lines)} flights, {flown_s:,.0f} s flown in {clock.now() - started_s:.0f} s\n")
     console = Console()
     console = console if console.is_terminal else Console(width=WIDTH)
     tables = [families_table(lines), edges_table(lines)] if first else [groups_table(lines), goals_table(lines)]
@@ -82,12 +101,3 @@ def main(given: argparse.Namespace) -> None:
 def _names_from(first: int) -> set[str]:
     """Groups, or families, and rows of a campaign that begins with an index."""
     return {name for index in range(first, first + 2000) for name in (group_of(index), row_of(index))}
-
-
-def _fly(seed: int, indices: list[int], jobs: int, out: Path, sends_motion: bool) -> list[Line]:
-    clock = SystemClock()
-    started_s = clock.now()
-    lines = fly_all(seed, indices, jobs, sends_motion, out / "flights.jsonl")
-    flown_s = sum(line["verdict"]["flown_s"] for line in lines)
-    print(f"{len(lines)} flights, {flown_s:,.0f} s flown in {clock.now() - started_s:.0f} s\n")
-    return lines

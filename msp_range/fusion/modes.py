@@ -120,9 +120,10 @@ count; at least; by a reading that is of it, beyond its density (of the 4.2 that
 less by each that is of nothing known [nats]."""
 SURE = 0.8
 """A distance goes out where its surface is the ground with this probability."""
-OTHERS_IN_A_ROW = 2
+OTHERS_IN_A_ROW = 3
 """After so many ranges in a row that are not of the ground nothing is sent until one is: the ground may have a step, or
-the vehicle a motion that the filter has not seen."""
+the vehicle a motion that the filter has not seen. With 2 four sensors over an edge are silent for 0.4 s, in which an
+autopilot stops using the range; with more the top of a box below three of them is sent for longer."""
 SURFACES = 4
 """So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
 SAME_M = 0.10

@@ -182,3 +182,11 @@ def test_a_descent_between_slow_readings_is_no_drift(tmp_path: Path) -> None:
     """Four sensors 0.9 s apart: the first one that reads the descent was taken for odd, and the ground was lost."""
     verdict = fly_plan(draw_plan(93, 208, True), tmp_path)["verdict"]
     assert sum(silence[1] for silence in verdict["silences"]) < 12.0
+
+
+def test_a_mode_that_is_switched_off_is_missed_by_the_family_that_it_is_for() -> None:
+    """Answers of the ping before, with no turn that is long enough to find them by."""
+    late = [FIRST_HOSTILE + 773, FIRST_HOSTILE + 1093]
+    found_s, missed_s = (Sum(fly_all(816, late, 2, constants=each)).wrong_s for each in ({}, {"LATE_S": 9.0}))
+    assert found_s < 3.0
+    assert missed_s > 6.0
