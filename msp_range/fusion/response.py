@@ -27,11 +27,11 @@ small movements, smaller takes a bias of the accelerometer for a lack of respons
 B_START_M_S2, B_STD_M_S2, B_LASTS_S = 0.15, 0.1, 60.0
 """Standard deviation of b at the start, and later [m/s^2], and how long it lasts [s]: an accelerometer's bias, and how
 the ground curves below the vehicle. Larger or shorter finds what is late only in hard manoeuvres (with 0.2 that lasts
-5 s four times as many are not found), smaller finds it where ground curves."""
+5 s, late answers are wrong for half as long again), smaller finds it where ground curves."""
 NOISE_SHARE = 0.25
 """Share of a predicted height's variance by which the accelerometer's noise moves the two predictions apart: with it
-the odds of a vehicle at rest stay the same, or rise a little (by simulated rest: 0.08 to 0.15). Larger finds what is
-fixed later, smaller finds it where it is not."""
+the odds of a vehicle at rest stay the same (by simulated rest: 0.24 to 0.27). Larger finds what is fixed later, smaller
+finds it where it is not."""
 REST_SHARE = 0.08
 """The same for what a movement has shown: so little that a vehicle at rest gathers nothing. Larger believes after a
 minute of hovering what is near."""
@@ -68,7 +68,8 @@ LEVEL_RISE = 0.03
 vehicle follows."""
 
 LONGEST_S = 2.0
-"""A ping before is no older than this [s]: accelerations are kept for 2.5 s. It counts where a sensor was not read."""
+"""A sensor's ping before is taken for no older than this [s], as accelerations are kept for 2.5 s: it was not read for
+long, or never."""
 
 _START = (0.01, 0.0, 0.0, 0.25, 0.0, B_START_M_S2**2)
 """Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
