@@ -218,7 +218,8 @@ class Fusion:
         ground = belief.ground
         if reading.range_m is not None:
             rejected = self._against(ground, look, rejected)
-            self._others = 0 if rejected is None else self._others + (rejected != OBJECT)
+            is_known = mode.sees is not None and mode.sees.evidence > 0.0
+            self._others = 0 if rejected is None else self._others + (rejected != OBJECT and not is_known)
         mode.last_raw = reading.raw
         if reading.suspect:
             self._above.update_with_code()

@@ -120,10 +120,11 @@ count; at least; by a reading that is of it, beyond its density (of the 4.2 that
 less by each that is of nothing known [nats]."""
 SURE = 0.8
 """A distance goes out where its surface is the ground with this probability."""
-OTHERS_IN_A_ROW = 3
-"""After so many ranges in a row that are not of the ground nothing is sent until one is: the ground may have a step, or
-the vehicle a motion that the filter has not seen. With 2 four sensors over an edge are silent for 0.4 s, in which an
-autopilot stops using the range; with more the top of a box below three of them is sent for longer."""
+OTHERS_IN_A_ROW = 2
+"""After so many ranges in a row that are of nothing that a reading before has seen nothing is sent until one is of the
+ground: it may have a step, or the vehicle a motion that the filter has not seen. A range of what another sensor sees,
+too, is below an edge, perhaps, which no distance ends: four sensors over one would be silent for 0.4 s, in which an
+autopilot stops using the range. With 3 distances go out in noise of 30 cm whose deviation does not hold."""
 SURFACES = 4
 """So many are followed at most: the ground, one beyond an edge, one object, and an outlier."""
 SAME_M = 0.10

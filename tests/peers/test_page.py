@@ -109,9 +109,15 @@ def browser(url: str, **options: Any) -> Iterator[tuple[Page, list[str]]]:
         chromium.close()
 
 
-def page_command(listen: str, feed: Path) -> list[str]:
-    """A page's process without a bridge's help."""
-    return [str(COMMAND.with_name("python")), "-m", "msp_range.web", listen, "--socket", str(feed)]
+@contextmanager
+def page_alone(listen: str, feed: Path, stderr: int) -> Iterator[subprocess.Popen[str]]:
+    """A page's process without a bridge's help, which ends with the block also where a check in it fails."""
+    command = [str(COMMAND.with_name("python")), "-m", "msp_range.web", listen, "--socket", str(feed)]
+    with subprocess.Popen(command, stderr=stderr, text=True) as server:
+        try:
+            yield server
+        finally:
+            server.kill()
 
 
 def refusal(url: str, **headers: str) -> int:
@@ -244,7 +250,7 @@ def test_the_page_finds_the_bridge_again(tmp_path: Path) -> None:
     with kernel_bus(STEADY) as testbed, watched(testbed, tmp_path) as bridge:
         # A page of its own, so that it outlives the bridge.
         port = free_port(socket.SOCK_STREAM)
-        with subprocess.Popen(page_command(str(port), bridge.feed), stderr=subprocess.DEVNULL) as server:
+        with page_alone(str(port), bridge.feed, subprocess.DEVNULL) as server:
             alone = Watched(bridge.service, bridge.end, f"http://127.0.0.1:{port}/", bridge.feed)
             bridge.until(alone.is_served)
             with browser(alone.url) as (page, errors):
@@ -301,8 +307,7 @@ def test_who_may_not_see_the_page(steady: Watched) -> None:
 def test_a_page_for_other_computers_needs_the_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     port = free_port(socket.SOCK_STREAM)
-    command = page_command(f"0.0.0.0:{port}", tmp_path / "none")
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as server:
+    with page_alone(f"0.0.0.0:{port}", tmp_path / "none", subprocess.PIPE) as server:
         assert server.stderr is not None
         line = server.stderr.readline()
         token = (tmp_path / "web-token").read_text()
