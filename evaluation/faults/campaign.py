@@ -7,11 +7,13 @@ flights.jsonl.
 import json
 import math
 from bisect import bisect
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest.mock import patch
 
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -35,6 +37,7 @@ from msp_sim.flight.summary import summarise
 BELIEVE = modes, response, belief, fusion, odd, above
 """Modules of the fusion with constants that may be given other values: each has those that it imports, too."""
 Constants = Mapping[str, float]
+"""Name of a constant of the belief -> another value of it."""
 SATURATES_CM = 8
 """Noise takes readings this close to the sensor's maximum beyond it [cm]: four of its standard deviations."""
 HOSTILE_WRONG_M, HOSTILE_WRONG_SHARE = 0.2, 0.05
@@ -229,12 +232,20 @@ def _write(
     (out / "messages.csv").write_text("".join(rows), encoding="utf-8")
 
 
+@contextmanager
+def other_constants(constants: Constants) -> Iterator[None]:
+    """Fly with other values of constants of the belief, by their names, in each module that has them."""
+    with ExitStack() as patched:
+        for module in BELIEVE:
+            for name in constants.keys() & vars(module).keys():
+                patched.enter_context(patch.object(module, name, constants[name]))
+        yield
+
+
 def fly_drawn(seed: int, index: int, sends_motion: bool, constants: Constants) -> dict[str, Any]:
-    """Draw and fly one flight, see `draw_plan`, with other constants of the belief."""
-    for module in BELIEVE:
-        for name in constants.keys() & vars(module).keys():
-            setattr(module, name, constants[name])
-    return fly_plan(draw_plan(seed, index, sends_motion))
+    """Draw and fly one flight, see `draw_plan` and `other_constants`."""
+    with other_constants(constants):
+        return fly_plan(draw_plan(seed, index, sends_motion))
 
 
 def fly_all(

@@ -12,7 +12,7 @@ from itertools import count, islice
 
 from rich.console import Console
 
-from evaluation.faults.campaign import BELIEVE, fly_all, fly_plan
+from evaluation.faults.campaign import BELIEVE, fly_all, fly_plan, other_constants
 from evaluation.faults.families import FAMILIES, FIRST
 from evaluation.faults.plans import SHARES, draw_plan, group_of, row_of
 from evaluation.faults.report import (
@@ -60,10 +60,16 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def _constant(text: str) -> tuple[str, float]:
     name, _, value = text.partition("=")
-    known = sorted({key for module in BELIEVE for key, each in vars(module).items() if isinstance(each, float | int)})
+    known = {key: type(each) for module in BELIEVE for key, each in vars(module).items() if type(each) in (float, int)}
     if name not in known:
-        raise argparse.ArgumentTypeError(f"found {name!r}; expected one of: {', '.join(known)}")
-    return name, float(value)
+        raise argparse.ArgumentTypeError(f"found {name!r}; expected one of: {', '.join(sorted(known))}")
+    try:
+        number = float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected {name}=NUMBER, such as {name}=1e9") from None
+    if known[name] is int and not number.is_integer():
+        raise argparse.ArgumentTypeError(f"found {text!r}; expected a whole number")
+    return name, known[name](number)
 
 
 def main(given: argparse.Namespace) -> None:
@@ -72,7 +78,8 @@ def main(given: argparse.Namespace) -> None:
         if not re.fullmatch(r"\d+:\d+", given.again):
             raise argparse.ArgumentTypeError(f"--again: found {given.again!r}; expected SEED:INDEX, such as 1:42")
         seed, index = map(int, given.again.split(":"))
-        print(json.dumps(fly_plan(draw_plan(seed, index, not given.without_motion), given.out), indent=2))
+        with other_constants(dict(given.set)):
+            print(json.dumps(fly_plan(draw_plan(seed, index, not given.without_motion), given.out), indent=2))
         return
     only = given.only or []
     first = FIRST if given.hostile or set(only) & _names_from(FIRST) else 0

@@ -228,8 +228,8 @@ class Belief:
             surface.common = math.log(COMMON) if least else _common(surface)
             surface.response.is_in_doubt = self._was_fixed = False
             surface.mark = None
-        elif not least and _common(surface) > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
-            surface.common, surface.response.is_in_doubt = max(surface.common, _common(surface)), True
+        elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
+            surface.response.is_in_doubt = True
         self.seen(surface)
 
     def seen(self, surface: Surface) -> None:

@@ -201,7 +201,7 @@ class Fusion:
         belief.predict(time_s)
         rotation = self._rotation(time_s)
         reading = self._unless_stuck(mode, reading)
-        mode.ping_s, mode.read_s, mode.works = mode.read_s, time_s, not reading.status.is_fault
+        mode.read_s, mode.works = time_s, not reading.status.is_fault
         if reading.range_m is None:
             rejected: str | None = reading.status.value
             if time_s - mode.ranged_s > self._windows.memory_s:
@@ -345,8 +345,7 @@ class Fusion:
         noise_m2 = look.variance_m2 / seen.view.by_height**2
         if look.is_least:
             noise_m2 += NEARER_M * NEARER_M
-        times_s = look.mode.ping_s, self._time_s
-        surface.response.update(look.reading.sensor, times_s, seen.height_m, known.climb_m_s, noise_m2, may_slope)
+        surface.response.update(look.reading.sensor, self._time_s, seen.height_m, known.climb_m_s, noise_m2, may_slope)
         if not surface.response.is_fixed:
             return False
         answered = [self._modes[name] for name in surface.response.sees(since_s)]

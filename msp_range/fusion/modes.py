@@ -266,7 +266,7 @@ class SensorMode:
         self.share = 1.0
         self._outliers = 0.0
         self.noise = NOISE_LEAST
-        self.seen_s = self.ping_s = self.read_s = self.ranged_s = float("-inf")
+        self.seen_s = self.read_s = self.ranged_s = float("-inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
         self.object_m: float | None = None

@@ -10,10 +10,10 @@ acceleration b [m/s^2] that differ in one thing only:
 
     h' = w    w' = u - b + white noise    b' = -b / B_LASTS_S + white noise
 
-Over ground u is the measured acceleration, over something fixed it is 0. Where each sensor answers with the range of
-its ping before, the times are those of these pings: turns differ where a sensor is asked again. b is the bias of the
-accelerometer, which the ranges themselves show: the barometer does not, where rotors change the pressure. A vehicle at
-rest or at a steady rate favours none of the three.
+Over ground u is the measured acceleration, over something fixed it is 0, and where each sensor answers with the range
+of its ping before it is that of a turn earlier. b is the bias of the accelerometer, which the ranges themselves show:
+the barometer does not, where rotors change the pressure. A vehicle at rest or at a steady rate favours none of the
+three.
 """
 
 import math
@@ -67,12 +67,8 @@ LEVEL_RISE = 0.03
 """Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
 vehicle follows."""
 
-LONGEST_S = 2.0
-"""A sensor's ping before is taken for no older than this [s], as accelerations are kept for 2.5 s: it was not read for
-long, or never."""
-
-_START = (0.01, 0.0, 0.0, 0.25, 0.0, B_START_M_S2**2)
-"""Covariance at the start: hh, hw, hb, ww, wb, bb in SI units."""
+_START = (0.01, 0.0, 0.0, 0.25, 0.0)
+"""Covariance at the start: hh, hw, hb, ww, wb in SI units."""
 
 
 class MotionResponse:
@@ -107,9 +103,9 @@ class MotionResponse:
     def _begin(self) -> None:
         """Begin to predict; what has been shown stays."""
         self._time_s: float | None = None
-        self._ping_s = self._change_m_s = 0.0
+        self._change_m_s = 0.0
         self._noise_m2 = NOISE_STD_M**2
-        self._covariance = _START
+        self._covariance: Covariance = (*_START, B_START_M_S2**2)
         self._was_outlier = False
         self._own_m: dict[str, float] = {}
         # Height, rate and bias over ground, over something fixed, and over ground at the time of the ping before.
@@ -121,8 +117,7 @@ class MotionResponse:
 
         After a movement they are more than `FOLLOWS`, as much as it has shown: a near ground needs that to be believed.
         """
-        late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed.
-        return min(self._fixed, late) + max(self._answered - FOLLOWS, 0.0)
+        return min(self._fixed, self._late) + max(self._answered - FOLLOWS, 0.0)
 
     @property
     def is_fixed(self) -> bool:
@@ -138,7 +133,6 @@ class MotionResponse:
         """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
         if self._turn_s >= LATE_S:
             self._late -= max(nats, 0.0)
-            self._apart += max(nats, 0.0)
             self.is_late |= self._late <= LATE
 
     def sees(self, since_s: float) -> set[str]:
@@ -152,7 +146,7 @@ class MotionResponse:
     def update(
         self,
         sensor: str,
-        times_s: tuple[float, float],
+        time_s: float,
         height_m: float,
         climb_m_s: float,
         variance_m2: float,
@@ -162,32 +156,28 @@ class MotionResponse:
 
         Parameters
         ----------
-        sensor, times_s
-            Whose, and when its ping before and this one were [s].
+        sensor, time_s
+            Whose, and when it was [s].
         height_m, climb_m_s, variance_m2
             Height of the reference point by this reading, with the slope and attitude that are known [m], how fast it
             grows by all readings before [m/s], and the variance of the height's error [m^2].
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
         """
-        ping_s, time_s = max(times_s[0], times_s[1] - LONGEST_S), times_s[1]
         if self._time_s is None:
             self._states = ((height_m, climb_m_s, 0.0),) * 3
-            self._time_s, self._ping_s = time_s, ping_s
-        before_s, earlier_s = self._time_s, self._ping_s
-        self._time_s, self._ping_s = time_s, ping_s
-        self._taken_s[sensor] = time_s
+        before_s = time_s if self._time_s is None else self._time_s
+        self._time_s = self._taken_s[sensor] = time_s
         up_m_s2 = self._motion.measured(before_s, time_s)
-        earlier_m_s2 = self._motion.measured(*sorted((earlier_s, ping_s)))
+        earlier_m_s2 = self._motion.measured(before_s - self._turn_s, time_s - self._turn_s)
         if up_m_s2 is None or earlier_m_s2 is None:
             self._begin()
             return
         t = time_s - before_s
         fades = math.exp(-t / B_LASTS_S)
-        moves = (up_m_s2, t), (0.0, t), (earlier_m_s2, ping_s - earlier_s)
         predicted = [
-            (h + (w + 0.5 * (u - b) * dt) * dt, w + (u - b) * dt, b * fades)
-            for (h, w, b), (u, dt) in zip(self._states, moves, strict=True)
+            (h + (w + 0.5 * (u - b) * t) * t, w + (u - b) * t, b * fades)
+            for (h, w, b), u in zip(self._states, (up_m_s2, 0.0, earlier_m_s2), strict=True)
         ]
         own_m = self._own_m.get(sensor)
         is_least = variance_m2 >= LEAST_VARIANCE_M2
@@ -206,7 +196,8 @@ class MotionResponse:
         (k_h, k_w, k_b), (hh, hw, hb, ww, wb, bb) = corrected(covariance, variance_m2)
         self._covariance = max(hh, LEAST_VARIANCE_M2 if is_least else 0.0), hw, hb, ww, wb, bb
         if own_m is not None:
-            self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], k_h, up_m_s2, may_slope)
+            squares = [square_m2 / total_m2 for square_m2 in squares_m2]
+            self._decide(t, squares, k_h, up_m_s2 - predicted[0][2], may_slope)
             if not is_least:
                 self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
         follows, fixed, late = [
@@ -228,7 +219,10 @@ class MotionResponse:
         )
 
     def _decide(self, t: float, squares: list[float], share: float, up_m_s2: float, may_slope: bool) -> None:
-        """Update the log odds with the normalised squares of the three predictions' errors."""
+        """Update the log odds with the normalised squares of the three predictions' errors.
+
+        ``up_m_s2``: the vehicle's acceleration, bias taken off [m/s^2].
+        """
         follows, fixed, late = squares
         self._change_m_s = self._change_m_s * math.exp(-t / SPEED_LASTS_S) + up_m_s2 * t
         least = -STRONGEST

@@ -15,7 +15,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(501, 1_000_040, 1.7, None, id="answers that become another ground keep what they have shown"),
         pytest.param(812, 1_000_390, 5.0, None, id="a strap that the ground was nearer than before the take-off"),
         pytest.param(812, 1_000_240, 5.0, None, id="near parts of the vehicle below one sensor after another"),
-        pytest.param(501, 1_000_273, 1.0, None, id="dust in which surfaces of chance were the ground"),
+        pytest.param(501, 1_000_273, 2.0, None, id="dust in which surfaces of chance were the ground"),
         pytest.param(501, 1_000_173, 8.0, None, id="late answers over a hover between two movements"),
     ],
 )
