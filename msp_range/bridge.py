@@ -280,6 +280,7 @@ class Bridge:
         self._bus_health = BusHealth()
         self._reminder = Reminder()
         self.verdict = BridgeVerdict(BridgeState.STARTING)
+        self._fused_is_sent = False
         self._next_conditions_s = clock.now()
         self.completed_s = clock.now()
 
@@ -392,8 +393,12 @@ class Bridge:
     def _send_fused(self, fusion: Fusion, outcome: Outcome, air: Air, now_s: float, boot_ms: int) -> None:
         """Send the fused distance, and what is below the sensor that is not ground."""
         reading, rejected = outcome.reading, outcome.rejected
-        if self._streams.send_fused(now_s, boot_ms, outcome, air, fusion.confidence):
+        is_sent = self._streams.send_fused(now_s, boot_ms, outcome, air, fusion.confidence)
+        if is_sent:
             self._output.on_usable(FUSED, now_s)
+        if is_sent != self._fused_is_sent:
+            # Why it has stopped is reported at once.
+            self._fused_is_sent, self._next_conditions_s = is_sent, now_s
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)
         is_in_doubt = fusion.is_ground_in_doubt(reading.sensor)

@@ -31,10 +31,10 @@ Silence
     time between two readings of one downward sensor).
 Reported
     A silence: from 1 s before its beginning until the limit + 0.5 s after it a STATUSTEXT of severity WARNING or worse
-    has come that is not on an object, a hole or the air's temperature, or the last HEARTBEAT before that deadline says
-    CRITICAL. A wrong distance: the same from 1 s before its beginning until 2 s after it, texts on temperature
-    included. That the air's temperature lags, 'up to 48 cm off', reports an error of no more than that from then on,
-    until a text says that this is over.
+    has come that is not on an object or a hole alone (without 'or fault'), nor on the air's temperature, or the last
+    HEARTBEAT before that deadline says CRITICAL. A wrong distance: the same from 1 s before its beginning until 2 s
+    after it, texts on temperature included. That the air's temperature lags, 'up to 48 cm off', reports an error of no
+    more than that from then on, until a text says that this is over.
 False object
     A STATUSTEXT with 'object' or 'hole' while none of the grounds of the last 2 s was 8 cm from another.
 """
@@ -70,7 +70,7 @@ LEANS_RAD, LEANS = math.radians(5.0), ("below 5 deg", "above 5 deg")
 QUALITY_SURE = 90
 """ArduSub's RNGFND_SQ_MIN: it drops a distance of less."""
 
-_ON_OBJECTS = re.compile(r"\b(object|hole|ground below)\b", re.IGNORECASE)
+_ON_OBJECTS = re.compile(r"^(?!.*\bfault\b).*\b(object|hole|ground below)\b", re.IGNORECASE)
 _IS_OBJECT = re.compile(r"\b(object|hole)\b")
 _ON_AIR = re.compile(r"\b(air temp|temperature|thermometer)", re.IGNORECASE)
 _LAGS_CM = re.compile(r"air temp lags, up to (\d+) cm off")

@@ -322,11 +322,11 @@ class Belief:
         self.ground, self.sure = best, weights[best] / total * (1 - self.noise)
         self._response = best.response
         most_seen = max(counts, key=lambda each: counts[each])
-        is_most = 2 * counts[most_seen] > len(voters) and most_seen.evidence >= EVIDENCE_MOST
+        seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
         share, is_open = weights[most_seen] / total, self.sure < SURE
-        if is_most and share < SURE and most_seen.response.log_odds <= UNANSWERED:
+        if is_there and seen > len(voters) - 0.5 and share < SURE and most_seen.response.log_odds <= UNANSWERED:
             self.doubt = NO_RESPONSE
-        elif is_most and share < 0.5 and self._known is not None and not (is_open and self.doubt):
+        elif is_there and seen > len(voters) and share < 0.5 and self._known and not (is_open and self.doubt):
             self.doubt = CHANGE
         elif not is_open:
             self.doubt = None

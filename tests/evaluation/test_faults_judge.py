@@ -207,6 +207,7 @@ SILENT = [each for each in stream(lambda time_s: 200) if each[0] <= SILENT_FROM_
         (text(5.6, "Range: readings disagree"), None),
         (text(5.4, "Range: all 4 sensors good", mavlink.MAV_SEVERITY_INFO), None),
         (text(5.4, "Range front_left: object of 0.5 m below"), None),
+        (text(5.4, "Range: sudden change, maybe an object or fault"), "text"),
         (text(5.4, "Range: no air temperature, using 20 C"), None),
         (heartbeat(5.4, mavlink.MAV_STATE_CRITICAL), "critical"),
         (heartbeat(5.4, mavlink.MAV_STATE_ACTIVE), None),

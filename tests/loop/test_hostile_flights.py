@@ -28,3 +28,16 @@ def test_a_hostile_flight(seed: int, index: int, most_wrong_s: float, most_silen
     assert sum(event.for_s for event in verdict["wrong"]) <= most_wrong_s
     if most_silent_s is not None:
         assert sum(event.for_s for event in verdict["silences"]) <= most_silent_s
+
+
+@pytest.mark.parametrize(
+    ("seed", "index"),
+    [
+        pytest.param(815, 1_000_173, id="late answers are reported as soon as nothing is sent"),
+        pytest.param(501, 1_000_550, id="two of four sensors see a strap that was the ground"),
+    ],
+)
+def test_what_is_wrong_is_reported_in_time(seed: int, index: int) -> None:
+    verdict = fly_plan(draw_plan(seed, index))["verdict"]
+    assert verdict["wrong"]
+    assert all(event.reported for event in verdict["wrong"])
