@@ -148,7 +148,9 @@ def test_a_wrong_mounting_is_found_and_corrected(
     assert [each for each in vehicle.person.asked if words in each], vehicle.person.asked
     assert len(vehicle.person.asked) == 1
     assert [name for name, report in reports.items() if report["changes"]] == [step]
-    verdicts = {each["verdict"] for each in reports[step]["findings"]}
+    findings = reports[step]["findings"]
+    assert isinstance(findings, list)
+    verdicts = {each["verdict"] for each in findings}
     # With one that looks aside the others' places may not be known well enough.
     assert reports[step]["passed"] or (mounted == ROTATED and verdicts == {"right", "unknown"}), reports[step]
     for found, true in zip(vehicle.airframe.sensors, vehicle.held.mounted.sensors, strict=True):
