@@ -5,7 +5,6 @@ on which opening would wait, an endless device) or that is too large is refused 
 what was found and what was expected, so that callers can report it like a missing file.
 """
 
-import codecs
 import errno
 import os
 import re
@@ -22,10 +21,10 @@ _KINDS = {
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
 }
-UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069]")
 """Characters that are not text: control characters except tab and line feed (terminals execute some of them), halves of
-surrogate pairs (no encoding has them), and those that change the direction of writing."""
+surrogate pairs (no encoding has them; Python decodes bytes that are not UTF-8 to them with ``surrogateescape``), and
+those that change the direction of writing."""
 
 
 def open_input(path: Path | str, most_bytes: int) -> BufferedReader:
@@ -57,25 +56,44 @@ def read_text(path: Path | str, most_bytes: int) -> str:
     Raises
     ------
     OSError
-        As for `open_input`, or the file is not UTF-8.
+        As for `open_input`, or the file is not UTF-8, or it contains control characters.
     """
     with open_input(path, most_bytes) as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:  # files in /proc have a size of 0
         raise OSError(errno.EFBIG, f"found more than {most_bytes / 1e6:g} MB, expected at most that")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise OSError(errno.EILSEQ, not_utf8(content, error)) from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    text = content.decode("utf-8-sig", "surrogateescape").replace("\r\n", "\n").replace("\r", "\n")
+    if (fault := text_fault(text)) is not None:
+        raise OSError(errno.EILSEQ, f"line {fault[0] + 1}: {fault[1]}")
+    return text
 
 
-def not_utf8(content: bytes, error: UnicodeDecodeError) -> str:
-    """Error message for text that is not UTF-8; ``content`` is the text from its beginning."""
-    if content.startswith(UTF_16):
-        return "found text in UTF-16, expected UTF-8"
-    line = content.count(b"\n", 0, error.start) + 1
-    return f"line {line}: found the byte 0x{error.object[error.start]:02x}, expected text in UTF-8"
+def text_fault(text: str) -> tuple[int, str] | None:
+    """Where and what the first of the characters is that are not text; None: all are.
+
+    Parameters
+    ----------
+    text
+        Decoded from UTF-8 with ``surrogateescape``, so that bytes that are not UTF-8 are found too.
+
+    Returns
+    -------
+    (int, str) or None
+        The number of line ends before it, and what was found and expected.
+
+    Examples
+    --------
+    >>> text_fault("a\\nb\x1b")
+    (1, "found the control character '\\\\x1b', expected text without any")
+    """
+    control = CONTROL.search(text)
+    if control is None:
+        return None
+    fault = f"found the control character {control[0]!r}, expected text without any"
+    if "\udc80" <= control[0] <= "\udcff":
+        is_utf16 = text.startswith(("\udcff\udcfe", "\udcfe\udcff"))
+        fault = f"found {'UTF-16' if is_utf16 else f'the byte 0x{ord(control[0]) & 0xFF:02x}'}, expected text in UTF-8"
+    return text.count("\n", 0, control.start()), fault
 
 
 def printable(text: str) -> str:

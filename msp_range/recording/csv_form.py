@@ -6,7 +6,6 @@ every cell is a number or empty, words otherwise. Files are text in UTF-8, compr
 is no table, or is too large, is refused in a line that names the place.
 """
 
-import codecs
 import csv
 import difflib
 import gzip
@@ -24,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from msp_range.arrays import Column
-from msp_range.input_file import CONTROL, UTF_16, open_input
+from msp_range.input_file import CONTROL, open_input, text_fault
 from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.error import RecordingError, new_file
 
@@ -48,7 +47,7 @@ MOST_COLUMNS = 1000
 LONGEST_CELL = 200
 """Characters of a cell that is kept as a word: names of runs, targets and conditions have 10 to 40."""
 
-_BLOCK_BYTES = 2**16
+_BLOCK_CHARACTERS = 2**16
 
 
 @dataclass(frozen=True)
@@ -210,25 +209,14 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
     is_packed = path.suffix == ".gz"
     with gzip.GzipFile(fileobj=file) if is_packed else file as stream:
         most = FREE_EXPANSION_BYTES + MOST_EXPANSION * os.fstat(file.fileno()).st_size if is_packed else LARGEST_BYTES
-        if stream.peek(2)[:2] in UTF_16:
-            raise RecordingError(f"{path}: found text in UTF-16, expected UTF-8")
-        decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder("utf-8-sig")(), translate=True)
+        text = io.TextIOWrapper(stream, "utf-8-sig", "surrogateescape")
         number, read, rest = 1, 0, ""
-        while True:
-            content = stream.read(_BLOCK_BYTES)
-            try:
-                block = decoder.decode(content, final=not content)
-            except UnicodeDecodeError as error:
-                line = number + error.object.count(b"\n", 0, error.start)
-                found = error.object[error.start]
-                raise RecordingError(f"{path}:{line}: found the byte 0x{found:02x}, expected text in UTF-8") from None
-            read += len(content)
+        while block := text.read(_BLOCK_CHARACTERS):
+            read += len(block)
             if read > most:
                 raise RecordingError(f"{path}: found more than {most / 1e6:.0f} MB of unpacked text, expected less")
-            control = CONTROL.search(block)
-            if control is not None:
-                line = number + block.count("\n", 0, control.start())
-                raise RecordingError(f"{path}:{line}: found the control character {control[0]!r}, expected text")
+            if (fault := text_fault(block)) is not None:
+                raise RecordingError(f"{path}:{number + fault[0]}: {fault[1]}")
             rest += block
             end = rest.rfind("\n") + 1
             number += rest.count("\n", 0, end)
@@ -236,9 +224,7 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
             rest = rest[end:]
             if len(rest) > LONGEST_LINE:
                 raise RecordingError(f"{path}:{number}: found a line of more than {LONGEST_LINE} characters")
-            if not content:
-                yield from io.StringIO(rest)
-                return
+        yield from io.StringIO(rest)
 
 
 def short_list(names: Sequence[str]) -> str:

@@ -38,7 +38,7 @@ def test_a_packed_file_is_read_and_one_that_is_damaged_is_refused_in_a_line(tmp_
 def test_text_in_utf_16_is_said_to_be_that(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes("\ufefftime_s,sensor,reading_cm\n".encode(encoding))
-    with pytest.raises(RecordingError, match="found text in UTF-16, expected UTF-8"):
+    with pytest.raises(RecordingError, match="1: found UTF-16, expected text in UTF-8"):
         read_csv(path)
 
 
