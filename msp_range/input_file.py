@@ -46,7 +46,7 @@ def open_input(path: Path | str, most_bytes: int) -> BufferedReader:
         return os.fdopen(descriptor, "rb")
     os.close(descriptor)
     if kind != stat.S_IFREG:
-        raise OSError(errno.EINVAL, f"found {_KINDS.get(kind, 'something else')}, expected a file")
+        raise OSError(errno.EINVAL, f"found {_KINDS.get(kind, 'something else')}, expected a file", str(path))
     raise OSError(errno.EFBIG, f"found {found.st_size / 1e6:.1f} MB, expected at most {most_bytes / 1e6:g} MB")
 
 

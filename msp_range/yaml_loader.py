@@ -98,7 +98,9 @@ class _Values:
         for key in self._until(yaml.MappingEndEvent):
             name = self._value(key, depth + 1)
             if isinstance(name, list | dict):
-                raise _error(f"found a {'list' if isinstance(name, list) else 'mapping'} as a key, expected a word", key)
+                raise _error(
+                    f"found a {'list' if isinstance(name, list) else 'mapping'} as a key, expected a word", key
+                )
             if name in seen:
                 raise _error(f"the key {name!r} is given twice", key)
             seen.add(name)

@@ -49,15 +49,15 @@ class MavlinkField(NamedTuple):
     is_die: bool = False
 
 
-_BAROMETER = MavlinkField(0.01, DIE_STD_C, is_die=True)
-_AIRSPEED = MavlinkField(0.01, AIRSPEED_STD_C)
 MAVLINK_FIELDS: dict[tuple[str, str], MavlinkField] = {
-    ("SCALED_PRESSURE", "temperature"): _BAROMETER,
-    ("SCALED_PRESSURE", "temperature_press_diff"): _AIRSPEED,
-    ("SCALED_PRESSURE2", "temperature"): _BAROMETER,
-    ("SCALED_PRESSURE2", "temperature_press_diff"): _AIRSPEED,
-    ("SCALED_PRESSURE3", "temperature"): _BAROMETER,
-    ("SCALED_PRESSURE3", "temperature_press_diff"): _AIRSPEED,
+    **{
+        (message, field): known
+        for message in ("SCALED_PRESSURE", "SCALED_PRESSURE2", "SCALED_PRESSURE3")
+        for field, known in (
+            ("temperature", MavlinkField(0.01, DIE_STD_C, is_die=True)),
+            ("temperature_press_diff", MavlinkField(0.01, AIRSPEED_STD_C)),
+        )
+    },
     ("HYGROMETER_SENSOR", "temperature"): MavlinkField(0.01, THERMOMETER_STD_C),
     ("HIGHRES_IMU", "temperature"): MavlinkField(1.0, DIE_STD_C, is_die=True),
 }

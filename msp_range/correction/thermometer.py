@@ -8,7 +8,6 @@ files (`ThreadReader`), because a DS18B20 takes 0.75 s per value. With a virtual
 import glob
 import math
 import os
-import stat
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,9 +15,12 @@ from typing import NamedTuple, Protocol
 
 from msp_range.clock import Clock
 from msp_range.correction.temperature import FileSource
+from msp_range.input_file import open_input
 
 LONGEST_NUMBER_BYTES = 64
-"""Largest size of a file [bytes]: hwmon and iio files have at most 12."""
+"""Largest size of a number [bytes]: those in hwmon and iio files have at most 12."""
+LARGEST_FILE_BYTES = 2**16
+"""Largest size of a file, by its folder [bytes]: those in /sys claim 4096, or a page of the computer."""
 HANGS_S = 5.0
 """A read that takes longer is reported as hanging [s]: seven times the time of a DS18B20."""
 
@@ -46,18 +48,12 @@ def read_thermometer(source: FileSource) -> float:
     Raises
     ------
     OSError, ValueError
-        There is no such file, it is a pipe or a device, or it does not contain a number.
+        There is no such file, it is a pipe, a device or a folder, or it does not contain a number.
     """
     paths = sorted(glob.glob(source.path))
     path = paths[0] if paths else source.path
-    # Without O_NONBLOCK, opening a pipe without a writer would wait for ever.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise ValueError(f"{path}: is a pipe, a device or a folder; expected a file that contains a number")
-        content = os.read(descriptor, LONGEST_NUMBER_BYTES + 1)
-    finally:
-        os.close(descriptor)
+    with open_input(path, LARGEST_FILE_BYTES) as file:
+        content = os.read(file.fileno(), LONGEST_NUMBER_BYTES + 1)
     number = math.nan
     if len(content) <= LONGEST_NUMBER_BYTES:
         with suppress(ValueError):
@@ -74,21 +70,35 @@ class LoopReader:
     ----------
     read
         The number in a source's file, in the file's unit; raises OSError or ValueError.
+    on_error
+        Called with an error message when what is wrong with a file changes, for the log.
     """
 
-    def __init__(self, read: Callable[[FileSource], float] = read_thermometer) -> None:
+    def __init__(
+        self,
+        read: Callable[[FileSource], float] = read_thermometer,
+        on_error: Callable[[str], object] = lambda text: None,
+    ) -> None:
         self._read = read
-        self._next_s: dict[FileSource, float] = {}
+        self._on_error = on_error
+        self._errors: dict[FileSource, str] = {}
+        self.next_s: dict[FileSource, float] = {}
+        """When the file of each source is read again [s]."""
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
         """Read the file if that is due."""
-        if now_s < self._next_s.get(source, now_s):
+        if now_s < self.next_s.get(source, now_s):
             return None
-        self._next_s[source] = now_s + source.period_s
+        self.next_s[source] = now_s + source.period_s
+        error_text, sample = "", None
         try:
-            return Sample(now_s, self._read(source) * source.scale)
-        except (OSError, ValueError):
-            return None
+            sample = Sample(now_s, self._read(source) * source.scale)
+        except (OSError, ValueError) as error:
+            error_text = str(error)
+        if error_text and error_text != self._errors.get(source):
+            self._on_error(error_text)
+        self._errors[source] = error_text
+        return sample
 
     def hangs(self, now_s: float) -> bool:
         """Always False: the loop itself would hang."""
@@ -96,7 +106,7 @@ class LoopReader:
 
 
 class ThreadReader:
-    """Reads all files in a separate thread; the loop gets the newest values.
+    """A `LoopReader` in a thread of its own; the loop gets the newest values.
 
     The thread starts with the first source. It is a daemon thread, so a hanging read does not keep the program from
     ending.
@@ -105,24 +115,20 @@ class ThreadReader:
     ----------
     clock
         Time of the values.
-    read
-        As for `LoopReader`.
-    on_error
-        Called in the thread with an error message when a file's state changes, for the log.
+    read, on_error
+        As for `LoopReader`; called in the thread.
     """
 
     def __init__(
         self,
         clock: Clock,
         read: Callable[[FileSource], float] = read_thermometer,
-        on_error: Callable[[str], object] | None = None,
+        on_error: Callable[[str], object] = lambda text: None,
     ) -> None:
         self._clock = clock
-        self._read = read
-        self._on_error = on_error
-        self._next_s: dict[FileSource, float] = {}
+        self._files = LoopReader(read, on_error)
+        self._sources: list[FileSource] = []
         self._newest: dict[FileSource, Sample] = {}
-        self._errors: dict[FileSource, str] = {}
         self._reading_since_s: float | None = None
         self._is_closed = False
         self._has_changed = threading.Event()
@@ -130,10 +136,10 @@ class ThreadReader:
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
         """The newest value since the last call; the first call for a source starts reading it."""
-        if source not in self._next_s:
-            self._next_s[source] = now_s
+        if source not in self._sources:
+            self._sources.append(source)
             self._has_changed.set()
-            if len(self._next_s) == 1:
+            if len(self._sources) == 1:
                 self._thread.start()
         return self._newest.pop(source, None)
 
@@ -149,23 +155,11 @@ class ThreadReader:
 
     def _run(self) -> None:
         while not self._is_closed:
-            for source, due_s in list(self._next_s.items()):
-                now_s = self._clock.now()
-                if now_s >= due_s:
-                    self._next_s[source] = now_s + source.period_s
-                    self._read_one(source, now_s)
-            wait_s = min(list(self._next_s.values())) - self._clock.now()
+            for source in self._sources:
+                self._reading_since_s = now_s = self._clock.now()
+                if (sample := self._files.newest(source, now_s)) is not None:
+                    self._newest[source] = sample
+                self._reading_since_s = None
+            wait_s = min(self._files.next_s.values()) - self._clock.now()
             self._has_changed.wait(max(wait_s, 0.0))
             self._has_changed.clear()
-
-    def _read_one(self, source: FileSource, now_s: float) -> None:
-        self._reading_since_s = now_s
-        error_text = ""
-        try:
-            self._newest[source] = Sample(now_s, self._read(source) * source.scale)
-        except (OSError, ValueError) as error:
-            error_text = str(error)
-        self._reading_since_s = None
-        if error_text and error_text != self._errors.get(source) and self._on_error is not None:
-            self._on_error(error_text)
-        self._errors[source] = error_text

@@ -4,7 +4,8 @@ A driver contains everything specific to its kind: how to ping and read it, what
 changes them, its default address, how its address is changed, and how it behaves in a replay.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
@@ -35,13 +36,14 @@ class AddressError(UserError, ValueError):
 class RangeSensor(Protocol):
     """One range finder on a bus: ping it, then read until it answers."""
 
-    @property
-    def address(self) -> int:
-        """Its 7-bit address on the bus."""
+    address: int
+    """Its 7-bit address on the bus."""
 
+    @abstractmethod
     def ping(self) -> None:
         """Start a measurement; raises BusError if the sensor does not acknowledge."""
 
+    @abstractmethod
     def answer(self) -> Decoded:
         """The measurement's result; raises BusError while there is none."""
 
@@ -88,7 +90,7 @@ class Playback(Protocol):
         """``count`` bytes of the answer that was recorded as ``raw``; None: not acknowledged."""
 
 
-class Driver(ABC):
+class Driver(RangeSensor):
     """A kind of range finder; an object of the class is one such sensor on a bus, a `RangeSensor`.
 
     Parameters
@@ -107,20 +109,14 @@ class Driver(ABC):
     """Whether a changed address is kept without power."""
     busy_s: ClassVar[float]
     """Time for which it may not acknowledge while it measures [s]; 0 if it always acknowledges."""
+    playback: ClassVar[Callable[[], Playback]]
+    """Makes the behaviour of such a sensor in a replay."""
     stretches_clock: ClassVar[bool] = False
     """Whether it holds the bus clock low while it is not ready; not every computer waits for that."""
 
     def __init__(self, bus: Bus, address: int) -> None:
         self._bus = bus
         self.address = address
-
-    @abstractmethod
-    def ping(self) -> None:
-        """Start a measurement; raises BusError if the sensor does not acknowledge."""
-
-    @abstractmethod
-    def answer(self) -> Decoded:
-        """The measurement's result; raises BusError while there is none."""
 
     @classmethod
     def ignores_address(cls, address: int) -> bool:
@@ -146,11 +142,6 @@ class Driver(ABC):
     @abstractmethod
     def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
         """The ping of an answer if only ``raw`` and the time of its echo [s] were recorded."""
-
-    @classmethod
-    @abstractmethod
-    def playback(cls) -> Playback:
-        """The behaviour of such a sensor in a replay."""
 
 
 def acknowledges(bus: Bus, address: int) -> bool:

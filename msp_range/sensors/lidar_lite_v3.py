@@ -97,12 +97,33 @@ def decode(word: int) -> Decoded:
     return Decoded(Status.OK, word / 100, word)
 
 
+class _Playback:
+    """Registers with the status and the distance of a recorded word; it acknowledges all the time."""
+
+    first_raw = 0
+
+    def __init__(self) -> None:
+        self._register = 0
+
+    def starts(self, data: bytes, ranging: bool) -> bool | None:
+        self._register = data[0] if data else self._register
+        return data == COMMAND_MEASURE and not ranging
+
+    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
+        if self._register == STATUS:
+            flags = BUSY if ranging else 0
+            flags |= PROCESS_ERROR if raw & FAULT_BIT else HEALTHY
+            return bytes([flags]).ljust(count, b"\x00")[:count]
+        return raw.to_bytes(2, "big")[:count] if self._register == DISTANCE else bytes(count)
+
+
 class LidarLiteV3(Driver):
     """One LIDAR-Lite v3 on a bus."""
 
     part = "a LIDAR-Lite v3"
     default_address = 0x62
     keeps_address = False
+    playback = _Playback
     busy_s = 0.0
 
     def ping(self) -> None:
@@ -173,31 +194,6 @@ class LidarLiteV3(Driver):
     def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
         """Light takes no time."""
         return RecordedPing(echo_s, raw, READY_S)
-
-    @classmethod
-    def playback(cls) -> "_Playback":
-        """It acknowledges all the time, and reports by its status register that it is busy."""
-        return _Playback()
-
-
-class _Playback:
-    """Registers with the status and the distance of a recorded word."""
-
-    first_raw = 0
-
-    def __init__(self) -> None:
-        self._register = 0
-
-    def starts(self, data: bytes, ranging: bool) -> bool | None:
-        self._register = data[0] if data else self._register
-        return data == COMMAND_MEASURE and not ranging
-
-    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
-        if self._register == STATUS:
-            flags = BUSY if ranging else 0
-            flags |= PROCESS_ERROR if raw & FAULT_BIT else HEALTHY
-            return bytes([flags]).ljust(count, b"\x00")[:count]
-        return raw.to_bytes(2, "big")[:count] if self._register == DISTANCE else bytes(count)
 
 
 def _registers(bus: Bus, address: int, register: int, count: int) -> bytes:

@@ -93,12 +93,25 @@ def encode(reading_cm: int) -> bytes:
     return reading_cm.to_bytes(ANSWER_BYTES, "big")
 
 
+class _Playback:
+    """It answers a plain read with two bytes, and acknowledges nothing while it measures."""
+
+    first_raw = PART_INFO
+
+    def starts(self, data: bytes, ranging: bool) -> bool | None:
+        return None if ranging else data == COMMAND_RANGE
+
+    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
+        return None if ranging else raw.to_bytes(ANSWER_BYTES, "big")[:count]
+
+
 class MB1242(Driver):
     """One MB1242 on a bus."""
 
     part = "an MB1242"
     default_address = 0x70
     keeps_address = True
+    playback = _Playback
     busy_s = RANGING_S
     stretches_clock = True
 
@@ -190,23 +203,6 @@ class MB1242(Driver):
         # A clock fault sets one bit of an answer, but not its time.
         echo_cm = (raw or 0) % CLOCK_FAULT_BIT
         return RecordedPing(ping_s, raw, READY_S + ECHO_S_PER_CM * echo_cm if echo_cm < NO_ECHO_CM else NO_ECHO_READY_S)
-
-    @classmethod
-    def playback(cls) -> "_Playback":
-        """It acknowledges nothing while it measures."""
-        return _Playback()
-
-
-class _Playback:
-    """It answers a plain read with two bytes."""
-
-    first_raw = PART_INFO
-
-    def starts(self, data: bytes, ranging: bool) -> bool | None:
-        return None if ranging else data == COMMAND_RANGE
-
-    def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
-        return None if ranging else raw.to_bytes(ANSWER_BYTES, "big")[:count]
 
 
 def _soonest_s(answer: bytes) -> float:
