@@ -238,6 +238,7 @@ class Bridge:
         self._clock = clock
         self.started_s = clock.now()
         self._recorder = recorder
+        self._publish: Callable[[str, float, dict[str, Any]], None] | None = None
         self._report = report
         self._report_message = on_message
         self._windows = windows_of(airframe)
@@ -297,6 +298,10 @@ class Bridge:
     def record_to(self, recorder: Records) -> None:
         """Keep every stage of every reading from here on."""
         self._recorder = recorder
+
+    def show_to(self, publish: Callable[[str, float, dict[str, Any]], None]) -> None:
+        """Call this with (topic, time [s], message) of everything that is or would be recorded from here on."""
+        self._publish = publish
 
     def step(self) -> list[Step]:
         """Sleep until something is due, do it, and return what became of the readings that ended."""
@@ -427,18 +432,21 @@ class Bridge:
             self._write_frame(SENT_TOPIC, message, sent)
 
     def _write_frame(self, topic: str, message: Any, frame: bytes) -> None:
-        self._write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
+        self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
 
     def _record(self, now_s: float, topic: str, step: Step) -> None:
-        if self._recorder is None:
+        if self._recorder is None and self._publish is None:
             return
-        self._recorder.write(topic, now_s, stages_of(step.ranging, step.air, step.corrected, step.filtered))
+        self.write(topic, now_s, stages_of(step.ranging, step.air, step.corrected, step.filtered))
         if step.fused is not None:
-            self._recorder.write(FUSED_TOPIC, now_s, step.fused.record(step.ranging.reading.time_s))
+            self.write(FUSED_TOPIC, now_s, step.fused.record(step.ranging.reading.time_s))
 
-    def _write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
+        """Record one message, and show it to whoever watches."""
         if self._recorder is not None:
             self._recorder.write(topic, time_s, message)
+        if self._publish is not None:
+            self._publish(topic, time_s, message)
 
     def _on_message(self, now_s: float, message: Any) -> None:
         self._temperature.on_message(now_s, message)
@@ -453,15 +461,15 @@ class Bridge:
             time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
             angles = Angles(time_s, message.roll, message.pitch, message.yaw)
             if self._attitude.update(angles):
-                self._write(ATTITUDE_TOPIC, now_s, angles._asdict())
+                self.write(ATTITUDE_TOPIC, now_s, angles._asdict())
         elif (force := specific_force(message)) is not None:
             down = self._attitude.down_at(now_s)
             if down is not None:
                 up_m_s2 = -dot(down, force) - GRAVITY_M_S2
                 if self._motion.on_acceleration(now_s, up_m_s2):
-                    self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "up_m_s2": up_m_s2})
+                    self.write(MOTION_TOPIC, now_s, {"time_s": now_s, "up_m_s2": up_m_s2})
         elif (height_m := pressure_height_m(message)) is not None and self._motion.on_pressure_height(now_s, height_m):
-            self._write(MOTION_TOPIC, now_s, {"time_s": now_s, "pressure_height_m": height_m})
+            self.write(MOTION_TOPIC, now_s, {"time_s": now_s, "pressure_height_m": height_m})
 
     def _check_conditions(self, now_s: float) -> None:
         """Update the air, the recording and the conditions of all that is not a sensor, and report what has changed."""
@@ -496,7 +504,7 @@ class Bridge:
     def notify(self, severity: Severity, text: str) -> None:
         """Report something to the pilot, the recording and the log."""
         self.link.send_text(severity, text)
-        self._write(HEALTH_TOPIC, self._clock.now(), {"text": text, "severity": severity.name.lower()})
+        self.write(HEALTH_TOPIC, self._clock.now(), {"text": text, "severity": severity.name.lower()})
         if self._report is not None:
             self._report(severity, text)
 

@@ -62,16 +62,14 @@ def dot(a: Vector, b: Vector) -> float:
 
 def rotate(rotation: Matrix, vector: Vector) -> Vector:
     """A vector in the other frame: R v."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    x, y, z = vector
-    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+    first, second, third = rotation
+    return dot(first, vector), dot(second, vector), dot(third, vector)
 
 
 def rotate_back(rotation: Matrix, vector: Vector) -> Vector:
     """The vector that `rotate` takes to this one: R^T v."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    x, y, z = vector
-    return a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+    first, second, third = zip(*rotation, strict=True)
+    return dot(first, vector), dot(second, vector), dot(third, vector)
 
 
 def angle_between(a: Vector, b: Vector) -> float:

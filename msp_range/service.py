@@ -299,7 +299,7 @@ def _fly(
             if recorder is not None:
                 bridge.record_to(recorder)
             try:
-                watch = Watch(bridge, transport, recorder, outputs, clock.now(), log)
+                watch = Watch(bridge, transport, outputs, clock.now(), log)
             except FeedError as error:
                 log.warning("not watched", error=str(error))
             # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.

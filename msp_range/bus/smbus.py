@@ -32,33 +32,24 @@ def bus_of(text: str) -> int | str:
     return int(text) if text.isdecimal() else text
 
 
-class BusInUse(BusError):
-    """Another process uses the bus: one of these commands, because other programs do not use the lock."""
+class BusNotOpened(BusError):
+    """The bus has not been there since the program started, or may not be opened; the text says what to do."""
 
-    bus_at_fault = True
+    never_opened = True
 
-    def __init__(self, path: Path, holder: str) -> None:
-        super().__init__(errno.EBUSY, f"open {path}", 0)
-        self._text = f"{path}: in use by {holder}; two programs on one bus would disturb each other. Stop it first"
+    def __init__(self, path: Path, number: int, text: str) -> None:
+        super().__init__(number, f"open {path}", 0)
+        self._text = f"{path}: {text}"
 
     def __str__(self) -> str:
         return self._text
 
 
-class BusNotOpened(BusError):
-    """The bus has not been there since the program started, or may not be opened."""
+class BusInUse(BusNotOpened):
+    """Another process uses the bus: one of these commands, because other programs do not use the lock."""
 
-    never_opened = True
-
-    def __init__(self, path: Path, number: int) -> None:
-        super().__init__(number, f"open {path}", 0)
-        self._path = path
-
-    def __str__(self) -> str:
-        how = "'msp-range doctor' finds out what is missing"
-        if self.errno == errno.ENOENT:
-            return f"{self._path}: no such I2C bus; enable I2C, or name another bus ({how})"
-        return f"{self._path}: cannot be opened: {os.strerror(self.errno or 0)} ({how})"
+    never_opened = False
+    bus_at_fault = True
 
 
 class KernelBus:
@@ -138,15 +129,19 @@ class KernelBus:
             smbus: Any = SMBus(str(self.path))
         except OSError as error:
             number = error.errno or errno.EIO
-            raise (
-                BusError(number, f"open {self.path}", 0) if self._was_open else BusNotOpened(self.path, number)
-            ) from None
+            if self._was_open:
+                raise BusError(number, f"open {self.path}", 0) from None
+            how = "'msp-range doctor' finds out what is missing"
+            absent = f"no such I2C bus; enable I2C, or name another bus ({how})"
+            refused = f"cannot be opened: {os.strerror(number)} ({how})"
+            raise BusNotOpened(self.path, number, absent if number == errno.ENOENT else refused) from None
         try:
             fcntl.flock(smbus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             holder = _holder(os.fstat(smbus.fd))
             smbus.close()
-            raise BusInUse(self.path, holder) from None
+            text = f"in use by {holder}; two programs on one bus would disturb each other. Stop it first"
+            raise BusInUse(self.path, errno.EBUSY, text) from None
         self._smbus = smbus
         self._was_open = True
 

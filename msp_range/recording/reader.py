@@ -20,7 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 from msp_range.input_file import CONTROL, open_input
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses, RawMessage, Record, read_record, read_records, whole_records
-from msp_range.recording.topics import LARGEST_TIME_S, LONGEST_TOPIC, Form, Message, form_of
+from msp_range.recording.topics import LARGEST_TIME_S, LONGEST_TOPIC, Message, Topic, read_back
 from msp_range.recording.writer import METADATA_NAME
 
 SUFFIX = ".mcap"
@@ -85,7 +85,7 @@ class Recording:
 
     def __iter__(self) -> Iterator[Message]:
         start_s, utc_start_ns = self._start()
-        topics: dict[int, tuple[str, Form | None] | None] = {}
+        topics: dict[int, tuple[str, Topic | None] | None] = {}
         for record in self.records():
             if isinstance(record, RawMessage):
                 if record.channel_id not in topics:
@@ -101,7 +101,7 @@ class Recording:
                 if len(record.topic) > LONGEST_TOPIC or CONTROL.search(record.topic):
                     self.losses.records += 1
                 elif record.message_encoding == "json":
-                    topics[record.id] = (record.topic, form_of(record.topic))
+                    topics[record.id] = (record.topic, read_back(record.topic))
                 else:
                     topics[record.id] = None
 
@@ -141,7 +141,7 @@ class Recording:
                 self._attached_bytes += len(record.data)
 
 
-def _decoded(data: bytes, form: Form | None) -> dict[str, Any] | None:
+def _decoded(data: bytes, form: Topic | None) -> dict[str, Any] | None:
     """A message without its unknown values; None where it is not JSON, or not of its topic's form."""
     try:
         message = orjson.loads(data)

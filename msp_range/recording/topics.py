@@ -52,6 +52,20 @@ class Topic(NamedTuple):
     required: frozenset[str] | None = None
     """Keys without which a message is of no use; None: nobody reads the topic back."""
 
+    def fits(self, message: Mapping[str, Any]) -> bool:
+        """Whether a message has these keys; those that are not named hold one number, text or truth value."""
+        for key, value in message.items():
+            kind = type(value)
+            expected = _TYPES.get(key, float) if key in self.keys else kind
+            if kind not in _JSON_TYPES or not (kind is expected or (kind is int and expected is float)):
+                return False
+            if kind is str:
+                if len(value) > LONGEST_TEXT or not (value.isprintable() or CONTROL.search(value) is None):
+                    return False
+            elif abs(value) > (LARGEST_TIME_S if key.endswith("_s") else LARGEST_NUMBER):
+                return False
+        return self.required is None or self.required <= message.keys()
+
 
 TOPICS = {
     FUSED_TOPIC: Topic(
@@ -146,38 +160,15 @@ class Message(NamedTuple):
     message: dict[str, Any]
 
 
-class Form(NamedTuple):
-    """What the messages of a topic hold: the type of each key, and the keys that each message has."""
-
-    types: Mapping[str, type]
-    required: frozenset[str]
-
-    def fits(self, message: Mapping[str, Any]) -> bool:
-        """Whether a message has this form; keys that it does not name hold one number, text or truth value."""
-        for key, value in message.items():
-            kind = type(value)
-            expected = self.types.get(key, kind)
-            if kind not in _JSON_TYPES or not (kind is expected or (kind is int and expected is float)):
-                return False
-            if kind is str:
-                if len(value) > LONGEST_TEXT or not (value.isprintable() or CONTROL.search(value) is None):
-                    return False
-            elif abs(value) > (LARGEST_TIME_S if key.endswith("_s") else LARGEST_NUMBER):
-                return False
-        return self.required <= message.keys()
-
-
-def form_of(topic: str) -> Form | None:
-    """The form of a topic's messages; None for topics that nobody reads back, of this program or another."""
-    found = TOPICS.get(_known(topic))
-    if found is None or found.required is None:
-        return None
-    return Form({key: _TYPES.get(key, float) for key in found.keys}, found.required)
-
-
 def _known(topic: str) -> str:
     """The topic, or its prefix if it is one of a sensor."""
     return next((prefix for prefix in (TRUTH_PREFIX, RANGE_PREFIX) if topic.startswith(prefix)), topic)
+
+
+def read_back(topic: str) -> Topic | None:
+    """What is recorded on a topic; None for topics that nobody reads back, of this program or another."""
+    found = TOPICS.get(_known(topic))
+    return None if found is None or found.required is None else found
 
 
 def schema_of(topic: str) -> tuple[str, bytes]:

@@ -17,7 +17,6 @@ from typing import Any
 
 import orjson
 
-from msp_range.bridge import Records
 from msp_range.input_file import printable
 
 MOST_WATCHERS = 8
@@ -143,38 +142,6 @@ class Feed:
     def _forget(self, watcher: socket.socket) -> None:
         watcher.close()
         self._watchers.remove(watcher)
-
-
-class Watched:
-    """A recorder whose records watchers get too; what the bridge writes to (`msp_range.bridge.Records`).
-
-    Parameters
-    ----------
-    feed
-        The socket.
-    recorder
-        Keeps the records; None: nothing is kept.
-    """
-
-    def __init__(self, feed: Feed, recorder: Records | None) -> None:
-        self._feed = feed
-        self._recorder = recorder
-
-    @property
-    def fault(self) -> str | None:
-        """The recorder's."""
-        return None if self._recorder is None else self._recorder.fault
-
-    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
-        """Keep one message, and show it."""
-        if self._recorder is not None:
-            self._recorder.write(topic, time_s, message)
-        self._feed.publish(topic, time_s, message)
-
-    def flush_if_due(self, now_s: float) -> None:
-        """The recorder's."""
-        if self._recorder is not None:
-            self._recorder.flush_if_due(now_s)
 
 
 def _user_of(watcher: socket.socket) -> int:

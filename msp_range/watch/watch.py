@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING, Any
 
-from msp_range.bridge import Bridge, Records
+from msp_range.bridge import Bridge
 from msp_range.log import Log
 from msp_range.mavlink.transport import Transport
 from msp_range.recording.topics import MARK_TOPIC
-from msp_range.watch.feed import Feed, Watched
+from msp_range.watch.feed import Feed
 from msp_range.watch.place import Outputs
 from msp_range.watch.view import airframe_message, autopilot_message, status_message
 
@@ -24,8 +24,6 @@ class Watch:
     ----------
     bridge, transport
         What is watched.
-    recorder
-        Keeps the bridge's records; None: nothing is kept.
     outputs
         Where the socket and the page are.
     now_s
@@ -50,7 +48,6 @@ class Watch:
         self,
         bridge: Bridge,
         transport: Transport,
-        recorder: Records | None,
         outputs: Outputs,
         now_s: float,
         log: Log,
@@ -58,9 +55,12 @@ class Watch:
         self._bridge = bridge
         self._transport = transport
         self.recording: str | None = None
-        self._feed = Feed(outputs.socket, lambda: airframe_message(bridge.airframe), self._mark)
-        self._records = Watched(self._feed, recorder)
-        bridge.record_to(self._records)
+        self._feed = Feed(
+            outputs.socket,
+            lambda: airframe_message(bridge.airframe),
+            lambda now_s, text: bridge.write(MARK_TOPIC, now_s, {"text": text}),
+        )
+        bridge.show_to(self._feed.publish)
         if outputs.web is not None:
             # Imports subprocess, which a bridge without a page does not need.
             from msp_range.watch.page import PageProcess
@@ -89,6 +89,3 @@ class Watch:
         if self._page is not None:
             self._page.close()
         self._feed.close()
-
-    def _mark(self, now_s: float, text: str) -> None:
-        self._records.write(MARK_TOPIC, now_s, {"text": text})

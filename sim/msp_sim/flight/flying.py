@@ -109,7 +109,7 @@ def fly_scenario(
     with ExitStack() as opened:
         watch = None
         if web is not None:
-            place = simulation.bridge, simulation.transport, recorder, Outputs(None, own_socket(), web)
+            place = simulation.bridge, simulation.transport, Outputs(None, own_socket(), web)
             try:
                 watch = opened.enter_context(closing(Watch(*place, clock.now(), Log("text"))))
             except FeedError as error:

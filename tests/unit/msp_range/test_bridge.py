@@ -562,6 +562,19 @@ def test_every_stage_of_every_reading_is_recorded() -> None:
         assert message.keys() <= json.loads(schema_of(topic)[1])["properties"].keys()
 
 
+@pytest.mark.parametrize("is_recorded", [True, False])
+def test_who_watches_gets_all_that_is_recorded_whether_it_is_or_not(is_recorded: bool) -> None:
+    paper, shown = Paper(), Paper()
+    bench = Bench(airframe(), 300)
+    bench.bridge.show_to(shown.write)
+    if is_recorded:
+        bench.bridge.record_to(paper)
+    bench.fly(2.0)
+    bench.bridge.write("/mark", bench.clock.now(), {"text": "here"})
+    assert shown.topics.keys() >= {"/range/a", "/fused", "/mavlink/sent", "/mark"}
+    assert paper.topics == (shown.topics if is_recorded else Counter())
+
+
 def test_a_full_disk_is_reported_and_its_end_too() -> None:
     bench = Bench(airframe(), 300, recorder=Paper(START_S + 5.0, START_S + 8.0)).fly(10.0)
     texts = [(time_s, message.text) for time_s, message in bench.sent("STATUSTEXT")]

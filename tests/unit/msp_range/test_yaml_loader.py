@@ -86,7 +86,10 @@ def merges(levels: int) -> str:
         ("number: 1e308", "found 1e308, expected a number of at most 1e+12"),
         ("whole: " + "9" * 5000, "expected a number of at most 1e+12"),
         ("whole: 0x" + "f" * 5000, "expected a number of at most 1e+12"),
-        ("text: 5 \x00", "a.yaml: cannot be read: line 1: found the control character '\\x00', expected text without any"),
+        (
+            "text: 5 \x00",
+            "a.yaml: cannot be read: line 1: found the control character '\\x00', expected text without any",
+        ),
         ('text: "\\e[31m"', "a.yaml:1:7: not valid YAML: found the control character '\\x1b', expected text"),
         ("text: '\u202e'", "found the control character '\\u202e'"),
         (b"text: M\xf6we", "a.yaml: cannot be read: line 1: found the byte 0xf6, expected text in UTF-8"),

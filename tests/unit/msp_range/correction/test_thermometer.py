@@ -40,7 +40,7 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path: Path) -> None:
     """A pipe that nobody writes to would hold the reader for ever, and /dev/zero never ends."""
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
-        with pytest.raises(OSError, match="found a (pipe|device|directory), expected a file: "):
+        with pytest.raises(OSError, match=r"found a (pipe|device|directory), expected a file: "):
             read_thermometer(source(path))
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from msp_range.watch import feed as feed_module
 from msp_range.watch.client import LONGEST_PACKET, connect
-from msp_range.watch.feed import LONGEST_MARK, MOST_WATCHERS, Feed, FeedError, Watched
+from msp_range.watch.feed import LONGEST_MARK, MOST_WATCHERS, Feed, FeedError
 from tests.support.waiting import LIMIT_S
 
 MESSAGE = {"time_s": 1.0, "status": "ok", "range_m": 2.5}
@@ -233,33 +233,3 @@ def test_in_a_folder_of_somebody_else_there_is_no_feed(tmp_path: Path, monkeypat
         monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
     with pytest.raises(FeedError, match="belongs to another user"):
         Feed(folder / "status.sock", dict, lambda time_s, text: None)
-
-
-class Kept:
-    """A recorder that remembers."""
-
-    def __init__(self) -> None:
-        self.fault: str | None = None
-        self.topics: list[str] = []
-        self.flushed_s = 0.0
-
-    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
-        self.topics.append(topic)
-
-    def flush_if_due(self, now_s: float) -> None:
-        self.flushed_s = now_s
-
-
-def test_records_are_kept_and_shown(feed: Feed) -> None:
-    kept = Kept()
-    records = Watched(feed, kept)
-    with watching(feed) as watcher:
-        records.write("/fused", 3.0, MESSAGE)
-        received(watcher)
-        assert received(watcher)["topic"] == "/fused"
-    assert kept.topics == ["/fused"]
-    records.flush_if_due(4.0)
-    assert kept.flushed_s == 4.0
-    kept.fault = "disk full"
-    assert records.fault == "disk full"
-    assert Watched(feed, None).fault is None
