@@ -212,18 +212,11 @@ class Airframe(Section):
         ConfigError
             The URL is invalid.
         """
-        changes: dict[str, Any] = {}
         if link is not None:
-            try:
-                parse_url(link)
-            except ValueError as error:
-                raise ConfigError(f"--link: {error}") from None
-            changes["link"] = self.link.model_copy(update={"url": link})
-        if autopilot is not None:
-            changes["link"] = changes.get("link", self.link).model_copy(update={"autopilot": autopilot})
-        if bus is not None:
-            changes["bus"] = bus
-        return self.model_copy(update=changes) if changes else self
+            check_link(link)
+        changed = {key: value for key, value in (("url", link), ("autopilot", autopilot)) if value is not None}
+        known = {"link": self.link.model_copy(update=changed), "bus": self.bus if bus is None else bus}
+        return self.model_copy(update=known)
 
     @property
     def files(self) -> dict[str, str]:
@@ -347,6 +340,14 @@ class Airframe(Section):
     def downward(self) -> list[SensorSettings]:
         """The sensors of the fused stream."""
         return [sensor for sensor in self.sensors if sensor.name in self.fused_names]
+
+
+def check_link(url: str) -> None:
+    """Refuse a URL from the command line that is none of a link; raises ConfigError."""
+    try:
+        parse_url(url)
+    except ValueError as error:
+        raise ConfigError(f"--link: {error}") from None
 
 
 def load_airframe(path: Path | str) -> Airframe:

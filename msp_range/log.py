@@ -8,6 +8,7 @@ import json
 import sys
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import partialmethod
 from typing import TextIO
 
 from msp_range.clock import Clock, SystemClock
@@ -38,24 +39,19 @@ class Log:
         self._stream = stream or sys.stderr
         self._clock = clock or SystemClock()
 
-    def info(self, event: str, **values: object) -> None:
-        """Log normal operation."""
-        self.write("info", event, **values)
-
-    def warning(self, event: str, **values: object) -> None:
-        """Log something that does not work and may recover."""
-        self.write("warning", event, **values)
-
-    def error(self, event: str, **values: object) -> None:
-        """Log an error."""
-        self.write("error", event, **values)
-
     def write(self, level: str, event: str, **values: object) -> None:
         """Log at a level: info, warning or error."""
         utc = datetime.fromtimestamp(self._clock.utc(), UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         # A full disk, or no reader at the other end of the pipe.
         with suppress(OSError):
             print(self._line(utc, level, event, values), file=self._stream, flush=True)
+
+    info = partialmethod(write, "info")
+    """Log normal operation."""
+    warning = partialmethod(write, "warning")
+    """Log something that does not work and may recover."""
+    error = partialmethod(write, "error")
+    """Log an error."""
 
 
 def _json_line(utc: str, level: str, event: str, values: dict[str, object]) -> str:

@@ -6,8 +6,7 @@ with further keys.
 
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, PrivateAttr, ValidationError, ValidationInfo, model_validator
-from pydantic_core import InitErrorDetails
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.sensors.base import Driver
@@ -46,11 +45,7 @@ class SensorOnBus(Section):
         if driver is None:
             raise ValueError(f"expected a sensor that the bridge has a driver for; {self.model} says driver: none")
         if driver.ignores_address(self.address):
-            error = ValueError(f"{driver.part} cannot have the address 0x{self.address:02x}; choose another one")
-            raise ValidationError.from_exception_data(
-                "address",
-                [InitErrorDetails(type="value_error", loc=("address",), input=self.address, ctx={"error": error})],
-            )
+            raise ValueError(f"{driver.part} cannot have the address 0x{self.address:02x}; choose another one")
         self._driver = driver
         return self
 

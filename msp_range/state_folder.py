@@ -10,11 +10,12 @@ SERVICE_USER = "msp-range"
 
 def state_folder() -> Path:
     """systemd's for the service (StateDirectory), else this user's."""
-    state = os.environ.get("STATE_DIRECTORY")
-    if state:
-        return Path(state)
-    state = os.environ.get("XDG_STATE_HOME")
-    home = os.environ.get("HOME")
-    if state or home:
-        return Path(state or f"{home}/.local/state") / "msp-range"
-    return Path(gettempdir()) / f"msp-range-{os.getuid()}"
+    service, user, home = map(os.environ.get, ("STATE_DIRECTORY", "XDG_STATE_HOME", "HOME"))
+    if service:
+        return Path(service)
+    return users_folder(user or (home and f"{home}/.local/state"))
+
+
+def users_folder(parent: str | None) -> Path:
+    """This program's folder in one of this user's; without one in that for temporary files."""
+    return Path(parent) / "msp-range" if parent else Path(gettempdir()) / f"msp-range-{os.getuid()}"

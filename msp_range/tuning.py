@@ -13,7 +13,7 @@ from msp_range.filters.kalman import KalmanParameters
 from msp_range.filters.tune import FEWEST, Track, Tuned, tune
 from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
-from msp_range.recording.reader import Recording, is_recording
+from msp_range.recording.reader import Recording
 from msp_range.recording.topics import RANGE_PREFIX
 from msp_range.terminal import PlainConsole, plain_table
 
@@ -54,10 +54,6 @@ def recorded_tracks(path: Path) -> list[Track]:
     RecordingError
         The file is not a recording, or has no readings.
     """
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file")
-    if not is_recording(path):
-        raise RecordingError(f"{path}: not an MCAP recording; expected what msp-range run or msp-sim fly recorded")
     tracks: dict[str, list[tuple[float, float]]] = {}
     for topic, _, message in Recording(path):
         is_range = topic.startswith(RANGE_PREFIX) and message.get("status") == Status.OK.value

@@ -32,9 +32,6 @@ BACK = "Range: air temp is back"
 NO_THERMOMETER = "Range: no thermometer"
 """Beginning of the text for an airframe file that names none."""
 
-_NO_SOURCE = {("HIGHRES_IMU", "temperature"): 15.0, "temperature_press_diff": 0.0}
-"""Values that autopilots send if they have no such sensor."""
-
 
 class AirTemperature:
     """Selects the best value of the air temperature.
@@ -78,8 +75,9 @@ class AirTemperature:
         for track in self._tracks:
             source = track.source
             if isinstance(source, MavlinkSource) and source.message == kind:
-                reported_c = getattr(message, source.field) * MAVLINK_FIELDS[kind, source.field].c_per_unit
-                if reported_c not in (_NO_SOURCE.get((kind, source.field)), _NO_SOURCE.get(source.field)):
+                known = MAVLINK_FIELDS[kind, source.field]
+                reported_c = getattr(message, source.field) * known.c_per_unit
+                if reported_c != known.absent_c:
                     track.update(now_s, reported_c)
 
     def record_range(self, reading: Reading) -> None:

@@ -42,11 +42,16 @@ to 2 over ground in the sun, and the negative over snow or on a clear night."""
 
 
 class MavlinkField(NamedTuple):
-    """A field of a MAVLink message: degrees Celsius per unit, and the standard deviation of its error [deg C]."""
+    """A field of a MAVLink message that has a temperature."""
 
     c_per_unit: float
+    """Degrees Celsius per unit."""
     std_c: float
+    """Standard deviation of its error [deg C]."""
     is_die: bool = False
+    """Whether it is that of a barometer's chip."""
+    absent_c: float | None = None
+    """What autopilots send that have no such sensor [deg C]."""
 
 
 MAVLINK_FIELDS: dict[tuple[str, str], MavlinkField] = {
@@ -55,11 +60,11 @@ MAVLINK_FIELDS: dict[tuple[str, str], MavlinkField] = {
         for message in ("SCALED_PRESSURE", "SCALED_PRESSURE2", "SCALED_PRESSURE3")
         for field, known in (
             ("temperature", MavlinkField(0.01, DIE_STD_C, is_die=True)),
-            ("temperature_press_diff", MavlinkField(0.01, AIRSPEED_STD_C)),
+            ("temperature_press_diff", MavlinkField(0.01, AIRSPEED_STD_C, absent_c=0.0)),
         )
     },
     ("HYGROMETER_SENSOR", "temperature"): MavlinkField(0.01, THERMOMETER_STD_C),
-    ("HIGHRES_IMU", "temperature"): MavlinkField(1.0, DIE_STD_C, is_die=True),
+    ("HIGHRES_IMU", "temperature"): MavlinkField(1.0, DIE_STD_C, is_die=True, absent_c=15.0),
 }
 """Known fields of messages. SCALED_IMU and RAW_IMU have the temperature of the gyro's chip and are left out."""
 

@@ -48,7 +48,6 @@ class BackgroundFile:
         self.error: OSError | None = None
         self.kept_bytes = 0
         self._clock = clock or SystemClock()
-        self._kept_blocks = self._written_blocks = self._written_bytes = 0
         self._given_bytes = 0
         self._block: list[bytes | bytearray] = []
         self._blocks: SimpleQueue[list[bytes | bytearray] | Callable[[], object]] = SimpleQueue()
@@ -121,10 +120,12 @@ class BackgroundFile:
 
     def _write_all(self, file: FileIO, path: Path) -> None:
         at_end = False
+        written = written_bytes = 0  # whole blocks
         try:
             while not at_end:
                 # All that has come while the disk was busy is kept together.
-                for _ in range(max(1, self._blocks.qsize())):
+                waiting = max(1, self._blocks.qsize())
+                for _ in range(waiting):
                     block = self._blocks.get()
                     if not isinstance(block, list):
                         at_end = True
@@ -134,30 +135,31 @@ class BackgroundFile:
                         rest = memoryview(part)
                         while rest:
                             rest = rest[file.write(rest) :]
-                    self._written_blocks += 1
-                    self._written_bytes += sum(map(len, block))
-                self._keep(file, path)
+                    written += 1
+                    written_bytes += sum(map(len, block))
+                _keep(file, path)
+                self.kept_bytes = written_bytes
+                for _ in range(waiting):
+                    self._given_s.popleft()
                 self._finishing.wait(REST_S)
         except OSError:
             with contextlib.suppress(OSError):
-                if self._written_blocks > 1:
-                    self._keep(file, path)
+                if written > 1:
+                    _keep(file, path)
+                    self.kept_bytes = written_bytes
                 elif _is_at(file, path):
                     # One block is the file's head. A file without contents would only be in the way.
                     path.unlink()
                     self.kept_bytes = 0
             raise
 
-    def _keep(self, file: FileIO, path: Path) -> None:
-        """Ask the disk to keep the whole blocks that were written."""
-        os.fdatasync(file.fileno())
-        # A file that was deleted or moved away, or whose disk was taken out, can be written without an error.
-        if not _is_at(file, path):
-            raise FileNotFoundError(errno.ENOENT, "another file has taken its place", str(path))
-        self.kept_bytes = self._written_bytes
-        while self._kept_blocks < self._written_blocks:
-            self._kept_blocks += 1
-            self._given_s.popleft()
+
+def _keep(file: FileIO, path: Path) -> None:
+    """Ask the disk to keep what was written."""
+    os.fdatasync(file.fileno())
+    # A file that was deleted or moved away, or whose disk was taken out, can be written without an error.
+    if not _is_at(file, path):
+        raise FileNotFoundError(errno.ENOENT, "another file has taken its place", str(path))
 
 
 def _is_at(file: FileIO, path: Path) -> bool:

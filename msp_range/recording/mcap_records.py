@@ -299,8 +299,8 @@ def _summary(file: BinaryIO) -> Iterator[Schema | Channel]:
     while 0 < position < begin and (found := _record_at(file, position, begin)) is not None:
         opcode, length = found
         position += _HEAD.size
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and length <= LARGEST_RECORD_BYTES:
-            record = _parsed(opcode, os.pread(file.fileno(), length, position))
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            record = read_record(file, opcode, position, length)
             if isinstance(record, Schema | Channel):
                 yield record
         position += length

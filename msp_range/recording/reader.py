@@ -76,7 +76,10 @@ class Recording:
             magic = file.read(len(MCAP0_MAGIC))
             self.has_magic = MCAP0_MAGIC.startswith(magic)
             if not (salvage or self.has_magic):
-                raise RecordingError(f"{self.path}: not an MCAP recording: it begins with {magic!r}")
+                raise RecordingError(
+                    f"{self.path}: not an MCAP recording: it begins with {magic!r}; expected what msp-range run or "
+                    "msp-sim fly recorded"
+                )
             for opcode, position, length in whole_records(file, Losses()):
                 if opcode in _KEPT:
                     self._keep(read_record(file, opcode, position, length))

@@ -2,9 +2,9 @@
 
 import os
 from pathlib import Path
-from tempfile import gettempdir
 from typing import NamedTuple
 
+from msp_range.state_folder import users_folder
 from msp_range.yaml_file import ConfigError
 
 NAME = "status.sock"
@@ -71,6 +71,4 @@ def parse_listen(text: str) -> Listen:
 
 
 def _of_user() -> Path:
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "msp-range" if runtime else Path(gettempdir()) / f"msp-range-{os.getuid()}"
-    return folder / NAME
+    return users_folder(os.environ.get("XDG_RUNTIME_DIR")) / NAME

@@ -11,8 +11,9 @@ from typing import Any
 from rich.live import Live
 
 from msp_range.clock import SystemClock, VirtualClock
+from msp_range.config import check_link
 from msp_range.log import Log
-from msp_range.mavlink.transport import open_transport, parse_url
+from msp_range.mavlink.transport import open_transport
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.service import stop_signals
 from msp_range.terminal import console
@@ -85,10 +86,7 @@ def fly_scenario(
 ) -> None:
     """Fly a scenario; the parameters are the options of the command."""
     if link is not None:
-        try:
-            parse_url(link)
-        except ValueError as error:
-            raise ConfigError(f"--link: {error}") from None
+        check_link(link)
     system, scenario = SystemClock(), planned.scenario
     clock = system if realtime else VirtualClock()
     recorder = None

@@ -144,7 +144,7 @@ def test_what_is_left_out() -> None:
         (lambda c: c["sensors"][0].update(address=0x78), "sensors[0].address: found 120; expected less than or equal"),
         (
             lambda c: c["sensors"][0].update(address=0x28),
-            "sensors[0].address: found 40; an MB1242 cannot have the addr",
+            "sensors[0]: an MB1242 cannot have the address 0x28; choose another one",
         ),
         (lambda c: c["sensors"][0].update(id=0), "sensors[0].id: found 0; expected greater than or equal to 1"),
         (

@@ -131,7 +131,7 @@ def test_user_errors_are_reported_in_a_line(tmp_path: Path) -> None:
     nothing = recording(tmp_path / "nothing.mcap", {}, [])
     (tmp_path / "text.mcap").write_text("hello")
     for path, words in (
-        (tmp_path / "none.mcap", "no such file"),
+        (tmp_path / "none.mcap", "No such file"),
         (tmp_path / "text.mcap", "not an MCAP recording"),
         (nothing, "no readings with a range"),
         (short, "found 20 readings with a range; expected 100 or more"),
