@@ -236,18 +236,17 @@ class Bridge:
     ) -> None:
         self.airframe = airframe
         self._clock = clock
-        self.started_s = clock.now()
+        self.started_s = self.completed_s = self._next_conditions_s = now_s = clock.now()
         self._recorder = recorder
         self._publish: Callable[[str, float, dict[str, Any]], None] | None = None
         self._report = report
         self._report_message = on_message
-        self._windows = windows_of(airframe)
-        memory_s = self._windows.memory_s
-        self._channels = {sensor.name: _Channel(sensor, airframe, memory_s) for sensor in airframe.sensors}
+        windows = windows_of(airframe)
+        self._channels = {sensor.name: _Channel(sensor, airframe, windows.memory_s) for sensor in airframe.sensors}
         self._temperature = AirTemperature(
-            airframe.temperature, clock.now(), thermometer or LoopReader(), airframe.maximum_by_sound_m
+            airframe.temperature, now_s, thermometer or LoopReader(), airframe.maximum_by_sound_m
         )
-        self._air = self._temperature.now(clock.now())
+        self._air = self._temperature.now(now_s)
         self._recorded_air = air
         sources = airframe.temperature.sources
         asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
@@ -267,12 +266,12 @@ class Bridge:
             system_id=airframe.link.system_id,
             signing=signing,
         )
-        self._schedule = schedule or polling_order(airframe, bus, clock.now())
+        self._schedule = schedule or polling_order(airframe, bus, now_s)
         self._poller = Poller(bus, clock, self._schedule)
         self._streams = Streams({sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors}, self._send)
         self._limits_c = float("inf")  # The first reading sets the limits of its air.
         always = [*airframe.sent_names, *([FUSED] if self._fusion is not None else [])]
-        self._output = OutputWatch(always, self._windows.silence_s, clock.now())
+        self._output = OutputWatch(always, windows.silence_s, now_s)
         watch = sensor_watch_of(airframe)
         self._sensor_watch = None if isinstance(watch, str) else watch
         self.sensor_watch_off = watch if isinstance(watch, str) else None
@@ -282,8 +281,6 @@ class Bridge:
         self._reminder = Reminder()
         self.verdict = BridgeVerdict(BridgeState.STARTING)
         self._fused_is_sent = False
-        self._next_conditions_s = clock.now()
-        self.completed_s = clock.now()
 
     @property
     def air(self) -> Air:

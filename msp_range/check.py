@@ -88,11 +88,9 @@ def drawing(airframe: Airframe) -> list[str]:
 def _streams(airframe: Airframe) -> Iterator[str]:
     if airframe.send.nothing:
         yield "send: nothing; these streams are worked out, recorded and shown, but not sent:"
-    if airframe.send.fused is not None:
-        bounds = fused_stream(airframe)
-        assert bounds is not None
+    if (bounds := fused_stream(airframe)) is not None:
         yield (
-            f"fused: id {airframe.send.fused.id}, orientation 25 down, from {len(airframe.downward)} sensors, "
+            f"fused: id {bounds.id}, orientation 25 down, from {len(airframe.downward)} sensors, "
             f"{bounds.min_distance_cm + 1} to {bounds.max_distance_cm} cm: {_use(airframe, DOWN)}"
         )
     if airframe.sent_names:

@@ -64,5 +64,6 @@ def _text_line(utc: str, level: str, event: str, values: dict[str, object]) -> s
 
 
 def _word(value: object) -> str:
-    plain = isinstance(value, str) and value.isprintable() and " " not in value
-    return value if isinstance(value, str) and plain else json.dumps(value)
+    if isinstance(value, str) and value.isprintable() and " " not in value:
+        return value
+    return json.dumps(value)

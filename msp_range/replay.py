@@ -76,18 +76,18 @@ class RecordedOrder:
         if not pings:
             return float("inf"), ()
         first_s = min(ping.ping_s for ping, _ in pings)
-        return first_s, [_asked_once(each, ping) for ping, each in pings if ping.ping_s - first_s <= TOGETHER_S]
+        # The first try to read is the one that succeeded, whatever the bridge's interval was then.
+        return first_s, [
+            replace(each, timing=replace(each.timing, first_answer_s=ping.ready_s))
+            for ping, each in pings
+            if ping.ping_s - first_s <= TOGETHER_S
+        ]
 
     def on_reading(self, reading: Reading) -> None:
         """A record does not change with what is received."""
 
     def again(self, sensor: str) -> None:
         """Nor with what does not fit."""
-
-
-def _asked_once(sensor: PolledSensor, ping: RecordedPing) -> PolledSensor:
-    """A sensor whose first try to read is the one that succeeded, whatever the bridge's interval was then."""
-    return replace(sensor, timing=replace(sensor.timing, first_answer_s=ping.ready_s))
 
 
 class PacedClock:

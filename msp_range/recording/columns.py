@@ -38,6 +38,8 @@ BRIDGE_COLUMNS = {
     "fused_std_cm": "its standard deviation [cm]",
 }
 """What the bridge made of a reading, in the table of `msp-range export`; no context, so no effect depends on it."""
+KNOWN_COLUMNS = (*BASE_COLUMNS, *CONTEXT_COLUMNS, *BRIDGE_COLUMNS)
+"""All of them, in the order of a table."""
 WORD_COLUMNS = frozenset({"sensor", "run", "condition", "target", "reference", "status", "rejected"})
 """Known columns that hold words; the other known ones hold numbers."""
 LARGEST_NUMBER = 1e30

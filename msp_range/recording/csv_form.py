@@ -24,7 +24,7 @@ import numpy as np
 
 from msp_range.arrays import Column
 from msp_range.input_file import CONTROL, open_input, text_fault
-from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
+from msp_range.recording.columns import KNOWN_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.error import RecordingError, new_file
 
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
@@ -170,7 +170,7 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *,
         Columns of different lengths, a number that is infinite or too large, or a control character in a word.
     """
     data = columns if isinstance(columns, MeasuredData) else MeasuredData(columns)
-    known = [name for name in (*BASE_COLUMNS, *CONTEXT_COLUMNS, *BRIDGE_COLUMNS) if name in data]
+    known = [name for name in KNOWN_COLUMNS if name in data]
     names = known + [name for name in data.columns if name not in known]
     cells = [_cells(name, data[name]) for name in names]
     with new_file(path, replacing=replacing) as unfinished, unfinished.open("x", encoding="utf-8", newline="") as out:
@@ -292,7 +292,6 @@ def _check_words(source: str, name: str, count: int, longest: int) -> None:
 
 def _column(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> Column:
     """The cells of a block as a column, with the line of each."""
-    is_known = name in BASE_COLUMNS or name in CONTEXT_COLUMNS or name in BRIDGE_COLUMNS
     parse = to_time_s if name == "time_s" else to_number
 
     def error(row: int, found: str, expected: str) -> RecordingError:
@@ -307,7 +306,7 @@ def _column(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -
                 return numbers
         except ValueError:
             pass
-        if is_known:
+        if name in KNOWN_COLUMNS:
             row = next(row for row, cell in enumerate(cells) if not is_number(cell, parse))
             or_else = "a time of ISO 8601" if name == "time_s" else "nothing where it is unknown"
             raise error(row, repr(cells[row][:LONGEST_CELL]), f"a number, or {or_else}")

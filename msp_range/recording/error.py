@@ -14,7 +14,14 @@ class RecordingError(UserError, ValueError):
 
 @contextmanager
 def new_file(path: Path | str, *, replacing: bool = False) -> Iterator[Path]:
-    """Write a file as `making` does.
+    """Write a file as `making` does; raises RecordingError as `written` does."""
+    with written(path), making(path, replacing=replacing) as unfinished:
+        yield unfinished
+
+
+@contextmanager
+def written(path: Path | str) -> Iterator[None]:
+    """Context in which a file is written.
 
     Raises
     ------
@@ -22,8 +29,7 @@ def new_file(path: Path | str, *, replacing: bool = False) -> Iterator[Path]:
         There is such a file already and it is not to be replaced, or the file cannot be written.
     """
     try:
-        with making(path, replacing=replacing) as unfinished:
-            yield unfinished
+        yield
     except FileExistsError:
         raise RecordingError(f"{path}: there is a file already, and none is overwritten") from None
     except OSError as error:

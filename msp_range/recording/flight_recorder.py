@@ -83,9 +83,7 @@ class FlightRecorder:
         self._ending: list[Recorder] = []
         self._retry_s = float("-inf")
         self._is_reported = False
-        self._began_s = clock.now()
-        self._utc_offset_s = 0.0
-        self._recorder: Recorder | None = self._begin(self._began_s)
+        self._recorder: Recorder | None = self._begin()
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record one message, see `Recorder.write`."""
@@ -98,7 +96,7 @@ class FlightRecorder:
         if self._recorder is None:
             # A disk that hangs has ended nothing: its last file has to end before there is another.
             if now_s >= self._retry_s and not self._ending:
-                self._recorder = self._begin(now_s)
+                self._recorder = self._begin()
             return
         recorder = self._recorder
         recorder.flush_if_due(now_s)
@@ -112,10 +110,11 @@ class FlightRecorder:
         if not self._is_reported and recorder.file.kept_bytes and recorder.file.path is not None:
             self._is_reported, self.fault = True, None
             self._on_file(recorder.file.path)
-        utc_moved_s = abs(self._clock.utc() - now_s - self._utc_offset_s)
-        if now_s - self._began_s >= FILE_LASTS_S or recorder.file.tell() >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:
+        lasts_s = now_s - recorder.start_s
+        utc_moved_s = abs(self._clock.utc() - recorder.start_utc_s - lasts_s)
+        if lasts_s >= FILE_LASTS_S or recorder.file.tell() >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:
             self._end(recorder)
-            self._recorder = self._begin(now_s)
+            self._recorder = self._begin()
 
     def finish(self) -> None:
         """Record nothing more; what was recorded is completed in the background."""
@@ -129,12 +128,9 @@ class FlightRecorder:
         for each in self._ending if recorder is None else [*self._ending, recorder]:
             each.close()
 
-    def _begin(self, now_s: float) -> Recorder:
-        utc_s = self._clock.utc()
+    def _begin(self) -> Recorder:
         self._is_reported = False
-        self._began_s = now_s
-        self._utc_offset_s = utc_s - now_s
-        file = BackgroundFile(partial(new_recording, self._folder, self._name, utc_s))
+        file = BackgroundFile(partial(new_recording, self._folder, self._name, self._clock.utc()))
         return Recorder(file, self._clock, files=self._files)
 
     def _end(self, recorder: Recorder) -> None:

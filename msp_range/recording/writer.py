@@ -16,7 +16,7 @@ import orjson
 
 from msp_range.clock import Clock
 from msp_range.recording.background_file import BackgroundFile
-from msp_range.recording.error import RecordingError
+from msp_range.recording.error import RecordingError, written
 from msp_range.recording.mcap_writer import McapWriter
 from msp_range.recording.topics import schema_of
 
@@ -69,6 +69,8 @@ class Recorder:
     ----------
     file
         Its path, and what the disk has kept of it.
+    start_s, start_utc_s
+        When it was made: the clock's time, and its UTC [s].
     fault : str or None
         What is wrong with the disk, in a few words for the pilot; checked by `flush_if_due`. Nothing is recorded any
         more then, and `close` raises an error with the details.
@@ -89,17 +91,17 @@ class Recorder:
         waits: bool = False,
     ) -> None:
         self.fault: str | None = None
-        self._clock_start_s = clock.now()
-        self._utc_start_ns = max(0, round(clock.utc() * 1e9))
+        self.start_s, self.start_utc_s = clock.now(), clock.utc()
+        self._utc_start_ns = max(0, round(self.start_utc_s * 1e9))
         self.file = file if isinstance(file, BackgroundFile) else _make(Path(file))
         self._channels: dict[str, int] = {}
         self._mcap: McapWriter | None = McapWriter(self.file, LIBRARY)
-        times = {"clock_start_s": repr(self._clock_start_s), "utc_start_ns": str(self._utc_start_ns)}
+        times = {"clock_start_s": repr(self.start_s), "utc_start_ns": str(self._utc_start_ns)}
         self._mcap.add_metadata(METADATA_NAME, times | (metadata or {}))
         for name, text in (files or {}).items():
             self._mcap.add_attachment(self._utc_start_ns, name, "application/yaml", text.encode())
         self._mcap.flush()
-        self._flush_due_s = self._clock_start_s + FLUSH_INTERVAL_S
+        self._flush_due_s = self.start_s + FLUSH_INTERVAL_S
         self._waits = waits
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
@@ -119,7 +121,7 @@ class Recorder:
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._mcap.add_channel(topic, *schema_of(topic))
-        log_time_ns = self._utc_start_ns + round((time_s - self._clock_start_s) * 1e9)
+        log_time_ns = self._utc_start_ns + round((time_s - self.start_s) * 1e9)
         if log_time_ns < 0:  # the format has no times before its epoch
             log_time_ns = 0
         # Not a number and infinity become null as None does: a reader takes null and absent alike for unknown.
@@ -165,12 +167,8 @@ class Recorder:
 
 def _make(path: Path) -> BackgroundFile:
     file = BackgroundFile(partial(FileIO, path, "x"))
-    try:
+    with written(path):
         file.wait_until_open()
-    except FileExistsError:
-        raise RecordingError(f"{path}: there is a file already, and a recording never overwrites one") from None
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be made: {error.strerror}") from None
     return file
 
 

@@ -23,17 +23,12 @@ def main() -> int:
     log = Log(options.log)
     try:
         listen = parse_listen(options.listen)
-        access = access_for(listen)
-        page = Page(options.socket, access)
-    except (ConfigError, OSError) as error:
-        log.error("web page", error=str(error))
-        return 1
-    try:
+        page = Page(options.socket, access_for(listen))
         asyncio.run(page.serve(listen, options.end_with_stdin, lambda url: log.info("web page", url=url)))
     except KeyboardInterrupt:
         pass
-    except OSError as error:
-        log.error("web page", listen=options.listen, error=error.strerror or str(error))
+    except (ConfigError, OSError) as error:
+        log.error("web page", listen=options.listen, error=str(error))
         return 1
     return 0
 

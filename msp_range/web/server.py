@@ -180,9 +180,7 @@ class Page:
             message.message["facts"] = [each[:2] for each in facts_of(self._newest)]
             packet = json.dumps(message._asdict()).encode()
         if message.topic in ("/airframe", "/status", GONE):
-            self._kept[message.topic] = packet
-            if message.topic == "/airframe":
-                self._kept = {message.topic: packet}
+            self._kept = ({} if message.topic == "/airframe" else self._kept) | {message.topic: packet}
         else:
             self._history.append(packet)
         self._batch.append(packet)
