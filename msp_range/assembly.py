@@ -14,7 +14,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 
 
 def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
@@ -25,10 +25,8 @@ def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
 def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
     """The airframe's sensors in their polling order, from ``start_s`` on."""
     polled = polled_sensors(airframe, bus)
-    interval_s, near = polling_interval_s(airframe), airframe.polling.near
-    spacing = Spacing(interval_s) if near is None else Spacing(interval_s, near.below_m, near.ping_interval_s)
     groups = [[polled[name] for name in group] for group in polling_groups(airframe)]
-    return RoundRobin(groups, spacing, start_s)
+    return RoundRobin(groups, polling_interval_s(airframe), start_s, airframe.polling.near)
 
 
 def polling_groups(airframe: Airframe) -> list[list[str]]:

@@ -23,6 +23,7 @@ from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation, orientation_of
 from msp_range.mavlink.transport.url import parse_url
 from msp_range.sensor_on_bus import Name, SensorOnBus
+from msp_range.sensors.schedule import Near
 from msp_range.yaml_file import ConfigError, Section, config_path, load, load_named, read_config
 
 AIRFRAME_NAME = "airframe.yaml"
@@ -86,15 +87,6 @@ class SensorSettings(SensorOnBus):
         """Orientation in its messages; the narrowest characterised half angle decides."""
         narrowest_rad = math.radians(min(point.half_angle_deg for point in self._model.breakaway))
         return orientation_of(*self.rotation_deg.radians, breakaway_rad=narrowest_rad)
-
-
-class Near(Section):
-    """Faster pings near the ground, where echoes die away sooner."""
-
-    below_m: float = Field(gt=0, le=10)
-    """while all sensors read less than this [m]"""
-    ping_interval_s: float = Field(ge=0.03, le=1)
-    """time between pings there [s]"""
 
 
 class Polling(Section):

@@ -8,6 +8,7 @@ without a limit.
 """
 
 import re
+from itertools import takewhile
 from typing import Any
 
 import yaml
@@ -45,11 +46,11 @@ class _Values:
     def document(self) -> Any:
         """The value of the only document; None where there is none."""
         found = None
-        documents = (event for event in self._events if isinstance(event, yaml.DocumentStartEvent))
-        for number, start in enumerate(documents):
-            if number:
-                raise _error("expected a single document, but found another document", start)
-            found = self._value(next(self._events))
+        for event in self._events:
+            if isinstance(event, yaml.DocumentStartEvent):
+                if self._nodes:
+                    raise _error("expected a single document, but found another document", event)
+                found = self._value(next(self._events))
         return found
 
     def _value(self, event: Any, depth: int = 1) -> Any:
@@ -76,26 +77,23 @@ class _Values:
         if isinstance(event, yaml.ScalarEvent):
             value = _scalar(event)
         elif isinstance(event, yaml.SequenceStartEvent):
-            value = [self._value(each, depth + 1) for each in self._until(yaml.SequenceEndEvent)]
+            value = [self._value(each, depth + 1) for each in self._parts()]
         else:
             value = self._mapping(depth)
         if event.anchor is not None:
             self._anchors[event.anchor] = value, self._nodes - before
         return value
 
-    def _until(self, end: type) -> Any:
-        """The events with which the parts of a list or mapping begin."""
-        for event in self._events:
-            if isinstance(event, end):
-                return
-            yield event
+    def _parts(self) -> Any:
+        """The events with which the parts of a list or mapping begin; who takes one reads its value before the next."""
+        return takewhile(lambda event: not isinstance(event, yaml.CollectionEndEvent), self._events)
 
     def _mapping(self, depth: int) -> dict[Any, Any]:
         """A mapping, whose keys are text or numbers, each given once; what it merges stands before its own."""
         own: dict[Any, Any] = {}
         merged: dict[Any, Any] = {}
         seen = set()
-        for key in self._until(yaml.MappingEndEvent):
+        for key in self._parts():
             name = self._value(key, depth + 1)
             if isinstance(name, list | dict):
                 raise _error(

@@ -19,7 +19,7 @@ from msp_range.reading import Reading, Status
 from msp_range.sensors.addressing import FIRST_ADDRESS, LAST_ADDRESS, scan
 from msp_range.sensors.base import OTHERS
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import PolledSensor, RoundRobin
 
 READINGS = 5
 """Of each sensor: enough for a median and for a fault of one in three to be seen in 87 %. More takes longer."""
@@ -164,7 +164,7 @@ def _polled(
     bus: Bus, clock: Clock, groups: Sequence[Sequence[PolledSensor]], interval_s: float, turns: int
 ) -> dict[str, list[Ranging]]:
     """What each sensor answers in so many turns of the groups, by name."""
-    order = RoundRobin(groups, Spacing(interval_s), clock.now() + SILENCE_S, dead_after=inf)
+    order = RoundRobin(groups, interval_s, clock.now() + SILENCE_S, dead_after=inf)
     poller = Poller(bus, clock, order)
     found: dict[str, list[Ranging]] = {sensor.name: [] for group in groups for sensor in group}
     late = 0

@@ -10,8 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from pydantic import Field
+
 from msp_range.reading import Reading
 from msp_range.sensors.base import RangeSensor
+from msp_range.yaml_file import Section
 
 DEAD_AFTER = 3
 """Number of successive faults after which a sensor's turns are given to the others; the pilot then gets a text
@@ -52,16 +55,13 @@ class PolledSensor:
     std_growth: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Spacing:
-    """The time between pings."""
+class Near(Section):
+    """Faster pings near the ground, where echoes die away sooner."""
 
-    ping_interval_s: float = 0.100
-    """Time from one group's ping to the next one's [s], in which the echoes die away."""
-    near_below_m: float | None = None
-    near_interval_s: float | None = None
-    """While every sensor's last answer is a range below ``near_below_m``, pings follow after ``near_interval_s``; None:
-    never."""
+    below_m: float = Field(gt=0, le=10)
+    """while all sensors read less than this [m]"""
+    ping_interval_s: float = Field(ge=0.03, le=1)
+    """time between pings there [s]"""
 
 
 class Schedule(Protocol):
@@ -101,7 +101,7 @@ class _Turns:
 
 
 class RoundRobin:
-    """Endless turns of all groups, with the times of `Spacing`; turns of dead sensors are given to the others.
+    """Endless turns of all groups, in fixed intervals; turns of dead sensors are given to the others.
 
     A sensor is dead after ``dead_after`` successive faults, until it gives an answer that is not a fault. A cycle has a
     turn for each group with a working sensor, and at most one for a dead group that is due for a retry; a dead sensor
@@ -112,10 +112,12 @@ class RoundRobin:
     ----------
     groups
         Groups of sensors that ping together, in the order of their turns.
-    spacing
-        Time between turns.
+    interval_s
+        Time from one group's ping to the next one's [s], in which the echoes die away.
     start_s
         Time of the first turn [s].
+    near
+        Faster pings while every working sensor's last answer is near; None: never.
     dead_after
         Number of successive faults; infinity: every sensor keeps its turns.
     """
@@ -123,15 +125,17 @@ class RoundRobin:
     def __init__(
         self,
         groups: Sequence[Sequence[PolledSensor]],
-        spacing: Spacing,
+        interval_s: float,
         start_s: float,
+        near: Near | None = None,
         dead_after: float = DEAD_AFTER,
     ) -> None:
         if not groups or not all(groups):
             raise ValueError(f"every polling group needs at least one sensor; found {groups!r}")
         self._groups = [[_Turns(sensor) for sensor in group] for group in groups]
         self._of = {each.sensor.name: each for group in self._groups for each in group}
-        self._spacing = spacing
+        self._interval_s = interval_s
+        self._near = near
         self._dead_after = dead_after
         self._round: deque[Sequence[_Turns]] = deque()
         self._start_s: float | None = start_s
@@ -157,7 +161,8 @@ class RoundRobin:
     def on_reading(self, reading: Reading) -> None:
         """Record whether the sensor works, and whether it is near the ground."""
         turns = self._of[reading.sensor]
-        turns.is_near = reading.range_m is not None and reading.range_m < (self._spacing.near_below_m or 0.0)
+        if self._near is not None:
+            turns.is_near = reading.range_m is not None and reading.range_m < self._near.below_m
         if reading.status.is_fault:
             turns.faults += 1
             return
@@ -198,8 +203,7 @@ class RoundRobin:
 
     def _spacing_s(self) -> float:
         """Time from the previous turn to the next one [s]."""
-        spacing = self._spacing
-        if spacing.near_interval_s is None:
-            return spacing.ping_interval_s
-        near = [each.is_near for each in self._of.values() if not self._is_dead(each)]
-        return spacing.near_interval_s if near and all(near) else spacing.ping_interval_s
+        working = [each for each in self._of.values() if not self._is_dead(each)]
+        if self._near is None or not working or not all(each.is_near for each in working):
+            return self._interval_s
+        return self._near.ping_interval_s

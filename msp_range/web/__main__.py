@@ -7,7 +7,7 @@ from pathlib import Path
 
 from msp_range.log import Log
 from msp_range.watch.place import parse_listen
-from msp_range.web.access import access_for
+from msp_range.web.access import token_for
 from msp_range.web.server import Page
 from msp_range.yaml_file import ConfigError
 
@@ -23,7 +23,7 @@ def main() -> int:
     log = Log(options.log)
     try:
         listen = parse_listen(options.listen)
-        page = Page(options.socket, access_for(listen))
+        page = Page(options.socket, token_for(listen))
         asyncio.run(page.serve(listen, options.end_with_stdin, lambda url: log.info("web page", url=url)))
     except KeyboardInterrupt:
         pass

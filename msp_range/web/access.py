@@ -8,7 +8,6 @@ token is needed and is not in the address.
 import hmac
 import os
 import secrets
-from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -20,47 +19,44 @@ TOKEN_BYTES = 16
 """128 bits: too many to try."""
 
 
-@dataclass(frozen=True)
-class Access:
-    """What a request must have."""
+def refusal(
+    token: str | None, target: str | None, host: str | None, origin: str | None
+) -> tuple[HTTPStatus, str] | None:
+    """Why a request is refused; None where it is not.
 
-    token: str | None
-    """Token that must be in the address as ``?token=``; None: not needed."""
+    Parameters
+    ----------
+    token
+        Token that must be in the address as ``?token=``; None: not needed.
+    target
+        Path and query of the request; None where the token is not needed.
+    host, origin
+        Its headers; None where there is none.
 
-    def refusal(self, target: str | None, host: str | None, origin: str | None) -> tuple[HTTPStatus, str] | None:
-        """Why a request is refused; None where it is not.
-
-        Parameters
-        ----------
-        target
-            Path and query of the request; None where the token is not needed.
-        host, origin
-            Its headers; None where there is none.
-
-        Examples
-        --------
-        >>> Access(None).refusal("/", "127.0.0.1:8080", None) is None
-        True
-        >>> Access(None).refusal("/live", "127.0.0.1:8080", "http://example.org")[0].value
-        403
-        """
-        if host is None or (self.token is None and _name(host) not in LOOPBACK):
-            return HTTPStatus.FORBIDDEN, f"this page is for {LOOPBACK[0]} only; found Host {host}\n"
-        if origin is not None and urlsplit(origin).netloc != host:
-            return HTTPStatus.FORBIDDEN, f"this page is not for other sites; found Origin {origin}\n"
-        if self.token is not None and target is not None:
-            found = parse_qs(urlsplit(target).query).get("token", [""])[0]
-            if not hmac.compare_digest(found.encode(), self.token.encode()):
-                return HTTPStatus.UNAUTHORIZED, "the address needs ?token=...; the bridge's log has it\n"
-        return None
+    Examples
+    --------
+    >>> refusal(None, "/", "127.0.0.1:8080", None) is None
+    True
+    >>> refusal(None, "/live", "127.0.0.1:8080", "http://example.org")[0].value
+    403
+    """
+    if host is None or (token is None and _name(host) not in LOOPBACK):
+        return HTTPStatus.FORBIDDEN, f"this page is for {LOOPBACK[0]} only; found Host {host}\n"
+    if origin is not None and urlsplit(origin).netloc != host:
+        return HTTPStatus.FORBIDDEN, f"this page is not for other sites; found Origin {origin}\n"
+    if token is not None and target is not None:
+        found = parse_qs(urlsplit(target).query).get("token", [""])[0]
+        if not hmac.compare_digest(found.encode(), token.encode()):
+            return HTTPStatus.UNAUTHORIZED, "the address needs ?token=...; the bridge's log has it\n"
+    return None
 
 
-def access_for(listen: Listen) -> Access:
-    """What requests to an address need: on another address than this computer's own, the token.
+def token_for(listen: Listen) -> str | None:
+    """The token that requests to an address need, see `refusal`: none on this computer's own.
 
     The token outlives a restart, so that an open page finds the bridge again.
     """
-    return Access(None if listen.is_loopback else _token(state_folder() / "web-token"))
+    return None if listen.is_loopback else _token(state_folder() / "web-token")
 
 
 def _name(host: str) -> str:

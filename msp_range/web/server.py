@@ -28,7 +28,7 @@ from msp_range.watch.facts import facts_of
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
-from msp_range.web.access import Access
+from msp_range.web.access import refusal
 from msp_range.web.metrics import BridgeMetrics
 
 BATCH_S = 0.05
@@ -58,13 +58,13 @@ class Page:
     ----------
     bridge
         Path of the bridge's socket.
-    access
-        Who may see it.
+    token
+        What a browser must know to see it; None: nothing.
     """
 
-    def __init__(self, bridge: Path, access: Access) -> None:
+    def __init__(self, bridge: Path, token: str | None) -> None:
         self._path = bridge
-        self._access = access
+        self._token = token
         self._bridge: socket.socket | None = None
         self._browsers: set[ServerConnection] = set()
         self._batch: list[bytes] = []
@@ -106,7 +106,7 @@ class Page:
             max_size=4096,
             compression=None,
         ):
-            token = "" if self._access.token is None else f"?token={self._access.token}"
+            token = "" if self._token is None else f"?token={self._token}"
             host = f"[{listen.host}]" if ":" in listen.host else listen.host
             on_ready(f"http://{host}:{listen.port}/{token}")
             tasks = [loop.create_task(each) for each in (self._receive(), self._send(), stop.wait())]
@@ -123,11 +123,11 @@ class Page:
             host, origin = (request.headers.get(name) for name in ("Host", "Origin"))
             # Style and scripts say nothing of the vehicle, and the page loads them without the token.
             target = None if path.endswith((".css", ".js")) else request.path
-            refusal = self._access.refusal(target, host, origin)
+            refused = refusal(self._token, target, host, origin)
         except (ValueError, LookupError):  # no address, or several of them
-            refusal = HTTPStatus.BAD_REQUEST, "expected one address each in path, Host and Origin\n"
-        if refusal is not None:
-            return connection.respond(*refusal)
+            refused = HTTPStatus.BAD_REQUEST, "expected one address each in path, Host and Origin\n"
+        if refused is not None:
+            return connection.respond(*refused)
         name = "page.html" if path == "/" else path.removeprefix("/")
         if path == "/live":
             return None

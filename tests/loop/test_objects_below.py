@@ -9,7 +9,7 @@ from msp_range.fusion import OUTLIER, AttitudeTrack
 from msp_range.reading import Reading
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.sensors.mb1242 import MB1242, decode, encode
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 from msp_sim.device.bus import EmulatedBus
 from tests.support.shipped import CONFIGS
 
@@ -39,7 +39,7 @@ class Hover:
         self.height_m, self.draw, self.slot = height_m, draw, 0
         # The real order of pings: a reading that does not fit is asked for again.
         self.order = RoundRobin(
-            [[PolledSensor(name, ANY_DEVICE, AnswerTiming(0.01, 0.08))] for name in NAMES], Spacing(SLOT_S), 0.0
+            [[PolledSensor(name, ANY_DEVICE, AnswerTiming(0.01, 0.08))] for name in NAMES], SLOT_S, 0.0
         )
         self.next = self.order.turn(0.0, True)[1][0].name
 

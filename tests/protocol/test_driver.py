@@ -10,7 +10,7 @@ from msp_range.clock import VirtualClock
 from msp_range.reading import Status
 from msp_range.sensors.mb1242 import MB1242, encode
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 from tests.support.scripted_bus import Expected, ScriptedBus, read, reopen, scripted_bus, write
 
 RANGE = b"\x51"
@@ -23,7 +23,7 @@ def make_poller(bus: Bus, clock: VirtualClock, *addresses: int, together: bool =
     timing = AnswerTiming(FIRST_S, DEADLINE_S)
     sensors = [PolledSensor(f"at_{address:x}", MB1242(bus, address), timing, std_m=0.02) for address in addresses]
     groups = [sensors] if together else [[sensor] for sensor in sensors]
-    return Poller(bus, clock, RoundRobin(groups, Spacing(0.100), clock.now()))
+    return Poller(bus, clock, RoundRobin(groups, 0.100, clock.now()))
 
 
 def poll(bus: ScriptedBus, clock: VirtualClock, *addresses: int, until_s: float) -> list[Ranging]:

@@ -18,7 +18,7 @@ from msp_range.sensors.addressing import change_address, check_new_address, scan
 from msp_range.sensors.base import AddressError, FoundDevice
 from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import Fault
 from msp_sim.device.emulated import Surroundings, emulated_bus
@@ -53,7 +53,7 @@ def poll(*script: Expected) -> Ranging:
     clock = VirtualClock()
     with scripted_bus(clock, *script) as bus:
         polled = PolledSensor("down", LidarLiteV3(bus, ADDRESS), AnswerTiming(0.020, 0.030, 6.67e-9))
-        poller = Poller(bus, clock, RoundRobin([[polled]], Spacing(0.1), clock.now()))
+        poller = Poller(bus, clock, RoundRobin([[polled]], 0.1, clock.now()))
         while clock.now() < 0.09:
             for ranging in poller.step():
                 return ranging

@@ -19,7 +19,7 @@ from msp_range.correction.thermometer import Sample, ThreadReader
 from msp_range.reading import Decoded
 from msp_range.sensors.base import RangeSensor
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 from msp_range.yaml_file import ConfigError
 
 Columns = Mapping[str, float | str]
@@ -183,7 +183,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
     groups = [polled] if point.firing == "simultaneous" else [[each] for each in polled]
     start_s = clock.now()
     # The order of the pings is part of the set-up: a sensor that does not answer keeps its slot.
-    poller = Poller(bus, clock, RoundRobin(groups, Spacing(interval_s), start_s, dead_after=math.inf))
+    poller = Poller(bus, clock, RoundRobin(groups, interval_s, start_s, dead_after=math.inf))
     rate_cm_s = 0.0 if point.setup.movement is None else point.setup.movement.rate_cm_s
     while True:
         clock.sleep_until(poller.next_event_s)

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,7 @@ from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
 from msp_range.reading import Decoded, Status
 from msp_range.sensors.polling import Poller, Ranging, reading_of
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, Near, PolledSensor, RoundRobin
 from msp_sim.device.bus import EmulatedBus
 from tests.support.scripted_bus import ScriptedBus
 from tests.support.shipped import CONFIGS
@@ -24,7 +25,7 @@ from tests.support.shipped import CONFIGS
 FIRST_S, DEADLINE_S = 0.021, 0.080
 READY_S = 0.0301
 """From ping to answer unless a test says otherwise."""
-SAFE = Spacing()
+SAFE_S = 0.100
 ROUND = ("a", "b", "c", "d")
 
 
@@ -66,9 +67,9 @@ class Bench:
     def __init__(
         self,
         groups: Sequence[str],
-        spacing: Spacing = SAFE,
+        interval_s: float = SAFE_S,
         first_answer_s: float = FIRST_S,
-        **dead_after: float,
+        **options: Any,
     ) -> None:
         # A start that is no round number: nothing may depend on the clock's zero.
         self.clock = VirtualClock(71.3)
@@ -76,7 +77,7 @@ class Bench:
         self.sonars = {name: Sonar(self.clock) for group in groups for name in group}
         timing = AnswerTiming(first_answer_s, DEADLINE_S)
         polled = [[PolledSensor(name, self.sonars[name], timing) for name in group] for group in groups]
-        self.schedule = RoundRobin(polled, spacing, self.start_s, **dead_after)
+        self.schedule = RoundRobin(polled, interval_s, self.start_s, **options)
         self.poller = Poller(ScriptedBus(self.clock, ()), self.clock, self.schedule)
 
     def poll(self, duration_s: float) -> list[Ranging]:
@@ -228,7 +229,7 @@ def test_nobody_is_asked_after_the_deadline() -> None:
 
 
 def test_nobody_pings_while_another_one_ranges() -> None:
-    bench = Bench("ab", Spacing(0.030))
+    bench = Bench("ab", 0.030)
     for sonar in bench.sonars.values():
         sonar.ready_s = 0.0600
     bench.poll(1.0)
@@ -253,13 +254,13 @@ def test_the_echo_came_after_half_the_time_of_flight() -> None:
     assert none.reading.time_s == none.ping_s
 
 
-NEAR = Spacing(0.100, near_below_m=2.0, near_interval_s=0.050)
+NEAR = Near(below_m=2.0, ping_interval_s=0.050)
 
 
 def test_near_the_ground_pings_come_at_least_one_and_a_half_times_as_often() -> None:
     rates_hz = []
-    for spacing in (SAFE, NEAR):
-        bench = Bench(ROUND, spacing)
+    for near in (None, NEAR):
+        bench = Bench(ROUND, near=near)
         for sonar in bench.sonars.values():
             sonar.range_m = lambda ping_s: 1.9
         rates_hz.append(len(bench.poll(60.0)) / 60.0)
@@ -269,7 +270,7 @@ def test_near_the_ground_pings_come_at_least_one_and_a_half_times_as_often() -> 
 
 @pytest.mark.parametrize("far", [2.0, 5.0, None])
 def test_one_sensor_that_sees_nothing_near_makes_all_wait(far: float | None) -> None:
-    bench = Bench("ab", NEAR)
+    bench = Bench("ab", near=NEAR)
     bench.sonars["a"].range_m = lambda ping_s: 1.0 if ping_s - bench.start_s < 0.5 else far
     bench.sonars["b"].range_m = lambda ping_s: 1.0
     bench.poll(1.0)
@@ -280,7 +281,7 @@ def test_one_sensor_that_sees_nothing_near_makes_all_wait(far: float | None) -> 
 
 
 def test_a_sensor_that_falls_silent_makes_all_wait_until_it_is_dead() -> None:
-    bench = Bench("ab", NEAR)
+    bench = Bench("ab", near=NEAR)
     for sonar in bench.sonars.values():
         sonar.range_m = lambda ping_s: 1.0
     bench.poll(0.5)
@@ -293,7 +294,7 @@ def test_a_sensor_that_falls_silent_makes_all_wait_until_it_is_dead() -> None:
 
 
 def test_where_all_are_dead_nobody_is_near_the_ground() -> None:
-    bench = Bench("ab", NEAR)
+    bench = Bench("ab", near=NEAR)
     for sonar in bench.sonars.values():
         sonar.range_m = lambda ping_s: 1.0
     bench.poll(0.5)
@@ -386,7 +387,7 @@ def test_where_all_are_dead_all_take_turns_and_one_that_is_back_brings_the_other
 
 def test_dead_sensors_are_retried_one_after_the_other() -> None:
     """So far apart, all of them are always due, and each takes a slot."""
-    bench = Bench(ROUND, Spacing(2.0))
+    bench = Bench(ROUND, 2.0)
     for name in "bcd":
         bench.sonars[name].status = lambda: Status.CLOCK_FAULT
     bench.poll(144.0)
@@ -443,7 +444,7 @@ def test_with_no_number_of_faults_that_makes_it_dead_a_sensor_keeps_its_slot() -
 def test_the_longest_time_between_pings_of_a_living_sensor(
     interval_s: float, groups: list[str], dead: str, slots: int, acknowledges: bool
 ) -> None:
-    bench = Bench(groups, Spacing(interval_s))
+    bench = Bench(groups, interval_s)
     for name in dead:
         bench.sonars[name].ready_s = math.inf
         bench.sonars[name].is_absent = not acknowledges
@@ -458,7 +459,7 @@ def test_the_longest_time_between_pings_of_a_living_sensor(
 @pytest.mark.parametrize("groups", [[], [[]]])
 def test_a_group_without_sensors_is_refused(groups: list[list[PolledSensor]]) -> None:
     with pytest.raises(ValueError, match="at least one sensor"):
-        RoundRobin(groups, SAFE, 0.0)
+        RoundRobin(groups, SAFE_S, 0.0)
 
 
 class Broken:
@@ -507,7 +508,7 @@ def broken(verb: str, number: int, until_s: float) -> tuple[Broken, list[float],
     clock = VirtualClock(71.3)
     device, bus = Broken(verb, number), Reopened(clock)
     sensor = PolledSensor("a", device, AnswerTiming(FIRST_S, DEADLINE_S))
-    poller = Poller(bus, clock, RoundRobin([[sensor]], SAFE, clock.now()))
+    poller = Poller(bus, clock, RoundRobin([[sensor]], SAFE_S, clock.now()))
     ended: list[Ranging] = []
     while poller.next_event_s < 71.3 + until_s:
         clock.sleep_until(poller.next_event_s)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from msp_range.watch.place import Listen, own_socket, parse_listen, sockets
-from msp_range.web.access import Access, access_for
+from msp_range.web.access import refusal, token_for
 from msp_range.web.server import Page
 from msp_range.yaml_file import ConfigError
 from tests.support.transports import free_port
@@ -15,8 +15,8 @@ from tests.support.transports import free_port
 HERE = "127.0.0.1:8642"
 
 
-def status(access: Access, target: str | None, host: str | None, origin: str | None = None) -> int | None:
-    refused = access.refusal(target, host, origin)
+def status(token: str | None, target: str | None, host: str | None, origin: str | None = None) -> int | None:
+    refused = refusal(token, target, host, origin)
     return None if refused is None else refused[0].value
 
 
@@ -39,7 +39,7 @@ def status(access: Access, target: str | None, host: str | None, origin: str | N
 def test_a_page_for_this_computer_is_seen_by_its_own_name_only(
     host: str | None, origin: str | None, expected: int | None
 ) -> None:
-    assert status(Access(None), "/live", host, origin) == expected
+    assert status(None, "/live", host, origin) == expected
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_a_request_without_a_clear_address_is_refused(
     """It was an error of the server with a traceback, and came before the token was asked for."""
 
     async def answer(port: int) -> bytes:
-        page = Page(tmp_path / "none", Access(token))
+        page = Page(tmp_path / "none", token)
         ready = asyncio.Event()
         serving = asyncio.create_task(page.serve(Listen("127.0.0.1", port), False, lambda _: ready.set()))
         await ready.wait()
@@ -94,25 +94,25 @@ def test_a_request_without_a_clear_address_is_refused(
     ],
 )
 def test_a_page_for_other_computers_is_seen_with_the_token_only(target: str | None, expected: int | None) -> None:
-    assert status(Access("secret"), target, "192.168.1.7:8642") == expected
-    assert status(Access("secret"), target, "192.168.1.7:8642", "http://192.168.1.7:8642") == expected
-    assert status(Access("secret"), target, "192.168.1.7:8642", "http://evil.example") == 403
-    assert status(Access("secret"), target, None) == 403
+    assert status("secret", target, "192.168.1.7:8642") == expected
+    assert status("secret", target, "192.168.1.7:8642", "http://192.168.1.7:8642") == expected
+    assert status("secret", target, "192.168.1.7:8642", "http://evil.example") == 403
+    assert status("secret", target, None) == 403
 
 
 def test_the_token_is_made_once_and_for_its_owner_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "new"
     monkeypatch.setenv("STATE_DIRECTORY", str(folder))
     for host in ("127.0.0.1", "localhost", "::1"):
-        assert access_for(Listen(host, 8642)).token is None
+        assert token_for(Listen(host, 8642)) is None
     assert not folder.exists()
-    token = access_for(Listen("0.0.0.0", 8642)).token
+    token = token_for(Listen("0.0.0.0", 8642))
     assert token is not None
     assert len(token) == 22  # 128 bits in base 64
     assert (folder / "web-token").stat().st_mode & 0o777 == 0o600
-    assert access_for(Listen("::", 8642)).token == token
+    assert token_for(Listen("::", 8642)) == token
     (folder / "web-token").write_text("\n")  # cut by a power failure
-    assert access_for(Listen("0.0.0.0", 8642)).token not in (None, "", token)
+    assert token_for(Listen("0.0.0.0", 8642)) not in (None, "", token)
 
 
 @pytest.mark.parametrize(

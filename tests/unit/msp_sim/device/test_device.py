@@ -16,7 +16,7 @@ from msp_range.bus.base import Bus, BusError
 from msp_range.clock import VirtualClock
 from msp_range.sensors.mb1242 import MB1242
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin, Spacing
+from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import Fault, NotAcknowledged
 from msp_sim.device.mb1242 import PART_INFO, RANGE_COMMAND, EmulatedMB1242
@@ -469,7 +469,7 @@ def flown(reports_busy: bool, *faults: Fault) -> tuple[list[tuple[Ranging, str]]
     sonars = [EmulatedMB1242(0x70, now, echo, faults=faults), EmulatedMB1242(0x71, now, echo)]
     bus = CountingBus(sonars, now, reports_busy=reports_busy)
     sensors = [PolledSensor(hex(each.address), MB1242(bus, each.address), AnswerTiming(0.021, 0.08)) for each in sonars]
-    poller = Poller(bus, clock, RoundRobin([[each] for each in sensors], Spacing(0.1), clock.now()))
+    poller = Poller(bus, clock, RoundRobin([[each] for each in sensors], 0.1, clock.now()))
     rangings: list[tuple[Ranging, str]] = []
     while now() < 3.0:
         clock.sleep_until(poller.next_event_s)
