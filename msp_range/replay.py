@@ -90,24 +90,19 @@ class RecordedOrder:
         """Nor with what does not fit."""
 
 
-class PacedClock:
+class PacedClock(SystemClock):
     """The record's time at the pace of the system's clock."""
 
     def __init__(self, start_s: float) -> None:
-        self._system = SystemClock()
-        self._ahead_s = start_s - self._system.now()
+        self._ahead_s = start_s - SystemClock.now()
 
     def now(self) -> float:
         """Seconds on the record's clock."""
-        return self._system.now() + self._ahead_s
+        return SystemClock.now() + self._ahead_s
 
     def sleep_until(self, time_s: float, files: Sequence[int] = ()) -> bool:
         """Sleep until ``time_s`` of the record, or until one of the files can be read: then True."""
-        return self._system.sleep_until(time_s - self._ahead_s, files)
-
-    def utc(self) -> float:
-        """The operating system's idea of UTC."""
-        return self._system.utc()
+        return super().sleep_until(time_s - self._ahead_s, files)
 
 
 @dataclass(frozen=True, slots=True)

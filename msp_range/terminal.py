@@ -82,15 +82,14 @@ class Bar:
         self._progress = Progress(doing, *columns, console=on, transient=True)
         self._task = self._progress.add_task("", total=total)
         self.is_shown = self._progress.console.is_terminal
+        self._progress.disable = not self.is_shown
 
     def __enter__(self) -> Self:
-        if self.is_shown:
-            self._progress.start()
+        self._progress.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.is_shown:
-            self._progress.stop()
+        self._progress.stop()
 
     @contextmanager
     def paused(self) -> Iterator[None]:

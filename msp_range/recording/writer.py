@@ -162,7 +162,8 @@ class Recorder:
         why = error.strerror if error is not None else "the disk does not answer"
         kept = self.file.kept_bytes
         there = f"the first {kept} bytes are kept, and msp-range recover closes them" if kept else "nothing is kept"
-        return f"{self.file.path or _named(error)}: recording stopped: {why}; {there}"
+        path = self.file.path or getattr(error, "filename", None) or "the file"
+        return f"{path}: recording stopped: {why}; {there}"
 
 
 def _make(path: Path) -> BackgroundFile:
@@ -170,8 +171,3 @@ def _make(path: Path) -> BackgroundFile:
     with written(path):
         file.wait_until_open()
     return file
-
-
-def _named(error: OSError | None) -> str:
-    """What the operating system could not open."""
-    return str(error.filename) if error is not None and error.filename is not None else "the file"

@@ -22,6 +22,7 @@ from msp_range.recording.columns import CONTEXT_COLUMNS
 from msp_range.recording.csv_form import MeasuredData, column_of, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
+from msp_range.recording.stages import answer_of
 from msp_range.recording.topics import CAMPAIGN_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
 from msp_range.recording.writer import Recorder
 from msp_sim.terminal import make_folder
@@ -131,18 +132,7 @@ class Store:
         reading = ranging.reading
         recorder = self._recording()
         recorder.write(TRUTH_PREFIX + reading.sensor, ranging.ping_s, {"run": attempt.runs[-1], **columns})
-        message: dict[str, Any] = {
-            "time_s": reading.time_s,
-            "ping_s": ranging.ping_s,
-            "read_s": ranging.answered_s,
-            "status": reading.status.value,
-        }
-        if reading.raw is not None:
-            message["raw"] = reading.raw
-        if reading.range_m is not None:
-            message["range_m"] = reading.range_m
-            message["suspect"] = reading.suspect
-        recorder.write(RANGE_PREFIX + reading.sensor, ranging.answered_s, message)
+        recorder.write(RANGE_PREFIX + reading.sensor, ranging.answered_s, answer_of(ranging))
         recorder.flush_if_due(ranging.answered_s)
         if recorder.fault is not None:
             self.close()
