@@ -46,14 +46,18 @@ Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M), BeforeValidator(
 _DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
 
 
+Degrees = Annotated[float, Field(ge=-360, le=360)]
+StreamId = Annotated[int, Field(ge=1, le=254)]
+
+
 class RotationDeg(Section):
     """Euler angles [deg], intrinsic yaw, pitch, roll in body FRD; the sensor looks along its own x axis."""
 
-    roll: float = Field(0.0, ge=-360, le=360)
+    roll: Degrees = 0.0
     """rotation about the beam [deg]; no effect for a round beam"""
-    pitch: float = Field(0.0, ge=-360, le=360)
+    pitch: Degrees = 0.0
     """-90 looks straight down, 0 forward, 90 up [deg]"""
-    yaw: float = Field(0.0, ge=-360, le=360)
+    yaw: Degrees = 0.0
     """90 looks to the right [deg]"""
 
     @property
@@ -65,7 +69,7 @@ class RotationDeg(Section):
 class SensorSettings(SensorOnBus):
     """One range finder of the vehicle."""
 
-    id: int = Field(ge=1, le=254)
+    id: StreamId
     """DISTANCE_SENSOR.id of its stream, 1 to 254"""
     position_m: tuple[Metres, Metres, Metres]
     """[forward, right, down] of the vehicle's reference point [m]"""
@@ -131,7 +135,7 @@ class LinkSettings(Section):
 class FusedSettings(Section):
     """One stream along the vehicle's down axis, from all sensors that look down."""
 
-    id: int = Field(10, ge=1, le=254)
+    id: StreamId = 10
     """DISTANCE_SENSOR.id of the stream"""
     sensors: list[Name] | None = None
     """sensors in it; default: all that look down within their beam"""

@@ -74,6 +74,5 @@ def rotate_back(rotation: Matrix, vector: Vector) -> Vector:
 
 def angle_between(a: Vector, b: Vector) -> float:
     """Angle between two unit vectors [rad], 0 to pi; exact near 0 and pi, where the arc cosine is not."""
-    difference = math.sqrt(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)))
-    total = math.sqrt(sum((p + q) ** 2 for p, q in zip(a, b, strict=True)))
-    return 2 * math.atan2(difference, total)
+    opposite = [-each for each in b]
+    return 2 * math.atan2(math.dist(a, b), math.dist(a, opposite))

@@ -7,7 +7,7 @@ from typing import Protocol
 from msp_range.errors import UserError
 
 # Not ENODEV (19), although an adapter that was unplugged gives it: others give it where a device does not acknowledge.
-_NO_BUS = frozenset({errno_names.ENOENT, errno_names.EBADF, errno_names.EACCES})
+_BUS_FAULTS = frozenset({errno_names.ETIMEDOUT, errno_names.ENOENT, errno_names.EBADF, errno_names.EACCES})
 
 
 class BusError(UserError, OSError):
@@ -39,14 +39,13 @@ class BusError(UserError, OSError):
     @property
     def bus_at_fault(self) -> bool:
         """True if the bus is locked up, missing, or cannot be opened, so that no device could answer."""
-        return self.errno == errno_names.ETIMEDOUT or self.errno in _NO_BUS
+        return self.errno in _BUS_FAULTS
 
     def __str__(self) -> str:
         name = errno_names.errorcode.get(self.errno or 0, "?")
         words = os.strerror(self.errno or 0)
-        if self.address == 0:
-            return f"I2C {self.verb} failed: errno {self.errno} {name}, {words}"
-        return f"I2C {self.verb} at address 0x{self.address:02x} failed: errno {self.errno} {name}, {words}"
+        where = f" at address 0x{self.address:02x}" if self.address else ""
+        return f"I2C {self.verb}{where} failed: errno {self.errno} {name}, {words}"
 
 
 class Bus(Protocol):

@@ -4,6 +4,8 @@ Two sensors at one address answer together and cannot be separated again, so a c
 refused, and every change is verified. The drivers contain how their kind of sensor is recognised and moved.
 """
 
+from collections.abc import Sequence
+
 from msp_range.bus import Bus
 from msp_range.clock import Clock
 from msp_range.sensors.base import OTHERS, AddressError, Driver, FoundDevice, acknowledges
@@ -29,16 +31,11 @@ def scan(bus: Bus, clock: Clock, *, identify: bool, driver: type[Driver] | None 
     BusError
         The bus itself does not work.
     """
-    addresses = range(FIRST_ADDRESS, LAST_ADDRESS + 1)
-    there = {address for address in addresses if acknowledges(bus, address)}
-    # A sensor that is measuring does not acknowledge.
-    clock.sleep_until(clock.now() + longest_busy_s())
-    there |= {address for address in addresses if address not in there and acknowledges(bus, address)}
     return [
         _identify(bus, clock, address, drivers_at(address) if driver is None else [driver])
         if identify
         else FoundDevice(address, False, OTHERS.get(address, ""))
-        for address in sorted(there)
+        for address in _present(bus, clock, range(FIRST_ADDRESS, LAST_ADDRESS + 1))
     ]
 
 
@@ -49,11 +46,14 @@ def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]])
     return first if first.ranged else next((each for each in found if each.ranged), first)
 
 
-def _present(bus: Bus, clock: Clock, address: int) -> bool:
-    if acknowledges(bus, address):
-        return True
-    clock.sleep_until(clock.now() + longest_busy_s())
-    return acknowledges(bus, address)
+def _present(bus: Bus, clock: Clock, addresses: Sequence[int]) -> list[int]:
+    """Those of the addresses at which a device acknowledges, in ascending order."""
+    there = {address for address in addresses if acknowledges(bus, address)}
+    if len(there) < len(addresses):
+        # A sensor that is measuring does not acknowledge.
+        clock.sleep_until(clock.now() + longest_busy_s())
+        there |= {address for address in addresses if address not in there and acknowledges(bus, address)}
+    return sorted(there)
 
 
 def check_new_address(new: int, driver: type[Driver]) -> None:
@@ -86,16 +86,16 @@ def change_address(bus: Bus, clock: Clock, old: int, new: int, driver: type[Driv
     check_new_address(new, driver)
     if old == new:
         raise AddressError(f"the sensor is to move from 0x{old:02x} to the same address; nothing to do")
-    if not _present(bus, clock, old):
+    if not _present(bus, clock, [old]):
         raise AddressError(f"nothing acknowledges at 0x{old:02x}; 'msp-range scan' shows what is on the bus")
-    if _present(bus, clock, new):
+    if _present(bus, clock, [new]):
         raise AddressError(f"0x{new:02x} is in use; two devices at one address could not be separated again")
     before = driver.identify(bus, clock, old)
     if not before.ranged:
         raise AddressError(f"the device at 0x{old:02x} is left alone: {before.answer}")
     driver.move(bus, clock, old, new)
-    after = driver.identify(bus, clock, new) if _present(bus, clock, new) else None
-    if _present(bus, clock, old):
+    after = driver.identify(bus, clock, new) if _present(bus, clock, [new]) else None
+    if _present(bus, clock, [old]):
         state = "nothing is" if after is None else "a device is too"
         raise AddressError(
             f"a device still answers at 0x{old:02x}, and {state} at 0x{new:02x}: were two sensors at 0x{old:02x}? "

@@ -17,6 +17,7 @@ from typing import Any
 
 import orjson
 
+from msp_range.errors import UserError
 from msp_range.input_file import printable
 
 MOST_WATCHERS = 8
@@ -30,7 +31,7 @@ _CREDENTIALS = struct.Struct("iII")
 """Process, user and group, struct ucred of unix(7)."""
 
 
-class FeedError(Exception):
+class FeedError(UserError):
     """The socket cannot be made; the message says why."""
 
 

@@ -40,11 +40,6 @@ class Listen(NamedTuple):
     host: str
     port: int
 
-    @property
-    def is_loopback(self) -> bool:
-        """Whether only programs of this computer get there."""
-        return self.host in LOOPBACK
-
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Names and addresses of this computer for itself."""

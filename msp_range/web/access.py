@@ -56,7 +56,7 @@ def token_for(listen: Listen) -> str | None:
 
     The token outlives a restart, so that an open page finds the bridge again.
     """
-    return None if listen.is_loopback else _token(state_folder() / "web-token")
+    return None if listen.host in LOOPBACK else _token(state_folder() / "web-token")
 
 
 def _name(host: str) -> str:

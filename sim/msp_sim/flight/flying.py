@@ -17,10 +17,9 @@ from msp_range.mavlink.transport import open_transport
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.service import stop_signals
 from msp_range.terminal import console
-from msp_range.watch.feed import FeedError
 from msp_range.watch.place import Outputs, own_socket
 from msp_range.watch.watch import Watch
-from msp_range.yaml_file import ConfigError, config_path, read_yaml
+from msp_range.yaml_file import config_path, read_yaml
 from msp_sim.flight import show
 from msp_sim.flight.autopilot import Tee
 from msp_sim.flight.flight import Simulation
@@ -108,10 +107,7 @@ def fly_scenario(
         watch = None
         if web is not None:
             place = simulation.bridge, simulation.transport, Outputs(None, own_socket(), web)
-            try:
-                watch = opened.enter_context(closing(Watch(*place, clock.now(), Log("text"))))
-            except FeedError as error:
-                raise ConfigError(f"--web: {error}") from None
+            watch = opened.enter_context(closing(Watch(*place, clock.now(), Log("text"))))
         _fly_shown(simulation, show.FlightDisplay(simulation, scenario.duration_s), watch, speed)
     wall_s = system.now() - started_s
     summary = summarise(simulation.flight, scenario.name, planned.given_seed) | planned.drawn
