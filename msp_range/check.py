@@ -38,8 +38,8 @@ def lines(airframe: Airframe) -> Iterator[str]:
     watch = sensor_watch_of(airframe)
     yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"
     yield from describe(airframe.temperature, airframe.maximum_by_sound_m)
-    folder = airframe.recording.folder if airframe.recording else None
-    yield f"recording: {folder}" if folder else "recording: none, unless --record names a folder"
+    folder = airframe.recording.folder if airframe.recording else "none, unless --record names a folder"
+    yield f"recording: {folder}"
     yield "the autopilot's parameters for this: msp-range params"
 
 

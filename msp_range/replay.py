@@ -12,7 +12,6 @@ from pathlib import Path
 
 from rich.progress import BarColumn, TimeRemainingColumn
 
-from msp_range.acoustics.air import FIXED, Air
 from msp_range.assembly import polled_sensors
 from msp_range.bridge import Bridge, Counts, Records
 from msp_range.clock import Clock, SystemClock
@@ -67,8 +66,7 @@ class RecordedOrder:
 
     def __init__(self, airframe: Airframe, bus: ReplayBus) -> None:
         self._bus = bus
-        polled = polled_sensors(airframe, bus)
-        self._sensors = {sensor.address: polled[sensor.name] for sensor in airframe.sensors}
+        self._sensors = {each.device.address: each for each in polled_sensors(airframe, bus).values()}
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         """The sensors that come next in the record; at infinity where it has ended."""
@@ -150,9 +148,8 @@ def replay(
     _refuse_gaps(pings, source)
     playbacks = {sensor.address: sensor.driver.playback for sensor in airframe.sensors}
     bus = ReplayBus(_by_address(airframe, pings, source), clock, playbacks)
-    fixed = Air(airframe.temperature.fixed_c, airframe.temperature.fixed_std_c, FIXED)
     if not recorded.air:
-        recorded = recorded._replace(air=[(0.0, fixed)])
+        recorded = recorded._replace(air=[(0.0, airframe.temperature.fixed_air)])
     bridge = Bridge(
         airframe.without_thermometers,
         bus,

@@ -53,7 +53,7 @@ class AirTemperature:
     ) -> None:
         self._reader = reader
         self._maximum_m = maximum_m
-        self._fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
+        self._fixed = parameters.fixed_air
         self._air = self._fixed
         self._humidity = Humidity()
         self._history = RangeHistory()
@@ -211,7 +211,7 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
     def off(air: Air) -> str:
         return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"
 
-    fixed = Air(parameters.fixed_c, parameters.fixed_std_c, FIXED)
+    fixed = parameters.fixed_air
     sources = [f"  {each.name} {off(Air(fixed.temperature_c, each.error_std_c, ''))}" for each in parameters.sources]
     humid = Humidity().applied(0.0, Air(fixed.temperature_c, 0.0, ""))
     humidity = f"  humidity, unless the autopilot sends {HYGROMETER}: also {off(humid)}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Protocol
 
 from msp_range.numbers import Numbers
@@ -54,13 +55,14 @@ class Calibration:
                 f"found {len(self.true_cm)} true ranges and {len(self.reading_cm)} readings as knots, "
                 "expected none or at least two pairs: one alone has no slope"
             )
-        for i in range(1, len(self.true_cm)):
-            rise_cm, run_cm = self.reading_cm[i] - self.reading_cm[i - 1], self.true_cm[i] - self.true_cm[i - 1]
+        knots = zip(self.true_cm, self.reading_cm, strict=True)
+        for (true_cm, reading_cm), (next_cm, next_reading_cm) in pairwise(knots):
+            rise_cm, run_cm = next_reading_cm - reading_cm, next_cm - true_cm
             if not (run_cm > 0.0 and SLOPES[0] * run_cm <= rise_cm <= SLOPES[1] * run_cm):
                 raise ValueError(
-                    f"found the knots ({self.true_cm[i - 1]:g}, {self.reading_cm[i - 1]:g}) and "
-                    f"({self.true_cm[i]:g}, {self.reading_cm[i]:g}) cm, expected true ranges that grow from knot to "
-                    f"knot, and readings that grow by {SLOPES[0]:g} to {SLOPES[1]:g} times as much"
+                    f"found the knots ({true_cm:g}, {reading_cm:g}) and ({next_cm:g}, {next_reading_cm:g}) cm, "
+                    "expected true ranges that grow from knot to knot, and readings that grow by "
+                    f"{SLOPES[0]:g} to {SLOPES[1]:g} times as much"
                 )
 
     @property

@@ -78,10 +78,7 @@ class RangeComparison:
         self._compared_s = good_s - GUARD_S
         self._dip = 0.0
         before = history.between(float("-inf"), good_s - GUARD_S, MOST_BEFORE)
-        by_sensor: dict[str, list[float]] = {}
-        for sensor, log_range in before:
-            by_sensor.setdefault(sensor, []).append(log_range)
-        self._before = {sensor: median(each) for sensor, each in by_sensor.items()}
+        self._before = {name: median([each for sensor, each in before if sensor == name]) for name in dict(before)}
         self._range_m = math.exp(median([log_range for _, log_range in before])) if before else 0.0
         half = len(before) // 2
         self._climbed = float("inf")

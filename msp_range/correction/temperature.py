@@ -11,6 +11,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
+from msp_range.acoustics.air import FIXED, Air
 from msp_range.yaml_file import Section
 
 COLDEST_C, HOTTEST_C = -40.0, 60.0
@@ -155,3 +156,8 @@ class TemperatureParameters(Section):
     sets fixed_c before each flight"""
     sources: tuple[Annotated[FileSource | MavlinkSource, Field(discriminator="source")], ...] = ()
     """sources, the most trusted first"""
+
+    @property
+    def fixed_air(self) -> Air:
+        """The air while no source has a value."""
+        return Air(self.fixed_c, self.fixed_std_c, FIXED)
