@@ -65,15 +65,15 @@ def drawing(airframe: Airframe) -> list[str]:
 
     Sensors at one place share a cell, where the last id is shown.
     """
-    places = [(sensor.id, sensor.position_m) for sensor in airframe.sensors]
-    farthest_m = max([abs(each) for _, place in places for each in place[:2]] + [0.01])
+    farthest_m = max([abs(each) for sensor in airframe.sensors for each in sensor.position_m[:2]] + [0.01])
     rows = [[" "] * WIDTH for _ in range(HEIGHT)]
     middle_row, middle_column = HEIGHT // 2, WIDTH // 2
     rows[middle_row][middle_column] = "+"
-    for number, (forward_m, right_m, _) in places:
+    for sensor in airframe.sensors:
+        forward_m, right_m, _ = sensor.position_m
         row = middle_row - round(forward_m / farthest_m * middle_row)
         column = middle_column + round(right_m / farthest_m * (middle_column - 2))
-        for offset, letter in enumerate(str(number)):
+        for offset, letter in enumerate(str(sensor.id)):
             rows[row][column + offset] = letter
     names = ", ".join(f"{sensor.id} {sensor.name}" for sensor in airframe.sensors)
     heights = {sensor.position_m[2] for sensor in airframe.sensors}

@@ -62,7 +62,6 @@ class Feed:
         self._on_mark = on_mark
         self._watchers: list[socket.socket] = []
         self._next_mark_s = float("-inf")
-        self.dropped = 0
         self._server = _listening(path)
 
     @property
@@ -75,16 +74,13 @@ class Feed:
         if not self._watchers:
             return
         packet = _packet(topic, time_s, message)
-        gone = []
-        for watcher in self._watchers:
+        for watcher in [*self._watchers]:
             try:
                 watcher.send(packet)
-            except BlockingIOError:
-                self.dropped += 1
+            except BlockingIOError:  # it does not keep up
+                pass
             except OSError:
-                gone.append(watcher)
-        for watcher in gone:
-            self._forget(watcher)
+                self._forget(watcher)
 
     def service(self, now_s: float) -> None:
         """Greet who has come, and take marks: one system call where there is nothing to do."""
