@@ -30,10 +30,10 @@ def predict_breakaway(sensor: SensorModel) -> PredictedBreakaway:
         tuple(point.range_cm / 100.0 for point in sensor.breakaway),
         tuple(point.half_angle_deg for point in sensor.breakaway),
     )
-    on_axis_m = None if sensor.heard_on_axis_cm is None else sensor.heard_on_axis_cm / 100.0
-    has_enough = len(sensor.breakaway) >= PARAMETERS
-    sonar = fit_sonar(measured, sensor.frequency_hz, on_axis_m) if has_enough else None
-    beam = extended_beam(measured, sonar, sensor.maximum_cm / 100.0)
+    beam = measured
+    if len(sensor.breakaway) >= PARAMETERS:
+        sonar = fit_sonar(measured, sensor.frequency_hz, (sensor.heard_on_axis_cm or 0.0) / 100.0)
+        beam = extended_beam(measured, sonar, sensor.maximum_cm / 100.0)
     last = beam.half_angles_deg.index(beam.half_angles_deg[-1])
     added = slice(len(measured.ranges_m), last + 1)
     rows = (

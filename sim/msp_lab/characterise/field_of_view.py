@@ -64,12 +64,12 @@ def sonar_through(
     """The sonar equation through breakaway angles, and each angle as the others predict it.
 
     `rows` have range [cm] and half angle [deg], `on_axis_cm` is the range at which a wall is at least detected on the
-    axis [cm]. None with fewer rows than the equation has parameters, and for light and radio.
+    axis [cm]; None: not known. None with fewer rows than the equation has parameters, and for light and radio.
     """
     if len(rows) < PARAMETERS or sensor.medium != "sound":
         return None
     table = BreakawayTable(tuple(r / 100.0 for r, _ in rows), tuple(angle for _, angle in rows))
-    on_axis_m = None if on_axis_cm is None else on_axis_cm / 100.0
+    on_axis_m = (on_axis_cm or 0.0) / 100.0
     sonar = fit_sonar(table, sensor.frequency_hz, on_axis_m)
     left_out: Sequence[float | None] = [None] * len(rows)
     if len(rows) > PARAMETERS:

@@ -1,8 +1,10 @@
 """Numbers of an earlier characterisation of the same sensor, which pictures and comparisons set next to the new ones.
 
 The laboratory has one, the MB1242 characterization report (`msp_lab.comparison.report`). Findings never depend on it.
+An empty one, whose numbers are NaN and whose tables have no rows, marks nothing.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -11,14 +13,14 @@ from dataclasses import dataclass, field
 class ReferenceNumbers:
     """An earlier characterisation."""
 
-    name: str
+    name: str = ""
     """How sentences and legends call it: "the report"."""
-    sensor: str
+    sensor: str = ""
     """Name of the sensor model that it is about."""
-    largest_error_cm: float
+    largest_error_cm: float = math.nan
     """Largest error on the axis with nothing varied [cm]."""
-    peak_range_cm: float
-    peak_cm: float
+    peak_range_cm: float = math.nan
+    peak_cm: float = math.nan
     """True range of the readings at the longest range, and where their histogram has its peak [cm]."""
     half_angle_deg: Mapping[float, float] = field(default_factory=dict)
     """Range [cm] -> largest angle with a reliable range [deg]."""

@@ -61,25 +61,20 @@ class Sonar:
         )
         return level_db + self.gain_db_per_m * range_m
 
-    def half_angle_rad(self, range_m: float) -> float | None:
-        """Largest angle off the axis at which a wall is detected, at a perpendicular distance above 0 [rad].
+    def half_angle_deg(self, range_m: float) -> float | None:
+        """Largest angle off the axis at which a wall is detected, at a perpendicular distance above 0 [deg].
 
-        Up to the piston's first null, or to pi / 2 if it has none; None if the wall is not detected even on the axis.
+        Up to the piston's first null, or to 90 deg if it has none; None if the wall is not detected even on the axis.
         Side lobes do not count.
         """
         excess_db = self.excess_db(range_m)
-        return None if excess_db < 0.0 else self._angle_rad(excess_db)
+        return None if excess_db < 0.0 else self._angle_deg(excess_db)
 
-    def half_angle_deg(self, range_m: float) -> float | None:
-        """`half_angle_rad` [deg]."""
-        angle_rad = self.half_angle_rad(range_m)
-        return None if angle_rad is None else math.degrees(angle_rad)
-
-    def _angle_rad(self, excess_db: float) -> float:
-        """Angle in the main lobe at which the two-way level is so much (0 or more) below that on the axis [rad]."""
+    def _angle_deg(self, excess_db: float) -> float:
+        """Angle in the main lobe at which the two-way level is so much (0 or more) below that on the axis [deg]."""
         wavelength_m = ROOM.wavelength_m(self.frequency_hz)
         sine = main_lobe_x(excess_db / 2.0) * wavelength_m / (math.pi * self.piston_diameter_m)
-        return math.asin(sine) if sine < 1.0 else math.pi / 2
+        return math.degrees(math.asin(min(sine, 1.0)))
 
     def misses_deg(self, table: BreakawayTable) -> list[float]:
         """How far the half angles are from those of a table [deg].
@@ -88,7 +83,7 @@ class Sonar:
         """
         excesses_db = [self.excess_db(range_m) for range_m in table.ranges_m]
         return [
-            math.degrees(math.copysign(self._angle_rad(abs(excess_db)), excess_db)) - angle_deg
+            math.copysign(self._angle_deg(abs(excess_db)), excess_db) - angle_deg
             for excess_db, angle_deg in zip(excesses_db, table.half_angles_deg, strict=True)
         ]
 
@@ -98,7 +93,7 @@ class Sonar:
         return is_heard and all(abs(miss_deg) <= STEP_DEG for miss_deg in self.misses_deg(table))
 
 
-def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> Sonar:
+def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float = 0.0) -> Sonar:
     """Fit the sonar equation to the half angles of a table by least squares.
 
     It has three parameters and the report's table four rows, so one degree of freedom is left, and agreement with the
@@ -111,7 +106,7 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     frequency_hz
         Frequency of the ping [Hz].
     on_axis_m
-        Range up to which a wall is detected on the axis [m]; a constraint of the fit. None: the table's last range.
+        Range up to which a wall is detected on the axis [m], a constraint of the fit; at least the table's last range.
 
     Raises
     ------
@@ -122,7 +117,7 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     --------
     >>> report = BreakawayTable(ranges_m=(0.5, 1.0, 1.5, 2.0), half_angles_deg=(23.4, 18.0, 14.4, 12.6))
     >>> sonar = fit_sonar(report, 42_000.0, on_axis_m=5.0)
-    >>> [f"{math.degrees(sonar.half_angle_rad(range_m)):.1f}" for range_m in report.ranges_m]
+    >>> [f"{sonar.half_angle_deg(range_m):.1f}" for range_m in report.ranges_m]
     ['23.4', '17.9', '14.5', '12.5']
     """
     if len(table.ranges_m) < PARAMETERS:
@@ -130,7 +125,7 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
             f"found {len(table.ranges_m)} breakaway angles, expected at least {PARAMETERS}: "
             "the sonar equation has that many parameters"
         )
-    kept_m = max(on_axis_m or 0.0, table.ranges_m[-1])
+    kept_m = max(on_axis_m, table.ranges_m[-1])
 
     def sonar_of(parameters: Sequence[float]) -> Sonar:
         # The first parameter is the excess on the axis at that range: at least 0 dB.
@@ -152,7 +147,7 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float | Non
     return sonar_of(best.x.tolist())
 
 
-def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float | None = None) -> list[float | None]:
+def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float = 0.0) -> list[float | None]:
     """Predict each half angle of a table from its other rows [deg]; None if no echo is predicted.
 
     With four rows and three parameters each prediction comes from an exact fit to the three others, so it tests the
@@ -166,7 +161,7 @@ def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float |
     return predicted
 
 
-def extended_beam(table: BreakawayTable, sonar: Sonar | None, maximum_m: float) -> BreakawayTable:
+def extended_beam(table: BreakawayTable, sonar: Sonar, maximum_m: float) -> BreakawayTable:
     """A measured table, extended by the sonar equation that is fitted to it, with a row each 25 cm.
 
     The measured rows are unchanged. Beyond them the angle is the equation's, but never increases with range: a gain
@@ -179,11 +174,11 @@ def extended_beam(table: BreakawayTable, sonar: Sonar | None, maximum_m: float) 
     table
         Measured breakaway angles.
     sonar
-        From `fit_sonar`; None: the table has too few rows for a fit.
+        From `fit_sonar`.
     maximum_m
         Longest range of the sensor [m].
     """
-    if sonar is None or not sonar.fits(table):
+    if not sonar.fits(table):
         return table
     ranges_m, angles_deg = list(table.ranges_m), list(table.half_angles_deg)
     while ranges_m[-1] < maximum_m:

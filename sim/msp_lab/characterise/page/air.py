@@ -48,12 +48,10 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
 
 def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> Line | None:
     """A reference's mean errors where they can be compared: next to a range that was measured."""
-    earlier = rows.reference
-    near = sorted(each for each in earlier.mean_error_cm if np.min(np.abs(tested_cm - each)) <= 2.0) if earlier else []
-    if earlier is None or not near:
-        return None
-    errors_cm = [earlier.mean_error_cm[each][int(after)] for each in near]
-    return Line(f"{earlier.name}'s mean error", np.array(near), np.array(errors_cm))
+    earlier = rows.reference.mean_error_cm
+    near = sorted(each for each in earlier if np.min(np.abs(tested_cm - each)) <= 2.0)
+    errors_cm = [earlier[each][int(after)] for each in near]
+    return Line(f"{rows.reference.name}'s mean error", np.array(near), np.array(errors_cm)) if near else None
 
 
 def compensation(rows: PictureData) -> Drawn:
@@ -66,10 +64,10 @@ def compensation(rows: PictureData) -> Drawn:
     figure, axes = new_axes(3.6, "true range [cm]", "mean error [cm]")
     line_at_zero(axes)
     range_cm = [row.range_cm for row in table]
-    aside = 0.12 * (float(np.min(np.diff(range_cm))) if len(table) > 1 else 20.0) if reference else 0.0
+    aside = 0.12 * (np.min(np.diff(range_cm)) if len(table) > 1 else 20.0) if reference.mean_error_cm else 0.0
     ours = [(row.range_cm - aside, row.uncompensated, row.compensated) for row in table]
-    _arrows(axes, ours, SERIES[0], "ours, " if reference else "")
-    if reference is not None:
+    _arrows(axes, ours, SERIES[0], "ours, " if aside else "")
+    if aside:
         pairs = [(each, reference.mean_errors_at(each)) for each in range_cm]
         theirs = [(each + aside, *map(IntervalEstimate.exact, pair)) for each, pair in pairs if pair]
         _arrows(axes, theirs, SERIES[5], f"{reference.name}'s, ")

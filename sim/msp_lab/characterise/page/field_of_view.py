@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -42,64 +43,45 @@ MAX_SWEEPS = 8
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield a picture for each range at which angles were tried, and the sonar equation."""
-    tried = rows.has("field_of_view") and np.any(np.isfinite(_incidence(rows)[rows.of("field_of_view")]))
-    for range_cm in _ranges(rows)[:MAX_SWEEPS].tolist() if tried else ():
-        name = f"field_of_view_{range_cm:g}cm".replace(".", "_")
-        yield name, f"Field of view at {range_cm:g} cm", partial(sweep, rows, range_cm)
+    view = rows.findings.field_of_view
+    for angle in () if view is None else view.angles[:MAX_SWEEPS]:
+        name = f"field_of_view_{angle.range_cm:g}cm".replace(".", "_")
+        yield name, f"Field of view at {angle.range_cm:g} cm", partial(sweep, rows, angle.range_cm)
     yield "sonar_equation", "Sonar equation through the breakaway angles", partial(_sonar, rows)
-
-
-def _incidence(rows: PictureData) -> Array:
-    return rows.data.column("incidence_deg")
-
-
-def _ranges(rows: PictureData) -> Array:
-    found = rows.of("field_of_view")
-    if not np.any(np.isfinite(_incidence(rows)[found])):
-        raise Absent("The readings of the field of view have no angle (column incidence_deg).")
-    return np.unique(rows.true_cm[found])
 
 
 def sweep(rows: PictureData, range_cm: float) -> Drawn:
     """Draw the readings over angle at a range [cm]."""
-    ranges = _ranges(rows)
-    if range_cm not in ranges:
-        there = ", ".join(f"{each:g}" for each in ranges[:12])
-        raise Absent(f"The field of view was not measured at {range_cm:g} cm, but at {there} cm.")
-    chosen = rows.of("field_of_view") & (rows.true_cm == range_cm) & np.isfinite(_incidence(rows))
-    if np.unique(_incidence(rows)[chosen]).size < 2:
-        raise Absent(f"At {range_cm:g} cm only one angle was measured.")
+    found = rows.of("field_of_view")
     view = rows.needed(rows.findings.field_of_view, "field_of_view")
-    points = sorted((each for each in view.points if each.range_cm == range_cm), key=lambda each: each.incidence_deg)
     angle = next((each for each in view.angles if each.range_cm == range_cm), None)
     if angle is None:
-        breakaway = "No breakaway angle could be found"
-    elif angle.half_angle.value:
+        there = ", ".join(f"{each.range_cm:g}" for each in view.angles[:12])
+        raise Absent(f"The field of view was not measured at {range_cm:g} cm at several angles, but at {there} cm.")
+    breakaway = "Breakaway not found: no angle is reliable to both sides"
+    if angle.half_angle.value:
         breakaway = f"Breakaway at {half_interval(angle.half_angle)}"
-    else:
-        breakaway = "Breakaway not found: no angle is reliable to both sides"
-    figure = _draw_sweep(rows, range_cm, chosen, points, angle)
-    readings = f"{np.count_nonzero(chosen):,} readings at {len(points)} angles"
+    points = [each for each in view.points if each.range_cm == range_cm]
+    readings = f"{sum(each.readings for each in points):,} readings at {len(points)} angles"
+    figure = _draw_sweep(rows, found & np.isclose(rows.true_cm, range_cm, rtol=0.0, atol=1e-3), points, angle)
     return figure, f"{readings}. {breakaway}. Reliable: {view.criterion}."
 
 
-def _draw_sweep(
-    rows: PictureData, range_cm: float, chosen: Flags, points: Sequence[AnglePoint], breakaway: BreakawayAngle | None
-) -> Figure:
+def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], breakaway: BreakawayAngle) -> Figure:
     """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
+    range_cm, half_deg = breakaway.range_cm, breakaway.half_angle.value
     figure = new_figure(4.5)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
     angle_deg = np.array([point.incidence_deg for point in points])
     edges = edges_between(angle_deg.tolist())
-    width = 0.86 * float(np.min(np.diff(edges)))
+    width = 0.86 * np.min(np.diff(edges))
 
-    half_deg = 0.0 if breakaway is None else breakaway.half_angle.value
-    widest = float(np.max(np.abs(angle_deg)))
-    theta = np.radians(np.linspace(-widest, widest, 241))
+    widest_deg = np.max(np.abs(angle_deg))
+    theta = np.radians(np.linspace(-widest_deg, widest_deg, 241))
     # As calibration and air stretch what is read straight ahead.
     base_cm = min(points, key=lambda point: abs(point.incidence_deg)).nearest_cm
     slant_cm = base_cm / np.cos(theta)
-    low, high = min(base_cm, range_cm) - 4.0, max(float(np.max(slant_cm)), range_cm) + 5.0
+    low, high = min(base_cm, range_cm) - 4.0, max(np.max(slant_cm), range_cm) + 5.0
     _draw_shares(top, rows, chosen, angle_deg, width, (low, high))
     top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
     if half_deg > 0.0:
@@ -118,12 +100,11 @@ def _draw_sweep(
     bottom.set_ylabel("reliable [%]")
     bottom.set_xlabel("angle between the axis and the wall's normal [deg]")
     _mark_breakaway(top, bottom, breakaway)
-    reference_deg = None if rows.reference is None else rows.reference.half_angle_deg.get(range_cm)
-    if rows.reference is not None and reference_deg is not None:
+    reference_deg = rows.reference.half_angle_deg.get(range_cm)
+    if reference_deg is not None:
         words = f"{rows.reference.name}'s ±{reference_deg:g}°"
-        for axes in (top, bottom):
-            for sign in (-1, 1):
-                axes.axvline(sign * reference_deg, color=REFERENCE, linestyle=":", label=words)
+        for axes, edge_deg in product((top, bottom), (-reference_deg, reference_deg)):
+            axes.axvline(edge_deg, color=REFERENCE, linestyle=":", label=words)
     # Of many angles every other one.
     bottom.set_xticks(angle_deg[:: 1 + (angle_deg.size > 15)])
     bottom.xaxis.set_major_formatter("{x:g}")
@@ -138,7 +119,7 @@ def _draw_shares(
 ) -> None:
     """Each angle's readings as a histogram on its side, whole centimetres."""
     low, high = limits_cm
-    incidence_deg, reading_cm = _incidence(rows)[chosen], rows.reading_cm[chosen]
+    incidence_deg, reading_cm = rows.data.column("incidence_deg")[chosen], rows.reading_cm[chosen]
     shown = ~rows.missed[chosen] & (reading_cm > low) & (reading_cm < high)
     bars = []
     for angle in angle_deg.tolist():
@@ -149,10 +130,9 @@ def _draw_shares(
     share_bars(top, *np.concatenate(bars, axis=1))
 
 
-def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle | None) -> None:
+def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle) -> None:
     """Each side's last reliable angle, and the stretch up to the next one that was tried."""
-    sides = () if breakaway is None else ((-1.0, breakaway.negative), (1.0, breakaway.positive))
-    for sign, side in sides:
+    for sign, side in ((-1.0, breakaway.negative), (1.0, breakaway.positive)):
         # 0 stands for a side on which no angle is reliable.
         if side is None or not side.value:
             continue
@@ -178,7 +158,7 @@ def _sonar(rows: PictureData) -> Drawn:
     equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
     span_cm = np.linspace(np.min(range_cm) * 0.6, np.max(used_cm), 120)
     # Where there is no echo, None becomes NaN.
-    span_deg = np.degrees(np.array([equation.half_angle_rad(each / 100.0) for each in span_cm.tolist()], dtype=float))
+    span_deg = np.array([equation.half_angle_deg(each / 100.0) for each in span_cm.tolist()], dtype=float)
     figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
@@ -191,18 +171,16 @@ def _sonar(rows: PictureData) -> Drawn:
     ]
     words = "measured, up to the next angle tried"
     axes.errorbar(range_cm, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
-    reference = rows.reference
-    earlier = [(each, reference.half_angle_deg.get(each)) for each in range_cm.tolist()] if reference else []
-    pairs = [each for each in earlier if each[1] is not None]
-    if pairs and reference is not None:
-        axes.plot(*zip(*pairs, strict=True), label=f"{reference.name}'s", **MARKED)
+    earlier = {each: angle for each, angle in rows.reference.half_angle_deg.items() if each in range_cm}
+    if earlier:
+        axes.plot(list(earlier), list(earlier.values()), label=f"{rows.reference.name}'s", **MARKED)
     predicted = np.isfinite(others_deg)
     if np.any(predicted):
         look: dict[str, Any] = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE}
         axes.plot(range_cm[predicted], others_deg[predicted], "D", label="predicted from the others", zorder=7, **look)
         for where in range_cm[~predicted].tolist():
             label(axes, "the others predict\nno echo here", (where, 0.0), (0, 6), ha="center", color=GREY)
-    axes.set_ylim(0.0, 1.2 * max([*measured_deg, *others_deg[predicted], *(angle or 0.0 for _, angle in pairs)]))
+    axes.set_ylim(0.0, 1.2 * max([*measured_deg, *others_deg[predicted], *earlier.values()]))
     axes.set_xlim(0.0, np.max(used_cm))
     worst_deg = np.abs(fitted_deg - measured_deg)
     caption = "No angle is predicted"

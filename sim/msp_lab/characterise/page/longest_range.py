@@ -156,7 +156,7 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
         _draw_fitted(axes, fixed, rows)
         caption += " Circles: what the mixture, fitted about these hits' own mean, expects in each centimetre."
     earlier = rows.reference
-    if earlier is not None and abs(fixed.true_range_cm - earlier.peak_range_cm) < PEAK_RANGE_CM:
+    if abs(fixed.true_range_cm - earlier.peak_range_cm) < PEAK_RANGE_CM:
         words = f"{earlier.name}'s peak, {earlier.peak_cm:g} cm"
         axes.axvline(earlier.peak_cm, color=GREY, linestyle=":", label=words)
     return figure, caption

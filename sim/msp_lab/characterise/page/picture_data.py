@@ -5,7 +5,7 @@ Findings, measured data and the sensor model enter; arrays to be drawn leave, or
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -36,8 +36,8 @@ class PictureData:
     """The readings that it was found in."""
     model: SensorModel
     """The sensor model with the fitted numbers."""
-    reference: ReferenceNumbers | None = None
-    """Earlier numbers to mark next to the new ones; None: nothing is marked."""
+    reference: ReferenceNumbers = field(default_factory=ReferenceNumbers)
+    """Earlier numbers to mark next to the new ones."""
 
     @cached_property
     def true_cm(self) -> Array:

@@ -103,14 +103,12 @@ def _draw_left_out(axes: Axes, found: CalibrationFindings) -> None:
 def baseline(rows: PictureData) -> Drawn:
     """Draw the range error with nothing varied."""
     errors = rows.errors(rows.of("baseline"))
-    band = None
-    if rows.reference is not None:
-        largest_cm = rows.reference.largest_error_cm
-        band = largest_cm, f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
+    largest_cm = rows.reference.largest_error_cm
+    band = largest_cm, f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
     caption, found = summary(errors), rows.findings.baseline
     if found is not None:
         caption += f" Mean error {interval(found.bias)}; largest error of a hit {plus(found.largest_hit_error_cm)} cm."
-    return draw_errors([errors], band=band), caption
+    return draw_errors([errors], band=band if largest_cm > 0.0 else None), caption
 
 
 def _materials(rows: PictureData) -> list[str]:
