@@ -115,7 +115,7 @@ def test_table_5_1_gets_its_air_back_row_by_row() -> None:
         )
         for z, air in air_c.items()
     ]
-    rows = compensation_table(sort_into_points(table(*parts), SENSOR), IDENTITY)
+    rows = [*compensation_table(sort_into_points(table(*parts), SENSOR), IDENTITY)]
     assert [row.range_cm for row in rows] == list(air_c)
     for row in rows:
         assert contains(row.implied_c, air_c[int(row.range_cm)])

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import find_peaks, peak_widths
 
 from msp_lab.characterise.calibration import pooled_spread
-from msp_lab.characterise.estimates import Z, fit_points, line_design, mean_of_points, share, standard_error
+from msp_lab.characterise.estimates import Z, fit_points, line_design, mean_of_points, share
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
@@ -33,21 +33,20 @@ become peaks of their own."""
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
     """Accuracy at the points with nothing varied; ``reference_std_cm`` as for `calibration.calibrate`."""
     found = sorted((point.found for point in points), key=lambda result: result.true_range_cm)
-    known = [(result.true_range_cm, result.error) for result in found if result.error is not None]
+    known = [(each.true_range_cm, each.error.value, each.error.standard_error**2) for each in found if each.error]
     if not known:
         return None
     echoes = [point for point in points if point.found.error is not None]
     hits = np.concatenate([point.error_cm[point.is_hit] for point in echoes])
-    columns = ((range_cm, error.value, standard_error(error) ** 2) for range_cm, error in known)
-    range_cm, mean_cm, variance_cm2 = np.array(list(columns)).T
+    range_cm, mean_cm, variance_cm2 = np.array(known).T
     between = None
     if np.unique(range_cm).size >= 3:
         line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
-        between = IntervalEstimate(math.sqrt(line.between), None, None, "cm", len(known), "points")
+        between = IntervalEstimate(math.sqrt(line.between), unit="cm", n=len(known), of="points")
     readings = sum(result.readings for result in found)
     return Baseline(
         points=tuple(found),
-        bias=mean_of_points(mean_cm, "cm", variance_cm2, reference_std_cm or 0.0),
+        bias=mean_of_points(mean_cm, variance_cm2, reference_std_cm or 0.0),
         spread=pooled_spread(echoes),
         between_points=between,
         missed=share(sum(result.missed for result in found), readings),

@@ -123,8 +123,8 @@ def characterise(
         field_of_view=view,
         sonar=sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm),
         questions=questions,
-        hot_boxes=() if calibration_c is None else hot_boxes(questions, calibration_c),
-        temperature_compensation=() if calibration_c is None else compensation_table(by[COMPENSATION], curve),
+        hot_boxes=() if calibration_c is None else tuple(hot_boxes(questions, calibration_c)),
+        temperature_compensation=() if calibration_c is None else tuple(compensation_table(by[COMPENSATION], curve)),
         warnings=(
             *about_step,
             *_warnings(loaded, points, undisturbed, calibration),

@@ -24,7 +24,6 @@ from msp_lab.characterise.estimates import (
     line_design,
     mean_of_points,
     root_without,
-    standard_error,
 )
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -66,7 +65,7 @@ class _Points(NamedTuple):
                 point.apparent_cm[point.is_hit].mean(),
                 # An error is about the true range of the hits: where that changes, missed echoes are at other ranges.
                 point.true_range_cm[point.is_hit].mean() + error.value,
-                standard_error(error) ** 2 + point.placement_cm2,
+                error.standard_error**2 + point.placement_cm2,
                 round(point.range_cm, 6),
                 run[i],
             )
@@ -111,11 +110,11 @@ def calibrate(
         form=chosen.form,
         knots=chosen.knots,
         reason=chosen.reason,
-        bias=mean_of_points(data.reading_cm - data.true_cm, "cm", data.variance_cm2, extra_cm),
+        bias=mean_of_points(data.reading_cm - data.true_cm, data.variance_cm2, extra_cm),
         offset=offset,
         scale=scale,
         spread=pooled_spread(used),
-        resolution=IntervalEstimate(step_cm, None, None, "cm", sum(point.hits for point in used)),
+        resolution=IntervalEstimate(step_cm, unit="cm", n=sum(point.hits for point in used)),
         resolution_note=(
             f"readings are whole multiples of {step_cm:g} cm" if step_cm else "readings are not multiples of a step"
         ),
@@ -150,13 +149,13 @@ def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
     variances = [point.found.spread.mapped(lambda end: end**2) for point in points if point.found.spread is not None]
     weight = np.array([variance.n - 1.0 for variance in variances])
     if not weight.any():
-        return IntervalEstimate(0.0, None, None, "cm", len(variances))
+        return IntervalEstimate(0.0, unit="cm", n=len(variances))
     weight /= weight.sum()
     mean = float(weight @ [variance.value for variance in variances])
     # Each point's own interval of the variance; they are independent.
-    half = Z * float(np.linalg.norm(weight * [standard_error(variance) for variance in variances]))
+    half = Z * float(np.linalg.norm(weight * [variance.standard_error for variance in variances]))
     readings = sum(variance.n for variance in variances)
-    return IntervalEstimate.about(mean, half, "cm", readings).mapped(partial(root_without, 0.0))
+    return IntervalEstimate.about(mean, half, readings).mapped(partial(root_without, 0.0))
 
 
 def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]:
@@ -167,7 +166,7 @@ def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]
     # The largest of n distances is below its limit where each is.
     z = float(ndtri((1.0 + CONFIDENCE ** (1.0 / residual.size)) / 2))
     noise_floor = z * math.sqrt(data.variance_cm2.mean())
-    return IntervalEstimate.about(float(residual[i]), half, "cm", residual.size, "points"), noise_floor
+    return IntervalEstimate.about(float(residual[i]), half, residual.size, "points"), noise_floor
 
 
 class _Choice(NamedTuple):
@@ -197,7 +196,7 @@ def _choose(data: _Points) -> _Choice:
     for form, pieces in tried:
         gain = _gain(errors[kept_pieces], errors[pieces], data.range_cm)
         held_out.append(HeldOut(form, _rms(errors[pieces]), gain))
-        is_better = gain.low is not None and gain.low > 0.0
+        is_better = gain.ends[0] > 0.0
         if is_better and by_run:
             simpler, complex_ = (_rms(_left_out_errors(data, each, data.run)) for each in (kept_pieces, pieces))
             is_better = complex_ < simpler
@@ -234,7 +233,7 @@ def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
 def _gain(simpler: Array, complex_: Array, group: Array) -> IntervalEstimate:
     """Mean square error taken off, ranges as the unit."""
     saved = simpler**2 - complex_**2
-    return mean_of_points(np.array([saved[group == each].mean() for each in np.unique(group)]), "cm^2")
+    return mean_of_points(np.array([saved[group == each].mean() for each in np.unique(group)]), unit="cm^2")
 
 
 def _fitted(data: _Points, pieces: int) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -71,9 +71,9 @@ class PointsFit(NamedTuple):
         """A coefficient with Student's interval, widened by the standard deviation of an error common to all."""
         value, n = float(self.coefficients[i]), self.freedom + self.coefficients.size
         if self.freedom < 1:
-            return IntervalEstimate(value, None, None, unit, n, "points")
-        half = math.hypot(student(math.sqrt(float(self.covariance[i, i])), self.freedom), Z * extra_std)
-        return IntervalEstimate.about(value, half, unit, n, "points")
+            return IntervalEstimate(value, unit=unit, n=n, of="points")
+        half = math.hypot(student(math.sqrt(self.covariance[i, i]), self.freedom), Z * extra_std)
+        return IntervalEstimate.about(value, half, n, "points", unit)
 
 
 def fit_points(design: Array, y: Array, variance: Array | float) -> PointsFit:
@@ -94,7 +94,9 @@ def line_design(x: Array) -> Array:
     return np.column_stack([np.ones_like(x), x])
 
 
-def mean_of_points(values: Array, unit: str, variance: Array | float = 0.0, extra_std: float = 0.0) -> IntervalEstimate:
+def mean_of_points(
+    values: Array, variance: Array | float = 0.0, extra_std: float = 0.0, unit: str = "cm"
+) -> IntervalEstimate:
     """Mean of one value a point, as by `fit_points` and `PointsFit.estimate`; no interval for one value alone."""
     return fit_points(np.ones((values.size, 1)), values, variance).estimate(0, unit, extra_std)
 
@@ -207,9 +209,9 @@ def mean_and_spread(values: Array, step: float, usual_spread: float | None = Non
         return _of_rounded(values, step, None if usual_spread is None else usual_spread / step)
     n, average = values.size, float(values.mean())
     if n < 2:
-        return MeanAndSpread(IntervalEstimate(average, None, None, "cm", n), IntervalEstimate(0.0, None, None, "cm", n))
+        return MeanAndSpread(*(IntervalEstimate(value, unit="cm", n=n) for value in (average, 0.0)))
     variance = float(values.var(ddof=1))
-    mean = IntervalEstimate.about(average, student(math.sqrt(variance / n), n - 1), "cm", n)
+    mean = IntervalEstimate.about(average, student(math.sqrt(variance / n), n - 1), n)
     low, high = (n - 1) * variance / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
     return MeanAndSpread(
         mean, IntervalEstimate(variance, low, high, "cm", n).mapped(partial(root_without, step**2 / 12))
@@ -287,13 +289,6 @@ def _log_likelihood(values: Array, means: Array, spreads: Array) -> Array:
 def _where_likely(grid: Array, profile: Array) -> tuple[float, float]:
     likely = np.flatnonzero(profile > profile.max() - LIKELIHOOD_DROP)
     return float(grid[max(likely[0] - 1, 0)]), float(grid[min(likely[-1] + 1, grid.size - 1)])
-
-
-def standard_error(estimate: IntervalEstimate) -> float:
-    """Standard error of an estimate whose interval is roughly symmetric."""
-    if estimate.low is None or estimate.high is None:
-        return math.inf
-    return (estimate.high - estimate.low) / (2 * Z)
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -106,7 +106,7 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     reading = None
     if of_wall.size > 1:
         half = half_of_mean(of_wall, point.step_cm)
-        reading = IntervalEstimate.about(float(of_wall.mean()), half, "cm", of_wall.size)
+        reading = IntervalEstimate.about(float(of_wall.mean()), half, of_wall.size)
     return AnglePoint(
         range_cm=round(point.range_cm, 3),
         incidence_deg=round(point.incidence_deg, 3),

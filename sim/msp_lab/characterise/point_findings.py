@@ -1,7 +1,10 @@
 """What was found at one point of the bench, and a number with its interval: values only, as in `findings.py`."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+
+from msp_sim.intervals import Z
 
 
 @dataclass(frozen=True)
@@ -10,29 +13,36 @@ class IntervalEstimate:
 
     value: float
     """The estimate."""
-    low: float | None
-    high: float | None
+    low: float | None = None
+    high: float | None = None
     """Ends of the interval; None where the data give none on that side."""
-    unit: str
+    unit: str = ""
     """Unit of all three; "" for a share or a ratio."""
-    n: int
+    n: int = 0
     """Number of independent things it rests on, which `of` names."""
     of: str = "readings"
     """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
 
     @classmethod
-    def exact(cls, value: float) -> "IntervalEstimate":
-        """A number of which no interval is known."""
-        return cls(value, None, None, "", 0)
-
-    @classmethod
-    def about(cls, value: float, half: float, unit: str, n: int, of: str = "readings") -> "IntervalEstimate":
+    def about(cls, value: float, half: float, n: int, of: str = "readings", unit: str = "cm") -> "IntervalEstimate":
         """A number with an interval that reaches as far to both sides."""
         return cls(value, value - half, value + half, unit, n, of)
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the interval; infinite where the data give none."""
+        return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error, where the interval is roughly symmetric; infinite without one."""
+        low, high = self.ends
+        return (high - low) / (2 * Z)
+
     def holds(self, value: float) -> bool:
         """Whether a value is within the interval; an end that is not known is no limit."""
-        return (self.low is None or self.low <= value) and (self.high is None or value <= self.high)
+        low, high = self.ends
+        return low <= value <= high
 
     def mapped(self, change: Callable[[float], float]) -> "IntervalEstimate":
         """The estimate and both ends of its interval changed by a rising function."""

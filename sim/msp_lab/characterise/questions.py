@@ -267,7 +267,7 @@ def _detectable_odds(share: float, n: float, m: float, level: float) -> float:
 def _effect(metric: Metric, test: _Test, different: float, alike: float, level: float) -> FactorEffect:
     """What was found of an effect, by the p-values after Holm."""
     shown = detectable(test.error, test.freedom, level) if test.detectable is None else test.detectable(level)
-    estimate = IntervalEstimate.about(test.value, student(test.error, test.freedom), "cm", test.n, test.of)
+    estimate = IntervalEstimate.about(test.value, student(test.error, test.freedom), test.n, test.of)
     largest = MAX_CM
     if metric != "bias":
         estimate, shown, largest = replace(estimate.mapped(_exp), unit=""), _exp(shown), MAX_RATIO

@@ -5,9 +5,9 @@ errors, and mean errors with and without compensation, leave. Speeds of sound ar
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from scipy import stats
@@ -20,7 +20,6 @@ from msp_lab.characterise.estimates import (
     half_of_mean,
     line_design,
     mean_of_points,
-    standard_error,
 )
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -34,78 +33,57 @@ ROOM_C, ROOM_WITHIN_C = 21.1, 5.0
 experiment are those of room temperature, within so much, and what air is assumed beyond a box."""
 
 
-class _Air(NamedTuple):
-    """Temperatures of the air in a box at the sensor and beyond it, and of that which the sensor assumes [deg C]."""
-
-    box_c: float
-    room_c: float
-    calibration_c: float
-
-    def confined_cm(self, range_cm: Array, depth_cm: Array | float = math.inf) -> Array:
-        """Shift of a reading [cm] where the box's air fills the first so many centimetres."""
-        speed, box, room = self._speeds()
-        return (speed / box - speed / room) * np.minimum(range_cm, depth_cm)
-
-    def gradient_cm(self, range_cm: Array) -> Array:
-        """Shift of a reading [cm] where the temperature falls linearly from the sensor to the target.
-
-        The time of flight is the integral of dx / c over it, c = k sqrt(T): 2 R / (c_box + c_room) one way.
-        """
-        speed, box, room = self._speeds()
-        return range_cm * speed * (2.0 / (box + room) - 1.0 / room)
-
-    def _speeds(self) -> tuple[float, float, float]:
-        return speed_of_sound(self.calibration_c), speed_of_sound(self.box_c), speed_of_sound(self.room_c)
-
-
-def hot_boxes(questions: Sequence[Question], calibration_c: float) -> tuple[HotBox, ...]:
-    """One finding for each level of the temperature experiment that is not room temperature.
+def hot_boxes(questions: Sequence[Question], calibration_c: float) -> Iterator[HotBox]:
+    """Yield a finding for each level of the temperature experiment that is not room temperature.
 
     `questions` have what each level is compared with, `calibration_c` is the air temperature that the sensor assumes
     [deg C].
     """
-    boxes = [_hot_box(question, calibration_c) for question in questions if question.name == "temperature"]
-    return tuple(box for box in boxes if box is not None)
+    for question in questions:
+        if question.name == "temperature":
+            yield from _hot_box(question, calibration_c)
 
 
-def _hot_box(question: Question, calibration_c: float) -> HotBox | None:
-    points = [(p, p.air_temperature_c) for p in question.points if p.error and p.air_temperature_c is not None]
+def _hot_box(question: Question, calibration_c: float) -> Iterator[HotBox]:
+    points = [(p, p.error, p.air_temperature_c) for p in question.points if p.error and p.air_temperature_c is not None]
     zero = {p.place_cm: p.error for p in reversed(question.reference_points) if p.error}
-    pairs = [(p, p.error, other) for p, _ in points if p.error and (other := zero.get(p.place_cm))]
+    pairs = [(p, error, other) for p, error, _ in points if (other := zero.get(p.place_cm))]
     if len(pairs) < 3:
-        return None
-    far = [p.target_temperature_c for p, _ in points if p.target_temperature_c is not None]
+        return
+    far = [p.target_temperature_c for p, *_ in points if p.target_temperature_c is not None]
     near = [p.air_temperature_c for p in question.reference_points if p.air_temperature_c is not None]
-    box_c, room_c = float(np.mean([air_c for _, air_c in points])), float(np.mean(far or near or [ROOM_C]))
+    box_c, room_c = float(np.mean([air_c for *_, air_c in points])), float(np.mean(far or near or [ROOM_C]))
     if abs(box_c - ROOM_C) < ROOM_WITHIN_C:
-        return None
-    air = _Air(box_c, room_c, calibration_c)
-    range_cm = np.array([p.true_range_cm for p, _, _ in pairs])
+        return
+    range_cm = np.array([p.true_range_cm for p, *_ in pairs])
     shifts = [
         IntervalEstimate.about(
-            error.value - other.value, Z * math.hypot(standard_error(error), standard_error(other)), "cm", p.hits
+            error.value - other.value, Z * math.hypot(error.standard_error, other.standard_error), p.hits
         )
         for p, error, other in pairs
     ]
     shift_cm = np.array([shift.value for shift in shifts])
-    n, mean, depth = shift_cm.size, mean_of_points(shift_cm, "cm"), _depth(range_cm, shift_cm, air)
+    speed, box, room = speed_of_sound(calibration_c), speed_of_sound(box_c), speed_of_sound(room_c)
+    # Shift of a reading over each centimetre of the box's air.
+    slope = speed / box - speed / room
+    mean, depth = mean_of_points(shift_cm), _depth(range_cm, shift_cm, slope)
     # Correction that the readings call for: slope of -shift over range, in per cent.
     per_cent = fit_points(line_design(range_cm), -100.0 * shift_cm, 0.0).estimate(1, "%")
-    uniform_per_cent = -float(air.confined_cm(np.array(100.0)))
+    uniform_per_cent = slope * -100.0
     ideas: dict[AirBefore, Array] = {
-        "uniform": air.confined_cm(range_cm),
-        "gradient": air.gradient_cm(range_cm),
-        "confined": air.confined_cm(range_cm, depth.value),
+        "uniform": slope * range_cm,
+        # The time of flight is the integral of dx / c over the way, c = k sqrt(T): 2 R / (c_box + c_room) one way.
+        "gradient": range_cm * speed * (2.0 / (box + room) - 1.0 / room),
+        "confined": slope * np.minimum(range_cm, depth.value),
     }
-    squares = {name: float(((shift_cm - idea) ** 2).sum()) for name, idea in ideas.items()}
+    squares: dict[str, float] = {name: float(((shift_cm - idea) ** 2).sum()) for name, idea in ideas.items()}
     # The confined air has a parameter: it must explain significantly more.
-    squares["confined"] *= math.exp(2.0 * LIKELIHOOD_DROP / n)
+    squares["confined"] *= math.exp(2.0 * LIKELIHOOD_DROP / shift_cm.size)
     # A shift that grows with range has a wide mean and a slope.
     is_none = mean.holds(0.0) and per_cent.holds(0.0)
-    nearest: AirBefore = min(ideas, key=lambda name: squares[name])
-    best: AirBefore | Literal["none"] = "none" if is_none else nearest
+    best: AirBefore | Literal["none"] = "none" if is_none else min(ideas, key=lambda name: squares[name])
     compared: Literal["as", "and not"] = "as" if per_cent.holds(uniform_per_cent) else "and not"
-    return HotBox(
+    yield HotBox(
         level=question.level,
         box_c=box_c,
         room_c=room_c,
@@ -134,48 +112,46 @@ def _explanation(best: AirBefore | Literal["none"], depth: IntervalEstimate) -> 
     return f"air like that over the first {depth.value:.0f} cm explains it ({low} to {high} cm)"
 
 
-def _depth(range_cm: Array, shift_cm: Array, air: _Air) -> IntervalEstimate:
+def _depth(range_cm: Array, shift_cm: Array, slope: float) -> IntervalEstimate:
     """Length of the box's air by least squares, with its interval from the sum of squares."""
-    depths_cm = np.linspace(0.0, float(range_cm.max()), 1041)
-    squares = ((shift_cm - air.confined_cm(range_cm, depths_cm[:, None])) ** 2).sum(axis=1)
+    depths_cm = np.linspace(0.0, range_cm.max(), 1041)
+    squares = ((shift_cm - slope * np.minimum(range_cm, depths_cm[:, None])) ** 2).sum(axis=1)
     freedom = range_cm.size - 1
     inside = depths_cm[squares <= squares.min() * (1.0 + stats.f.ppf(CONFIDENCE, 1, freedom) / freedom)].tolist()
     high_cm = None if inside[-1] == depths_cm[-1] else inside[-1]
     return IntervalEstimate(float(depths_cm[squares.argmin()]), inside[0], high_cm, "cm", range_cm.size, "points")
 
 
-def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> tuple[CompensationRow, ...]:
-    """Mean error of each range of the compensation experiment as read, and compensated for the air's temperature.
+def compensation_table(points: Sequence[PointReadings], calibration: Calibration) -> Iterator[CompensationRow]:
+    """Yield the mean error of each range of the compensation experiment as read, and compensated for the temperature.
 
     The sensor's calibration is inverted first: compensation is about the air alone.
     """
-    ranges = sorted({round(point.range_cm, 3) for point in points})
-    rows = [_row(r, [p for p in points if round(p.range_cm, 3) == r], calibration) for r in ranges]
-    return tuple(row for row in rows if row is not None)
-
-
-def _row(range_cm: float, points: Sequence[PointReadings], calibration: Calibration) -> CompensationRow | None:
-    columns = [np.array([calibration.inverse(p.reading_cm), p.air_temperature_c, p.compensation]) for p in points]
-    hit_cm, air_c, factor = np.concatenate([each[:, p.is_hit] for each, p in zip(columns, points, strict=True)], axis=1)
-    if hit_cm.size < 3:
-        return None
-    half, compensated, thermometer_c, notes = half_of_mean(hit_cm, points[0].step_cm), None, None, []
-    uncompensated = IntervalEstimate.about(float(hit_cm.mean()) - range_cm, half, "cm", hit_cm.size)
-    if np.isnan(air_c).any():
-        notes.append("no thermometer here, so nothing to compensate with")
-    else:
-        thermometer_c = float(air_c.mean())
-        compensated = IntervalEstimate.about(float((hit_cm * factor).mean()) - range_cm, half, "cm", hit_cm.size)
-    if not calibration.is_identity:
-        notes.append("after the calibration")
-    calibration_k = points[0].sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
-    implied = uncompensated.mapped(lambda error: calibration_k / (1.0 + error / range_cm) ** 2 - ZERO_CELSIUS_K)
-    return CompensationRow(
-        range_cm=range_cm,
-        uncompensated=uncompensated,
-        compensated=compensated,
-        thermometer_c=thermometer_c,
+    for range_cm in sorted({round(point.range_cm, 3) for point in points}):
+        here = [point for point in points if round(point.range_cm, 3) == range_cm]
+        columns = [
+            np.array([calibration.inverse(point.reading_cm), point.air_temperature_c, point.compensation])[
+                :, point.is_hit
+            ]
+            for point in here
+        ]
+        hit_cm, air_c, factor = np.concatenate(columns, axis=1)
+        if hit_cm.size < 3:
+            continue
+        half, compensated, thermometer_c, notes = half_of_mean(hit_cm, here[0].step_cm), None, None, []
+        uncompensated = IntervalEstimate.about(float(hit_cm.mean()) - range_cm, half, hit_cm.size)
+        if np.isnan(air_c).any():
+            notes.append("no thermometer here, so nothing to compensate with")
+        else:
+            thermometer_c = float(air_c.mean())
+            compensated = IntervalEstimate.about(float((hit_cm * factor).mean()) - range_cm, half, hit_cm.size)
+        if not calibration.is_identity:
+            notes.append("after the calibration")
+        calibration_k = here[0].sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
         # The farther it reads, the colder.
-        implied_c=replace(implied, low=implied.high, high=implied.low, unit="deg C"),
-        note="; ".join(notes),
-    )
+        value, high, low = (
+            calibration_k / (1.0 + error_cm / range_cm) ** 2 - ZERO_CELSIUS_K
+            for error_cm in (uncompensated.value, *uncompensated.ends)
+        )
+        implied_c = replace(uncompensated, value=value, low=low, high=high, unit="deg C")
+        yield CompensationRow(range_cm, uncompensated, compensated, thermometer_c, implied_c, "; ".join(notes))

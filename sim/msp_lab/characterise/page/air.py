@@ -69,7 +69,7 @@ def compensation(rows: PictureData) -> Drawn:
     _arrows(axes, ours, SERIES[0], "ours, " if aside else "")
     if aside:
         pairs = [(each, reference.mean_errors_at(each)) for each in range_cm]
-        theirs = [(each + aside, *map(IntervalEstimate.exact, pair)) for each, pair in pairs if pair]
+        theirs = [(each + aside, *map(IntervalEstimate, pair)) for each, pair in pairs if pair]
         _arrows(axes, theirs, SERIES[5], f"{reference.name}'s, ")
     axes.set_xticks(range_cm, [f"{each:g}" for each in range_cm])
     return figure, caption

@@ -166,7 +166,7 @@ def _sonar(rows: PictureData) -> Drawn:
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
     intervals = {} if view is None else {each.range_cm: each.half_angle for each in view.angles}
     known = [
-        replace(intervals.get(where, IntervalEstimate.exact(angle)), value=angle)
+        replace(intervals.get(where, IntervalEstimate(angle)), value=angle)
         for where, angle in zip(range_cm.tolist(), measured_deg.tolist(), strict=True)
     ]
     words = "measured, up to the next angle tried"

@@ -98,8 +98,7 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
         for edge in () if smallest is None else (smallest, effect.mirrored(smallest)):
             if left <= edge <= right:
                 axes.vlines(edge, y - 0.7, y + 0.7, color=INK)
-        low = -np.inf if size.low is None else size.low
-        high = np.inf if size.high is None else size.high
+        low, high = size.ends
         axes.plot(np.clip([low, high], left, right), [y, y], color=colour)
         for value, points in ((low, 5), (high, 5), (size.value, 7)):
             if not left <= value <= right:
