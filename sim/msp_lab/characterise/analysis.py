@@ -26,7 +26,7 @@ from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import curve_through
-from msp_range.reading_model.sensor_model import BreakawayPoint, CalibrationKnot, MixtureParameters, SensorModel
+from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 
@@ -129,7 +129,7 @@ def characterise(
             *about_step,
             *_warnings(loaded, points, undisturbed, calibration),
             *_angle_warnings(() if view is None else view.angles, rows),
-            *_quieter(sensor, parameters),
+            *_spread_warnings(sensor, parameters),
         ),
     )
     findings = replace(findings, absent=_absent(findings, sensor, no_mixture))
@@ -224,9 +224,9 @@ def _changes(findings: Findings, sensor: SensorModel, rows: Sequence[tuple[float
     changes: dict[str, Any] = {}
     # Without held-out ranges nothing was decided, and the starting model's stays.
     if calibration is not None and calibration.held_out:
-        changes["calibration"] = tuple(CalibrationKnot(**asdict(knot)) for knot in calibration.knots)
+        changes["calibration"] = [asdict(knot) for knot in calibration.knots]
     if view is not None:
-        changes["breakaway"] = tuple(BreakawayPoint(range_cm=r, half_angle_deg=angle) for r, angle in rows) or None
+        changes["breakaway"] = [{"range_cm": r, "half_angle_deg": angle} for r, angle in rows] or None
         changes["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
     # An offset between sessions enters if its interval excludes 0.
     if calibration is not None and calibration.set_up_offset is not None and calibration.set_up_offset.low:
@@ -253,8 +253,7 @@ def _warnings(
     sensors = sorted({p.sensor for p in undisturbed})
     if len(sensors) > 1:
         yield f"one model for {len(sensors)} sensors ({', '.join(sensors)}): their differences are in its noise"
-    ranges = {round(p.range_cm, 1) for p in undisturbed}
-    if len(ranges) == 1:
+    if len({round(p.range_cm, 1) for p in undisturbed}) == 1:
         yield "one range only: no scale, no linearity, and nothing that depends on range can be found"
     by_sound = any(p.sensor_model.medium == "sound" for p in undisturbed)
     if calibration is not None and by_sound and all(np.isnan(p.air_temperature_c).all() for p in undisturbed):
@@ -262,9 +261,9 @@ def _warnings(
             "no air_temperature_c: a scale is the sensor's and the air's together, 0.17 % a degree; with "
             "a thermometer in the bridge the air would be corrected twice"
         )
-    few = [p for p in undisturbed if p.reading_cm.size < FEW_READINGS]
+    few = sum(p.reading_cm.size < FEW_READINGS for p in undisturbed)
     if few:
-        yield f"{len(few)} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
+        yield f"{few} of {len(undisturbed)} undisturbed points have fewer than {FEW_READINGS} readings"
     silent = [p for p in undisturbed if p.found.error is None]
     if silent:
         shown = ", ".join(f"{p.range_cm:g}" for p in silent[:5])
@@ -288,11 +287,11 @@ def _angle_warnings(angles: Sequence[BreakawayAngle], rows: Sequence[tuple[float
         yield f"an angle larger than at a shorter range was limited to that one: at {wider} cm"
 
 
-def _quieter(sensor: SensorModel, fitted: MixtureParameters | None) -> list[str]:
+def _spread_warnings(sensor: SensorModel, fitted: MixtureParameters | None) -> Iterator[str]:
     """Warn about a spread far below the starting model's: a vehicle shakes, and a filter must not be overconfident."""
-    if fitted is None or fitted.sigma_cm > sensor.reading_model.sigma_cm / 2.0:
-        return []
-    return [
-        f"the spread of {fitted.sigma_cm:.2g} cm was measured on a bench, and the starting model had "
-        f"{sensor.reading_model.sigma_cm:.2g} cm: on a vehicle, which shakes, a filter with it may be overconfident"
-    ]
+    started_cm = sensor.reading_model.sigma_cm
+    if fitted is not None and fitted.sigma_cm <= started_cm / 2.0:
+        yield (
+            f"the spread of {fitted.sigma_cm:.2g} cm was measured on a bench, and the starting model had "
+            f"{started_cm:.2g} cm: on a vehicle, which shakes, a filter with it may be overconfident"
+        )

@@ -107,9 +107,7 @@ def calibrate(
     chosen = _choose(data._replace(variance_cm2=data.variance_cm2 + (0.0 if line is None else line.between)))
     step_cm = used[0].step_cm
     return CalibrationFindings(
-        form=chosen.form,
-        knots=chosen.knots,
-        reason=chosen.reason,
+        **chosen._asdict(),
         bias=mean_of_points(data.reading_cm - data.true_cm, data.variance_cm2, extra_cm),
         offset=offset,
         scale=scale,
@@ -122,7 +120,6 @@ def calibrate(
         linearity_noise_floor_cm=noise_floor,
         reference_std_cm=reference_std_cm,
         set_up_offset=_set_up_offset(used, data, chosen.knots, set_up_std_cm),
-        held_out=chosen.held_out,
         held_out_unit="range and run" if _has_runs(data) else "range",
         true_cm=tuple(data.true_cm.tolist()),
         reading_cm=tuple(data.reading_cm.tolist()),
@@ -194,7 +191,9 @@ def _choose(data: _Points) -> _Choice:
     kept: Form = "none"
     kept_pieces, refused, held_out = 0, "", [HeldOut("none", _rms(errors[0]), None)]
     for form, pieces in tried:
-        gain = _gain(errors[kept_pieces], errors[pieces], data.range_cm)
+        # Mean square error taken off, ranges as the unit.
+        saved = errors[kept_pieces] ** 2 - errors[pieces] ** 2
+        gain = mean_of_points(np.array([saved[data.range_cm == each].mean() for each in ranges]), unit="cm^2")
         held_out.append(HeldOut(form, _rms(errors[pieces]), gain))
         is_better = gain.ends[0] > 0.0
         if is_better and by_run:
@@ -228,12 +227,6 @@ def _left_out_errors(data: _Points, pieces: int, group: Array) -> Array:
         places, readings = _fitted(data.select(~out), pieces)
         errors[out] = data.reading_cm[out] - piecewise_linear(places, readings, data.true_cm[out])
     return errors
-
-
-def _gain(simpler: Array, complex_: Array, group: Array) -> IntervalEstimate:
-    """Mean square error taken off, ranges as the unit."""
-    saved = simpler**2 - complex_**2
-    return mean_of_points(np.array([saved[group == each].mean() for each in np.unique(group)]), unit="cm^2")
 
 
 def _fitted(data: _Points, pieces: int) -> tuple[tuple[float, ...], tuple[float, ...]]:

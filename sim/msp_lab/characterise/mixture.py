@@ -6,7 +6,8 @@ is not noise of the sensor; the calibration deals with the differences between s
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 
@@ -72,10 +73,23 @@ def fit_mixture(
     except ValueError as error:
         notes.append(f"how well it fits is not known: {error}")
     moved = tuple(each for each in set_ups if each is not None)
-    notes += _placement_notes(moved, len(points))
+    if moved:
+        farthest_cm = max(abs(each.error_cm) for each in moved)
+        notes.append(
+            f"{len(moved)} of {len(points)} set-ups are fitted about the mean of their own hits, up to "
+            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
+            "reference was off by"
+        )
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
-    bound = {*result.at_bound, *raised}
-    notes += [_bound_note(name, name in raised) for name in result.estimates if name in bound]
+    bound = {
+        **dict.fromkeys(result.at_bound, "at its bound; the value may lie beyond it"),
+        **dict.fromkeys(
+            raised,
+            f"hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still come in "
+            "flight",
+        ),
+    }
+    notes += [f"{name}: {bound[name]}" for name in result.estimates if name in bound]
     unknown = result.not_identified
     # All weights are one number together, so none of them alone can be the starting model's.
     changed = {name: getattr(sensor.reading_model, name) for name in unknown if name in MixtureParameters.model_fields}
@@ -112,25 +126,9 @@ def _readings(
             # The mean of a placement's own hits has the error of its one reference in it.
             expected_cm, std_cm = expected_cm + set_up.error_cm, np.zeros(std_cm.size)
         columns.append(np.array([point.reading_cm, expected_cm, std_cm]))
-    joined = np.concatenate(columns, axis=1)
-    reading_cm, expected_cm, std_cm = joined[:, ~np.isnan(joined[0])]
-    return reading_cm, expected_cm, std_cm
-
-
-def _placement_notes(moved: Sequence[PlacementError], set_ups: int) -> Iterator[str]:
-    if moved:
-        farthest_cm = max(abs(each.error_cm) for each in moved)
-        yield (
-            f"{len(moved)} of {set_ups} set-ups are fitted about the mean of their own hits, up to {farthest_cm:.2f} "
-            "cm from the calibration: sigma_cm is the scatter within a set-up, without what the reference was off by"
-        )
-
-
-def _bound_note(name: str, is_floor: bool) -> str:
-    if is_floor:
-        floor = f"the model has its floor of {MIN_WEIGHT:g}, since it may still come in flight"
-        return f"{name}: hardly seen in these readings; {floor}"
-    return f"{name}: at its bound; the value may lie beyond it"
+    reading_cm, expected_cm, std_cm = np.concatenate(columns, axis=1)
+    answered = ~np.isnan(reading_cm)
+    return reading_cm[answered], expected_cm[answered], std_cm[answered]
 
 
 def _placement_error(point: PointReadings, calibration: Calibration) -> PlacementError | None:
@@ -150,9 +148,8 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound
         # The profile of the likelihood has no end here.
         low, high = None, None
     estimate = IntervalEstimate(result.estimates[name], low, high, UNIT.get(name, ""), result.readings)
-    if name in KINDS:
-        return MixtureParameter(f"weights.{name}", estimate, getattr(before.weights, name), at_bound)
-    return MixtureParameter(name, estimate, getattr(before, name), at_bound)
+    full_name = f"weights.{name}" if name in KINDS else name
+    return MixtureParameter(full_name, estimate, attrgetter(full_name)(before), at_bound)
 
 
 def _conditional(result: FitResult, expected_cm: Array) -> str:

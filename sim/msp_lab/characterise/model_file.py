@@ -18,8 +18,10 @@ from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.mixture_fit.likelihood import MIN_WEIGHT
 from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.recording.error import new_file
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
+from msp_sim.page.text import capitalised
 
 _SECTIONS = (
     ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
@@ -64,15 +66,10 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
 
 
 def write_new(path: Path, text: str) -> None:
-    """Write a file that must not exist yet, and make its folder; ConfigError if it does, or cannot be written."""
-    try:
+    """Write a file that must not exist yet, and make its folder; RecordingError if it does, or cannot be written."""
+    with new_file(path) as unfinished:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise ConfigError(f"{path}: there is a file already, and none is overwritten") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+        unfinished.write_text(text, encoding="utf-8")
 
 
 def model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
@@ -90,30 +87,30 @@ def model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, An
     content = sensor.model_dump(mode="json")
     named = {name for names in _SECTIONS for name in names}
     assert named == set(content), f"no section for {set(content) ^ named}"
-    comments = _kept(sensor, findings, start)
-    found = _fitted(findings)
-    comments |= {name: found[name] for name in (*changes, "predicted_breakaway", "evidence") if name in comments}
+    kept, fitted = _kept(sensor, findings), _fitted(findings)
     lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
     for names in _SECTIONS:
-        lines += [f"# {line}" for comment in comments[names[0]] for line in _WRAPPER.wrap(comment)]
+        name = names[0]
+        why = f": {kept[name]}" if kept.get(name) else ""
+        is_new = name in (*changes, "predicted_breakaway", "evidence")
+        comments = fitted[name] if is_new else [f"Kept from {start}{why}."]
+        lines += [f"# {line}" for comment in comments for line in _WRAPPER.wrap(comment)]
         lines += [*(_yaml(name, content[name]) for name in names), ""]
     text = "\n".join(lines)
     assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
     return text
 
 
-def _kept(sensor: SensorModel, findings: Findings, start: str) -> dict[str, list[str]]:
-    """Comments on the sections of the starting model, as if none had changed: why they were kept."""
+def _kept(sensor: SensorModel, findings: Findings) -> dict[str, str]:
+    """Why sections of the starting model were kept, where there is more to say than that."""
     view, calibration = findings.field_of_view, findings.calibration
-    why = {
+    return {
         "oblique_reading": view.oblique.reason if view else "no angles were measured",
         "breakaway": "no breakaway angle was measured",
         "calibration": calibration.reason if calibration else "nothing was measured on the axis",
         "reading_model": findings.absent.get("mixture", "nothing was fitted"),
         "effects": "added to another base than this one" if sensor.effects else "",
     }
-    names = [section[0] for section in _SECTIONS]
-    return {name: [f"Kept from {start}{f': {why[name]}' if why.get(name) else ''}."] for name in names}
 
 
 def _fitted(findings: Findings) -> dict[str, list[str]]:
@@ -133,7 +130,7 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
     if calibration is not None:
         std_cm, bias = calibration.reference_std_cm, calibration.bias
         stated = "is not stated" if std_cm is None else f"of {std_cm:g} cm is in it"
-        reason = f"{calibration.reason[0].upper()}{calibration.reason[1:]}"
+        reason = capitalised(calibration.reason)
         mean = f"Mean error {_interval(bias, 2)} cm over {bias.n} points; the reference's own {stated}."
         found["calibration"] = [f"Fitted: {calibration.form}. {reason}. {mean}"]
         if calibration.set_up_offset is not None:

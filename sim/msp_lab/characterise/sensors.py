@@ -64,11 +64,11 @@ class SensorResult:
     """Name of the starting model's file."""
 
     def write(self, path: Path) -> None:
-        """Write the model file; ConfigError if there is a file already, or it cannot be written."""
+        """Write the model file; RecordingError if there is a file already, or it cannot be written."""
         write_new(path, model_text(self.model, self.findings, self.changes, self.start))
 
     def publish(self, folder: Path) -> Path:
-        """Write all numbers and the page, and return the page; ConfigError if they cannot be written."""
+        """Write all numbers and the page, and return the page; UserError if they cannot be written."""
         write_new(folder / NUMBERS, as_json(self.findings))
         from msp_lab.characterise.page.write import write_report
 
@@ -85,7 +85,7 @@ def check_free(out: Path, folder: Path | None) -> None:
     """
     if folder is not None and out in (folder, *folder.parents):
         raise ConfigError(f"--report {folder}: {out} is to be the model file, expected another name for the folder")
-    for path in (out, *([] if folder is None else [folder / NUMBERS, folder / PAGE])):
+    for path in [out] if folder is None else [out, folder / NUMBERS, folder / PAGE]:
         if path.exists():
             there = "folder" if path.is_dir() else "file"
             raise ConfigError(f"{path}: there is a {there} already, and none is overwritten")
@@ -154,6 +154,5 @@ def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
     made.write(path)
     if report is not None:
         made.publish(report)
-    mixture = made.model.reading_model
-    shares = mixture.weights
-    return OfSensor(sensor, len(made.data), mixture.sigma_cm, shares.short, shares.missed, shares.random, str(path))
+    sigma_cm, shares = made.model.reading_model.sigma_cm, made.model.reading_model.weights
+    return OfSensor(sensor, len(made.data), sigma_cm, shares.short, shares.missed, shares.random, str(path))

@@ -137,10 +137,10 @@ def draw_errors(
 
 def scale_of(panels: Sequence[Errors], marked: Line | None = None) -> Scale:
     """Return the scale that shows nearly all readings of all panels and every marked error."""
-    errors = np.concatenate([each.error_cm[~each.missed] for each in panels] or [np.zeros(1)])
+    errors = np.concatenate([each.error_cm[~each.missed] for each in panels])
     # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
     shown = [-2.4, 2.4, *(() if marked is None else marked.error_cm)]
-    shown += list(np.quantile(errors, [0.0025, 0.9975])) if errors.size else []
+    shown += [*np.quantile(errors, [0.0025, 0.9975])] if errors.size else []
     scale = Scale(min(shown) - 0.8, max(shown) + 0.8)
     return Scale(min(scale.low, -LINEAR_CM), max(scale.high, LINEAR_CM)) if scale.is_compressed else scale
 
@@ -161,25 +161,24 @@ def share_bars(axes: Axes, left: ArrayLike, reading_cm: ArrayLike, width: ArrayL
 def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     """Draw each range's errors as a histogram on its side with its middle; counts of what it leaves out are above."""
     edges = edges_between(ranges_cm.tolist())
-    room_cm = float(np.min(np.diff(edges))) * 0.82
+    room_cm = np.min(np.diff(edges)) * 0.82
     thinnest_cm = 0.008 * (edges[-1] - edges[0])
-    bars, far, middles = [], [], []
-    for range_cm in np.unique(each.true_range_cm).tolist():
+    bars, far, middles = [np.empty((3, 0))], [np.empty((2, 0))], []
+    for range_cm in np.unique(each.true_range_cm[~each.missed]):
         errors = each.error_cm[(each.true_range_cm == range_cm) & ~each.missed]
-        if not errors.size:
-            continue
         middles.append((range_cm, *_middle_of(errors, scale)))
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
-        centre_cm = float(np.quantile(errors, 0.5, method="nearest"))
+        centre_cm = np.quantile(errors, 0.5, method="nearest")
         rounded_cm, is_far = centre_cm + np.rint(errors - centre_cm), scale.is_far(errors)
-        far += [(range_cm, error_cm) for error_cm in np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))]
-        for error_cm, count in zip(*np.unique(rounded_cm[~is_far], return_counts=True), strict=True):
-            bars.append((range_cm, error_cm, max(count / errors.size * room_cm, thinnest_cm)))
-    if bars:
-        x, y, width = np.array(bars).T
-        share_bars(row, x - width / 2.0, y, width)
-    if far:
-        row.plot(*np.array(far).T, "_", color=OURS, clip_on=False, label="readings farther off")
+        outside = np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))
+        far.append(np.array([np.full_like(outside, range_cm), outside]))
+        inside, counts = np.unique(rounded_cm[~is_far], return_counts=True)
+        width = np.maximum(counts / errors.size * room_cm, thinnest_cm)
+        bars.append(np.array([range_cm - width / 2.0, inside, width]))
+    share_bars(row, *np.concatenate(bars, axis=1))
+    x, y = np.concatenate(far, axis=1)
+    if x.size:
+        row.plot(x, y, "_", color=OURS, clip_on=False, label="readings farther off")
     _middles(row, middles, "")
     _count_above(row, each, ranges_cm, scale)
     row.set_xlim(edges[0], edges[-1])
@@ -190,46 +189,39 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
 
 def _count_above(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     """Write over each range how many of its readings are missed, and where there are any, how many are far off."""
-    far_off = f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis"
-    counted = {"missed": each.missed, far_off: scale.is_far(each.error_cm)}
-    counted = {words: flags for words, flags in counted.items() if words == "missed" or np.any(flags)}
-    at = np.searchsorted(ranges_cm, each.true_range_cm)
-    counts = np.array([np.bincount(at, flags, ranges_cm.size) for flags in counted.values()]).astype(int)[::-1]
-    there = np.bincount(at, minlength=ranges_cm.size)
-    of = [f"/{count}" if ranges_cm.size <= MOST_TICKS else "" for count in there]
-    shown = np.any(counts, axis=0) | ((there > 0) & (ranges_cm.size <= MOST_COUNTS))
-    words = [
-        "\n".join(f"{n}{all_of}" if n else "0" for n in column) for column, all_of in zip(counts.T, of, strict=True)
-    ]
+    counted = {"missed": each.missed}
+    is_far = scale.is_far(each.error_cm)
+    if np.any(is_far):
+        counted = {f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis": is_far, **counted}
+    shown, words, colours = [], [], []
+    for range_cm in ranges_cm:
+        here = each.true_range_cm == range_cm
+        counts = [np.count_nonzero(flags[here]) for flags in counted.values()]
+        if any(counts) or (np.any(here) and ranges_cm.size <= MOST_COUNTS):
+            of = f"/{np.count_nonzero(here)}" if ranges_cm.size <= MOST_TICKS else ""
+            shown.append(range_cm)
+            words.append("\n".join(f"{count}{of}" if count else "0" for count in counts))
+            colours.append(REFERENCE if any(counts) else GREY)
     above = row.secondary_xaxis("top")
-    above.set_xticks(ranges_cm[shown], np.array(words)[shown], fontsize=6.5)
+    above.set_xticks(shown, words, fontsize=6.5)
     above.tick_params(length=0)
     above.spines["top"].set_visible(False)
-    for text, any_of in zip(above.get_xticklabels(), np.any(counts, axis=0)[shown], strict=True):
-        text.set_color(REFERENCE if any_of else GREY)
+    for text, colour in zip(above.get_xticklabels(), colours, strict=True):
+        text.set_color(colour)
     look: dict[str, Any] = {"xycoords": "axes fraction", "ha": "right", "va": "bottom", "fontsize": 6.5, "color": GREY}
-    label(row, "\n".join(reversed(counted)), (0.0, 1.0), (-4, 4), **look)
+    label(row, "\n".join(counted), (0.0, 1.0), (-4, 4), **look)
 
 
 def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
     """Draw every reading as a dot, and their middle in bins of range."""
     x, y = each.true_range_cm[~each.missed], each.error_cm[~each.missed]
-    row.plot(
-        x,
-        np.clip(y, scale.low, scale.high),
-        ".",
-        color=OURS,
-        markersize=2,
-        alpha=0.35,
-        label="readings",
-        rasterized=True,
-    )
+    look: dict[str, Any] = {"color": OURS, "markersize": 2, "alpha": 0.35, "rasterized": True}
+    row.plot(x, np.clip(y, scale.low, scale.high), ".", label="readings", **look)
     if x.size:
         index = np.digitize(x, np.linspace(x.min(), x.max() + 1e-9, 25))
-        bins = [index == i for i in range(1, 25) if np.count_nonzero(index == i) >= 5]
-        _middles(
-            row, [(float(np.mean(x[here])), *_middle_of(y[here], scale)) for here in bins], " in bins", linestyle="-"
-        )
+        bins = [here for here in index == np.arange(1, 25)[:, None] if np.count_nonzero(here) >= 5]
+        middles = [(np.mean(x[here]), *_middle_of(y[here], scale)) for here in bins]
+        _middles(row, middles, " in bins", linestyle="-")
     missed = np.count_nonzero(each.missed)
     words, colour = f"missed {missed} of {each.missed.size}", REFERENCE if missed else GREY
     row.text(1.0, 1.01, words, transform=row.transAxes, ha="right", va="bottom", fontsize=7, color=colour)
@@ -238,7 +230,7 @@ def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
 def _middle_of(errors: Array, scale: Scale) -> tuple[float, float]:
     """The mean of the errors near their median, and half of its 95 % interval."""
     near = errors[np.abs(errors - np.median(errors)) <= scale.linear_cm]
-    return float(np.mean(near)), Z * float(np.std(near)) / np.sqrt(near.size)
+    return near.mean(), Z * near.std() / math.sqrt(near.size)
 
 
 def _middles(row: Axes, middles: Sequence[tuple[float, float, float]], where: str, **look: Any) -> None:
