@@ -366,6 +366,14 @@ def test_a_stray_reading_hides_neither_the_others_nor_their_mean() -> None:
     assert means.lines[0].get_ydata().tolist() == [0.0, 1.0]
 
 
+def test_half_of_the_readings_far_off_have_a_mean_near_the_median_too() -> None:
+    """A median between two clusters has no readings near it, and nothing would be drawn."""
+    errors = np.tile(np.repeat([0.0, -80.0], 50), 2)
+    (axes,) = draw_errors([Errors("one", np.repeat([100.0, 200.0], 100), errors, np.zeros(200, dtype=bool))]).axes
+    means: Any = next(each for each in axes.containers if type(each).__name__ == "ErrorbarContainer")
+    assert set(means.lines[0].get_ydata().tolist()) <= {0.0, -80.0}
+
+
 def test_an_axis_of_about_five_centimetres_is_to_scale() -> None:
     ranges = np.repeat([100.0, 200.0], 400)
     errors = np.random.default_rng(1).normal(0.0, 1.25, 800)

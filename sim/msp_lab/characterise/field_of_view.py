@@ -140,9 +140,8 @@ def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
     last = angles.size if is_reliable.all() else int(is_reliable.argmin())
     steps = _likely_steps(np.rint(of_wall), readings.astype(np.float64))
     first, after = min(last, steps[0]), max(last, steps[-1])
-    value, low = (float(angles[count - 1]) if count else 0.0 for count in (last, first))
-    high = float(angles[after]) if after < angles.size else None
-    return IntervalEstimate(value, low, high, "deg", int(readings.sum()))
+    below, above = [0.0, *angles.tolist()], [*angles.tolist(), None]
+    return IntervalEstimate(below[last], below[first], above[after], "deg", int(readings.sum()))
 
 
 def _likely_steps(of_wall: Array, readings: Array) -> list[int]:
@@ -150,14 +149,16 @@ def _likely_steps(of_wall: Array, readings: Array) -> list[int]:
 
     Those whose binomial likelihood, with one share before and one behind, is not significantly below the best.
     """
-    log_likelihood = []
-    for count in range(readings.size + 1):
-        total = 0.0
-        for part, least, most in ((slice(None, count), RELIABLE_SHARE, 1.0), (slice(count, None), 0.0, RELIABLE_SHARE)):
-            share = min(max(of_wall[part].sum() / max(readings[part].sum(), 1), least), most)
-            total += float((xlogy(of_wall[part], share) + xlogy(readings[part] - of_wall[part], 1.0 - share)).sum())
-        log_likelihood.append(total)
-    return [count for count, each in enumerate(log_likelihood) if each >= max(log_likelihood) - LIKELIHOOD_DROP]
+    seen, tried = (np.append(0.0, np.cumsum(each)) for each in (of_wall, readings))
+    before = _log_likelihood(seen, tried, RELIABLE_SHARE, 1.0)
+    total = before + _log_likelihood(seen[-1] - seen, tried[-1] - tried, 0.0, RELIABLE_SHARE)
+    return np.flatnonzero(total >= total.max() - LIKELIHOOD_DROP).tolist()
+
+
+def _log_likelihood(count: Array, of: Array, least: float, most: float) -> Array:
+    """Binomial log likelihood of counts by their own share, which is between these limits."""
+    share = np.clip(count / np.maximum(of, 1.0), least, most)
+    return np.asarray(xlogy(count, share) + xlogy(of - count, 1.0 - share))
 
 
 def _oblique(points: Sequence[AnglePoint]) -> Oblique:

@@ -85,18 +85,20 @@ class _Test(NamedTuple):
 def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     """All questions that every set-up of the data allows, with p-values corrected for all of them together."""
     asked = [question for name in QUESTIONS for question in _compared(name, points)]
-    tests = [(question, metric, _test(metric, question)) for question in asked for metric in NAMES]
-    done = [(metric, test) for _, metric, test in tests if test is not None]
+    tests = [[(metric, _test(metric, question)) for metric in NAMES] for question in asked]
+    done = [(metric, test) for each in tests for metric, test in each if test is not None]
     different = iter(holm([test.p_value for _, test in done]))
     alike = iter(holm([test.p_alike(metric) for metric, test in done]))
-    effects = [
-        FactorEffect(metric, None, None, None, BOUNDS[metric], "cannot tell", None)
-        if test is None
-        else _effect(metric, test, next(different), next(alike), LEVEL / len(done))
-        for _, metric, test in tests
-    ]
-    starts = range(0, len(effects), len(NAMES))
-    return tuple(_answered(question, effects[i : i + len(NAMES)]) for i, question in zip(starts, asked, strict=True))
+
+    def effect(metric: Metric, test: _Test | None) -> FactorEffect:
+        if test is None:
+            return FactorEffect(metric, None, None, None, BOUNDS[metric], "cannot tell", None)
+        return _effect(metric, test, next(different), next(alike), LEVEL / len(done))
+
+    return tuple(
+        _answered(question, [effect(*each) for each in of_question])
+        for question, of_question in zip(asked, tests, strict=True)
+    )
 
 
 def _compared(name: str, everything: Sequence[PointResult]) -> Iterable[Question]:

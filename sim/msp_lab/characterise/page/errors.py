@@ -166,19 +166,20 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     bars, far, middles = [np.empty((3, 0))], [np.empty((2, 0))], []
     for range_cm in np.unique(each.true_range_cm[~each.missed]):
         errors = each.error_cm[(each.true_range_cm == range_cm) & ~each.missed]
+        centre_cm = _median(errors)
         middles.append((range_cm, *_middle_of(errors, scale)))
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
-        centre_cm = np.quantile(errors, 0.5, method="nearest")
         rounded_cm, is_far = centre_cm + np.rint(errors - centre_cm), scale.is_far(errors)
-        outside = np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))
-        far.append(np.array([np.full_like(outside, range_cm), outside]))
+        edge_cm = np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))
+        far.append(np.array([np.full_like(edge_cm, range_cm), edge_cm]))
         inside, counts = np.unique(rounded_cm[~is_far], return_counts=True)
         width = np.maximum(counts / errors.size * room_cm, thinnest_cm)
         bars.append(np.array([range_cm - width / 2.0, inside, width]))
-    share_bars(row, *np.concatenate(bars, axis=1))
-    x, y = np.concatenate(far, axis=1)
-    if x.size:
-        row.plot(x, y, "_", color=OURS, clip_on=False, label="readings farther off")
+    drawn, outside = np.concatenate(bars, axis=1), np.concatenate(far, axis=1)
+    if drawn.size:
+        share_bars(row, *drawn)
+    if outside.size:
+        row.plot(*outside, "_", color=OURS, clip_on=False, label="readings farther off")
     _middles(row, middles, "")
     _count_above(row, each, ranges_cm, scale)
     row.set_xlim(edges[0], edges[-1])
@@ -227,9 +228,14 @@ def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
     row.text(1.0, 1.01, words, transform=row.transAxes, ha="right", va="bottom", fontsize=7, color=colour)
 
 
+def _median(errors: Array) -> float:
+    """The median, an error that occurs: between two clusters, half of the readings each, there is none."""
+    return float(np.quantile(errors, 0.5, method="nearest"))
+
+
 def _middle_of(errors: Array, scale: Scale) -> tuple[float, float]:
     """The mean of the errors near their median, and half of its 95 % interval."""
-    near = errors[np.abs(errors - np.median(errors)) <= scale.linear_cm]
+    near = errors[np.abs(errors - _median(errors)) <= scale.linear_cm]
     return near.mean(), Z * near.std() / math.sqrt(near.size)
 
 

@@ -3,17 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from msp_lab.characterise.estimates import Z
+from msp_lab.characterise.page.mixture import Densities, densities, longest_range_cm
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import interval
+from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags
-from msp_range.reading_model.mixture import ReadingModel
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import BARS, DOTS, GREY, INK, ORANGE, OURS, REFERENCE, label, new_axes, note
 from msp_sim.page.text import counted
@@ -24,12 +24,10 @@ PEAK_RANGE_CM = 1.0
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order."""
-    for masked in (False, True):
-        without = ", without codes for no echo" if masked else ""
-        end = "_masked" if masked else ""
-        for name, title, draw in (("in_order", "in order", in_order), ("histogram", "histogram", histogram)):
-            title = f"Readings at the longest range, {title}{without}"
-            yield f"longest_range_{name}{end}", title, partial(draw, rows, masked)
+    for masked, end, without in ((False, "", ""), (True, "_masked", ", without codes for no echo")):
+        for draw in (in_order, histogram):
+            title = f"Readings at the longest range, {draw.__name__.replace('_', ' ')}{without}"
+            yield f"longest_range_{draw.__name__}{end}", title, partial(draw, rows, masked)
 
 
 @dataclass(frozen=True)
@@ -49,6 +47,13 @@ class _FixedRange:
     def codes_cm(self) -> Array:
         """Codes for no echo [cm]."""
         return np.unique(self.reading_cm[self.missed & np.isfinite(self.reading_cm)])
+
+    @property
+    def caption(self) -> str:
+        """How many readings there are, and how many of them are codes."""
+        missed = self.percent(int(np.sum(self.missed)))
+        readings = f"{self.reading_cm.size:,} readings at {self.true_range_cm:g} cm"
+        return f"{readings}, of which {missed} are codes for no echo"
 
     @cached_property
     def limits_cm(self) -> tuple[float, float]:
@@ -79,21 +84,14 @@ def _readings(rows: PictureData, masked: bool) -> _FixedRange:
         found = rows.of("maximum_range")
     except Absent as absent:
         raise Absent(f"{absent} It takes many readings of a large target at one long range.") from None
-    ranges, counts = np.unique(rows.true_cm[found], return_counts=True)
-    # Of several long ranges the one with the most readings, and of equal ones the longest.
-    best = float(ranges[np.lexsort((ranges, counts))[-1]])
-    chosen = found & (rows.true_cm == best)
-    fixed = _FixedRange(best, rows.reading_cm[chosen], rows.missed[chosen])
+    true_cm = longest_range_cm(rows)
+    chosen = found & (rows.true_cm == true_cm)
+    fixed = _FixedRange(true_cm, rows.reading_cm[chosen], rows.missed[chosen])
     if masked and not np.any(np.isfinite(fixed.distance_cm)):
-        raise Absent(f"All {fixed.reading_cm.size:,} readings at {best:g} cm are codes for no echo.")
+        raise Absent(f"All {fixed.reading_cm.size:,} readings at {true_cm:g} cm are codes for no echo.")
     if not np.any(np.isfinite(fixed.reading_cm)):
-        raise Absent(f"None of the {fixed.reading_cm.size:,} pings at {best:g} cm was answered.")
+        raise Absent(f"None of the {fixed.reading_cm.size:,} pings at {true_cm:g} cm was answered.")
     return fixed
-
-
-def _missed(fixed: _FixedRange) -> str:
-    missed = fixed.percent(int(np.sum(fixed.missed)))
-    return f"{fixed.reading_cm.size:,} readings at {fixed.true_range_cm:g} cm, of which {missed} are codes for no echo"
 
 
 def in_order(rows: PictureData, masked: bool) -> Drawn:
@@ -114,14 +112,13 @@ def in_order(rows: PictureData, masked: bool) -> Drawn:
     else:
         for code_cm in fixed.codes_cm.tolist():
             here = number[fixed.reading_cm == code_cm]
-            look: dict[str, Any] = {"markersize": 9, "color": ORANGE, "label": "code for no echo"}
-            axes.plot(here, np.full(here.size, code_cm), "|", **look)
+            axes.plot(here, np.full(here.size, code_cm), "|", markersize=9, color=ORANGE, label="code for no echo")
             words = f"{code_cm:g} cm:\n{here.size} ({fixed.percent(here.size)})"
             axes.text(1.005, code_cm, words, transform=axes.get_yaxis_transform(), va="center", fontsize=7.5)
         axes.set_ylim(bottom=0.0)
     axes.set_xlim(0, number.size + 1)
     axes.xaxis.set_major_formatter("{x:,.0f}")
-    return figure, f"{_missed(fixed)}{', left out here' if masked else ''}."
+    return figure, f"{fixed.caption}{', left out here' if masked else ''}."
 
 
 def _running_mean(axes: Axes, number: Array, reading_cm: Array) -> None:
@@ -139,7 +136,7 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
     words = f"true range, {fixed.true_range_cm:g} cm"
     axes.axvline(fixed.true_range_cm, color=REFERENCE, linestyle="--", label=words)
     axes.grid(axis="x", visible=False)
-    caption = f"{_missed(fixed)}."
+    caption = f"{fixed.caption}."
     if not masked:
         _draw_all(axes, fixed)
         if found is not None:
@@ -153,7 +150,7 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
     if found is not None:
         caption = f"Without the codes there {_are_peaks(len(found.peaks_after))}, at {interval(found.peak)}."
     if rows.findings.mixture is not None:
-        _draw_fitted(axes, fixed, rows)
+        _draw_fitted(axes, fixed, densities(rows))
         caption += " Circles: what the mixture, fitted about these hits' own mean, expects in each centimetre."
     earlier = rows.reference
     if abs(fixed.true_range_cm - earlier.peak_range_cm) < PEAK_RANGE_CM:
@@ -168,7 +165,7 @@ def _are_peaks(count: int) -> str:
 
 def _draw_bulk(axes: Axes, fixed: _FixedRange) -> None:
     """How often each distance was read."""
-    distances_cm = fixed.distance_cm[np.isfinite(fixed.distance_cm)]
+    distances_cm = to_step(fixed.distance_cm[np.isfinite(fixed.distance_cm)], 1.0)
     words = f"{distances_cm.size:,} readings"
     axes.bar(*np.unique(distances_cm, return_counts=True), width=0.86, label=words, **BARS)
     axes.set_xlim(*fixed.limits_cm)
@@ -176,15 +173,11 @@ def _draw_bulk(axes: Axes, fixed: _FixedRange) -> None:
     fixed.note_outside(axes, 0.01)
 
 
-def _draw_fitted(axes: Axes, fixed: _FixedRange, rows: PictureData) -> None:
+def _draw_fitted(axes: Axes, fixed: _FixedRange, fitted: Densities) -> None:
     """What the fitted model expects in each centimetre, about the range that the fit took it to be."""
-    chosen = rows.of("maximum_range") & (rows.true_cm == fixed.true_range_cm)
-    expected_cm = float(np.mean(rows.apparent_cm[chosen]))
-    expected_cm += rows.placement_error_cm("maximum_range", fixed.true_range_cm)
     low, high = fixed.limits_cm
-    k = np.arange(max(np.ceil(low), 0.0), min(np.floor(high), rows.model.maximum_cm) + 1.0)
-    log_prob = ReadingModel.of(rows.model).log_prob(k, {"true_range_cm": np.full(k.size, expected_cm)})
-    expected = np.exp(log_prob) * fixed.reading_cm.size
+    shown = (fitted.reading_cm >= low) & (fitted.reading_cm <= high)
+    k, expected = fitted.reading_cm[shown], fitted.total[shown] * fixed.reading_cm.size
     words = "fitted model, and 95 % of counts"
     axes.errorbar(k, expected, yerr=Z * np.sqrt(expected), label=words, **DOTS)
     axes.set_ylim(bottom=0.0)
@@ -196,9 +189,9 @@ def _draw_all(axes: Axes, fixed: _FixedRange) -> None:
     is_code = np.isin(values, fixed.codes_cm)
     axes.bar(values[~is_code], counts[~is_code], width=3.0, color=OURS, label="readings")
     axes.bar(values[is_code], counts[is_code], width=5.0, color=ORANGE, label="code for no echo")
-    axes.set_xlim(0.0, 1.06 * max(float(np.max(values)), fixed.true_range_cm))
+    axes.set_xlim(0.0, 1.06 * max(np.max(values), fixed.true_range_cm))
     axes.set_yscale("log")
-    axes.set_ylim(0.7, float(np.max(counts)) * 4.0)
+    axes.set_ylim(0.7, np.max(counts) * 4.0)
     axes.yaxis.set_major_formatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else "")
     for value, count in zip(values[is_code].tolist(), counts[is_code].tolist(), strict=True):
         label(axes, f"{value:g} cm\n{count} ({fixed.percent(count)})", (value, count), (0, 4), ha="center")

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from msp_lab.characterise.estimates import wilson
 from msp_lab.characterise.findings import Mixture
@@ -16,7 +16,7 @@ from msp_lab.characterise.mixture import KINDS
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import interval
 from msp_lab.readings.resolution import to_step
-from msp_range.arrays import Array, Flags
+from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.page.page import Absent, Drawn, Entry
@@ -115,9 +115,9 @@ class Densities:
         """By kind: probability of each reading of this kind, of all readings."""
         return {kind: self.weight[kind] * self.density[kind] for kind in KINDS}
 
-    def bulk(self, share_of_peak: float) -> Flags:
-        """Readings of which the probability by the hits is more than this share of the peak's."""
-        return np.asarray(self.density["hit"] > share_of_peak * np.max(self.density["hit"]))
+    def bulk(self, share_of_peak: float) -> Indices:
+        """Places of the readings of which the probability by the hits is more than this share of the peak's."""
+        return np.flatnonzero(self.density["hit"] > share_of_peak * np.max(self.density["hit"]))
 
 
 def densities(rows: PictureData) -> Densities:
@@ -127,12 +127,12 @@ def densities(rows: PictureData) -> Densities:
     minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
     k = np.arange(float(minimum_cm), maximum_cm + 1.0)
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
-    mean_cm = float(np.mean(rows.apparent_cm[chosen]))
+    mean_cm = np.mean(rows.apparent_cm[chosen])
     steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
     apparent_cm = mean_cm + rows.placement_error_cm(condition, true_cm)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
-    at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm.tolist()]
+    at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm]
     *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
     by_kind = dict(zip(KINDS, by_each_kind, strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
@@ -143,19 +143,26 @@ def densities(rows: PictureData) -> Densities:
         true_range_cm=float(np.sum(k * by_kind["hit"])),
         reading_cm=k,
         density=by_kind,
-        weight={kind: float(share) for kind, share in zip(KINDS, whole.shares(apparent_cm), strict=True)},
+        weight=dict(zip(KINDS, whole.shares(apparent_cm), strict=True)),
         total=total,
         codes=[float(rows.model.maximum_cm), *([float(SATURATED_CM)] if garbled else [])],
         counts=np.bincount(readings, minlength=k.size).astype(np.float64),
     )
 
 
+def longest_range_cm(rows: PictureData) -> float:
+    """Of the true ranges of the maximum range the one with most readings, and of equal ones the longest [cm]."""
+    ranges, counts = np.unique(rows.true_cm[rows.of("maximum_range")], return_counts=True)
+    return float(ranges[np.lexsort((ranges, counts))[-1]])
+
+
 def _one_range(rows: PictureData) -> tuple[str, float]:
-    """Condition and true range: most readings of the maximum range, else a middle one of the baseline."""
-    condition = "maximum_range" if rows.has("maximum_range") else "baseline"
-    ranges, counts = np.unique(rows.true_cm[rows.of(condition)], return_counts=True)
+    """Condition and true range: the longest range, else a middle one of the baseline."""
+    if rows.has("maximum_range"):
+        return "maximum_range", longest_range_cm(rows)
+    ranges, counts = np.unique(rows.true_cm[rows.of("baseline")], return_counts=True)
     much = ranges[counts >= 0.5 * np.max(counts)]
-    return condition, float(much[much.size // 2])
+    return "baseline", float(much[much.size // 2])
 
 
 def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:
@@ -174,16 +181,15 @@ def density(rows: PictureData, kind: str) -> Drawn:
     fitted = densities(rows)
     figure, axes = new_axes(3.2, "reading [cm]", "probability of a centimetre")
     k, p = fitted.reading_cm, fitted.density[kind]
-    bulk = np.flatnonzero(fitted.bulk(1e-7))
+    bulk = fitted.bulk(1e-7)
+    shown = fitted.bulk(1e-5) if kind == "hit" else np.flatnonzero(p)
     if kind == "missed":
         _draw_missed(axes, fitted)
     else:
-        shown = fitted.bulk(1e-5) if kind == "hit" else p > 0.0
         axes.fill_between(k[shown], 0.0, p[shown], step="mid", **shaded(_KINDS[kind].colour))
         axes.step(k[shown], p[shown], where="mid", color=_KINDS[kind].colour, label="fitted, if it is of this kind")
     if kind == "hit":
-        cells = np.flatnonzero(shown)
-        _dots(axes, fitted, cells[:, None], "share read, and its 95 % interval", of=cells)
+        _dots(axes, fitted, shown[:, None], "share read, and its 95 % interval", of=shown)
     elif kind == "short":
         # Nothing else can be distinguished from the hits where they begin.
         _binned(axes, fitted, kind, slice(1, bulk[0]))
@@ -193,7 +199,7 @@ def density(rows: PictureData, kind: str) -> Drawn:
         _binned(axes, fitted, kind, slice(bulk[-1] + 1, -1))
         for edge, side, x in ((k[0], "right", -4), (k[-1], "left", 4)):
             label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side)
-        axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), float(k[-1]) * 1.08)
+        axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), k[-1] * 1.08)
         axes.margins(y=0.25)
     if kind in ("short", "random") and fitted.weight[kind] < NO_WEIGHT:
         rate = ",\nand its rate is the starting model's" if kind == "short" else ""
@@ -229,7 +235,7 @@ def _draw_missed(axes: Axes, fitted: Densities) -> None:
             words += f"\nread {100.0 * fitted.counts[place] / np.sum(fitted.counts):.2f} %"
         side, ha = (-1, "right") if k[place] > 0.85 * k[-1] else (1, "left")
         label(axes, words, (k[place], height), (14 * side, 2), va="bottom", ha=ha)
-    axes.set_xlim(0.0, float(k[-1]) * 1.06)
+    axes.set_xlim(0.0, k[-1] * 1.06)
     axes.margins(y=0.3)
 
 
@@ -255,22 +261,22 @@ def _binned(axes: Axes, fitted: Densities, kind: str, where: slice) -> None:
 def _dots(
     axes: Axes,
     fitted: Densities,
-    bins: Iterable[NDArray[np.intp]],
+    bins: Iterable[Indices],
     words: str,
     scale: ArrayLike = 1.0,
     *,
-    of: NDArray[np.intp] | slice = slice(None),
+    of: Indices | slice = slice(None),
     omits_none: bool = True,
 ) -> None:
     """Shares of the readings in bins times a scale, each with its interval.
 
     The readings are those ``of`` some centimetres; bins without any may be omitted.
     """
-    if not np.any(fitted.counts[of]):
+    total, pairs = np.sum(fitted.counts[of]), []
+    if not total:
         return
-    total, pairs = float(np.sum(fitted.counts[of])), []
     for cells in bins:
-        count = float(np.sum(fitted.counts[cells]))
+        count = np.sum(fitted.counts[cells])
         pairs.append((np.mean(fitted.reading_cm[cells]), count / total, *wilson(count, total)))
     k, *shares = np.array(pairs).reshape(-1, 4).T
     share, low, high = np.array(shares) * np.asarray(scale)
@@ -286,7 +292,7 @@ def _whole_mixture(rows: PictureData) -> Drawn:
     k, parts = fitted.reading_cm, fitted.parts
     is_code = np.isin(k, fitted.codes)
     plain = np.concatenate([p[~is_code & (p > 0.0)] for p in (parts["short"], parts["random"])])
-    least = 0.2 * float(np.min(plain)) if plain.size else 1e-7
+    least = 0.2 * np.min(plain) if plain.size else 1e-7
     bins = _fine_and_broad((np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
     words = f"read ({np.sum(fitted.counts):,.0f} readings)"
     _dots(axes, fitted, bins, words, [1.0 / cells.size for cells in bins])
@@ -299,14 +305,14 @@ def _whole_mixture(rows: PictureData) -> Drawn:
     axes.plot(k, np.where(is_code, np.nan, fitted.total), color=INK, linewidth=0.8, label="all together")
     axes.set_yscale("log")
     axes.set_ylim(least, 2.0)
-    axes.set_xlim(0.0, float(k[-1]) * 1.03)
+    axes.set_xlim(0.0, k[-1] * 1.03)
     return figure, (
         f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
         f"{found.readings:,} readings. {sentence(found.conditional)}"
     )
 
 
-def _fine_and_broad(single: Flags) -> list[NDArray[np.intp]]:
+def _fine_and_broad(single: Flags) -> list[Indices]:
     """Bins of one centimetre where it is single, elsewhere of some 25, in which few readings look like few."""
     stretches = np.split(np.arange(single.size), np.flatnonzero(np.diff(single.astype(int))) + 1)
     parts = [stretch.size if single[stretch[0]] else max(stretch.size // 25, 1) for stretch in stretches]

@@ -14,7 +14,7 @@ import numpy as np
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.errors import Errors
-from msp_lab.characterise.points import PointReadings, conditions, sort_into_points
+from msp_lab.characterise.points import PointReadings, sort_into_points
 from msp_lab.characterise.reference import ReferenceNumbers
 from msp_range.arrays import Array, Flags, Texts
 from msp_range.reading_model.sensor_model import SensorModel
@@ -57,7 +57,12 @@ class PictureData:
     @cached_property
     def level(self) -> Texts:
         """What each row's experiment varies, as a word."""
-        return self._of_points(np.full(len(self.data), "", dtype="<U48"), lambda point: point.level)
+        return self._of_points(np.full(len(self.data), "", dtype="<U64"), lambda point: point.level)
+
+    @cached_property
+    def condition(self) -> Texts:
+        """Each row's experiment; "" without a true range."""
+        return self._of_points(np.full(len(self.data), "", dtype="<U64"), lambda point: point.condition)
 
     @cached_property
     def apparent_cm(self) -> Array:
@@ -98,24 +103,16 @@ class PictureData:
         Absent
             There are none.
         """
-        rows = self._with_condition(condition)
-        if not np.any(np.isfinite(self.true_cm)):
+        if not self._points:
             raise Absent("No row has a true range (column true_range_cm).")
-        if not np.any(rows):
+        if not self.has(condition):
             hint = "" if "condition" in self.data else " (there is no column condition with the experiment)"
             raise Absent(f"No readings of {EXPERIMENTS[condition].called} are in the data{hint}.")
-        return rows
+        return np.asarray(self.condition == condition)
 
     def has(self, condition: str) -> bool:
         """Whether there are rows of an experiment that have a true range."""
-        return bool(np.any(self._with_condition(condition)))
-
-    def _with_condition(self, condition: str) -> Flags:
-        return np.asarray(np.isfinite(self.true_cm) & (self._conditions == condition))
-
-    @cached_property
-    def _conditions(self) -> Texts:
-        return conditions(self.data)
+        return bool(np.any(self.condition == condition))
 
     def errors(self, rows: Flags, label: str = "", reading_cm: Array | None = None) -> Errors:
         """Errors of some rows; of other readings than those that the sensor gave where `reading_cm` has them [cm].

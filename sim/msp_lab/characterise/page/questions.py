@@ -1,5 +1,6 @@
 """The questions (does it matter?) as a forest plot: size, interval, what would be small enough, what could be seen."""
 
+import math
 import textwrap
 from collections.abc import Sequence
 from functools import partial
@@ -134,12 +135,9 @@ def _set_scale(axes: Axes, rows: Sequence[Row], is_ratio: bool) -> None:
 
 def _reach(rows: Sequence[Row], is_ratio: bool) -> float:
     """How far the axis goes to either side: past values and bounds and, within reason, past intervals."""
-    near = [each for _, effect, size in rows for each in (size.value, effect.bound)]
-    others = [each for _, effect, size in rows for each in (size.low, size.high, effect.smallest_detectable)]
-    ends = [each for each in others if each is not None]
-    if not is_ratio:
-        far = max(map(abs, near))
-        return 1.15 * float(min(max([far, *map(abs, ends)]), 3.0 * far))
-    limit = max([*(abs(np.log(each)) for each in near if each > 0.0), np.log(2.0)])
-    logs = [abs(np.log(each)) for each in ends if each > 0.0 and np.isfinite(each)]
-    return float(np.exp(1.15 * min(max([limit, *logs]), np.log(100.0))))
+    ends = [(size.value, effect.bound, *size.ends, effect.smallest_detectable) for _, effect, size in rows]
+    sizes = np.array(ends, dtype=float)
+    sizes = np.abs(np.log(sizes) if is_ratio else sizes)
+    least, most = (np.log(2.0), np.log(100.0)) if is_ratio else (0.0, 3.0 * np.max(sizes[:, :2]))
+    reach = 1.15 * float(np.clip(np.max(sizes[np.isfinite(sizes)]), least, most))
+    return math.exp(reach) if is_ratio else reach

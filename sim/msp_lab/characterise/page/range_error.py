@@ -15,6 +15,7 @@ from msp_lab.characterise.page.errors import draw_errors, scale_of
 from msp_lab.characterise.page.picture_data import PictureData, summary
 from msp_lab.characterise.page.text import interval, span
 from msp_lab.characterise.temperature import ROOM_C
+from msp_range.arrays import Flags
 from msp_range.correction.calibration import curve_through
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, line_at_zero, new_figure, shaded
@@ -63,7 +64,7 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     figure = new_figure(3.7)
     axes, *side = figure.subplots(1, 2, width_ratios=(3.4, 1.0)) if found.held_out else [figure.subplots()]
     true_cm, reading_cm = np.array(found.true_cm), np.array(found.reading_cm)
-    span_cm = np.linspace(float(np.min(true_cm)), float(np.max(true_cm)), 200)
+    span_cm = np.linspace(np.min(true_cm), np.max(true_cm), 200)
     line_at_zero(axes)
     if found.reference_std_cm:
         half_cm, words = 2.0 * found.reference_std_cm, "± 2 standard deviations of the reference"
@@ -114,7 +115,7 @@ def baseline(rows: PictureData) -> Drawn:
 def _materials(rows: PictureData) -> list[str]:
     """Targets of the material experiment; none where it was not done."""
     target = rows.data.column("target")
-    return [str(each) for each in np.unique(target[rows.of("material")]) if each] if rows.has("material") else []
+    return [each for each in np.unique(target[rows.of("material")]).tolist() if each] if rows.has("material") else []
 
 
 def material(rows: PictureData, name: str) -> Drawn:
@@ -122,10 +123,14 @@ def material(rows: PictureData, name: str) -> Drawn:
     found, target, there = rows.of("material"), rows.data.column("target"), _materials(rows)
     if name not in there:
         raise Absent(f"No readings of {name}; the targets are {', '.join(there) or 'not named (column target)'}.")
-    errors = rows.errors(found & (target == name))
-    scale = scale_of([rows.errors(found & (target == each)) for each in there])
-    caption = summary(errors) + _answers(rows, "material", name)
-    return draw_errors([errors], scale), caption
+    figure, caption = _one_of(rows, {each: found & (target == each) for each in there}, name)
+    return figure, caption + _answers(rows, "material", name)
+
+
+def _one_of(rows: PictureData, groups: dict[str, Flags], name: str) -> Drawn:
+    """Draw one of several groups of readings, on the scale that all of them need."""
+    errors = {each: rows.errors(here) for each, here in groups.items() if np.any(here)}
+    return draw_errors([errors[name]], scale_of(list(errors.values()))), summary(errors[name])
 
 
 def temperature(rows: PictureData, kind: str) -> Drawn:
@@ -142,15 +147,14 @@ def temperature(rows: PictureData, kind: str) -> Drawn:
     if not np.any(here):
         there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint(air_c[found & np.isfinite(air_c)]))[:8])
         raise Absent(f"No readings at {kind} temperature; the air was at {there} °C.")
-    errors = rows.errors(here)
-    scale = scale_of([rows.errors(each) for each in kinds.values() if np.any(each)])
+    figure, counts = _one_of(rows, kinds, kind)
     far_c = rows.data.column("target_temperature_c")[here]
     at_target = f", at the target {span(far_c)} °C" if np.any(np.isfinite(far_c)) else ""
-    caption = f"Air at the sensor {span(air_c[here])} °C{at_target}. {summary(errors)}"
+    caption = f"Air at the sensor {span(air_c[here])} °C{at_target}. {counts}"
     for box in rows.findings.hot_boxes:
-        if kind != "room" and (box.box_c > ROOM_C) == (kind == "hot"):
+        if kind == ("hot" if box.box_c > ROOM_C else "cold"):
             caption += f" {sentence(box.answer)}"
-    return draw_errors([errors], scale), caption
+    return figure, caption
 
 
 def vibration(rows: PictureData) -> Drawn:
@@ -180,7 +184,7 @@ def crosstalk(rows: PictureData, condition: str) -> Drawn:
 def external(rows: PictureData) -> Drawn:
     """Draw the range error at each level of external ultrasound."""
     found = rows.of("external_interference")
-    levels = [str(each) for each in np.unique(rows.level[found])]
+    levels = np.unique(rows.level[found]).tolist()
     levels.sort(key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0")))
     panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MAX_LEVELS]]
     caption = f"{summary(rows.errors(found))} {_answers(rows, 'external_interference')}".strip()
