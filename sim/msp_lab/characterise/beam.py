@@ -34,13 +34,12 @@ def predict_breakaway(sensor: SensorModel) -> PredictedBreakaway:
     if len(sensor.breakaway) >= PARAMETERS:
         sonar = fit_sonar(measured, sensor.frequency_hz, (sensor.heard_on_axis_cm or 0.0) / 100.0)
         beam = extended_beam(measured, sonar, sensor.maximum_cm / 100.0)
-    last = beam.half_angles_deg.index(beam.half_angles_deg[-1])
-    added = slice(len(measured.ranges_m), last + 1)
-    rows = (
+    rows = [
         BreakawayPoint(range_cm=round(100.0 * range_m, 6), half_angle_deg=round(angle_deg, DIGITS))
-        for range_m, angle_deg in zip(beam.ranges_m[added], beam.half_angles_deg[added], strict=True)
-    )
-    return PredictedBreakaway(inputs=sensor.beam_inputs, rows=tuple(rows))
+        for range_m, angle_deg in zip(beam.ranges_m, beam.half_angles_deg, strict=True)
+    ]
+    last = beam.half_angles_deg.index(beam.half_angles_deg[-1])
+    return PredictedBreakaway(inputs=sensor.beam_inputs, rows=tuple(rows[len(sensor.breakaway) : last + 1]))
 
 
 def with_prediction(text: str, predicted: PredictedBreakaway) -> str:

@@ -184,7 +184,7 @@ def mean_and_spread(values: Array, step: float, usual_spread: float | None = Non
     Parameters
     ----------
     values
-        Rounded to `step`, or continuous (`step` 0); at least one.
+        Rounded to `step`, or continuous (`step` 0); at least two.
     step
         Of the rounding, in the values' unit, which is the estimates' too [cm].
     usual_spread
@@ -208,8 +208,6 @@ def mean_and_spread(values: Array, step: float, usual_spread: float | None = Non
     if _is_of_few_steps(values, step):
         return _of_rounded(values, step, None if usual_spread is None else usual_spread / step)
     n, average = values.size, float(values.mean())
-    if n < 2:
-        return MeanAndSpread(*(IntervalEstimate(value, unit="cm", n=n) for value in (average, 0.0)))
     variance = float(values.var(ddof=1))
     mean = IntervalEstimate.about(average, student(math.sqrt(variance / n), n - 1), n)
     low, high = (n - 1) * variance / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)

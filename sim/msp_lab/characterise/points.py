@@ -11,14 +11,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread, root_without
 from msp_lab.characterise.point_findings import PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
-from msp_range.arrays import Array, Flags, Texts, numbered
+from msp_range.arrays import Array, Flags, Indices, Texts, numbered
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
 
@@ -90,7 +89,7 @@ class PointReadings:
     """Limits, codes and calibration temperature."""
     step_cm: float
     """Step of the readings [cm]; 0 where they have none."""
-    rows: NDArray[np.int64]
+    rows: Indices
     """Their row numbers in the data."""
     usual_spread_cm: float | None = None
     """Spread before rounding that the baseline's set-ups have in common [cm]; None where too few of them show any."""
@@ -245,10 +244,8 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     condition = conditions(known)
     words = {name: known.column(name) for name in ("sensor", "run")}
     words |= {"condition": condition, "level": _levels(known, condition, sensor_model.frequency_hz)}
-    columns = {name: known.column(name) for name in ("reading_cm", "true_range_cm", "air_temperature_c")}
-    columns |= {"reference_std_cm": np.nan_to_num(known.column("true_range_std_cm")), "rows": rows}
-    means = {name: known.column(name) for name in ("incidence_deg", "target_temperature_c")}
-    angle = np.where(condition == "field_of_view", np.round(np.nan_to_num(means["incidence_deg"]), 1), 0.0)
+    incidence_deg = np.nan_to_num(known.column("incidence_deg"))
+    angle = np.where(condition == "field_of_view", np.round(incidence_deg, 1), 0.0)
     settings = [np.nan_to_num(known.column(name), nan=-1.0) for name in SETTINGS]
     different = (*words.values(), known.column("target"), _places(known["true_range_cm"]), angle, *settings)
     keys = np.column_stack([numbered(column) for column in different])
@@ -256,10 +253,22 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
     step_cm = step_of(known["reading_cm"], ON_STEP_SHARE)
     points = []
     for here in np.split(np.argsort(point, kind="stable"), np.cumsum(np.bincount(point))[:-1]):
-        fields: dict[str, Any] = {name: str(column[here[0]]) for name, column in words.items()}
-        fields |= {name: column[here] for name, column in columns.items()}
-        fields |= {name: _mean(column[here]) for name, column in means.items()}
-        points.append(PointReadings(sensor_model=sensor_model, step_cm=step_cm, **fields))
+        part = known.select(here)
+        names: dict[str, Any] = {name: str(column[here[0]]) for name, column in words.items()}
+        points.append(
+            PointReadings(
+                **names,
+                reading_cm=part["reading_cm"],
+                true_range_cm=part["true_range_cm"],
+                air_temperature_c=part.column("air_temperature_c"),
+                reference_std_cm=np.nan_to_num(part.column("true_range_std_cm")),
+                incidence_deg=_mean(part.column("incidence_deg")),
+                target_temperature_c=_mean(part.column("target_temperature_c")),
+                sensor_model=sensor_model,
+                step_cm=step_cm,
+                rows=rows[here],
+            )
+        )
     points.sort(key=lambda each: int(each.rows[0]))
     alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
     usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)

@@ -200,56 +200,45 @@ def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], floa
     return found
 
 
-class _Counts(NamedTuple):
-    """Readings at some points of which something is true, and all readings there that can be."""
+def _counts(points: Iterable[PointResult], metric: Metric) -> tuple[Array, Array]:
+    """Readings of which something is true, and all that can be, at each point that has any, (points,) each."""
+    rows = [(p.missed, p.readings) if metric == "missed" else (p.outliers, p.readings - p.missed) for p in points]
+    counts, of = np.array([row for row in rows if row[1]], dtype=float).reshape(-1, 2).T
+    return counts, of
 
-    counts: Array
-    of: Array
 
-    @classmethod
-    def at(cls, points: Iterable[PointResult], metric: Metric) -> "_Counts":
-        rows = [(p.missed, p.readings) if metric == "missed" else (p.outliers, p.readings - p.missed) for p in points]
-        return cls(*np.array([row for row in rows if row[1]], dtype=float).reshape(-1, 2).T)
-
-    @property
-    def table(self) -> tuple[int, int]:
-        """How many are, and how many are not."""
-        true = int(self.counts.sum())
-        return true, int(self.of.sum()) - true
-
-    @property
-    def overdispersion(self) -> float:
-        """Variance of the points' counts over that of independent readings, at least 1."""
-        share = self.counts.sum() / self.of.sum()
-        if self.of.size < 2 or not 0.0 < share < 1.0:
-            return 1.0
-        squares = float(((self.counts - share * self.of) ** 2 / (share * self.of * (1.0 - share))).sum())
-        return max(squares / (self.of.size - 1), 1.0)
+def _overdispersion(counts: Array, of: Array) -> float:
+    """Variance of the points' counts over that of independent readings, at least 1."""
+    share = counts.sum() / of.sum()
+    if of.size < 2 or not 0.0 < share < 1.0:
+        return 1.0
+    squares = ((counts - share * of) ** 2 / (share * of * (1.0 - share))).sum()
+    return max(float(squares) / (of.size - 1), 1.0)
 
 
 def _odds(metric: Metric, question: Question) -> _Test | None:
     """Logarithm of the odds ratio over all readings at equal ranges, with the variance between points."""
     ranges = {p.place_cm for p in question.reference_points}
-    varied = _Counts.at((p for p in question.points if p.place_cm in ranges), metric)
-    reference = _Counts.at(question.reference_points, metric)
-    if not varied.of.size or not reference.of.size:
+    counts, of = _counts((p for p in question.points if p.place_cm in ranges), metric)
+    reference_counts, reference_of = _counts(question.reference_points, metric)
+    if not of.size or not reference_of.size:
         return None
-    over_reference = reference.overdispersion
+    over_reference = _overdispersion(reference_counts, reference_of)
     # The points of an external source differ by their dose, which is the effect itself and no reason to doubt it.
-    over = over_reference if question.name == "external_interference" else varied.overdispersion
-    table = np.array([varied.table, reference.table])
+    over = over_reference if question.name == "external_interference" else _overdispersion(counts, of)
+    n, m, true, reference_true = (int(each.sum()) for each in (of, reference_of, counts, reference_counts))
+    table = np.array([[true, n - true], [reference_true, m - reference_true]])
     # Half a reading more of each kind: none of a kind is no certainty.
     (a, b), (c, d) = (table + 0.5).tolist()
-    n, m = table.sum(axis=1).tolist()
     error = math.sqrt(over * (1.0 / a + 1.0 / b) + over_reference * (1.0 / c + 1.0 / d))
-    freedom = varied.of.size + reference.of.size - 2.0
+    freedom = of.size + reference_of.size - 2.0
     if max(over, over_reference) > MAX_VARIANCE_RATIO and freedom >= 1.0:
         # By ranks: one point that is unlike all others is no evidence.
-        p_value = stats.mannwhitneyu(varied.counts / varied.of, reference.counts / reference.of, method="asymptotic")[1]
+        p_value = stats.mannwhitneyu(counts / of, reference_counts / reference_of, method="asymptotic")[1]
     else:
         freedom, p_value = math.inf, stats.fisher_exact(table)[1]
     width = 1.645 * math.sqrt(over * a * b / n**3 + over_reference * c * d / m**3)
-    small = abs(table[0, 0] / n - table[1, 0] / m) + width < SHARE_BOUND
+    small = abs(true / n - reference_true / m) + width < SHARE_BOUND
     shown = partial(_detectable_odds, c / (m + 1.0), n / over, m / over_reference)
     return _Test(math.log(a * d / (b * c)), error, freedom, n + m, "readings", float(p_value), small, shown)
 

@@ -16,7 +16,7 @@ from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Findings, as_json
 from msp_lab.characterise.model_file import changed, model_text, write_new
 from msp_lab.readings.column_map import load_maps
-from msp_lab.readings.intake import LoadedReadings, load_readings, sensors_in, without_impossible
+from msp_lab.readings.intake import load_readings, sensors_in, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
@@ -42,10 +42,6 @@ class Characterisation:
     reference_std_cm: float | None = None
     set_up_std_cm: float | None = None
     """As for `msp_lab.characterise.analysis.characterise`."""
-
-    def load(self, start: SensorModel, sensors: Sequence[str] = ()) -> LoadedReadings:
-        """The readings of these sensors (none: all)."""
-        return load_readings(self.data, start, load_maps(self.column_map), sensors=sensors, truth=self.truth)
 
     def sensors(self) -> list[str]:
         """Names of the sensors in the readings."""
@@ -105,7 +101,8 @@ def characterised(
         The readings cannot be used.
     """
     start = load_sensor_model(how.start)
-    loaded = without_impossible(how.load(start, sensors), start)
+    loaded = load_readings(how.data, start, load_maps(how.column_map), sensors=sensors, truth=how.truth)
+    loaded = without_impossible(loaded, start)
     findings, changes = characterise(
         loaded,
         start,

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from msp_lab.characterise.page.errors import Line, draw_errors, scale_of, with_reach
 from msp_lab.characterise.page.picture_data import PictureData, summary
+from msp_lab.characterise.page.text import span
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.acoustics.air import compensate_range
 from msp_range.arrays import Array
@@ -40,7 +41,7 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
     if np.any(known):
         compensated_cm = compensate_range(rows.reading_cm / 100.0, air_c, assumed_c) * 100.0
         both.append(rows.errors(known, reading_cm=compensated_cm))
-        air = f" Air {np.min(air_c[known]):.1f} to {np.max(air_c[known]):.1f} °C; the sensor assumes {assumed_c:g} °C."
+        air = f" Air {span(air_c[known])} °C; the sensor assumes {assumed_c:g} °C."
     errors = both[int(after)]
     marked = _reference_errors(rows, np.unique(both[0].true_range_cm), after)
     return draw_errors([errors], scale_of(both, marked), marked), summary(errors) + air

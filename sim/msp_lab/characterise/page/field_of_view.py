@@ -15,7 +15,6 @@ from msp_lab.characterise.findings import AnglePoint, BreakawayAngle
 from msp_lab.characterise.page.errors import share_bars, with_reach
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import half_interval
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.sonar import STEP_DEG, Sonar
 from msp_range.arrays import Array, Flags
 from msp_sim.page.page import Absent, Drawn, Entry
@@ -150,7 +149,8 @@ def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle) -> None:
 
 def _sonar(rows: PictureData) -> Drawn:
     """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
-    sonar, view = rows.needed(rows.findings.sonar, "sonar"), rows.findings.field_of_view
+    sonar = rows.needed(rows.findings.sonar, "sonar")
+    view = rows.needed(rows.findings.field_of_view, "field_of_view")
     range_cm, measured_deg, fitted_deg, others_deg = np.array(
         [(row.range_cm, row.measured_deg, row.fitted_deg, row.left_out_deg) for row in sonar.rows], dtype=float
     ).T
@@ -164,11 +164,8 @@ def _sonar(rows: PictureData) -> Drawn:
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
     axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted")
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    intervals = {} if view is None else {each.range_cm: each.half_angle for each in view.angles}
-    known = [
-        replace(intervals.get(where, IntervalEstimate(angle)), value=angle)
-        for where, angle in zip(range_cm.tolist(), measured_deg.tolist(), strict=True)
-    ]
+    intervals = {each.range_cm: each.half_angle for each in view.angles}
+    known = [replace(intervals[row.range_cm], value=row.measured_deg) for row in sonar.rows]
     words = "measured, up to the next angle tried"
     axes.errorbar(range_cm, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
     earlier = {each: angle for each, angle in rows.reference.half_angle_deg.items() if each in range_cm}

@@ -18,7 +18,6 @@ from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.questions import SHARE_BOUND
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, new_figure, shaded
-from msp_sim.page.text import sentence
 
 LABEL_LETTERS = 30
 """Letters in a line of a row's words: the panels need the rest of the width."""
@@ -60,7 +59,7 @@ def _forest(rows: PictureData) -> Drawn:
         if effect.estimate is not None
     ]
     if not drawn:
-        raise Absent(sentence(rows.findings.absent.get("questions", "the data compare no two settings of the bench")))
+        raise Absent("The data compare no two settings of the bench.")
     metrics = [metric for metric in METRICS if any(effect.metric == metric for _, effect, _ in drawn)]
     figure = new_figure(1.4 + 0.19 * height)
     panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
