@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import find_peaks, peak_widths
 
 from msp_lab.characterise.calibration import pooled_spread
-from msp_lab.characterise.estimates import Z, fit_points, line_design, mean_of_points, share
+from msp_lab.characterise.estimates import Z, fit_line, mean_of_points, share
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
@@ -41,7 +41,7 @@ def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = N
     range_cm, mean_cm, variance_cm2 = np.array(known).T
     between = None
     if np.unique(range_cm).size >= 3:
-        line = fit_points(line_design(range_cm), mean_cm, variance_cm2)
+        line = fit_line(range_cm, mean_cm, variance_cm2)
         between = IntervalEstimate(math.sqrt(line.between), unit="cm", n=len(known), of="points")
     readings = sum(result.readings for result in found)
     return Baseline(

@@ -20,8 +20,7 @@ from msp_lab.characterise.estimates import (
     Z,
     between_points,
     dependence_factor,
-    fit_points,
-    line_design,
+    fit_line,
     mean_of_points,
     root_without,
 )
@@ -100,7 +99,7 @@ def calibrate(
     data, extra_cm = _Points.of(used), reference_std_cm or 0.0
     line, offset, scale, linearity, noise_floor = None, None, None, None, None
     if np.unique(data.range_cm).size >= 3:
-        line = fit_points(line_design(data.true_cm), data.reading_cm, data.variance_cm2)
+        line = fit_line(data.true_cm, data.reading_cm, data.variance_cm2)
         offset, scale = line.estimate(0, "cm", extra_cm), line.estimate(1, "")
         linearity, noise_floor = _linearity(data, line)
     # Set-ups differ by more than the scatter of readings explains; their residual variance is added to every point.
@@ -157,7 +156,8 @@ def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
 
 def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]:
     """Largest distance from the line, and its noise floor: what the scatter of readings reaches in 95 % of cases."""
-    residual = data.reading_cm - line_design(data.true_cm) @ line.coefficients
+    offset, scale = line.coefficients
+    residual = data.reading_cm - (offset + scale * data.true_cm)
     i = int(np.abs(residual).argmax())
     half = Z * math.sqrt(data.variance_cm2[i])
     # The largest of n distances is below its limit where each is.

@@ -89,9 +89,9 @@ def fit_points(design: Array, y: Array, variance: Array | float) -> PointsFit:
     return PointsFit(coefficients, covariance, between, freedom)
 
 
-def line_design(x: Array) -> Array:
-    """Design matrix of a straight line: offset and scale."""
-    return np.column_stack([np.ones_like(x), x])
+def fit_line(x: Array, y: Array, variance: Array | float = 0.0) -> PointsFit:
+    """`fit_points` of a straight line: offset and scale."""
+    return fit_points(np.column_stack([np.ones_like(x), x]), y, variance)
 
 
 def mean_of_points(

@@ -16,9 +16,8 @@ from msp_lab.characterise.estimates import (
     CONFIDENCE,
     LIKELIHOOD_DROP,
     Z,
-    fit_points,
+    fit_line,
     half_of_mean,
-    line_design,
     mean_of_points,
 )
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
@@ -68,7 +67,7 @@ def _hot_box(question: Question, calibration_c: float) -> Iterator[HotBox]:
     slope = speed / box - speed / room
     mean, depth = mean_of_points(shift_cm), _depth(range_cm, shift_cm, slope)
     # Correction that the readings call for: slope of -shift over range, in per cent.
-    per_cent = fit_points(line_design(range_cm), -100.0 * shift_cm, 0.0).estimate(1, "%")
+    per_cent = fit_line(range_cm, -100.0 * shift_cm).estimate(1, "%")
     uniform_per_cent = slope * -100.0
     ideas: dict[AirBefore, Array] = {
         "uniform": slope * range_cm,

@@ -13,7 +13,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
-from numpy.typing import ArrayLike
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -152,10 +151,15 @@ def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
     return values, np.abs(np.array(ends).reshape(-1, 2).T - values)
 
 
-def share_bars(axes: Axes, left: ArrayLike, reading_cm: ArrayLike, width: ArrayLike) -> None:
-    """Draw histograms on their side: a bar of a centimetre for each reading, as wide as its share."""
-    words = "readings: width is the share"
-    axes.bar(left, 0.88, width, np.asarray(reading_cm) - 0.44, align="edge", label=words, **BARS)
+def share_bars(axes: Axes, at: float, reading_cm: Array, of: int, room: float, thinnest: float = 0.0) -> None:
+    """Draw a histogram on its side about a place: a bar of a centimetre for each reading, as wide as its share.
+
+    `of` so many readings in all; one that all of them gave fills the room, and none is thinner than the thinnest.
+    """
+    if reading_cm.size:
+        readings, counts = np.unique(reading_cm, return_counts=True)
+        width, words = np.maximum(counts / of * room, thinnest), "readings: width is the share"
+        axes.bar(at - width / 2.0, 0.88, width, readings - 0.44, align="edge", label=words, **BARS)
 
 
 def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
@@ -163,23 +167,18 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     edges = edges_between(ranges_cm.tolist())
     room_cm = np.min(np.diff(edges)) * 0.82
     thinnest_cm = 0.008 * (edges[-1] - edges[0])
-    bars, far, middles = [np.empty((3, 0))], [np.empty((2, 0))], []
+    middles = []
     for range_cm in np.unique(each.true_range_cm[~each.missed]):
         errors = each.error_cm[(each.true_range_cm == range_cm) & ~each.missed]
         centre_cm = _median(errors)
         middles.append((range_cm, *_middle_of(errors, scale)))
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
         rounded_cm, is_far = centre_cm + np.rint(errors - centre_cm), scale.is_far(errors)
-        edge_cm = np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))
-        far.append(np.array([np.full_like(edge_cm, range_cm), edge_cm]))
-        inside, counts = np.unique(rounded_cm[~is_far], return_counts=True)
-        width = np.maximum(counts / errors.size * room_cm, thinnest_cm)
-        bars.append(np.array([range_cm - width / 2.0, inside, width]))
-    drawn, outside = np.concatenate(bars, axis=1), np.concatenate(far, axis=1)
-    if drawn.size:
-        share_bars(row, *drawn)
-    if outside.size:
-        row.plot(*outside, "_", color=OURS, clip_on=False, label="readings farther off")
+        share_bars(row, range_cm, rounded_cm[~is_far], errors.size, room_cm, thinnest_cm)
+        far_cm = np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))
+        if far_cm.size:
+            where = np.full_like(far_cm, range_cm)
+            row.plot(where, far_cm, "_", color=OURS, clip_on=False, label="readings farther off")
     _middles(row, middles, "")
     _count_above(row, each, ranges_cm, scale)
     row.set_xlim(edges[0], edges[-1])

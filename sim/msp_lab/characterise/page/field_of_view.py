@@ -120,13 +120,9 @@ def _draw_shares(
     low, high = limits_cm
     incidence_deg, reading_cm = rows.data.column("incidence_deg")[chosen], rows.reading_cm[chosen]
     shown = ~rows.missed[chosen] & (reading_cm > low) & (reading_cm < high)
-    bars = []
-    for angle in angle_deg.tolist():
+    for angle in angle_deg:
         here = np.isclose(incidence_deg, angle, atol=1e-6)
-        values, counts = np.unique(reading_cm[here & shown], return_counts=True)
-        shares = counts / max(int(np.count_nonzero(here)), 1)
-        bars.append(np.array([angle - shares * room / 2.0, values, shares * room]))
-    share_bars(top, *np.concatenate(bars, axis=1))
+        share_bars(top, angle, reading_cm[here & shown], int(np.sum(here)), room)
 
 
 def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle) -> None:

@@ -129,7 +129,9 @@ def densities(rows: PictureData) -> Densities:
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
     mean_cm = np.mean(rows.apparent_cm[chosen])
     steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
-    apparent_cm = mean_cm + rows.placement_error_cm(condition, true_cm)
+    set_ups = () if rows.findings.mixture is None else rows.findings.mixture.set_ups
+    here = [each for each in set_ups if each.condition == condition and math.isclose(each.true_range_cm, true_cm)]
+    apparent_cm = mean_cm + sum(each.error_cm for each in here) / max(len(here), 1)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm]

@@ -3,7 +3,6 @@
 Findings, measured data and the sensor model enter; arrays to be drawn leave, or `Absent` with the reason.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -128,13 +127,6 @@ class PictureData:
         missed = self.missed[rows]
         error_cm = np.where(missed, np.nan, reading_cm[rows] - self.true_cm[rows])
         return Errors(label, self.true_cm[rows], error_cm, missed)
-
-    def placement_error_cm(self, condition: str, true_range_cm: float) -> float:
-        """Return the mean placement error of a condition at a range [cm]; 0 where unknown."""
-        set_ups = () if self.findings.mixture is None else self.findings.mixture.set_ups
-        here = [each for each in set_ups if each.condition == condition]
-        found = [each.error_cm for each in here if math.isclose(each.true_range_cm, true_range_cm)]
-        return sum(found) / len(found) if found else 0.0
 
 
 def summary(errors: Errors) -> str:
