@@ -8,7 +8,6 @@ simpler one does.
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from msp_lab.characterise.estimates import (
     dependence_factor,
     fit_line,
     mean_of_points,
-    root_without,
 )
 from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -151,7 +149,7 @@ def pooled_spread(points: Sequence[PointReadings]) -> IntervalEstimate:
     # Each point's own interval of the variance; they are independent.
     half = Z * float(np.linalg.norm(weight * [variance.standard_error for variance in variances]))
     readings = sum(variance.n for variance in variances)
-    return IntervalEstimate.about(mean, half, readings).mapped(partial(root_without, 0.0))
+    return IntervalEstimate.about(mean, half, readings).root()
 
 
 def _linearity(data: _Points, line: PointsFit) -> tuple[IntervalEstimate, float]:

@@ -7,7 +7,6 @@ those of the likelihood of the rounded readings, and not of their average.
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -211,14 +210,7 @@ def mean_and_spread(values: Array, step: float, usual_spread: float | None = Non
     variance = float(values.var(ddof=1))
     mean = IntervalEstimate.about(average, student(math.sqrt(variance / n), n - 1), n)
     low, high = (n - 1) * variance / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
-    return MeanAndSpread(
-        mean, IntervalEstimate(variance, low, high, "cm", n).mapped(partial(root_without, step**2 / 12))
-    )
-
-
-def root_without(known: float, variance: float) -> float:
-    """Square root of a variance without a part that is known."""
-    return math.sqrt(max(variance - known, 0.0))
+    return MeanAndSpread(mean, IntervalEstimate(variance, low, high, "cm", n).root(step**2 / 12))
 
 
 def half_of_mean(values: Array, step: float) -> float:

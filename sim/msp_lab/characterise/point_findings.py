@@ -49,6 +49,10 @@ class IntervalEstimate:
         low, high = (None if end is None else change(end) for end in (self.low, self.high))
         return replace(self, value=change(self.value), low=low, high=high)
 
+    def root(self, known: float = 0.0) -> "IntervalEstimate":
+        """The standard deviation of this variance, without a part that is known."""
+        return self.mapped(lambda end: math.sqrt(max(end - known, 0.0)))
+
 
 @dataclass(frozen=True)
 class PointResult:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread, root_without
+from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread
 from msp_lab.characterise.point_findings import PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K
@@ -189,7 +189,7 @@ class PointReadings:
         mean, spread = mean_and_spread(self.error_cm[self.is_hit], 0.0)
         # Where the truth changes, its error and the rounding are part of the scatter.
         other_cm2 = float(np.mean(self.reference_std_cm[self.is_hit] ** 2)) + self.step_cm**2 / 12
-        return MeanAndSpread(mean, spread.mapped(lambda end: root_without(other_cm2, end**2)))
+        return MeanAndSpread(mean, spread.mapped(lambda end: end**2).root(other_cm2))
 
     @property
     def hits(self) -> int:
@@ -294,7 +294,7 @@ def _levels(data: MeasuredData, condition: Texts, frequency_hz: float) -> Texts:
     for name, words in (
         ("material", lambda rows: rows.column("target")),
         ("temperature", lambda rows: _temperature_words(rows.column("air_temperature_c"))),
-        ("vibration", lambda rows: [_word(each, "Hz") for each in rows.column("vibration_hz")]),
+        ("vibration", lambda rows: ["" if math.isnan(hz) else f"{hz:g} Hz" for hz in rows.column("vibration_hz")]),
         ("external_interference", lambda rows: _external_words(rows, frequency_hz)),
     ):
         level[condition == name] = words(data.select(condition == name))
@@ -306,7 +306,7 @@ def _temperature_words(air_c: Array) -> Texts:
     found, known = np.full(air_c.size, "", dtype="U48"), np.flatnonzero(~np.isnan(air_c))
     order = known[np.argsort(air_c[known])]
     for cluster in np.split(order, np.flatnonzero(np.diff(air_c[order]) > LEVEL_GAP_C) + 1):
-        found[cluster] = _word(float(np.round(_mean(air_c[cluster]))), "C")
+        found[cluster] = f"{np.round(_mean(air_c[cluster])):g} C" if cluster.size else ""
     return found
 
 
@@ -340,7 +340,3 @@ def _mean(values: Array) -> float:
 
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else value
-
-
-def _word(value: float, unit: str) -> str:
-    return "" if math.isnan(value) else f"{value:g} {unit}"

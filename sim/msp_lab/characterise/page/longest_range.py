@@ -58,7 +58,7 @@ class _FixedRange:
     @cached_property
     def limits_cm(self) -> tuple[float, float]:
         """Limits about the bulk of the distances and the true range [cm]; single ones far off do not count."""
-        low, middle, high = np.nanquantile(self.distance_cm, [0.1, 0.5, 0.9]).tolist()
+        low, middle, high = np.nanquantile(self.distance_cm, [0.1, 0.5, 0.9])
         reach = max(3.0 * (high - low), 8.0)
         return min(middle - reach, self.true_range_cm - 3.0), max(middle + reach, self.true_range_cm + 3.0)
 
@@ -110,7 +110,7 @@ def in_order(rows: PictureData, masked: bool) -> Drawn:
         _running_mean(axes, number[fixed.inside], fixed.reading_cm[fixed.inside])
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     else:
-        for code_cm in fixed.codes_cm.tolist():
+        for code_cm in fixed.codes_cm:
             here = number[fixed.reading_cm == code_cm]
             axes.plot(here, np.full(here.size, code_cm), "|", markersize=9, color=ORANGE, label="code for no echo")
             words = f"{code_cm:g} cm:\n{here.size} ({fixed.percent(here.size)})"
@@ -193,5 +193,5 @@ def _draw_all(axes: Axes, fixed: _FixedRange) -> None:
     axes.set_yscale("log")
     axes.set_ylim(0.7, np.max(counts) * 4.0)
     axes.yaxis.set_major_formatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else "")
-    for value, count in zip(values[is_code].tolist(), counts[is_code].tolist(), strict=True):
+    for value, count in zip(values[is_code], counts[is_code], strict=True):
         label(axes, f"{value:g} cm\n{count} ({fixed.percent(count)})", (value, count), (0, 4), ha="center")

@@ -125,10 +125,11 @@ def densities(rows: PictureData) -> Densities:
     condition, true_cm = _one_range(rows)
     chosen = rows.of(condition) & (rows.true_cm == true_cm)
     minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
-    k = np.arange(float(minimum_cm), maximum_cm + 1.0)
+    k = np.arange(minimum_cm, maximum_cm + 1.0)
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
-    mean_cm = np.mean(rows.apparent_cm[chosen])
-    steps_cm, rows_at = np.unique(np.round(rows.apparent_cm[chosen] - mean_cm, 1), return_counts=True)
+    at_cm = [each.apparent_cm[each.true_range_cm == true_cm] for each in rows.points if each.condition == condition]
+    mean_cm = np.mean(np.concatenate(at_cm))
+    steps_cm, rows_at = np.unique(np.round(np.concatenate(at_cm) - mean_cm, 1), return_counts=True)
     set_ups = () if rows.findings.mixture is None else rows.findings.mixture.set_ups
     here = [each for each in set_ups if each.condition == condition and math.isclose(each.true_range_cm, true_cm)]
     apparent_cm = mean_cm + sum(each.error_cm for each in here) / max(len(here), 1)
@@ -147,7 +148,7 @@ def densities(rows: PictureData) -> Densities:
         density=by_kind,
         weight=dict(zip(KINDS, whole.shares(apparent_cm), strict=True)),
         total=total,
-        codes=[float(rows.model.maximum_cm), *([float(SATURATED_CM)] if garbled else [])],
+        codes=[rows.model.maximum_cm, *([SATURATED_CM] if garbled else [])],
         counts=np.bincount(readings, minlength=k.size).astype(np.float64),
     )
 
@@ -231,7 +232,7 @@ def _draw_missed(axes: Axes, fitted: Densities) -> None:
     axes.set_ylabel("share of all readings [%]")
     axes.bar(k[places], percent, width=14.0, color=_KINDS["missed"].colour, alpha=0.5, label="fitted mass")
     _dots(axes, fitted, places[:, None], "read, and its 95 % interval", 100.0, omits_none=False)
-    for place, height in zip(places.tolist(), percent.tolist(), strict=True):
+    for place, height in zip(places, percent, strict=True):
         words = f"{k[place]:g} cm\nfitted {height:.2f} %"
         if np.any(fitted.counts):
             words += f"\nread {100.0 * fitted.counts[place] / np.sum(fitted.counts):.2f} %"

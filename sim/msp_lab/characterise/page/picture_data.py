@@ -22,7 +22,7 @@ from msp_sim.page.page import Absent
 from msp_sim.page.text import counted, plus, sentence
 
 Part = TypeVar("Part")
-Column = TypeVar("Column", Flags, Texts, Array)
+Column = TypeVar("Column", Flags, Texts)
 
 
 @dataclass(frozen=True)
@@ -64,20 +64,13 @@ class PictureData:
         return self._of_points(np.full(len(self.data), "", dtype="<U64"), lambda point: point.condition)
 
     @cached_property
-    def apparent_cm(self) -> Array:
-        """True ranges in the centimetres of a sensor that assumes its calibration temperature [cm].
-
-        Where the air's temperature is unknown, the true range as it is. A calibration in the sensor model comes on top.
-        """
-        return self._of_points(self.true_cm.copy(), lambda point: point.apparent_cm)
-
-    @cached_property
-    def _points(self) -> list[PointReadings]:
+    def points(self) -> list[PointReadings]:
+        """The rows that have a true range, as the analyses sort them."""
         return sort_into_points(self.data, self.model)
 
     def _of_points(self, column: Column, value: Callable[[PointReadings], Any]) -> Column:
         """A column with each point's value in its rows."""
-        for point in self._points:
+        for point in self.points:
             column[point.rows] = value(point)
         return column
 
@@ -102,7 +95,7 @@ class PictureData:
         Absent
             There are none.
         """
-        if not self._points:
+        if not self.points:
             raise Absent("No row has a true range (column true_range_cm).")
         if not self.has(condition):
             hint = "" if "condition" in self.data else " (there is no column condition with the experiment)"
@@ -136,6 +129,6 @@ def summary(errors: Errors) -> str:
     text = f"{n:,} readings at {counted(np.unique(errors.true_range_cm).size, 'range')}; "
     text += f"missed: {missed:,} ({100.0 * missed / n:.2g} %)" if missed else "none missed"
     if echoes.size:
-        low, middle, high = (plus(float(np.quantile(echoes, share))) for share in (0.025, 0.5, 0.975))
+        low, middle, high = map(plus, np.quantile(echoes, [0.025, 0.5, 0.975]))
         text += f"; {'of the rest ' if missed else ''}median error {middle} cm, 95 % from {low} to {high} cm"
     return text + "."

@@ -163,8 +163,7 @@ def vibration(rows: PictureData) -> Drawn:
     shaken = found & (vibration_hz > 0.0)
     if not np.any(shaken):
         raise Absent("No readings with vibration (column vibration_hz above 0).")
-    frequencies_hz = np.unique(vibration_hz[shaken]).tolist()
-    panels = [rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in frequencies_hz]
+    panels = [rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in np.unique(vibration_hz[shaken])]
     caption = f"Vibration of {span(vibration_hz[shaken])} Hz. {summary(rows.errors(shaken))}"
     caption += _answers(rows, "vibration")
     return draw_errors(panels), caption

@@ -49,5 +49,5 @@ def span(values: Array) -> str:
     known = values[np.isfinite(values)]
     if not known.size:
         return "unknown"
-    low, high = float(np.min(known)), float(np.max(known))
+    low, high = np.min(known), np.max(known)
     return f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
