@@ -102,16 +102,14 @@ def peaks(reading_cm: Array, span_cm: float) -> tuple[Peak, ...]:
     tops, found = find_peaks(near + 1e-9 * np.arange(near.size), height=least, prominence=0.0)
     foot = near[tops], found["left_bases"], found["right_bases"]
     _, _, low, high = peak_widths(near, tops, 1.0 - PEAK_FOOT, foot)
-    inside = [
-        slice(math.ceil(start), int(stop) + 1)
-        for start, stop, prominence, top in zip(low, high, found["prominences"], near[tops], strict=True)
+    found_peaks = []
+    for start, stop, prominence, top in zip(
+        np.ceil(low).astype(int), high, found["prominences"], near[tops], strict=True
+    ):
         # Others are the tail of a higher one.
-        if prominence > (1.0 - PEAK_FOOT) * top
-    ]
-    found_peaks = (
-        Peak(float(first + each.start + counts[each].argmax()), float(counts[each].sum()) / reading_cm.size)
-        for each in inside
-    )
+        if prominence > (1.0 - PEAK_FOOT) * top:
+            inside = counts[start : int(stop) + 1]
+            found_peaks.append(Peak(float(first + start + inside.argmax()), float(inside.sum()) / reading_cm.size))
     return tuple(sorted(found_peaks, key=lambda peak: -peak.share))
 
 

@@ -373,6 +373,11 @@ class Question:
     reference_points: tuple[PointResult, ...] = ()
     """What was compared."""
 
+    @property
+    def compared(self) -> str:
+        """What is compared with what, in words."""
+        return f"{self.level} against {self.reference}"
+
 
 @dataclass(frozen=True)
 class Findings:

@@ -4,6 +4,7 @@ A starting `SensorModel`, findings and changes enter, YAML with comments leaves.
 before it is written, so what is on disk loads.
 """
 
+import json
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
@@ -56,8 +57,10 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
     content |= {"in_flight": None, "predicted_breakaway": None}
     data = [{"name": source.name, "sha256": source.sha256, "rows": source.rows} for source in findings.sources]
     content["evidence"].append({"what": "characterisation", "date": findings.date, "data": data})
+    # Six significant digits are what a person reads, and more than any of these numbers is known to.
+    rounded = json.loads(json.dumps(content), parse_float=lambda digits: float(f"{float(digits):.6g}"))
     try:
-        model = SensorModel.model_validate(_rounded(content))
+        model = SensorModel.model_validate(rounded)
     except ValidationError as error:
         problems = "; ".join(each["msg"] for each in error.errors())
         raise ConfigError(f"what was found does not go with the rest of the sensor model: {problems}") from None
@@ -161,12 +164,3 @@ def _yaml(name: str, value: Any) -> str:
     flow = False if not isinstance(value, dict | list) or not value else None
     text: str = yaml.safe_dump({name: value}, sort_keys=False, allow_unicode=True, default_flow_style=flow, width=118)
     return text.rstrip()
-
-
-def _rounded(value: Any) -> Any:
-    """Numbers to six significant digits: what a person reads, and more than any of them is known to."""
-    if isinstance(value, dict):
-        return {name: _rounded(each) for name, each in value.items()}
-    if isinstance(value, list):
-        return [_rounded(each) for each in value]
-    return float(f"{value:.6g}") if isinstance(value, float) else value

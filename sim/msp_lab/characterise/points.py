@@ -306,7 +306,7 @@ def _temperature_words(air_c: Array) -> Texts:
     found, known = np.full(air_c.size, "", dtype="U48"), np.flatnonzero(~np.isnan(air_c))
     order = known[np.argsort(air_c[known])]
     for cluster in np.split(order, np.flatnonzero(np.diff(air_c[order]) > LEVEL_GAP_C) + 1):
-        found[cluster] = f"{np.round(_mean(air_c[cluster])):g} C" if cluster.size else ""
+        found[cluster] = f"{np.round(_mean(air_c[cluster])):g} C"
     return found
 
 

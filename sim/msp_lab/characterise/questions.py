@@ -285,7 +285,7 @@ def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
         by[each.verdict].append(each)
     verdict: Verdict = "matters" if by["matters"] else "cannot tell" if by["cannot tell"] else "does not matter"
     who = f" for {question.sensor}" if question.sensor else ""
-    answer = f"{question.level} against {question.reference}{who}: {verdict}"
+    answer = f"{question.compared}{who}: {verdict}"
     if verdict == "matters":
         answer += f": {'; '.join(map(_size, by['matters']))}"
     elif verdict == "does not matter":

@@ -149,7 +149,7 @@ def _sizes(question: Question) -> str:
         if effect.verdict == "cannot tell" and effect.smallest_detectable is not None:
             part += f", could have seen {effect.smallest_detectable:.2g}{'' if effect.is_ratio else ' cm'}"
         parts.append(part)
-    compared = f"{question.level} against {question.reference}{sensor}"
+    compared = f"{question.compared}{sensor}"
     return f"{compared}: {'; '.join(parts)}" if parts else compared
 
 

@@ -39,8 +39,7 @@ def entries(rows: PictureData) -> list[Entry]:
 
 def _label(question: Question) -> str:
     sensor = f", {question.sensor}" if question.sensor else ""
-    lines = [f"{EXPERIMENTS[question.name].short}{sensor}"]
-    lines += [f"{question.level} against {question.reference}"] if question.level else []
+    lines = f"{EXPERIMENTS[question.name].short}{sensor}", question.compared
     return "\n".join(textwrap.fill(line, LABEL_LETTERS) for line in lines)
 
 

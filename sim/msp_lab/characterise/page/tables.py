@@ -30,7 +30,7 @@ def effects_table(findings: Findings) -> PageTable:
     """Every effect of every question."""
     rows = []
     for question in findings.questions:
-        subject = f"{question.name.replace('_', ' ')}: {question.level} against {question.reference}"
+        subject = f"{question.name.replace('_', ' ')}: {question.compared}"
         if question.sensor:
             subject += f" ({question.sensor})"
         for effect in question.effects:
