@@ -59,7 +59,7 @@ def compensation(rows: PictureData) -> Drawn:
     """Draw an arrow a range, from the mean error without compensation to the one with it; a reference's next to it."""
     table, reference = rows.needed(rows.findings.temperature_compensation, "temperature_compensation"), rows.reference
     before_cm = [abs(row.uncompensated.value) for row in table]
-    after_cm = [abs(row.compensated.value) for row in table if row.compensated is not None]
+    after_cm = [abs(row.compensated.value) for row in table if row.compensated]
     caption = f"Mean size of the error of the ranges: {np.mean(before_cm):.2f} cm without compensation"
     caption += f", {np.mean(after_cm):.2f} cm with it." if after_cm else "."
     figure, axes = new_axes(3.6, "true range [cm]", "mean error [cm]")

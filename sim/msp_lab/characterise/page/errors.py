@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, NullLocator
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.point_findings import IntervalEstimate
@@ -115,8 +114,8 @@ def draw_errors(
     for each, row in zip(panels, rows, strict=True):
         if scale.is_compressed:
             row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=0.8)
-            row.yaxis.set_major_locator(FixedLocator([tick for tick in TICKS_CM if scale.low <= tick <= scale.high]))
-            row.yaxis.set_minor_locator(NullLocator())
+            row.set_yticks([tick for tick in TICKS_CM if scale.low <= tick <= scale.high])
+            row.set_yticks([], minor=True)
         row.yaxis.set_major_formatter(signed)
         row.set_ylim(scale.low, scale.high)
         line_at_zero(row)

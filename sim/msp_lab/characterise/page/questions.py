@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, NullLocator
 
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import FactorEffect, Question
@@ -49,8 +48,8 @@ def _forest(rows: PictureData) -> Drawn:
     labels = [_label(each) for each in questions]
     # Rows as high as their words; y counts lines from the bottom.
     tops = np.cumsum([0, *(max(label.count("\n") + 1, 2) for label in labels)])
-    height = float(tops[-1])
-    middles = (height - (tops[:-1] + tops[1:]) / 2.0).tolist()
+    height = tops[-1]
+    middles = height - (tops[:-1] + tops[1:]) / 2.0
     drawn = [
         (middle, effect, effect.estimate)
         for middle, each in zip(middles, questions, strict=True)
@@ -91,8 +90,7 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
     axes.axvline(1.0 if is_ratio else 0.0, color=GREY)
     for y, effect, size in rows:
         colour, marker, fill = VERDICTS[effect.verdict]
-        small = [effect.mirrored(effect.bound), effect.bound]
-        axes.fill_between(small, y - 0.8, y + 0.8, **shaded())
+        axes.fill_between([effect.mirrored(effect.bound), effect.bound], y - 0.8, y + 0.8, **shaded())
         smallest = effect.smallest_detectable
         for edge in () if smallest is None else (smallest, effect.mirrored(smallest)):
             if left <= edge <= right:
@@ -126,8 +124,8 @@ def _set_scale(axes: Axes, rows: Sequence[Row], is_ratio: bool) -> None:
             ticks = [-step, *((-1, 0, 1) if step > 1 else (0,)), step]
         axes.set_xlim(-reach, reach)
     if ticks:
-        axes.xaxis.set_major_locator(FixedLocator(ticks))
-        axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xticks(ticks)
+        axes.set_xticks([], minor=True)
     axes.xaxis.set_major_formatter("{x:g}")
 
 
