@@ -14,6 +14,7 @@ from PIL import Image
 from msp_lab.characterise.findings import Findings, HeldOut
 from msp_lab.characterise.page.answers import conclusions_table
 from msp_lab.characterise.page.errors import Errors, draw_errors
+from msp_lab.characterise.page.field_of_view import sweep
 from msp_lab.characterise.page.mixture import density
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.write import write_report
@@ -25,6 +26,7 @@ from msp_range.yaml_file import ConfigError
 from msp_sim.page.style import draw_pit_bars, new_axes
 from tests.support.characterised import found_in, measured
 from tests.support.known import known
+from tests.support.plain_bench import point, table
 
 MODEL = load_sensor_model(Path(__file__).parents[2] / "configs/sensors/mb1242.yaml")
 
@@ -381,6 +383,24 @@ def test_an_axis_of_about_five_centimetres_is_to_scale() -> None:
     assert 4.0 < row.get_ylim()[1] < 5.0
     assert row.get_yscale() == "linear"
     assert len(row.get_yticks()) > 4
+
+
+def test_two_sensors_at_the_same_angles_are_drawn() -> None:
+    """Their angles are the same places, and no bar is of no width."""
+    rng = np.random.default_rng(3)
+    data = table(
+        *(
+            point(rng, 100, n=20, sensor=sensor, condition="field_of_view", incidence_deg=1.8 * step)
+            for sensor in ("left", "right")
+            for step in range(-5, 6)
+        ),
+        *(point(rng, z, n=40, sensor="left") for z in (60, 120, 180, 240)),
+    )
+    figure, caption = sweep(PictureData(found_in(data), data, MODEL), 100.0)
+    assert caption.startswith("440 readings at 11 angles")
+    for axes in figure.axes:
+        bars: Any = [bar for container in axes.containers for bar in container]
+        assert max(bar.get_width() for bar in bars) > 1.0
 
 
 @pytest.mark.parametrize("stray_cm", [-3.6, -80.0])

@@ -61,7 +61,8 @@ def sweep(rows: PictureData, range_cm: float) -> Drawn:
     if angle.half_angle.value:
         breakaway = f"Breakaway at {half_interval(angle.half_angle)}"
     points = [each for each in view.points if each.range_cm == range_cm]
-    readings = f"{sum(each.readings for each in points):,} readings at {len(points)} angles"
+    angles = {each.incidence_deg for each in points}
+    readings = f"{sum(each.readings for each in points):,} readings at {len(angles)} angles"
     figure = _draw_sweep(rows, found & np.isclose(rows.true_cm, range_cm, rtol=0.0, atol=1e-3), points, angle)
     return figure, f"{readings}. {breakaway}. Reliable: {view.criterion}."
 
@@ -71,7 +72,8 @@ def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], 
     range_cm, half_deg = breakaway.range_cm, breakaway.half_angle.value
     figure = new_figure(4.5)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
-    angle_deg = np.array([point.incidence_deg for point in points])
+    # Several sensors or sessions may have been at an angle.
+    angle_deg, at = np.unique([point.incidence_deg for point in points], return_inverse=True)
     edges = edges_between(angle_deg.tolist())
     width = 0.86 * np.min(np.diff(edges))
 
@@ -91,7 +93,8 @@ def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], 
     top.set_ylabel("reading [cm]")
     top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
 
-    reliable = 100.0 * np.array([point.reliable.value for point in points])
+    of_wall = np.bincount(at, [point.reliable.value * point.readings for point in points])
+    reliable = 100.0 * of_wall / np.bincount(at, [point.readings for point in points])
     bottom.bar(angle_deg, reliable, width, **BARS)
     bottom.bar(angle_deg, 100.0 - reliable, width, reliable, color=PALE)
     bottom.set_ylim(0.0, 100.0)
