@@ -103,7 +103,8 @@ def characterise(
         no_mixture = str(error)
     progress("maximum range, field of view and sonar equation")
     view = find_field_of_view(by["field_of_view"], curve)
-    rows = breakaway_rows(() if view is None else view.angles)
+    angles = () if view is None else view.angles
+    rows = breakaway_rows(angles)
     longest_cm = longest_reliable_cm(by["maximum_range"], RELIABLE_SHARE)
     heard_cm = None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
     progress("questions")
@@ -128,7 +129,7 @@ def characterise(
         warnings=(
             *about_step,
             *_warnings(loaded, points, undisturbed, calibration),
-            *_angle_warnings(() if view is None else view.angles, rows),
+            *_angle_warnings(angles, rows),
             *_spread_warnings(sensor, parameters),
         ),
     )
@@ -222,14 +223,16 @@ def _changes(findings: Findings, sensor: SensorModel, rows: Sequence[tuple[float
     """New values of the sensor model: its calibration, beam and effects; None where readings do not determine them."""
     view, calibration = findings.field_of_view, findings.calibration
     changes: dict[str, Any] = {}
-    # Without held-out ranges nothing was decided, and the starting model's stays.
-    if calibration is not None and calibration.held_out:
-        changes["calibration"] = [asdict(knot) for knot in calibration.knots]
     if view is not None:
         changes["breakaway"] = [{"range_cm": r, "half_angle_deg": angle} for r, angle in rows] or None
         changes["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
+    if calibration is None:
+        return changes
+    # Without held-out ranges nothing was decided, and the starting model's stays.
+    if calibration.held_out:
+        changes["calibration"] = [asdict(knot) for knot in calibration.knots]
     # An offset between sessions enters if its interval excludes 0.
-    if calibration is not None and calibration.set_up_offset is not None and calibration.set_up_offset.low:
+    if calibration.set_up_offset and calibration.set_up_offset.low:
         offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))
         own = {"value": offset.value, "low": offset.low, "high": offset.high or 0, "unit": "cm"}
         others = [effect for effect in sensor.effects if effect.get("name") != SESSION_EFFECT]

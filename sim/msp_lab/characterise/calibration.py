@@ -95,13 +95,13 @@ def calibrate(
     if not used:
         return None
     data, extra_cm = _Points.of(used), reference_std_cm or 0.0
-    line, offset, scale, linearity, noise_floor = None, None, None, None, None
+    offset, scale, linearity, noise_floor, between_cm2 = None, None, None, None, 0.0
     if np.unique(data.range_cm).size >= 3:
         line = fit_line(data.true_cm, data.reading_cm, data.variance_cm2)
-        offset, scale = line.estimate(0, "cm", extra_cm), line.estimate(1, "")
+        offset, scale, between_cm2 = line.estimate(0, "cm", extra_cm), line.estimate(1, ""), line.between
         linearity, noise_floor = _linearity(data, line)
     # Set-ups differ by more than the scatter of readings explains; their residual variance is added to every point.
-    chosen = _choose(data._replace(variance_cm2=data.variance_cm2 + (0.0 if line is None else line.between)))
+    chosen = _choose(data._replace(variance_cm2=data.variance_cm2 + between_cm2))
     step_cm = used[0].step_cm
     return CalibrationFindings(
         **chosen._asdict(),

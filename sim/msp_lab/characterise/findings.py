@@ -69,8 +69,8 @@ class CalibrationFindings:
     bias: IntervalEstimate
     offset: IntervalEstimate | None
     scale: IntervalEstimate | None
-    """Mean error [cm]; reading at no range [cm] and reading a true centimetre of the straight line. Points are the
-    unit: their scatter about the line is in the intervals."""
+    """Mean error [cm]; reading at no range [cm] and reading a true centimetre of the straight line, both None with
+    fewer than three ranges. Points are the unit: their scatter about the line is in the intervals."""
     spread: IntervalEstimate
     """Standard deviation of readings about their point's mean, before rounding [cm]."""
     resolution: IntervalEstimate

@@ -84,7 +84,7 @@ def _accuracy(findings: Findings) -> Iterator[Row]:
             none if calibration.form == "none" else VerdictMark("kept", "yes"),
             sentence(calibration.reason),
         )
-        if calibration.offset is not None and calibration.scale is not None:
+        if calibration.offset:
             answer = f"offset {interval(calibration.offset)}, scale {interval(calibration.scale)}"
             yield "Straight line", MEASURED, answer
         if calibration.set_up_offset is not None:

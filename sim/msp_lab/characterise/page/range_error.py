@@ -19,7 +19,7 @@ from msp_range.arrays import Flags
 from msp_range.correction.calibration import curve_through
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, line_at_zero, new_figure, shaded
-from msp_sim.page.text import counted, plus, sentence
+from msp_sim.page.text import counted, number, plus, sentence
 
 MAX_LEVELS = 5
 """Panels that a picture has room for."""
@@ -48,12 +48,11 @@ def calibration(rows: PictureData) -> Drawn:
     """Draw the calibration and its linearity."""
     found = rows.needed(rows.findings.calibration, "calibration")
     caption = f"Mean error {interval(found.bias)}"
-    if found.offset is not None and found.scale is not None:
+    if found.offset:
         caption += f"; straight line: offset {interval(found.offset)}, scale {interval(found.scale)}"
-    if found.linearity is not None:
-        caption += f"; farthest from it {interval(found.linearity)}"
-        if found.linearity_noise_floor_cm is not None:
-            caption += f" (noise floor {found.linearity_noise_floor_cm:.2f} cm)"
+    if found.linearity:
+        noise_floor = number(found.linearity_noise_floor_cm, 2)
+        caption += f"; farthest from it {interval(found.linearity)} (noise floor {noise_floor} cm)"
     caption += f". Spread {interval(found.spread)}; resolution {found.resolution.value:g} cm. {sentence(found.reason)}"
     by_sound = rows.findings.calibration_temperature_c is not None
     return _draw_linearity(found, by_sound), caption
@@ -73,7 +72,7 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     look: dict[str, Any] = {"color": OURS, "markersize": size, "alpha": alpha, "elinewidth": 0.8, "capsize": 0}
     reach_cm, words = Z * np.array(found.reading_std_cm), "mean of a point, 95 % by its readings"
     axes.errorbar(true_cm, reading_cm - true_cm, reach_cm, fmt="o", label=words, **look)
-    if found.offset is not None and found.scale is not None:
+    if found.offset and found.scale:
         line_cm = found.offset.value + (found.scale.value - 1.0) * span_cm
         axes.plot(span_cm, line_cm, "--", color=REFERENCE, label="straight line")
     if found.knots:
