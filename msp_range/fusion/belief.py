@@ -353,10 +353,6 @@ class Belief:
         return 0.5 * max(rises_m, 0.0) ** 2 / (climb.std_m**2 + RISES_M**2)
 
     def _prove(self, ground: Surface) -> None:
-        if self.proven is not None and self.proven.response.expects(ground.filter.height_m):
-            # The same answers, which did not move as the ground would.
-            ground.response = self.proven.response
-            self.proven.response = MotionResponse(self._motion, self._windows.turn_s)
         self._suspect_late(ground.again)
         ground.again = 0.0
         self.proven = ground

@@ -109,7 +109,7 @@ class MotionResponse:
         self._was_outlier = False
         self._own_m: dict[str, float] = {}
         # Height, rate and bias over ground, over something fixed, and over ground at the time of the ping before.
-        self._states = ((0.0, 0.0, 0.0),) * 3
+        self._states: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),) * 3
 
     @property
     def log_odds(self) -> float:
@@ -175,10 +175,10 @@ class MotionResponse:
             return
         t = time_s - before_s
         fades = math.exp(-t / B_LASTS_S)
-        predicted = [
+        predicted = tuple(
             (h + (w + 0.5 * (u - b) * t) * t, w + (u - b) * t, b * fades)
             for (h, w, b), u in zip(self._states, (up_m_s2, 0.0, earlier_m_s2), strict=True)
-        ]
+        )
         own_m = self._own_m.get(sensor)
         is_least = variance_m2 >= LEAST_VARIANCE_M2
         variance_m2 = max(variance_m2, self._noise_m2) + (OWN_STD_M**2 if own_m is None else 0.0)
@@ -189,8 +189,7 @@ class MotionResponse:
         self._own_m[sensor] = (own_m or 0.0) + share * (height_m - predicted[1][0])
         squares_m2 = [(height_m - h) ** 2 for h, _, _ in predicted]
         if min(squares_m2) > OUTLIER_SIGMAS**2 * total_m2 and not self._was_outlier:
-            follows, fixed, late = predicted
-            self._states, self._covariance, self._was_outlier = (follows, fixed, late), covariance, True
+            self._states, self._covariance, self._was_outlier = predicted, covariance, True
             return
         self._was_outlier = False
         (k_h, k_w, k_b), (hh, hw, hb, ww, wb, bb) = corrected(covariance, variance_m2)
@@ -200,10 +199,9 @@ class MotionResponse:
             self._decide(t, squares, k_h, up_m_s2 - predicted[0][2], may_slope)
             if not is_least:
                 self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
-        follows, fixed, late = [
+        self._states = tuple(
             (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) for h, w, b in predicted for off_m in (height_m - h,)
-        ]
-        self._states = follows, fixed, late
+        )
 
     def _predicted(self, t: float, fades: float) -> Covariance:
         """P' = F P F^T + Q; b falls to ``fades`` of itself."""

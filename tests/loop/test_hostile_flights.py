@@ -12,7 +12,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(501, 1_000_204, 0.0, 0.0, id="a landing that bounces is not silent"),
         pytest.param(501, 1_000_156, 0.0, 0.5, id="an edge below three sensors of four"),
         pytest.param(501, 1_000_460, 2.0, None, id="what did not answer on one surface may be another one now"),
-        pytest.param(501, 1_000_040, 1.7, None, id="answers that become another ground keep what they have shown"),
+        pytest.param(501, 1_000_040, 1.7, None, id="a strap from which the vehicle seems to climb away"),
         pytest.param(812, 1_000_390, 5.0, None, id="a strap that the ground was nearer than before the take-off"),
         pytest.param(812, 1_000_240, 5.0, None, id="near parts of the vehicle below one sensor after another"),
         pytest.param(501, 1_000_273, 2.0, None, id="dust in which surfaces of chance were the ground"),
