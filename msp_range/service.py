@@ -269,16 +269,6 @@ def _fly(
     thermometer = ThreadReader(clock, on_error=lambda text: log.warning("thermometer", error=text))
     watch: Watch | None = None
 
-    def on_file(path: Path) -> None:
-        log.info("recording", file=str(path))
-        if watch is not None:
-            watch.recording = str(path)
-
-    def on_failure(text: str) -> None:
-        log.warning("recording stopped", error=text)
-        if watch is not None:
-            watch.recording = None
-
     bridge = Bridge(
         airframe,
         flown.bus,
@@ -295,11 +285,17 @@ def _fly(
         with transfers_watched(bridge, flown.bus, clock):
             # The first sensor measures while the packages for recording and watching are imported.
             bridge.step()
-            recorder = flight_recorder(airframe, outputs.record, clock, on_file, on_failure)
+            recorder = flight_recorder(
+                airframe,
+                outputs.record,
+                clock,
+                on_file=lambda path: log.info("recording", file=str(path)),
+                on_failure=lambda text: log.warning("recording stopped", error=text),
+            )
             if recorder is not None:
                 bridge.record_to(recorder)
             try:
-                watch = Watch(bridge, transport, outputs, clock.now(), log)
+                watch = Watch(bridge, transport, outputs, clock.now(), log, recorder)
             except FeedError as error:
                 log.warning("not watched", error=str(error))
             # All these objects stay; excluding them from garbage collection avoids pauses of 10 ms.

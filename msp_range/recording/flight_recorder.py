@@ -61,6 +61,8 @@ class FlightRecorder:
     ----------
     fault : str or None
         What is wrong, in a few words for the pilot; None while the disk takes what is recorded.
+    path : pathlib.Path or None
+        The newest file that the disk has taken; None while it takes none.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class FlightRecorder:
         on_failure: Callable[[str], None] = lambda text: None,
     ) -> None:
         self.fault: str | None = None
+        self.path: Path | None = None
         self._folder = folder
         self._name = file_stem(vehicle)
         self._clock = clock
@@ -103,13 +106,13 @@ class FlightRecorder:
         if recorder.fault is not None:
             if recorder.fault != self.fault:
                 self._on_failure(recorder.failure())
-            self.fault, self._retry_s = recorder.fault, now_s + RETRY_S
+            self.fault, self.path, self._retry_s = recorder.fault, None, now_s + RETRY_S
             self._end(recorder)
             self._recorder = None
             return
         if not self._is_reported and recorder.file.kept_bytes and recorder.file.path is not None:
-            self._is_reported, self.fault = True, None
-            self._on_file(recorder.file.path)
+            self._is_reported, self.fault, self.path = True, None, recorder.file.path
+            self._on_file(self.path)
         lasts_s = now_s - recorder.start_s
         utc_moved_s = abs(self._clock.utc() - recorder.start_utc_s - lasts_s)
         if lasts_s >= FILE_LASTS_S or recorder.file.tell() >= FILE_BYTES or utc_moved_s >= CLOCK_SET_S:

@@ -4,6 +4,7 @@ Pure functions from the bridge's objects to messages of the feed.
 """
 
 import math
+from pathlib import Path
 from typing import Any
 
 from msp_range import __version__
@@ -49,7 +50,7 @@ def airframe_message(airframe: Airframe) -> dict[str, Any]:
     }
 
 
-def status_message(bridge: Bridge, transport: Transport, recording: str | None, now_s: float) -> dict[str, Any]:
+def status_message(bridge: Bridge, transport: Transport, recording: Path | None, now_s: float) -> dict[str, Any]:
     """The message of ``/status``: what counts and what is wrong, of sensors, air, link and recording.
 
     Parameters
@@ -86,7 +87,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: str | None, 
             "dropped": transport.stats.dropped_frames,
             "reconnects": transport.stats.reconnects,
         },
-        "recording": recording,
+        "recording": None if recording is None else str(recording),
     }
 
 

@@ -11,6 +11,7 @@ from msp_range.watch.place import Outputs
 from msp_range.watch.view import airframe_message, autopilot_message, status_message
 
 if TYPE_CHECKING:
+    from msp_range.recording.flight_recorder import FlightRecorder
     from msp_range.watch.page import PageProcess
 
 STATUS_INTERVAL_S = 0.5
@@ -30,11 +31,8 @@ class Watch:
         Now [s].
     log
         Where the page says that it is there, or not any more.
-
-    Attributes
-    ----------
-    recording : str or None
-        The file that is recorded to, as the status says it.
+    recorder
+        Whose file the status names; None: nothing is recorded.
 
     Raises
     ------
@@ -51,10 +49,11 @@ class Watch:
         outputs: Outputs,
         now_s: float,
         log: Log,
+        recorder: "FlightRecorder | None" = None,
     ) -> None:
         self._bridge = bridge
         self._transport = transport
-        self.recording: str | None = None
+        self._recorder = recorder
         self._feed = Feed(
             outputs.socket,
             lambda: airframe_message(bridge.airframe),
@@ -80,7 +79,8 @@ class Watch:
             return
         self._next_status_s = now_s + STATUS_INTERVAL_S
         if self._feed.is_watched:
-            self._feed.publish("/status", now_s, status_message(self._bridge, self._transport, self.recording, now_s))
+            path = None if self._recorder is None else self._recorder.path
+            self._feed.publish("/status", now_s, status_message(self._bridge, self._transport, path, now_s))
         if self._page is not None:
             self._page.service(now_s)
 

@@ -195,6 +195,7 @@ def test_a_folder_that_cannot_be_made_at_the_start(tmp_path: Path) -> None:
     folder.parent.write_text("not mounted")
     flight = Flight(folder).fly(12.0)
     assert [fault for _, fault in flight.faults] == ["folder gone"]
+    assert flight.recorder.path is None
     assert flight.failures == [f"{folder}: recording stopped: Not a directory; nothing is kept"]
     folder.parent.unlink()
     flight.fly(20.0)
@@ -334,6 +335,23 @@ def test_a_disk_that_hangs_is_reported_after_ten_seconds_and_used_again_when_it_
     assert before[-1] >= 5.0 + HUNG_AFTER_S
     assert after == tenths(after[0] - 0.1, 80.0)
     assert after[0] < 65.0 + RETRY_S
+
+
+def test_an_older_file_that_does_not_end_well_is_not_the_end_of_the_recording(tmp_path: Path, disk: BrokenDisk) -> None:
+    flight = Flight(tmp_path).fly(10.0)
+    older = flight.recorder._recorder
+    assert older is not None
+    flight.clock.sleep_until(FILE_LASTS_S)
+    disk.error = errno.EIO
+    flight.recorder.flush_if_due(FILE_LASTS_S)
+    until(lambda: older.file.has_ended)
+    disk.error = None
+    flight.count = round(10 * FILE_LASTS_S)
+    flight.fly(FILE_LASTS_S + 10.0)
+    assert len(flight.failures) == 1
+    assert flight.faults == []
+    assert flight.recorder.path == flight.opened[1]
+    flight.recorder.close()
 
 
 def test_a_bridge_never_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
