@@ -10,7 +10,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 
-from msp_range.fusion.ground_filter import GroundFilter
+from msp_range.fusion.ground_filter import SLOPE_STD, GroundFilter
 from msp_range.fusion.modes import (
     ANSWERED,
     AWAY_M,
@@ -58,6 +58,7 @@ SURE_STD_M_S, START_CLIMB_STD_M_S = 0.3, 3.0
 """The barometer's rate is used at the start below this deviation [m/s]; else a vehicle may climb by the second."""
 
 CHANGE, NO_RESPONSE = "sudden change, maybe an object or fault", "readings do not follow the motion"
+STEEP = "ground seems too steep, maybe a fault"
 """Reasons for doubt, as the pilot reads them."""
 
 
@@ -124,7 +125,8 @@ class Belief:
         The probability that the readings of all sensors are noise.
     doubt
         Why what most sensors see is perhaps no ground: `CHANGE`, a ground was known, and this is more probably a fault;
-        or `NO_RESPONSE`, it does not follow the vehicle's motion. It lasts until some ground is sure; None: no reason.
+        `NO_RESPONSE`, it does not follow the vehicle's motion; or `STEEP`, it would be ground, were it level. It lasts
+        until some ground is sure; None: no reason.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
     """
@@ -150,6 +152,7 @@ class Belief:
             self._is_measured = up_m_s2 is not None
             for surface in list(self.surfaces):
                 if time_s - max(surface.seen_s, surface.kept_s) > self._windows.memory_s:
+                    self._was_fixed |= surface.response.log_odds < UNANSWERED
                     self._drop(surface)
                 else:
                     answers = surface.response.log_odds > UNANSWERED
@@ -217,10 +220,10 @@ class Belief:
         """A reading is of a surface; ``least``: it stands for this range or less, as on the ground."""
         mode.count_outlier(False)
         if surface.evidence <= 0.0 and surface is not self.proven:
-            self._appraise(surface)  # Its first reading may have been of something else.
+            self._appraise(surface, raw)  # Its first reading may have been of something else.
+        self._update_same(surface, raw)
         gain = min(math.log(max(density, 1e-9) / PER_M) + HIT + math.log(P_OUTLIER / mode.outlier), HIT_MOST)
         surface.evidence = min(surface.evidence + gain, EVIDENCE_MOST)
-        self._update_same(surface, raw)
         if mode.readings == 1:
             self._began_late(mode, surface, raw)
         has_left = surface.began_m < LOW_M and surface.filter.height_m > AWAY_M
@@ -261,7 +264,7 @@ class Belief:
         new = Surface(ground, START, math.log(COMMON), MotionResponse(self._motion, self._windows.turn_s))
         if self._response is not None:
             new.response.inherit(self._response)
-        self._appraise(new)
+        self._appraise(new, raw)
         new.raw = None if self.expected() is None else raw
         new.seen_s = self._time_s
         self._began_late(mode, new, raw)
@@ -295,7 +298,7 @@ class Belief:
             shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
             if surface is not self.proven:
                 shared += object_prior(surface.filter.height_m - self.proven.filter.height_m if self.proven else 9.0)
-            fault = surface.common + surface.same - surface.response.log_odds + self._rises(surface)
+            fault = surface.common + surface.same - surface.response.log_odds + self._rises(surface) + _steep(surface)
             otherwise[surface] = shared, fault
         fixed = {each: _log_sum(0.0, each.evidence + fault) for each, (_, fault) in otherwise.items()}
         other = {
@@ -324,8 +327,11 @@ class Belief:
         most_seen = max(counts, key=lambda each: counts[each])
         seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
         share, is_open = weights[most_seen] / total, self.sure < SURE
+        were_it_level = share / (share + (1.0 - share) * math.exp(-_steep(most_seen)))
         if is_there and seen > len(voters) - 0.5 and share < SURE and most_seen.response.log_odds <= UNANSWERED:
             self.doubt = NO_RESPONSE
+        elif is_there and seen > len(voters) and share < SURE < were_it_level:
+            self.doubt = STEEP
         elif is_there and seen > len(voters) and share < 0.5 and self._known and not (is_open and self.doubt):
             self.doubt = CHANGE
         elif not is_open:
@@ -370,15 +376,16 @@ class Belief:
         self._was_fixed = True
         self._drop(surface)
 
-    def _appraise(self, surface: Surface) -> None:
-        """How probable a new surface is as the ground and as a fault, by where the ground should be."""
+    def _appraise(self, surface: Surface, raw: int | None) -> None:
+        """How probable a new surface is as the ground and as a fault, by where the ground should be, and its answer."""
         expected = self.expected()
         if expected is not None:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
         is_again = self._was_fixed or any(mode.is_fixed for mode in self._modes)
-        if surface.filter.height_m < LOW_M and is_again:
+        is_same = raw is not None and raw in [mode.fixed_raw for mode in self._modes]
+        if is_same or (surface.filter.height_m < LOW_M and is_again):
             surface.common = max(surface.common, math.log(COMMON_AGAIN))
         if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
             # What did not answer to the motion may be here now.
@@ -403,7 +410,7 @@ class Belief:
         if raw == surface.raw:
             surface.same = min(surface.same + SAME_RAW, SAME_RAW_MOST)
         else:
-            surface.same, surface.raw = 0.0, None
+            surface.same, surface.raw = 0.0, raw if surface.evidence <= 0.0 else None
 
     def _merge(self, surface: Surface, other: Surface) -> Surface:
         """Two surfaces are one by now: the first stays, unless the other one is the ground."""
@@ -429,6 +436,11 @@ class Belief:
 def _common(surface: Surface) -> float:
     """Log prior that a surface is a fault of several sensors, by its height; see `COMMON`."""
     return math.log(COMMON * (COMMON_LOW if surface.filter.height_m < LOW_M else 1.0))
+
+
+def _steep(surface: Surface) -> float:
+    """How much less likely a surface is the ground by its slope: g^2 / (2 SLOPE_STD^2) [nats]."""
+    return 0.5 * (surface.filter.rise_north**2 + surface.filter.rise_east**2) / SLOPE_STD**2
 
 
 def _log_sum(a: float, b: float) -> float:

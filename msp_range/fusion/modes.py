@@ -97,7 +97,8 @@ but silence costs less than a wrong distance; nearer than `LOW_M` so many times 
 decides how long what does not answer to the motion is sent: with the first it takes 10 nats."""
 COMMON_AGAIN = 0.3
 """That what is nearer than `LOW_M` is part of the vehicle where another sensor sees such a part, or where one has been
-found since a ground last answered. Not varied: it is sent once it has answered to a movement."""
+found, or been in doubt until it was gone, since a ground last answered; and, at any height, that it is what another
+sensor sees that is fixed, where the answers are the same. Not varied: it is sent once it has answered to a movement."""
 SAME_RAW, SAME_RAW_MOST = 3.0, 6.0
 """What each answer that is the same as all before on a new surface adds to its prior as a fault, and at most [nats]:
 sensors with a centimetre's noise answer the same in one of four readings, and one constant is the commonest fault of
@@ -305,6 +306,11 @@ class SensorMode:
     def is_fixed(self) -> bool:
         """Whether it sees something that is fixed to the vehicle."""
         return self._fixed_m is not None
+
+    @property
+    def fixed_raw(self) -> int | None:
+        """Its answer by what is fixed to the vehicle, while it sees that."""
+        return None if self._fixed_m is None or self._others else self.last_raw
 
     def hold(self) -> None:
         """What the sensor sees now is fixed to the vehicle."""

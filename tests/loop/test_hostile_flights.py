@@ -16,6 +16,11 @@ from evaluation.faults.plans import draw_plan
         pytest.param(812, 1_000_390, 5.0, None, id="a strap that the ground was nearer than before the take-off"),
         pytest.param(812, 1_000_240, 5.0, None, id="near parts of the vehicle below one sensor after another"),
         pytest.param(501, 1_000_273, 2.0, None, id="dust in which surfaces of chance were the ground"),
+        pytest.param(818, 1_000_003, 0.5, None, id="one constant where an outlier has been before"),
+        pytest.param(818, 1_000_020, 2.0, None, id="a strap that was in doubt and stuck, and answers anew"),
+        pytest.param(818, 1_000_443, 1.0, None, id="the constant of two sensors that the other two have, too"),
+        pytest.param(818, 1_000_170, 3.0, 30.0, id="eight sensors see the ground again after a strap is gone"),
+        pytest.param(818, 1_000_379, 4.0, None, id="two sensors that drift alike are no slope of 80 %"),
         pytest.param(501, 1_000_173, 8.0, None, id="late answers over a hover between two movements"),
     ],
 )
