@@ -23,11 +23,15 @@ from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages
 
 SERVICE_INTERVAL_S = 0.005
-"""Time between two reads of the transport [s], where messages are dense or it has no files that show them. Less wakes
-the bridge more often, more makes what it does with messages later."""
+"""Time between two reads of the transport [s] where messages are dense, or where it has no file to wait for. Shorter
+wakes the bridge more often, longer delays what it does with messages."""
+QUIET_INTERVAL_S = 0.05
+"""Longest time between two reads of a transport that is quiet, or whose files wake the bridge [s]; requests are at most
+this late."""
 DENSE_S = 2.0 * SERVICE_INTERVAL_S
-"""Messages that arrive within so long after the ones before are dense [s]: then the bridge reads them together. A
-serial port can be read again after every few bytes. Longer than the interval, so that a flood stays dense."""
+"""Messages that arrive within this time after the ones before are dense [s]: then the bridge reads each
+`SERVICE_INTERVAL_S` instead of waiting for the file, as a serial port can be read again after every few bytes. Longer
+than the interval, so that a flood stays dense."""
 DECODED_FROM_AUTOPILOT, DECODED_FROM_OTHERS = 32, 4
 """Largest number of messages that one call decodes: 6400 and 800 a second, while autopilots send some hundreds.
 Decoding takes 3 us on a desktop computer and some 15 us on a small one: with 32 a flood delays the polling by less than
@@ -42,9 +46,6 @@ ANSWERS_PER_S = 20
 SENT_KEPT = 512
 """Number of own frames that are remembered to recognise them if they come back: those of 10 s or more. With fewer, a
 late echo is taken for another program's."""
-QUIET_INTERVAL_S = 0.05
-"""The same if nothing arrives in between, or the transport has files that show it [s]; requests are at most this late.
-"""
 HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
 """Time without a heartbeat after which the autopilot counts as lost [s]."""
@@ -160,12 +161,15 @@ class Link:
         self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT, WAITING_FROM_AUTOPILOT)
         self._decode_first(self._from_others, DECODED_FROM_OTHERS, WAITING_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
-            self._next_heartbeat_s = max(self._next_heartbeat_s + HEARTBEAT_INTERVAL_S, now_s)
+            self._next_heartbeat_s += HEARTBEAT_INTERVAL_S
+            if self._next_heartbeat_s <= now_s:  # The loop stood still: the next one is a second from now.
+                self._next_heartbeat_s = now_s + HEARTBEAT_INTERVAL_S
             self.send(self._heartbeat())
         if self.autopilot_is_present:
             self._ask(now_s)
         is_dense = False
-        # Also where nothing came of it: a server with all the clients that it takes can be read for ever.
+        # Also where no bytes have come: a server with all the clients that it takes stays readable, and would wake the
+        # loop without a pause.
         if received or has_arrived:
             is_dense = now_s < self._arrived_s + DENSE_S
             self._arrived_s = now_s
@@ -183,7 +187,7 @@ class Link:
             missing = "Range: no autopilot, nobody gets the distances"
         state = "no heartbeat comes in" if transport.connected else transport.last_error or "nobody has connected"
         remedy = f"{transport.description}: {state}; check wires, port, baud rate and the autopilot's settings of it"
-        # Nobody would get a text: it is for those who look.
+        # Without an autopilot nobody gets a text: this is for those who look at the status.
         found.append(Condition("autopilot", missing, "", Severity.ERROR, remedy=remedy, is_reported=False))
         if self._signing is not None:
             text = None if self._signing.keeps_time else "Range: signing time is not kept, check the disk"
@@ -227,7 +231,7 @@ class Link:
                 waiting.append((now_s, frame))
 
     def _is_accepted(self, now_s: float, frame: Frame) -> bool:
-        """Whether a frame has the signature that it needs; an autopilot's heartbeat that has not is reported."""
+        """Whether a frame's signature is right; an autopilot's heartbeat whose signature is not is reported."""
         is_accepted = self._signing is None or self._signing.accepts(frame)
         if frame.is_autopilot_heartbeat:
             if not is_accepted:
@@ -236,14 +240,19 @@ class Link:
                 self._participants.seen("signing", now_s, "Range: autopilot signs, signing_key is missing")
         return is_accepted
 
-    def _decode_first(self, waiting: Waiting, decoded: int, kept: int) -> None:
-        """Decode so many messages of all that wait, or of more than ``kept`` of the newest of each type and system."""
-        if len(waiting) > kept:
-            newest = {(frame.message_id, frame.system): (time_s, frame) for time_s, frame in waiting}
-            waiting[:] = list(newest.values())[-kept:]
-        for time_s, frame in waiting[:decoded]:
+    def _decode_first(self, waiting: Waiting, most_decoded: int, most_waiting: int) -> None:
+        """Decode the first messages that wait, and leave the others for the next call.
+
+        Of more than ``most_waiting`` the newest of each type and sender are kept, in the order of their arrival.
+        """
+        if len(waiting) > most_waiting:
+            newest: dict[tuple[int, int, int], tuple[float, Frame]] = {}
+            for time_s, frame in reversed(waiting):
+                newest.setdefault((frame.message_id, frame.system, frame.component), (time_s, frame))
+            waiting[:] = [*newest.values()][:most_waiting][::-1]
+        for time_s, frame in waiting[:most_decoded]:
             self._decode(time_s, frame)
-        del waiting[:decoded]
+        del waiting[:most_decoded]
 
     def _decode(self, now_s: float, frame: Frame) -> None:
         source = (frame.system, frame.component)

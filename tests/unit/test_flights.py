@@ -142,6 +142,11 @@ def test_simulated_and_real_flights_do_not_mix(tmp_path: Path) -> None:
     assert abs(float(np.median(hovering["reading_cm"] - hovering["true_range_cm"]))) < 3
     with pytest.raises(RecordingError, match="of a simulated flight; name another folder"):
         archive(tmp_path).keep(load_flights(campaign_file(tmp_path)).flights[1], recording(tmp_path, [90] * 3), None)
+    (simulated,) = (tmp_path / "out/flights").glob("*.mcap")
+    real = tmp_path / "real"
+    real.mkdir()
+    with pytest.raises(RecordingError, match="of a simulated flight, expected one of msp-range run"):
+        archive(real).keep(load_flights(campaign_file(real)).flights[0], simulated, None)
 
 
 def test_no_flight_is_lost_where_an_earlier_one_was_deleted(tmp_path: Path) -> None:

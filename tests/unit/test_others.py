@@ -111,6 +111,27 @@ def test_the_others_know_the_range_as_well_as_they_say() -> None:
     assert set(found["reference"].tolist()) == {"others"}
 
 
+def test_a_vehicle_on_its_side_for_a_moment_leaves_the_other_readings_their_reference() -> None:
+    """Before the take-off, perhaps, when it is carried: then a sensor looks past the ground."""
+    columns = flown(400, 2)
+    over = rotation_matrix(math.radians(88.0), 0.0, 0.0)
+    level = side_by_side(NAMES)
+
+    def rotations(time_s: _Array) -> list[Matrix | None]:
+        return [over if 20.0 < each < 20.25 else None for each in time_s.tolist()]
+
+    found, of_level = (
+        with_others_as_reference(MeasuredData(columns), MODEL, each).data
+        for each in (Mounting(level.sensors, rotations), level)
+    )
+    aside = (columns["time_s"] > 20.0) & (columns["time_s"] < 20.25)
+    assert np.isnan(found["true_range_cm"][aside]).all()
+    known = ~np.isnan(of_level["true_range_cm"]) & ~aside
+    apart_cm = (found["true_range_cm"] - of_level["true_range_cm"])[known]
+    assert not np.isnan(apart_cm).any()
+    assert np.abs(apart_cm).max() < 5.0
+
+
 @pytest.mark.slow
 def test_a_sensor_is_no_part_of_its_own_reference_and_nor_is_the_truth() -> None:
     columns = flown(400, 3)

@@ -157,13 +157,19 @@ class FlightArchive:
         Raises
         ------
         RecordingError
-            One cannot be read, has no usable content, or cannot be copied.
+            One cannot be read, has no usable content, is of a simulated flight, or cannot be copied.
         """
-        data = measured_data(Recording(recording), faults=False)
+        recorded = Recording(recording)
+        if SCENARIO in recorded.metadata:
+            raise RecordingError(
+                f"{recording}: a recording of a simulated flight, expected one of msp-range run; --simulate flies and "
+                "keeps simulated ones, in a folder of their own"
+            )
+        data = measured_data(recorded, faults=False)
         if not len(data):
             raise RecordingError(f"{recording}: contains no readings")
         if reference is not None:
-            known = ~np.isnan(truth_at(data["time_s"], Recording(recording), reference))
+            known = ~np.isnan(truth_at(data["time_s"], recorded, reference))
             if not known.any():
                 raise RecordingError(f"{reference}: its times do not overlap with those of {recording}")
         self._refuse_other_kind(simulated=False)

@@ -62,8 +62,10 @@ def parse_truth(text: str) -> Truth:
     Truth(kind='column', name='LIDR.Dist', factor=0.01, file=None)
     >>> parse_truth("mocap@room.bag").file
     PosixPath('room.bag')
+    >>> parse_truth("mocap@flights/x@y/room.bag").file
+    PosixPath('flights/x@y/room.bag')
     """
-    source, at, file = text.rpartition("@")
+    source, at, file = text.partition("@")
     if at:
         found = parse_truth(source)
         if found.kind in (RECORDED, OTHERS, NONE) or not file:

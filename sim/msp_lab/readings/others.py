@@ -60,7 +60,7 @@ class Referenced:
     offsets_cm: Mapping[str, float]
     """Of each sensor that has a reference: how much more than the others it read on average, which was taken off."""
     rows: Mapping[str, int]
-    """Of how many readings that is the average."""
+    """How many readings of each have a reference; the average is over the echoes among them, without outliers."""
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,10 @@ def _reference(
     for _ in range(ROUNDS):
         views = [_view(*each) for each in zip(mounted, rotations, state, strict=True)]
         geometry, offset_m = _linear(views, state)
+        sees_ground = geometry[:, HEIGHT] != 0.0
         # One set of readings without each sensor, and one with all.
         variance_m2 = np.maximum(own_cm2 + excess_cm2[sensor], LEAST_STD_CM**2) / 1e4
-        whole = np.where(usable & fits, variance_m2, np.inf)
+        whole = np.where(usable & fits & sees_ground, variance_m2, np.inf)
         sets = np.stack([*(np.where(sensor == s, np.inf, whole) for s in range(len(names))), whole])
         seen = _smoothed(time_s, np.nan_to_num(reading_cm - bias_cm) / 100.0 - offset_m, geometry, sets)
         # About level ground: at a slope that is estimated, readings depend on it by height too. Two others, on one
@@ -156,7 +157,7 @@ def _reference(
         true_cm, std_cm2 = 100.0 * (expected_m[here] + offset_m), 1e4 * doubt_m2[here]
         off_cm = reading_cm - bias_cm - true_cm
         off_cm2 = off_cm**2
-        known = flies & (std_cm2 < MAX_STD_CM**2)
+        known = flies & sees_ground & (std_cm2 < MAX_STD_CM**2)
         with np.errstate(invalid="ignore"):
             fits = off_cm2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
         # Readings are whole centimetres.
@@ -219,8 +220,9 @@ def _grounded(time_s: Array, around_cm: Array, least_cm: float) -> Flags:
 
 
 def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
+    """What a sensor should read; nothing depends on the height where it looks past the ground."""
     found = mounted.view(rotation, float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
-    return View(np.nan, 0.0, 0.0, 0.0, 0.0) if found is None else found
+    return View(0.0, 0.0, 0.0, 0.0, 0.0) if found is None else found
 
 
 def _linear(views: Sequence[View], state: Array) -> tuple[Array, Array]:

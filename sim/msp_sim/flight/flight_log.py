@@ -117,7 +117,7 @@ class FlightLog:
         self._recorder = recorder
         self._truths: dict[str, Ping] = {}
         self._steps_m: dict[str, float] = {}
-        self._ground_m: float | None = None
+        self._level_m: float | None = None
         self._edge_s = float("-inf")
 
     def record_truth(self, sensor: str, ping_s: float, ping: Ping, context: Mapping[str, Any]) -> None:
@@ -125,10 +125,10 @@ class FlightLog:
         self._truths[sensor] = ping
         mounted = self._downward.get(sensor)
         if mounted is not None and ping.slant_range_cm is not None:
-            below_m = self._world.down_axis_m(self._pose(ping_s))
-            if below_m is not None:
-                down_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
-                self._steps_m[sensor] = down_m - below_m
+            ground_m = self._world.down_axis_m(self._pose(ping_s))
+            if ground_m is not None:
+                seen_m = ping.slant_range_cm / 100 * math.cos(mounted.tilt_from_down_rad) + mounted.position_m[2]
+                self._steps_m[sensor] = seen_m - ground_m
         if self._recorder is not None:
             not_recorded = ("has_echo", "slant_range_cm")
             truth = {key: each for key, each in context.items() if each is not None and key not in not_recorded}
@@ -151,20 +151,21 @@ class FlightLog:
     def _record_below(self, time_s: float, fused: Fused | None) -> float | None:
         """Record the fused distance; return the true one [m], or None over an edge."""
         pose = self._pose(time_s)
-        down_m = self._world.down_axis_m(pose)
-        truth_m = None if down_m is None else down_m - self._reference_down_m
-        is_edge = down_m is None or self._is_edge(time_s, pose, down_m)
+        ground_m = self._world.down_axis_m(pose)
+        truth_m = None if ground_m is None else ground_m - self._reference_down_m
+        is_edge = ground_m is None or self._update_edge(time_s, pose, ground_m)
         below_m = None if is_edge else truth_m
         if fused is not None:
             self.flight.fused.add(time_s, truth_m, None, fused.range_m, "edge" if is_edge else None, below_m)
         return below_m
 
-    def _is_edge(self, time_s: float, pose: Pose, below_m: float) -> bool:
-        # The ground's own height where the down axis meets it, so that climbing or descending is not an edge.
-        ground_m = pose.position_ned_m[2] + below_m * math.cos(pose.pitch_rad) * math.cos(pose.roll_rad)
-        if self._ground_m is not None and abs(ground_m - self._ground_m) > LEVEL_M:
+    def _update_edge(self, time_s: float, pose: Pose, ground_m: float) -> bool:
+        """Whether there is an edge, or was one just now, by how far away the ground is along the down axis [m]."""
+        # Down from the start to where the axis meets the ground, so that climbing or descending is not an edge.
+        level_m = pose.position_ned_m[2] + ground_m * math.cos(pose.pitch_rad) * math.cos(pose.roll_rad)
+        if self._level_m is not None and abs(level_m - self._level_m) > LEVEL_M:
             self._edge_s = time_s
-        self._ground_m = ground_m
+        self._level_m = level_m
         return time_s - self._edge_s < EDGE_S or any(abs(step_m) > LEVEL_M for step_m in self._steps_m.values())
 
     def record_text(self, time_s: float, severity: Severity, text: str) -> None:

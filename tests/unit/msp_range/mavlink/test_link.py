@@ -764,6 +764,21 @@ class TestFlood:
             assert len(met.link._from_autopilot) <= WAITING_FROM_AUTOPILOT
         assert heartbeats == 8
 
+    def test_what_is_kept_of_a_flood_is_in_order(self, met: Bench) -> None:
+        autopilot = Component(7)
+        times = [dialect.MAVLink_system_time_message(0, i) for i in range(2 * WAITING_FROM_AUTOPILOT)]
+        met.received.clear()
+        met.arrive(*map(autopilot.frame, [self.ATTITUDE, *times, self.ATTITUDE]))
+        assert [each.get_type() for each in met.received] == ["SYSTEM_TIME", "ATTITUDE"]
+        assert met.received[0].time_boot_ms == times[-1].time_boot_ms
+
+    def test_after_a_stall_heartbeats_are_a_second_apart_again(self, met: Bench) -> None:
+        met.run(2.0)
+        before = met.link.sent["HEARTBEAT"]
+        met.clock.sleep_until(met.clock.now() + 5.0)
+        met.run(0.9)
+        assert met.link.sent["HEARTBEAT"] == before + 1
+
     def test_a_flood_of_all_systems_is_not_kept(self, bench: Bench) -> None:
         """Nobody is the autopilot yet, so that any of them may be."""
         kinds = [self.ATTITUDE, dialect.MAVLink_system_time_message(0, 1), dialect.MAVLink_ping_message(0, 0, 0, 0)]
