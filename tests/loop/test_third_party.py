@@ -11,7 +11,7 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-from msp_range.recording.csv_form import write_csv
+from msp_range.recording.csv_form import read_csv, write_csv
 
 HERE = Path(__file__).parents[1] / "third_party"
 EFFECT = HERE / "package" / "sonar_extras" / "supply_sag.py"
@@ -61,6 +61,10 @@ def test_its_sensor_flies_with_its_filter_and_its_effect(installed: Installed) -
     assert errors["error_after"]["rms_cm"] < 0.95 * errors["error_before"]["rms_cm"]
     replayed = installed.run("msp-range", "replay", out / "flight.mcap")
     assert f"{errors['error_after']['count']}" in replayed
+    table = out / "readings.csv"
+    installed.run("msp-range", "export", out / "flight.mcap", table)
+    off_cm = read_csv(table)["reading_cm"] - read_csv(table)["true_range_cm"]
+    assert np.nanmedian(off_cm) == pytest.approx(-14.0, abs=2.0)
 
 
 def test_its_logs_are_imported(installed: Installed) -> None:

@@ -7,15 +7,16 @@ from msp_range.sensors.base import Driver, FoundDevice, RecordedPing, stranger
 
 RANGE_COMMAND = b"\x01"
 ADDRESS_COMMAND = 0x02
-NO_ECHO = 0xFFFF
+NO_ECHO_MM, MAXIMUM_CM = 0xFFFF, 600
 RANGING_S = 0.05
 
 
-def decode(word: int) -> Decoded:
-    """What an answer says."""
-    if word == NO_ECHO:
-        return Decoded(Status.NO_ECHO, None, word)
-    return Decoded(Status.OK, word / 1000, word) if 30 <= word <= 6000 else Decoded(Status.IMPOSSIBLE, None, word)
+def decode(range_cm: int) -> Decoded:
+    """What an answer says, in the centimetres that recordings and the laboratory have; the maximum is no echo."""
+    if range_cm == MAXIMUM_CM:
+        return Decoded(Status.NO_ECHO, None, range_cm)
+    status = Status.OK if 3 <= range_cm < MAXIMUM_CM else Status.IMPOSSIBLE
+    return Decoded(status, range_cm / 100 if status is Status.OK else None, range_cm)
 
 
 class Acme(Driver):
@@ -32,7 +33,8 @@ class Acme(Driver):
 
     def answer(self) -> Decoded:
         """Read the result; raises BusError while the sensor ranges."""
-        return decode(int.from_bytes(self._bus.read(self.address, 2), "big"))
+        range_mm = int.from_bytes(self._bus.read(self.address, 2), "big")
+        return decode(MAXIMUM_CM if range_mm == NO_ECHO_MM else round(range_mm / 10))
 
     @classmethod
     def identify(cls, bus: Bus, clock: Clock, address: int) -> FoundDevice:
@@ -44,7 +46,7 @@ class Acme(Driver):
             decoded = sensor.answer()
         except BusError as error:
             return stranger(address, f"no answer to the range command (errno {error.errno})")
-        return FoundDevice(address, not decoded.status.is_fault, f"answers {decoded.raw} mm")
+        return FoundDevice(address, not decoded.status.is_fault, f"answers {decoded.raw} cm")
 
     @classmethod
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:
@@ -53,8 +55,8 @@ class Acme(Driver):
 
     @classmethod
     def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """Sound takes 5.8 us per millimetre there and back; the echo came half of that after the ping."""
-        flight_s = 5.8e-6 * (raw if raw is not None and raw != NO_ECHO else 0)
+        """Sound takes 58 us per centimetre there and back; the echo came half of that after the ping."""
+        flight_s = 58e-6 * (raw if raw is not None and raw != MAXIMUM_CM else 0)
         return RecordedPing(echo_s - flight_s / 2, raw, RANGING_S)
 
     @classmethod
@@ -64,12 +66,13 @@ class Acme(Driver):
 
 
 class _Playback:
-    """Two bytes of the recorded answer."""
+    """Two bytes of the recorded answer, in millimetres again."""
 
-    first_raw = NO_ECHO
+    first_raw = MAXIMUM_CM
 
     def starts(self, data: bytes, ranging: bool) -> bool | None:
         return None if ranging else data == RANGE_COMMAND
 
     def answer(self, count: int, raw: int, ranging: bool) -> bytes | None:
-        return None if ranging else raw.to_bytes(2, "big").ljust(count, b"\xff")[:count]
+        range_mm = NO_ECHO_MM if raw == MAXIMUM_CM else 10 * raw
+        return None if ranging else range_mm.to_bytes(2, "big").ljust(count, b"\xff")[:count]

@@ -12,6 +12,8 @@ PILOT_LOG = LogFormat("log of the pilot's box", ".pilot", "sonar_extras.pilot_lo
 
 def read_pilot_log(path: Path, asked: LogRequest) -> VehicleLog:
     """Read a log, all at once."""
+    if not path.read_bytes().startswith(b"PILOT 1\n"):
+        raise RecordingError(f"{path}: no log of the pilot's box: its first line is not PILOT 1")
     try:
         time_s, range_m, height_m = np.loadtxt(path, skiprows=1, ndmin=2).T
     except (OSError, ValueError) as error:
@@ -20,4 +22,7 @@ def read_pilot_log(path: Path, asked: LogRequest) -> VehicleLog:
     box = MessageColumns("box", {"range": range_m, "height": height_m}, time_s)
     nothing = np.zeros(time_s.size, dtype=bool)
     ranger = make_ranger("down", box.unsorted("range", range_m), True, np.array([7.65]), range_m < 0.2, nothing)
-    return make_log(path, "log of the pilot's box", [ranger], {}, [truth_source("mocap", box.series("height"))], (), ())
+    references = [truth_source("mocap", box.series("height"))]
+    if asked.field == "box.height":
+        references.append(truth_source("column", box.series("height")))
+    return make_log(path, "log of the pilot's box", [ranger], {}, references, (), ())
