@@ -93,7 +93,9 @@ class LoopReader:
         error_text, sample = "", None
         try:
             sample = Sample(now_s, self._read(source) * source.scale)
-        except (OSError, ValueError) as error:
+        except OSError as error:
+            error_text = f"{source.path}: {error.strerror or error}"
+        except ValueError as error:
             error_text = str(error)
         if error_text and error_text != self._errors.get(source):
             self._on_error(error_text)

@@ -289,5 +289,5 @@ def test_a_thermometer_that_is_a_pipe_is_logged_and_the_next_one_used(tmp_path: 
         )
         log = service.log()
     assert [each["error"] for each in log if each["event"] == "thermometer"] == [
-        f"{tmp_path}/pipe: is a pipe, a device or a folder; expected a file that contains a number"
+        f"{tmp_path}/pipe: found a pipe, expected a file"
     ]
