@@ -117,7 +117,8 @@ class MotionResponse:
 
         After a movement they are more than `FOLLOWS`, as much as it has shown: a near ground needs that to be believed.
         """
-        return min(self._fixed, self._late) + max(self._answered - FOLLOWS, 0.0)
+        late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed: not where it is inherited.
+        return min(self._fixed, late) + max(self._answered - FOLLOWS, 0.0)
 
     @property
     def is_fixed(self) -> bool:
