@@ -74,7 +74,7 @@ class RecordedOrder:
         if not pings:
             return float("inf"), ()
         first_s = min(ping.ping_s for ping, _ in pings)
-        # The first try to read is the one that succeeded, whatever the bridge's interval was then.
+        # Both times count from the ping. The first try to read is the one that succeeded, whatever the interval was.
         return first_s, [
             replace(each, timing=replace(each.timing, first_answer_s=ping.ready_s))
             for ping, each in pings
@@ -82,10 +82,10 @@ class RecordedOrder:
         ]
 
     def on_reading(self, reading: Reading) -> None:
-        """A record does not change with what is received."""
+        """Nothing: the order is the recorded one, whatever is read."""
 
     def again(self, sensor: str) -> None:
-        """Nor with what does not fit."""
+        """Nothing: the record has no other ping of a sensor whose reading does not fit."""
 
 
 class PacedClock(SystemClock):
@@ -174,7 +174,7 @@ def replay(
                 fused += step.fused is not None
             if steps:
                 bar.show(f"replaying {source.name}", taken)
-    # What waits for its turn still goes out.
+    # Messages that wait for their turn still go out.
     end_s = clock.now() + 0.1
     while clock.now() < end_s:
         bridge.step()

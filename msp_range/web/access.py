@@ -1,8 +1,8 @@
-"""Who may see the page: this computer's programs, or whoever has the token where others can reach it.
+"""Who may see the page: programs of this computer without a token, and those of others with one.
 
-A request is refused where its ``Host`` is another computer's name (a page of the internet that resolves its own name to
-127.0.0.1), where its ``Origin`` is another site (a page of the internet that opens a connection to here), or where the
-token is needed and is not in the address.
+Without a token a request is refused whose ``Host`` is no name of this computer: a page of the internet may resolve its
+own name to 127.0.0.1. With one any ``Host`` is taken, since such a page does not know the token. A request whose
+``Origin`` is another site (a page of the internet that opens a connection to here) is always refused.
 """
 
 import hmac
@@ -29,9 +29,15 @@ def refusal(
     token
         Token that must be in the address as ``?token=``; None: not needed.
     target
-        Path and query of the request; None where the token is not needed.
+        Path and query of the request; None for what says nothing of the vehicle (styles, scripts), which needs no
+        token.
     host, origin
         Its headers; None where there is none.
+
+    Raises
+    ------
+    ValueError
+        One of them is no address.
 
     Examples
     --------
@@ -40,7 +46,9 @@ def refusal(
     >>> refusal(None, "/live", "127.0.0.1:8080", "http://example.org")[0].value
     403
     """
-    if host is None or (token is None and _name(host) not in LOOPBACK):
+    if host is None:
+        return HTTPStatus.FORBIDDEN, "the request has no Host header\n"
+    if token is None and _name(host) not in LOOPBACK:
         return HTTPStatus.FORBIDDEN, f"this page is for {LOOPBACK[0]} only; found Host {host}\n"
     if origin is not None and urlsplit(origin).netloc != host:
         return HTTPStatus.FORBIDDEN, f"this page is not for other sites; found Origin {origin}\n"

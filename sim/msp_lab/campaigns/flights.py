@@ -137,7 +137,7 @@ class FlightArchive:
             yield unfinished
 
     def _refuse_other_kind(self, *, simulated: bool) -> None:
-        """Refuse simulated and real flights in one folder; the simulator names its scenario in the recording."""
+        """Refuse where there are flights of the other kind already; the simulator names its scenario in a recording."""
         for flight in self._campaign.flights:
             for path in self.recordings(flight):
                 if (SCENARIO in Recording(path).metadata) != simulated:
@@ -175,6 +175,7 @@ class FlightArchive:
         self._refuse_other_kind(simulated=False)
         path = self._next_path(flight)
         if reference is not None:
+            # First: a recording without its reference would look complete.
             _copy(reference, path.with_suffix(".reference.csv"))
         _copy(recording, path)
 

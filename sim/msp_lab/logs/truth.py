@@ -36,7 +36,7 @@ class Truth:
     kind: str = ""
     """A key of `KINDS`, ``sensor``, ``column``, or empty: the best that the log has."""
     name: str = ""
-    """Of the sensor, or MESSAGE.FIELD of the column."""
+    """Name of the sensor, or MESSAGE.FIELD of the column."""
     factor: float = 1.0
     """From the column's unit to metres."""
     file: Path | None = None
@@ -44,7 +44,7 @@ class Truth:
 
     @property
     def field(self) -> str:
-        """The field of the log that has to be read for it; empty: none."""
+        """MESSAGE.FIELD that has to be read from the log; empty unless a column is asked for."""
         return self.name if self.kind == "column" else ""
 
 

@@ -2,7 +2,7 @@
 
 An error is a reading minus the truth at the time of its echo. Readings without a range or truth and readings at the
 sensor's minimum are left out; for the fused distance so are times at which the ground differs between the sensors.
-'Before' is the raw reading, 'after' the filters' output.
+'Before' is the raw reading, also where the filters reject it, 'after' the filters' output, so that the counts differ.
 """
 
 import math
@@ -15,19 +15,19 @@ from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 
 def error_of(truth_m: list[float | None], value_m: list[float | None], why: list[str | None]) -> dict[str, float]:
-    """Bias, root mean square, 95th percentile of the magnitude [cm], and the number of errors."""
-    pairs = [
+    """Bias, root mean square, 95th percentile of the magnitude [cm], and the number of errors; only that if it is 0."""
+    errors_cm = [
         (value - truth) * 100
         for truth, value, reason in zip(truth_m, value_m, why, strict=True)
         if truth is not None and value is not None and reason not in ("at_minimum", "edge")
     ]
-    if not pairs:
+    if not errors_cm:
         return {"count": 0}
-    return {"count": len(pairs), **error_numbers(pairs)}
+    return {"count": len(errors_cm), **error_numbers(errors_cm)}
 
 
 def error_numbers(errors_cm: Sequence[float]) -> dict[str, float]:
-    """Mean, root mean square and 95 % quantile of errors, of which there is one at least [cm]."""
+    """Bias, root mean square, and 95th percentile of the magnitude of errors, at least one [cm]."""
     errors = np.array(errors_cm)
     # Summed exactly, so that the last digit does not depend on the processor.
     bias_cm, rms_cm = math.fsum(errors) / errors.size, math.sqrt(math.fsum(errors**2) / errors.size)
@@ -36,7 +36,7 @@ def error_numbers(errors_cm: Sequence[float]) -> dict[str, float]:
 
 
 def summarise(flight: FlightResult, scenario: str, seed: int | None) -> dict[str, Any]:
-    """All numbers of a flight; the same seed gives the same numbers. None: a flight that was recorded."""
+    """The content of ``summary.json``: the same for the same scenario and seed, None for a recorded flight."""
     rejected = flight.rejected
     return {
         "scenario": scenario,

@@ -98,7 +98,7 @@ class Model:
         ------
         ConfigError
             An entry of ``effects`` is not in the catalogue, its parameters are invalid, or it acts on whole centimetres
-        and the sensor's resolution is another.
+            and the sensor's resolution is another.
         """
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
         if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
