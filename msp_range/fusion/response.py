@@ -27,7 +27,8 @@ small movements, smaller takes a bias of the accelerometer for a lack of respons
 B_START_M_S2, B_STD_M_S2, B_LASTS_S = 0.15, 0.1, 60.0
 """Standard deviation of b at the start, and later [m/s^2], and how long it lasts [s]: an accelerometer's bias, and how
 the ground curves below the vehicle. Larger or shorter finds what is late only in hard manoeuvres (with 0.2 that lasts
-5 s, late answers are wrong for half as long again), smaller finds it where ground curves."""
+5 s, late answers are wrong for a fifth longer, and unreported for half as long again), smaller finds it where ground
+curves."""
 NOISE_SHARE = 0.25
 """Share of a predicted height's variance by which the accelerometer's noise moves the two predictions apart: with it
 the odds of a vehicle at rest stay the same (by simulated rest: 0.24 to 0.27). Larger finds what is fixed later, smaller
