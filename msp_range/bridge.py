@@ -88,7 +88,8 @@ and for the transfer under way [s]. Longer than the pings of a group, so that th
 50 kHz); far shorter than the second between two heartbeats, and than the margin in `Windows.silence_s` (50 ms)."""
 CONDITIONS_INTERVAL_S = 0.25
 """Longest time between two checks of what does not come with a reading: bus, temperature, autopilot, disk [s]. A
-silence is reported when it is due, whatever this is; a longer interval reports the others later."""
+silence is reported when it is due, and why the fused distance stops when it does, whatever this is; a longer interval
+reports the others later."""
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
 m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
@@ -399,7 +400,7 @@ class Bridge:
         if is_sent:
             self._output.on_usable(FUSED, now_s)
         if is_sent != self._fused_is_sent:
-            # Why it has stopped is reported at once.
+            # Why it has stopped, or that it is back, is reported at once.
             self._fused_is_sent, self._next_conditions_s = is_sent, now_s
         if reading.range_m is not None and rejected != SUSPECT:
             self._output.on_range(rejected in (None, OBJECT), fusion.fit)

@@ -94,7 +94,7 @@ class LoopReader:
         try:
             sample = Sample(now_s, self._read(source) * source.scale)
         except OSError as error:
-            error_text = f"{source.path}: {error.strerror or error}"
+            error_text = f"{error.filename or source.path}: {error.strerror or error}"
         except ValueError as error:
             error_text = str(error)
         if error_text and error_text != self._errors.get(source):

@@ -140,7 +140,7 @@ class Belief:
         self._known: Known | None = None
         self._response: MotionResponse | None = None  # Of the last ground.
         self._time_s = float("-inf")
-        self._is_measured = self._was_fixed = False
+        self._is_measured = self._was_no_ground = False
         self.ground: Surface | None = None
         self.sure = self.noise = 0.0
         self.doubt: str | None = None
@@ -152,7 +152,7 @@ class Belief:
             self._is_measured = up_m_s2 is not None
             for surface in list(self.surfaces):
                 if time_s - max(surface.seen_s, surface.kept_s) > self._windows.memory_s:
-                    self._was_fixed |= surface.response.log_odds < UNANSWERED
+                    self._was_no_ground |= surface.response.log_odds < UNANSWERED
                     self._drop(surface)
                 else:
                     answers = surface.response.log_odds > UNANSWERED
@@ -229,7 +229,7 @@ class Belief:
         has_left = surface.began_m < LOW_M and surface.filter.height_m > AWAY_M
         if surface is self.proven and (has_left or surface.response.log_odds > ANSWERED):
             surface.common = math.log(COMMON) if least else _common(surface)
-            surface.response.is_in_doubt = self._was_fixed = False
+            surface.response.is_in_doubt = self._was_no_ground = False
             surface.mark = None
         elif not least and surface.common > math.log(COMMON) and surface.response.log_odds < UNANSWERED:
             surface.response.is_in_doubt = True
@@ -327,10 +327,9 @@ class Belief:
         most_seen = max(counts, key=lambda each: counts[each])
         seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
         share, is_open = weights[most_seen] / total, self.sure < SURE
-        were_it_level = share / (share + (1.0 - share) * math.exp(-_steep(most_seen)))
         if is_there and seen > len(voters) - 0.5 and share < SURE and most_seen.response.log_odds <= UNANSWERED:
             self.doubt = NO_RESPONSE
-        elif is_there and seen > len(voters) and share < SURE < were_it_level:
+        elif is_there and seen > len(voters) and share < SURE < _were_it_level(share, most_seen):
             self.doubt = STEEP
         elif is_there and seen > len(voters) and share < 0.5 and self._known and not (is_open and self.doubt):
             self.doubt = CHANGE
@@ -373,7 +372,7 @@ class Belief:
         """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""
         if surface is self.proven:
             self._known = None
-        self._was_fixed = True
+        self._was_no_ground = True
         self._drop(surface)
 
     def _appraise(self, surface: Surface, raw: int | None) -> None:
@@ -383,7 +382,7 @@ class Belief:
             height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
             surface.common = _common(surface)
-        is_again = self._was_fixed or any(mode.is_fixed for mode in self._modes)
+        is_again = self._was_no_ground or any(mode.is_fixed for mode in self._modes)
         is_same = raw is not None and raw in [mode.fixed_raw for mode in self._modes]
         if is_same or (surface.filter.height_m < LOW_M and is_again):
             surface.common = max(surface.common, math.log(COMMON_AGAIN))
@@ -441,6 +440,11 @@ def _common(surface: Surface) -> float:
 def _steep(surface: Surface) -> float:
     """How much less likely a surface is the ground by its slope: g^2 / (2 SLOPE_STD^2) [nats]."""
     return 0.5 * (surface.filter.rise_north**2 + surface.filter.rise_east**2) / SLOPE_STD**2
+
+
+def _were_it_level(share: float, surface: Surface) -> float:
+    """How probable a surface would be as the ground without its slope, which is so with a probability."""
+    return share / (share + (1.0 - share) * math.exp(-_steep(surface)))
 
 
 def _log_sum(a: float, b: float) -> float:

@@ -210,10 +210,9 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
     with gzip.GzipFile(fileobj=file) if is_packed else file as stream:
         most = FREE_EXPANSION_BYTES + MOST_EXPANSION * os.fstat(file.fileno()).st_size if is_packed else LARGEST_BYTES
         text = io.TextIOWrapper(stream, "utf-8-sig", "surrogateescape")
-        number, read, rest = 1, 0, ""
+        number, rest = 1, ""
         while block := text.read(_BLOCK_CHARACTERS):
-            read += len(block)
-            if read > most:
+            if stream.tell() > most:
                 raise RecordingError(f"{path}: found more than {most / 1e6:.0f} MB of unpacked text, expected less")
             if (fault := text_fault(block)) is not None:
                 raise RecordingError(f"{path}:{number + fault[0]}: {fault[1]}")

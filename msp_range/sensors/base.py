@@ -5,7 +5,6 @@ changes them, its default address, how its address is changed, and how it behave
 """
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
@@ -109,8 +108,6 @@ class Driver(RangeSensor):
     """Whether a changed address is kept without power."""
     busy_s: ClassVar[float]
     """Time for which it may not acknowledge while it measures [s]; 0 if it always acknowledges."""
-    playback: ClassVar[Callable[[], Playback]]
-    """Makes the behaviour of such a sensor in a replay."""
     stretches_clock: ClassVar[bool] = False
     """Whether it holds the bus clock low while it is not ready; not every computer waits for that."""
 
@@ -142,6 +139,11 @@ class Driver(RangeSensor):
     @abstractmethod
     def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
         """The ping of an answer if only ``raw`` and the time of its echo [s] were recorded."""
+
+    @staticmethod
+    @abstractmethod
+    def playback() -> Playback:
+        """The behaviour of such a sensor in a replay; a driver names the class."""
 
 
 def acknowledges(bus: Bus, address: int) -> bool:
