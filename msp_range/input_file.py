@@ -64,11 +64,12 @@ def read_text(path: Path | str, most_bytes: int) -> str:
         raise OSError(errno.EFBIG, f"found more than {most_bytes / 1e6:g} MB, expected at most that")
     text = content.decode("utf-8-sig", "surrogateescape").replace("\r\n", "\n").replace("\r", "\n")
     if (fault := text_fault(text)) is not None:
-        raise OSError(errno.EILSEQ, f"line {fault[0] + 1}: {fault[1]}")
+        lines, column, words = fault
+        raise OSError(errno.EILSEQ, f"line {lines + 1}, column {column + 1}: {words}")
     return text
 
 
-def text_fault(text: str) -> tuple[int, str] | None:
+def text_fault(text: str) -> tuple[int, int, str] | None:
     """Where and what the first of the characters is that are not text; None: all are.
 
     Parameters
@@ -78,13 +79,13 @@ def text_fault(text: str) -> tuple[int, str] | None:
 
     Returns
     -------
-    (int, str) or None
-        The number of line ends before it, and what was found and expected.
+    (int, int, str) or None
+        The number of line ends before it, that of characters before it in its line, and what was found and expected.
 
     Examples
     --------
     >>> text_fault("a\\nb\x1b")
-    (1, "found the control character '\\\\x1b', expected text without any")
+    (1, 1, "found the control character '\\\\x1b', expected text without any")
     """
     control = CONTROL.search(text)
     if control is None:
@@ -93,7 +94,8 @@ def text_fault(text: str) -> tuple[int, str] | None:
     if "\udc80" <= control[0] <= "\udcff":
         is_utf16 = text.startswith(("\udcff\udcfe", "\udcfe\udcff"))
         fault = f"found {'UTF-16' if is_utf16 else f'the byte 0x{ord(control[0]) & 0xFF:02x}'}, expected text in UTF-8"
-    return text.count("\n", 0, control.start()), fault
+    at = control.start()
+    return text.count("\n", 0, at), at - text.rfind("\n", 0, at) - 1, fault
 
 
 def printable(text: str) -> str:

@@ -124,7 +124,7 @@ def _scalar(event: Any) -> Any:
     for a number; infinity and NaN are accepted here and refused by the section."""
     word = event.value
     if (fault := text_fault(word)) is not None:  # an escape sequence makes it of characters that are text
-        raise _error(fault[1], event)
+        raise _error(fault[2], event)
     if not event.implicit[0] or ":" in word:
         return word
     text = word.replace("_", "").lower()

@@ -215,7 +215,7 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
             if stream.tell() > most:
                 raise RecordingError(f"{path}: found more than {most / 1e6:.0f} MB of unpacked text, expected less")
             if (fault := text_fault(block)) is not None:
-                raise RecordingError(f"{path}:{number + fault[0]}: {fault[1]}")
+                raise RecordingError(f"{path}:{number + fault[0]}: {fault[2]}")
             rest += block
             end = rest.rfind("\n") + 1
             number += rest.count("\n", 0, end)

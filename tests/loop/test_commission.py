@@ -148,11 +148,11 @@ def test_a_wrong_mounting_is_found_and_corrected(
     assert [each for each in vehicle.person.asked if words in each], vehicle.person.asked
     assert len(vehicle.person.asked) == 1
     assert [name for name, report in reports.items() if report["changes"]] == [step]
-    findings = reports[step]["findings"]
-    assert isinstance(findings, list)
-    verdicts = {each["verdict"] for each in findings}
-    # With one that looks aside the others' places may not be known well enough.
-    assert reports[step]["passed"] or (mounted == ROTATED and verdicts == {"right", "unknown"}), reports[step]
+    if not reports[step]["passed"]:
+        # What is not known well enough yet: the remedy is to rock the vehicle once more.
+        reports = vehicle.do(step)
+        assert not reports[step]["changes"]
+    assert reports[step]["passed"], reports[step]
     for found, true in zip(vehicle.airframe.sensors, vehicle.held.mounted.sensors, strict=True):
         assert found.address == true.address
         assert found.position_m == pytest.approx(true.position_m, abs=0.021)

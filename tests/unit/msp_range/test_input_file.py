@@ -49,9 +49,9 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -
 
 def test_text_that_is_not_utf8_is_refused_with_its_line(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"one\ntwo\nM\xf6we\n")
-    assert refusal(tmp_path / "a") == "line 3: found the byte 0xf6, expected text in UTF-8"
+    assert refusal(tmp_path / "a") == "line 3, column 2: found the byte 0xf6, expected text in UTF-8"
     (tmp_path / "b").write_bytes("a: 1".encode("utf-16"))
-    assert refusal(tmp_path / "b") == "line 1: found UTF-16, expected text in UTF-8"
+    assert refusal(tmp_path / "b") == "line 1, column 1: found UTF-16, expected text in UTF-8"
 
 
 def test_what_a_terminal_would_obey_is_printed_as_its_escape_sequence() -> None:

@@ -113,6 +113,19 @@ def test_recorded_motion_is_known_from_its_time_on() -> None:
     assert kept == moved[:81]
 
 
+def test_recorded_accelerations_are_those_between_the_times() -> None:
+    """Each is the mean since the one before: 1 m/s^2 until 2 s, 3 m/s^2 from then on."""
+    now = [0.0]
+    moved = [Moved(0.1 * i, 1.0 if i <= 20 else 3.0, None) for i in range(100)]
+    motion = RecordedMotion(moved, lambda: now[0])
+    assert motion.measured(-0.1, 0.0) == pytest.approx(1.0)
+    now[0] = 2.5
+    assert motion.measured(1.5, 2.0) == pytest.approx(1.0)
+    assert motion.measured(1.9, 2.4) == pytest.approx(2.6)
+    assert motion.measured(2.1, 2.5) == pytest.approx(3.0)
+    assert motion.measured(2.5, 3.0) is None
+
+
 def test_messages_in_si_units() -> None:
     raw = mavlink.MAVLink_raw_imu_message(0, 100, 0, -1000, 0, 0, 0, 0, 0, 0)
     assert specific_force(raw) == pytest.approx((0.980665, 0.0, -9.80665))
