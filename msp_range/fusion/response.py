@@ -54,6 +54,10 @@ what is fixed leaves the ground within a turn. Larger takes readings of an edge.
 NOISE_STD_M, NOISE_READINGS = 0.02, 20.0
 """The readings' noise about the best prediction, standard deviation at the start [m]: a sensor's of its own; later a
 mean over so many."""
+OUTLIER_SIGMAS = 5.0
+"""A single reading that is farther than this from each prediction says nothing [standard deviations]: it is another
+thing's, and would move all three predictions and the noise so far that a healthy vehicle's answers seem late. Fewer
+leave out what a thermometer's step or a kick moves."""
 LEAST_VARIANCE_M2 = 0.01
 """From this variance on a reading stands for any range below it, as on the ground, and the height is known no better
 after many of them [m^2]. Larger finds what is late after take-offs later, smaller takes a landing that bounces for
@@ -104,6 +108,7 @@ class MotionResponse:
         self._change_m_s = 0.0
         self._noise_m2 = NOISE_STD_M**2
         self._covariance: Covariance = (*_START, B_START_M_S2**2)
+        self._was_outlier = False
         self._own_m: dict[str, float] = {}
         # Height, rate and bias over ground, over something fixed, and over ground at the time of the ping before.
         self._states: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),) * 3
@@ -186,6 +191,10 @@ class MotionResponse:
         share = OWN_STD_M**2 / total_m2 if own_m is None else OWN_SHARE
         self._own_m[sensor] = (own_m or 0.0) + share * (height_m - predicted[1][0])
         squares_m2 = [(height_m - h) ** 2 for h, _, _ in predicted]
+        if min(squares_m2) > OUTLIER_SIGMAS**2 * total_m2 and not self._was_outlier:
+            self._states, self._covariance, self._was_outlier = predicted, covariance, True
+            return
+        self._was_outlier = False
         (k_h, k_w, k_b), (hh, hw, hb, ww, wb, bb) = corrected(covariance, variance_m2)
         self._covariance = max(hh, LEAST_VARIANCE_M2 if is_least else 0.0), hw, hb, ww, wb, bb
         if own_m is not None:

@@ -22,6 +22,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(818, 1_000_170, 3.0, 30.0, id="eight sensors see the ground again after a strap is gone"),
         pytest.param(818, 1_000_379, 4.0, None, id="two sensors that drift alike are no slope of 80 %"),
         pytest.param(819, 1_000_206, 0.0, 0.5, id="an edge where answers have seemed late, undecided"),
+        pytest.param(819, 1_000_928, 0.0, 0.5, id="a single outlier in a climb makes nothing late"),
         pytest.param(501, 1_000_173, 8.0, None, id="late answers over a hover between two movements"),
     ],
 )
