@@ -14,6 +14,7 @@ EVALUATIONS = {
     "blind": ("blind.command", "tables computed from sound, with hidden effects, for the gap workflow"),
     "blind_peers": ("blind_peers.command", "the same tables for other methods that detect or name effects"),
     "closure": ("closure.command", "how much of a gap is closed in blind tables, by a classifier and by KS"),
+    "days": ("days.command", "tables of slow data, day by day, and of flights with words, for the gap workflow"),
     "delay": ("delay.command", "tables of readings that are late or early, with all that clocks do"),
     "design": ("design.command", "pairs of effects that look alike, and the session that tells them apart"),
     "faults": ("faults.command", "flights with faults, judged by what the autopilot receives"),

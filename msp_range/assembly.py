@@ -114,7 +114,7 @@ def fused_maximum_m(airframe: Airframe, temperature_c: float | None = None) -> f
 MEAN_EFFECTS = frozenset(
     {"mounting_offset", "session_offset", "range_scale", "bend", "warm_up", "flooring", "threshold_walk", "hot_box"}
     | {"air_temperature", "thermometer_offset", "temperature_gradient", "humidity", "latency", "motion_during_ping"}
-    | {"slant_range", "nearest_point"}
+    | {"slant_range", "nearest_point", "day_cycle"}
 )
 """Effects of a sensor model file that change the mean reading only, which the sensor watch does not ask for: it follows
 each sensor's offset from the others. A name too many lets good sensors be reported, one too few switches the watch

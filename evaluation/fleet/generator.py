@@ -3,7 +3,8 @@
 ``fleet("odd:latency", 7)`` is always the same fleet. Its sensors have one base with numbers that scatter from unit to
 unit. Kinds: ``null``; ``odd:EFFECT``, three vehicles with an effect of 10 standard errors each; ``shared:EFFECT``, all
 of them; ``change:offset``, three vehicles whose offset changes at one of their sessions; ``odd:offset``, three that are
-mounted too high or too low.
+mounted too high or too low; ``plain:NUMBER``, one vehicle of which a number of the base is 7 standard deviations
+between sensors from what is usual.
 """
 
 import zlib
@@ -29,6 +30,9 @@ ODD = 3
 STANDARD_ERRORS = 10.0
 OFFSET_CM, LOG_SIGMA, LOG_ODDS = 0.3, 0.05, 0.2
 """Standard deviations between sensors of one make: offset, logarithms of scatter and of odds of outliers."""
+SPREADS = {"offset": OFFSET_CM, "scatter": LOG_SIGMA, "short": LOG_ODDS, "missed": LOG_ODDS, "random": LOG_ODDS}
+"""The same by number, in the order in which they are drawn."""
+PLAIN_SPREADS = 7.0
 LEAST_ROOT = 7.0
 """Root of twice the log-likelihood ratio that an effect of 10 standard errors has to have at least (`likelihood.py`).
 The table on which it is taken makes it uncertain by 1, so that three below 10 is no less than was asked for. Where an
@@ -83,9 +87,11 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
         There is no such kind.
     """
     family, _, title = kind.partition(":")
-    if not (kind in ("null", "change:offset", "odd:offset") or (family in ("odd", "shared") and title in KINDS)):
+    possible = {"odd": (*KINDS, "offset"), "shared": KINDS, "change": ("offset",), "plain": SPREADS}
+    if kind != "null" and title not in possible.get(family, ()):
         raise ValueError(
-            f"kind {kind!r}: expected null, change:offset, odd:EFFECT or shared:EFFECT of {', '.join(KINDS)}"
+            f"kind {kind!r}: expected null, change:offset, plain:NUMBER of {', '.join(SPREADS)}, or odd:EFFECT or "
+            f"shared:EFFECT of {', '.join(KINDS)}"
         )
     rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
     for _ in range(DRAWS):
@@ -99,18 +105,22 @@ def _drawn(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet | None:
     """A fleet, or None where its effect has no possible size."""
     family, _, title = kind.partition(":")
     common = draw_base(rng)
-    hidden = _offset_kind(family == "change") if title == "offset" else KINDS.get(title)
+    hidden = None if family == "plain" else KINDS.get(title)
+    if title == "offset" and family != "plain":
+        hidden = _offset_kind(family == "change")
     design = replace(hidden.design if hidden is not None else Design(), sensors=1)
     columns = design.columns | {name for name in CONTEXTS if rng.random() < 0.6}
     design = replace(design, columns=columns)
-    odd = set(rng.choice(vehicles, ODD, replace=False).tolist()) if family in ("odd", "change") else set()
+    count = {"odd": ODD, "change": ODD, "plain": 1}.get(family, 0)
+    odd = set(rng.choice(vehicles, count, replace=False).tolist())
     fixed = int(rng.integers(2**31))
-    made, names, size = [], frozenset[str](), None
+    made, size = [], None
+    names = frozenset({title}) if family == "plain" else frozenset[str]()
     bench_rows = draw_bench(rng, draw_flights(rng, design))
     for number in range(vehicles):
         has_it = hidden is not None and (family == "shared" or number in odd)
         for _ in range(DRAWS):
-            base = _of_unit(common, rng)
+            base = _of_unit(common, rng, title if family == "plain" and number in odd else "")
             rows = draw_flights(rng, design)
             if not has_it or hidden is None:
                 effects: list[Effect] = []
@@ -149,16 +159,20 @@ def _drawn(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet | None:
     return Fleet(tuple(made), bench, names, frozenset(f"V{number + 1:02d}" for number in odd))
 
 
-def _of_unit(common: Base, rng: np.random.Generator) -> Base:
-    """The numbers of one sensor of the make."""
-    scatter = rng.standard_normal(5)
+def _of_unit(common: Base, rng: np.random.Generator, odd: str = "") -> Base:
+    """The numbers of one sensor of the make; one of them is far from what is usual, if any."""
+    scatter = dict(zip(SPREADS, rng.standard_normal(len(SPREADS)), strict=True))
+    if odd:
+        # A fault adds outliers.
+        scatter[odd] = PLAIN_SPREADS * (-1.0 if odd in ("offset", "scatter") and rng.random() < 0.5 else 1.0)
+    off = {name: spread * scatter[name] for name, spread in SPREADS.items()}
     return replace(
         common,
-        offset_cm=common.offset_cm + OFFSET_CM * scatter[0],
-        sigma_cm=common.sigma_cm * float(np.exp(LOG_SIGMA * scatter[1])),
-        short=common.short + LOG_ODDS * scatter[2],
-        missed=common.missed + LOG_ODDS * scatter[3],
-        random=common.random + LOG_ODDS * scatter[4],
+        offset_cm=common.offset_cm + off["offset"],
+        sigma_cm=common.sigma_cm * float(np.exp(off["scatter"])),
+        short=common.short + off["short"],
+        missed=common.missed + off["missed"],
+        random=common.random + off["random"],
     )
 
 

@@ -2,7 +2,8 @@
 
 ``case("one:10", 7)`` is always the same case. Kinds: ``null:0``, ``null:0.3``, ``null:0.5``, ``null:0.8`` (correlation
 of successive readings), ``null:drift`` (a slow wander inside runs), and ``one:Z``, ``two:Z``, ``three:Z``,
-``unknown:Z`` (effects of Z standard errors each).
+``unknown:Z`` (effects of Z standard errors each). Behind ``@`` may stand the correlation of successive readings, which
+is drawn otherwise: ``one:10@0.9``; ``null:0.9`` has it too.
 """
 
 import zlib
@@ -78,19 +79,30 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
     """
     if seed >= FINAL_SEED and not final:
         raise SeedError(f"seed {seed}: seeds from {FINAL_SEED} on are kept for a final run (--final)")
-    family, _, number = kind.partition(":")
-    if kind not in NULLS and not (family in COUNTS and number.replace(".", "", 1).isdigit()):
-        raise ValueError(f"kind {kind!r}: expected one of {', '.join(NULLS)}, or {', '.join(COUNTS)} with :Z")
+    family, _, rest = kind.partition(":")
+    number, _, correlation = rest.partition("@")
+    numbers = [each for each in (number, correlation or "0") if kind != "null:drift"]
+    if family not in (*COUNTS, "null") or not all(each.replace(".", "", 1).isdigit() for each in numbers):
+        raise ValueError(f"kind {kind!r}: expected null:R, null:drift, or {', '.join(COUNTS)} with :Z or :Z@R")
     rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
     if family == "null":
         drift = number == "drift"
         base = draw_base(rng, rng.choice([0.0, 0.3]) if drift else float(number), drift)
         rows = draw_flights(rng, Design())
         return _finish(kind, seed, rng, Hidden(draw_bench(rng, rows), rows, base))
-    return _hidden(kind, seed, rng, UNKNOWN if family == "unknown" else KNOWN, COUNTS[family], float(number))
+    given = float(correlation) if correlation else None
+    return _hidden(kind, seed, rng, UNKNOWN if family == "unknown" else KNOWN, COUNTS[family], float(number), given)
 
 
-def _hidden(kind: str, seed: int, rng: np.random.Generator, table: tuple[Kind, ...], count: int, asked: float) -> Case:
+def _hidden(
+    kind: str,
+    seed: int,
+    rng: np.random.Generator,
+    table: tuple[Kind, ...],
+    count: int,
+    asked: float,
+    correlation: float | None,
+) -> Case:
     # The seed goes round the list, so that every effect comes up equally often in a block of seeds.
     for attempt in range(ATTEMPTS):
         first = (seed + attempt // ATTEMPTS_OF_ONE) % len(table)
@@ -98,7 +110,7 @@ def _hidden(kind: str, seed: int, rng: np.random.Generator, table: tuple[Kind, .
         picked = [table[first], *(table[index] for index in rng.choice(others, count - 1, replace=False))]
         if _same_thing(picked):
             continue
-        base = draw_base(rng)
+        base = draw_base(rng, correlation)
         design = reduce(or_, (each.design for each in picked))
         rows = draw_flights(rng, design)
         bench = draw_bench(rng, rows)

@@ -19,6 +19,7 @@ CONTEXT_COLUMNS = {
     "vibration_hz": "frequency of vibration [Hz]",
     "uptime_s": "time since the sensor was powered [s]",
     "time_in_run_s": "time since the first reading of the run [s]",
+    "time_of_day_h": "time since midnight [h]",
     "target": "what the beam meets, a word",
     "target_size_cm": "shorter side of the target [cm]",
     "neighbour_lag_ms": "time since the last ping of another sensor [ms]; empty: none",

@@ -97,7 +97,7 @@ def test_arducopter(tmp_path: Path) -> None:
         assert found["parameters"][0] == found["distances"][0], found
         assert params(airframe, "--write", answers="y\n").returncode == 0
         copter.station.command_until_accepted("arming", 400, 1, 21196)
-        refused = params(airframe, "--restore", next(tmp_path.glob("undo-*")).name, answers="y\n" * 20)
+        refused = params(airframe, "--restore", max(tmp_path.glob("undo-*")).name, answers="y\n" * 20)
         assert refused.returncode == 3
         assert "the vehicle is armed" in refused.stderr
         copter.station.command_until_accepted("disarming", 400, 0, 21196)

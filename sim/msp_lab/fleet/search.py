@@ -1,7 +1,9 @@
 """Which effects the fleet shares, which units are odd ones out, and which have changed: one finding after the other.
 
-All hypotheses (each number's mean over the fleet, each unit's deviation from the others, its change and its drift) are
-one family. The smallest p-value is a finding if it is at most ``fdr (found + 1) / tests``: the limits of Benjamini &
+The plainest question is whether a number that every unit has (offset, scatter, share of a kind of outlier) is odd in
+one. These tests share half of the false-discovery rate; all others (the mean of each effect over the fleet, each unit's
+deviation from the others in it, changes and drifts) share the other half, for they are ten times as many. In either
+family the smallest p-value is a finding if it is at most ``fdr / 2 (found + 1) / tests``: the limits of Benjamini &
 Hochberg (1995, J. R. Stat. Soc. B 57:289), one step at a time from the smallest. After each finding its effect enters
 the fits of the units that have it, so that what only looked like it is not found in its wake.
 
@@ -70,8 +72,9 @@ class Search:
     run: Map
     """Calls functions for several units."""
     found: list[FleetFinding] = field(default_factory=list)
-    tests: int = 0
-    """Number of hypotheses."""
+    plain_tests: int = 0
+    other_tests: int = 0
+    """Number of hypotheses of either family."""
 
     def __post_init__(self) -> None:
         self.terms: list[tuple[FleetTerm, ...]] = [() for _ in self.units]
@@ -85,17 +88,31 @@ class Search:
         """Find until nothing is left that random variation does not explain."""
         while len(self.found) < MAX_FINDINGS:
             numbers, changes = numbers_of(self.scores), changes_of(self.scores)
+            plain = sum(each.units.size for each in numbers if each.term.is_base)
             # A mean for each effect, a deviation for each unit, and its changes and drifts.
-            tests = sum(each.units.size + (not each.term.is_base) for each in numbers) + 2 * len(changes)
-            self.tests = max(self.tests, tests)
+            others = sum(each.units.size + 1 for each in numbers if not each.term.is_base) + 2 * len(changes)
+            self.plain_tests, self.other_tests = max(self.plain_tests, plain), max(self.other_tests, others)
             if not (self._shared(numbers) or self._of_units(numbers, changes) or self._of_base(numbers)):
                 break
 
     @property
+    def tests(self) -> int:
+        """Number of hypotheses."""
+        return self.plain_tests + self.other_tests
+
+    @property
     def _log_level(self) -> float:
-        """Logarithm of the p-value that the next finding may have."""
+        """Logarithm of the p-value that the next finding may have, unless it is a number that every unit has."""
+        return self._level(self.other_tests)
+
+    @property
+    def _plain_log_level(self) -> float:
+        """The same of a number that every unit has."""
+        return self._level(self.plain_tests)
+
+    def _level(self, tests: int) -> float:
         count = sum(len(each.log_p) for each in self.found)
-        return float(np.log(self.fdr * (count + 1) / max(self.tests, 1)))
+        return float(np.log(0.5 * self.fdr * (count + 1) / max(tests, 1)))
 
     @property
     def _of_all(self) -> set[Key]:
@@ -165,7 +182,7 @@ class Search:
         for number in numbers:
             for j, unit in enumerate(number.units.tolist()):
                 log_p, is_known = float(number.log_p[j]), number.term.sessions or self._has(unit, number.term.key)
-                if number.term.is_base and not is_known and log_p <= level:
+                if number.term.is_base and not is_known and log_p <= self._plain_log_level:
                     of_base[unit, effect_of(number.term.effect).channels[0]] = log_p
         found: dict[int, _Suspect] = {}
         for number in numbers:
@@ -176,12 +193,12 @@ class Search:
                 # Echoes from elsewhere count as short or random readings until they have a name.
                 channels = (*channels, "short", "random")
             for j, unit in enumerate(number.units.tolist()):
-                own, others = float(number.log_p[j]), [of_base.get((unit, each), 0.0) for each in channels]
-                is_fitted = self.fits(unit, number.term)
-                if self._has(unit, number.term.key) or min([own, *([] if is_fitted else others)]) > level:
+                own, same = float(number.log_p[j]), [(unit, each) for each in channels]
+                others = [] if self.fits(unit, number.term) else [of_base[each] for each in same if each in of_base]
+                if self._has(unit, number.term.key) or (own > level and not others):
                     continue
                 suspect = found.setdefault(unit, _Suspect())
-                suspect.log_p = min([suspect.log_p, own, *([] if is_fitted else others)])
+                suspect.log_p = min([suspect.log_p, own, *others])
                 (suspect.own if own <= level else suspect.other).append((own, number, j))
         return found
 
@@ -239,7 +256,7 @@ class Search:
             if not self._has(unit, number.term.key)
         ]
         log_p, term, unit = min(pairs, key=lambda each: each[0], default=(0.0, None, -1))
-        if term is None or log_p > self._log_level:
+        if term is None or log_p > self._plain_log_level:
             return False
         same = next((k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term), None)
         if same is None:

@@ -18,7 +18,9 @@ from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
+from msp_lab.gap.runs import share_between
 from msp_range.arrays import numbered
+from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.model.model import make_curve_term
 
@@ -33,7 +35,8 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
         # As for effects, runs count in the evidence after a refit: of few runs a scan over them asks more than that.
         forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.unit))
         singles = sum(len(each.variables) == 1 for each in forms)
-        found = _likeliest_ripple(problem, state) or _likeliest_curve(problem, state, forms, singles)
+        found = curve_of_runs(problem, state) or _likeliest_ripple(problem, state)
+        found = found or _likeliest_curve(problem, state, forms, singles)
         far = far_curves(problem, state)[: rules.FAR_REFITTED]
         found = _better(problem, state, found, _likeliest_curve(problem, state, far, singles))
         if found is None:
@@ -44,6 +47,18 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     return state
 
 
+def curve_of_runs(problem: Problem, state: State) -> State | None:
+    """With the likeliest curve of the bias over what is the same all over each run, such as a surface or a battery.
+
+    It is asked before runs are said to differ at random, and among such curves only: few runs tell one of a few.
+    """
+    by_run = replace(state, by_run=True)
+    forms = free_curves(problem, by_run, ("bias",))
+    of_runs = [each for each in forms if len(each.variables) == 1 and _is_of_whole_runs(problem, each)]
+    found = _likeliest_curve(problem, by_run, of_runs, len(of_runs))
+    return None if found is None else replace(found, by_run=state.by_run)
+
+
 def _likeliest_ripple(problem: Problem, state: State) -> State | None:
     """With the likeliest ripple, if it is unlikely by random variation; no curve can describe one."""
     found = ripples(problem.contexts, state.fit.here)
@@ -51,10 +66,12 @@ def _likeliest_ripple(problem: Problem, state: State) -> State | None:
 
 
 def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve], asked: int) -> State | None:
-    """With the first of the likeliest curves that gains after a refit what its score promises."""
+    """With the first of the likeliest curves that gains enough after a refit."""
     for form in forms[: rules.CURVES_REFITTED]:
-        # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
-        if not (form.start or _is_unlikely(form, asked)):
+        # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little. So
+        # does one that is the same all over a run: by it the runs differ.
+        share = rules.SCREEN_KEEPS if state.by_run and _is_of_whole_runs(problem, form) else 1.0
+        if not (form.start or _is_unlikely(form, asked, share)):
             return None
         there = _with_curve(problem, state, _placed(problem, state, form))
         if state.by_run and _is_of_runs(problem, state, there) and _has_few_places(problem, form):
@@ -88,9 +105,20 @@ def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
     return shift_between(state.fit, there.fit, problem.unit) > rules.CURVE_OF_RUNS_SHARE
 
 
+def _is_of_whole_runs(problem: Problem, form: CandidateCurve) -> bool:
+    """Whether all that a curve is over hardly varies inside runs."""
+    columns = [numbered(problem.contexts[name]).astype(float) for name in form.variables]
+    return all(share_between(each, problem.unit) >= rules.BETWEEN_RUNS_SHARE for each in columns)
+
+
 def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
-    """Whether the runs are at too few places of a curve to say anything of its form."""
-    return form.degrees >= _places(problem, form) // rules.CURVE_RUNS_PER_DEGREE
+    """Whether there are too few runs, or runs at too few ranges, to say anything of a curve.
+
+    Runs at one range have the error of the tape measure in common; those over one surface, or with one battery, differ
+    by nothing but what the curve is about.
+    """
+    places = _places(problem, form) if TRUE_RANGE in form.variables else problem.runs
+    return form.degrees >= places // rules.CURVE_RUNS_PER_DEGREE
 
 
 def _places(problem: Problem, form: CandidateCurve) -> int:
@@ -130,7 +158,7 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
     """With a name in place of each curve of which it explains nearly all.
 
     When the curve was added, another name stood in this one's place: a bend that begins near the nearest reading is as
-    good as a scale, needs a straight line for the rest, and goes.
+    good as a scale, needs a straight line for the rest, and goes. An offset of one run is no name of what several have.
     """
     for term in [each for each in state.terms if each.active.shape is not None]:
         less = with_terms(problem, state, [each for each in state.terms if each.key != term.key])
@@ -138,16 +166,18 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
         found = trials(problem, less, screened(problem, less), rules.SCREEN_KEEPS * least)
         for each in found:
             assert term.active.shape is not None
-            if each.gain_nats >= least and term.active.shape[0] in each.term.active.effect.channels:
+            effect = each.term.active.effect
+            if each.gain_nats >= least and effect.per != "run" and term.active.shape[0] in effect.channels:
                 state = less.having(each.fit, [*less.terms, each.term])
                 state = state.logging(f"{each.term.label} in place of {term.label}")
                 break
     return state
 
 
-def _is_unlikely(form: CandidateCurve, asked: int) -> bool:
-    """Whether random variation shows as much, in any of so many curves, with less than the rule's probability."""
-    return form.degrees > 0 and form.log_p + form.cost_nats < np.log(rules.CURVE_P) - np.log(asked)
+def _is_unlikely(form: CandidateCurve, asked: int, share: float = 1.0) -> bool:
+    """Whether random variation shows as much, in any of so many curves, with less than the rule's probability; or a
+    share of its logarithm."""
+    return form.degrees > 0 and form.log_p + form.cost_nats < share * (np.log(rules.CURVE_P) - np.log(asked))
 
 
 def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:

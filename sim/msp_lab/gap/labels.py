@@ -15,6 +15,7 @@ _UNITS = {
     "_hz": "Hz",
     "_khz": "kHz",
     "_ms": "ms",
+    "_h": "h",
     "_s": "s",
     "_db": "dB",
 }

@@ -5,8 +5,8 @@ from importlib import import_module
 from msp_sim.effects.base import Effect
 
 _FILES = """
-    mounting_offset session_offset range_scale air_temperature thermometer_offset temperature_gradient hot_box
-    humidity latency motion_during_ping slant_range nearest_point threshold_walk cycle_slip heavy_tails warm_up bend
+    mounting_offset session_offset range_scale air_temperature thermometer_offset temperature_gradient hot_box humidity
+    latency motion_during_ping slant_range nearest_point threshold_walk cycle_slip heavy_tails warm_up day_cycle bend
     flooring coarse_rounding spread_with_range spread_with_incidence rotor_noise vibration run_offsets missed
     missed_with_range beyond_field_of_view missed_by_target small_target dead_zone_minimum dead_zone_maximum
     unexpected_objects prop_wash crosstalk external_source multipath clutter stale random_readings saturated_byte

@@ -17,11 +17,15 @@ from msp_sim.model.model import Model
 
 _Columns = Mapping[str, Column]
 
+DAY_S = 86_400.0
 PREVIOUS = "previous_reading_cm"
 """Column of the reading of the same sensor and run before this one [cm], which the intake of readings adds."""
 LEAST_KNOWN = 0.5
 """A column is added that more than this share of the rows would have: ranges in random order have no rate, and a log
 of one sensor has no neighbours. Lower: an effect that needs it is judged by few rows."""
+SHORTEST_DAYS = 1.5
+"""Times over which a time of day is added [days]: within one day what comes with the hour is a drift. Longer leaves out
+tables of two days."""
 
 
 def derived_columns(names: Collection[str], contexts: _Columns) -> tuple[dict[str, Column], dict[str, str]]:
@@ -90,6 +94,13 @@ def time_in_run_s(columns: _Columns) -> Array:
     return np.asarray(time_s - first_s[run])
 
 
+def _time_of_day_h(columns: _Columns) -> Array:
+    """Hours since the last midnight of the table's clock, of which the zone is not known; NaN in tables of a day."""
+    time_s = np.asarray(columns["time_s"], dtype=np.float64)
+    known = np.ptp(time_s[np.isfinite(time_s)]) >= SHORTEST_DAYS * DAY_S
+    return time_s % DAY_S / 3600.0 if known else np.full(time_s.size, math.nan)
+
+
 def _incidence_deg(columns: _Columns) -> Array:
     """Angle between the vehicle's down axis and the vertical [deg]."""
     return tilt_deg(np.radians(columns["roll_deg"]), np.radians(columns["pitch_deg"]))
@@ -114,6 +125,7 @@ def _neighbour_lag_ms(columns: _Columns) -> Array:
 
 DERIVED: dict[str, tuple[tuple[str, ...], str, Callable[[_Columns], Array]]] = {
     "time_in_run_s": (("time_s",), "time_s since the run's first row", time_in_run_s),
+    "time_of_day_h": (("time_s",), "time_s, whose first midnight is at 0", _time_of_day_h),
     "range_rate_cm_s": ((TRUE_RANGE, "time_s"), "true_range_cm over time_s", _range_rate_cm_s),
     "incidence_deg": (("roll_deg", "pitch_deg"), "roll_deg and pitch_deg, over level ground", _incidence_deg),
     "neighbour_lag_ms": (("time_s", "sensor"), "time_s of the other sensors' rows", _neighbour_lag_ms),

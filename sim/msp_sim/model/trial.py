@@ -132,6 +132,7 @@ def contexts(n: int, seed: int = 1, extra: Sequence[str] | frozenset[str] = ()) 
         "throttle": rng.random(n),
         "vibration_hz": rng.choice([0.0, 60.0], n),
         "uptime_s": rng.uniform(0.0, 900.0, n),
+        "time_of_day_h": rng.uniform(0.0, 24.0, n),
         "target_size_cm": rng.uniform(2.0, 60.0, n),
         "neighbour_lag_ms": rng.choice([0.0, 2.0, 100.0], n),
         "neighbour_range_cm": rng.uniform(20.0, 700.0, n),

@@ -108,7 +108,7 @@ def test_each_vehicle_is_compared_with_what_the_others_alone_predict() -> None:
             return float(np.average(b, weights=1.0 / (s**2 + tau2)))
 
         def excess(tau2: float, b: np.ndarray = b, s: np.ndarray = s) -> float:
-            return float(((b - mean_of(tau2)) ** 2 / (s**2 + tau2)).sum() - chi2.ppf(0.2, b.size - 1))
+            return float(((b - mean_of(tau2)) ** 2 / (s**2 + tau2)).sum() - chi2.ppf(0.3, b.size - 1))
 
         tau2 = brentq(excess, 0.0, 1e4)
         predicted = tau2 + 1.0 / (1.0 / (s**2 + tau2)).sum()

@@ -27,6 +27,9 @@ NUMBERS: list[tuple[str, str | None, dict[str, float], Context, str, float]] = [
     ("bend", None, {"slope_pct": 0.5, "from_cm": 250.0}, {}, "bias", 0.0),
     ("flooring", None, {"share": 1.0}, {}, "bias", -0.5),
     ("warm_up", None, {"offset_cm": 2.0, "time_constant_s": 300.0}, {"uptime_s": 300.0}, "bias", 2.0 / math.e),
+    # 60 deg of the day's turn after its largest.
+    ("day_cycle", None, {"swing_cm": 3.0, "hour_h": 14.0}, {"time_of_day_h": 18.0}, "bias", 1.5),
+    ("day_cycle", None, {"swing_cm": 3.0, "hour_h": 14.0}, {"time_of_day_h": 2.0}, "bias", -3.0),
     # Spreading of 6.0 dB to twice the distance, and absorption of 1.4 dB/m for a metre there and back; a weaker echo is
     # found later, so farther.
     ("threshold_walk", None, {"walk_cm_per_10db": 1.0}, {}, "bias", 0.88),

@@ -100,3 +100,11 @@ def test_the_command_says_what_it_computed(tmp_path: Path) -> None:
     assert 0.45 < repeats.mean() < 0.65
     lag = np.polyfit(drawn["range_rate_cm_s"], drawn["reading_cm"] - drawn["true_range_cm"], 1)[0]
     assert lag < -0.2
+
+
+def test_a_time_of_day_is_that_of_tables_of_several_days() -> None:
+    time_s = np.array([3600.0, 7200.0, 90_000.0, 180_000.0])
+    columns, _ = derived_columns({"time_of_day_h"}, {"time_s": time_s})
+    np.testing.assert_allclose(columns["time_of_day_h"], [1.0, 2.0, 1.0, 2.0])
+    # Within one day what comes with the hour is a drift.
+    assert derived_columns({"time_of_day_h"}, {"time_s": time_s[:3]}) == ({}, {})
