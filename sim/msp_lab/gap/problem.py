@@ -18,7 +18,7 @@ from msp_lab.gap.candidate_starts import gathered_cm, shapes_of, starts_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
-from msp_lab.gap.evidence import evidence_nats, of_one_run
+from msp_lab.gap.evidence import evidence_nats, of_one_run, wanders
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit, templates
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s, taken
@@ -136,6 +136,10 @@ class Problem:
         """Dependence of the readings inside runs at a fit."""
         return dependence(fit.offset_slope, self.unit, _time_s(self.contexts))
 
+    def depends(self, fit: JointFit) -> bool:
+        """Whether readings of a run depend on each other at a fit, so that the run is the unit of evidence."""
+        return self.dependence(fit).dependent or wanders(fit, self.unit)
+
     def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
         """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
         if not by_run:
@@ -236,7 +240,7 @@ def _time_s(contexts: Mapping[str, Any]) -> Array | None:
 def first_state(problem: Problem) -> State:
     """The base alone, refitted."""
     fit = problem.base
-    return State(fit, (), problem.information(fit), problem.dependence(fit).dependent)
+    return State(fit, (), problem.information(fit), problem.depends(fit))
 
 
 def reinformed(problem: Problem, state: State) -> State:

@@ -114,7 +114,7 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
             return before
         visited.add(state.keys)
         # An effect that changes slowly looks like dependence until it is named.
-        state = replace(state, by_run=problem.dependence(state.fit).dependent)
+        state = replace(state, by_run=problem.depends(state.fit))
         state = reinformed(problem, state)
         seen = screened(problem, state)
     return state
