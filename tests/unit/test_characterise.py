@@ -273,6 +273,20 @@ def test_the_picture_of_hits_is_of_the_air_that_was_there(tmp_path: Path) -> Non
     assert "cm in air of 22.5 °C)" in summarise(made.findings)
 
 
+def test_a_warm_and_humid_room_is_no_scale_of_the_sensor(tmp_path: Path) -> None:
+    """At 30 °C and 80 % sound is as fast as in dry air of 33.3 °C, 1.8 % faster than the sensor takes it to be."""
+    rng = np.random.default_rng(3)
+    factor = np.sqrt((22.5 + 273.15) / (33.3 + 273.15))
+    room = {"air_temperature_c": 30.0, "humidity_pct": 80.0}
+    parts = [point(rng, z, n=200, error_cm=z * (factor - 1.0), sigma_cm=0.8, **room) for z in range(50, 501, 50)]
+    write_csv(tmp_path / "humid.csv", table(*parts))
+    made = characterised(
+        Characterisation((tmp_path / "humid.csv",), SENSOR, (), "recorded", "2026-10-05", 1, 0.0, None), ()
+    )
+    calibration = made.model.calibration
+    assert all(each.reading_cm == pytest.approx(each.true_cm, abs=0.15) for each in calibration or ())
+
+
 @pytest.mark.parametrize(("sensor", "notes"), [((), 1), (("--sensor", CONFIGS / "sensors" / "hcsr04.yaml"), 0)])
 def test_a_stranger_s_table_does_not_become_an_mb1242_in_silence(
     sensor: tuple[object, ...], notes: int, tmp_path: Path

@@ -16,7 +16,7 @@ from scipy import stats
 from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread
 from msp_lab.characterise.point_findings import PointResult
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
-from msp_range.acoustics.air import ZERO_CELSIUS_K
+from msp_range.acoustics.air import ZERO_CELSIUS_K, sonic_temperature_c
 from msp_range.arrays import Array, Flags, Indices, Texts, numbered
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
 from msp_range.recording.csv_form import MeasuredData
@@ -79,7 +79,8 @@ class PointReadings:
     reading_cm: Array
     true_range_cm: Array
     air_temperature_c: Array
-    """A row each; NaN where there was no answer, or where the temperature is unknown."""
+    humidity_pct: Array
+    """A row each; NaN where there was no answer, or where it is unknown."""
     reference_std_cm: Array
     """Standard deviation of the error of each row's true range [cm]; 0 where it is not stated."""
     incidence_deg: float
@@ -162,14 +163,16 @@ class PointReadings:
 
     @cached_property
     def compensation(self) -> Array:
-        """sqrt(T / T_calibration), absolute temperatures, for each row.
+        """sqrt(T / T_calibration), absolute temperatures of dry air as fast, for each row.
 
-        NaN where the air's temperature is unknown, and for light and radio, which it does not change.
+        NaN where the air's temperature is unknown, and for light and radio, which it does not change. Air of unknown
+        humidity counts as dry.
         """
         if self.sensor_model.medium != "sound":
             return np.full(self.air_temperature_c.size, math.nan)
         calibration_k = self.sensor_model.calibration_temperature_c + ZERO_CELSIUS_K
-        return np.sqrt((self.air_temperature_c + ZERO_CELSIUS_K) / calibration_k)
+        sonic_c = sonic_temperature_c(self.air_temperature_c, np.nan_to_num(self.humidity_pct))
+        return np.sqrt((sonic_c + ZERO_CELSIUS_K) / calibration_k)
 
     @cached_property
     def apparent_cm(self) -> Array:
@@ -261,6 +264,7 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
                 reading_cm=part["reading_cm"],
                 true_range_cm=part["true_range_cm"],
                 air_temperature_c=part.column("air_temperature_c"),
+                humidity_pct=part.column("humidity_pct"),
                 reference_std_cm=np.nan_to_num(part.column("true_range_std_cm")),
                 incidence_deg=_mean(part.column("incidence_deg")),
                 target_temperature_c=_mean(part.column("target_temperature_c")),
