@@ -139,10 +139,10 @@ def test_writes_the_known_columns_first_and_whole_numbers_whole(tmp_path: Path) 
 def test_the_columns_are_those_that_were_agreed() -> None:
     assert list(BASE_COLUMNS) == ["time_s", "sensor", "run", "reading_cm", "true_range_cm", "true_range_std_cm"]
     assert list(CONTEXT_COLUMNS) == [
-        "condition", "air_temperature_c", "target_temperature_c", "humidity_pct", "incidence_deg", "range_rate_cm_s",
-        "throttle", "vibration_hz", "uptime_s", "time_in_run_s", "target", "target_size_cm", "neighbour_lag_ms",
-        "neighbour_range_cm", "external_level_db", "external_duty", "external_distance_cm", "external_frequency_khz",
-        "reference",
+        "condition", "air_temperature_c", "target_temperature_c", "humidity_pct", "incidence_deg",
+        "range_rate_cm_s", "throttle", "vibration_hz", "uptime_s", "time_in_run_s", "time_of_day_h", "target",
+        "target_size_cm", "neighbour_lag_ms", "neighbour_range_cm", "external_level_db", "external_duty",
+        "external_distance_cm", "external_frequency_khz", "reference",
     ]  # fmt: skip
 
 

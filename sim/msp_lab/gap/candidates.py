@@ -21,6 +21,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import OTHERS, REFERENCE, TRUE_RANGE, Effect, Parameter, Scene
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import Ripple
+from msp_sim.model.derived import TIME_OF_DAY
 from msp_sim.model.model import LARGEST_SHARE, Model, Term, applies
 from msp_sim.model.rows import score_of_component, score_of_fault
 
@@ -182,7 +183,9 @@ def candidates_of(
         required = (*effect.requires, *((effect.per,) if effect.per else ()))
         absent = tuple(name for name in required if not _is_recorded(contexts, name))
         if absent:
-            missing.append((effect.name, absent))
+            # Of a day or less nobody can record another time of day.
+            if absent != (TIME_OF_DAY,) or not _is_recorded(contexts, "time_s"):
+                missing.append((effect.name, absent))
             continue
         words: Sequence[str | None] = (None,)
         if effect.per is not None:

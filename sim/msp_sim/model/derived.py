@@ -18,6 +18,7 @@ from msp_sim.model.model import Model
 _Columns = Mapping[str, Column]
 
 DAY_S = 86_400.0
+TIME_OF_DAY = "time_of_day_h"
 PREVIOUS = "previous_reading_cm"
 """Column of the reading of the same sensor and run before this one [cm], which the intake of readings adds."""
 LEAST_KNOWN = 0.5
@@ -125,7 +126,7 @@ def _neighbour_lag_ms(columns: _Columns) -> Array:
 
 DERIVED: dict[str, tuple[tuple[str, ...], str, Callable[[_Columns], Array]]] = {
     "time_in_run_s": (("time_s",), "time_s since the run's first row", time_in_run_s),
-    "time_of_day_h": (("time_s",), "time_s, whose first midnight is at 0", _time_of_day_h),
+    TIME_OF_DAY: (("time_s",), "time_s, whose first midnight is at 0", _time_of_day_h),
     "range_rate_cm_s": ((TRUE_RANGE, "time_s"), "true_range_cm over time_s", _range_rate_cm_s),
     "incidence_deg": (("roll_deg", "pitch_deg"), "roll_deg and pitch_deg, over level ground", _incidence_deg),
     "neighbour_lag_ms": (("time_s", "sensor"), "time_s of the other sensors' rows", _neighbour_lag_ms),
