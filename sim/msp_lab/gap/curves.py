@@ -106,9 +106,13 @@ def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
 
 
 def _is_of_whole_runs(problem: Problem, form: CandidateCurve) -> bool:
-    """Whether all that a curve is over hardly varies inside runs."""
+    """Whether all that a curve is over hardly varies inside runs, and is no range: sensors stand still for a while."""
+    if "run" not in problem.contexts or TRUE_RANGE in form.variables:
+        return False
+    # Blocks of one run are no runs: what changes slowly is nearly the same all over each.
+    run = numbered(problem.contexts["run"])
     columns = [numbered(problem.contexts[name]).astype(float) for name in form.variables]
-    return all(share_between(each, problem.unit) >= rules.BETWEEN_RUNS_SHARE for each in columns)
+    return all(share_between(each, run) >= rules.BETWEEN_RUNS_SHARE for each in columns)
 
 
 def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
