@@ -30,15 +30,18 @@ def kind_options(parser: argparse.ArgumentParser, kinds: Sequence[str], cases: i
     parser.add_argument("--final", action="store_true", help=f"allow seeds from {FINAL_SEED} on")
 
 
-def wanted(given: argparse.Namespace) -> dict[str, tuple[str, int, bool]]:
+def wanted(given: argparse.Namespace, kinds: Sequence[str] = ()) -> dict[str, tuple[str, int, bool]]:
     """The cases that the options ask for: kind, seed, and whether final seeds are allowed.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        A seed is one that is kept for a final run.
+        A kind is none of `kinds`, where those are all, or a seed is one that is kept for a final run.
     """
     named = [each.partition("=") for each in given.kinds]
+    for kind, _, _ in named:
+        if kinds and kind not in kinds:
+            raise argparse.ArgumentTypeError(f"kind {kind!r}: expected one of {', '.join(kinds)}")
     cases = [(kind, given.seed + i) for kind, _, count in named for i in range(int(count or given.cases))]
     if max(seed for _, seed in cases) >= FINAL_SEED and not given.final:
         raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run (--final)")
