@@ -83,9 +83,17 @@ class Search:
         """Of a unit that changed, its scores before the change was known."""
         self._without: set[tuple[int, Key]] = set()
         """Units, or -1 for the fleet, and effects that did not gain what their scores promised."""
+        self._plain_first: dict[tuple[FleetTerm, int], float] = {}
+        """Logarithms of p-values of the numbers that every unit has, at the first fit."""
 
     def search(self) -> None:
         """Find until nothing is left that random variation does not explain."""
+        self._plain_first = {
+            (each.term, unit): log_p
+            for each in numbers_of(self.scores)
+            if each.term.is_base
+            for unit, log_p in zip(each.units.tolist(), each.log_p.tolist(), strict=True)
+        }
         while len(self.found) < MAX_FINDINGS:
             numbers, changes = numbers_of(self.scores), changes_of(self.scores)
             plain = sum(each.units.size for each in numbers if each.term.is_base)
@@ -178,12 +186,11 @@ class Search:
         Those are effects whose own number is odd, and where a number of the base is, all that change the same: where
         throttle hardly varies, a score says little of what grows with throttle, and a refit more.
         """
-        of_base: dict[tuple[int, str], float] = {}
-        for number in numbers:
-            for j, unit in enumerate(number.units.tolist()):
-                log_p, is_known = float(number.log_p[j]), number.term.sessions or self._has(unit, number.term.key)
-                if number.term.is_base and not is_known and log_p <= self._plain_log_level:
-                    of_base[unit, effect_of(number.term.effect).channels[0]] = log_p
+        of_base = {
+            (unit, effect_of(term.effect).channels[0]): log_p
+            for log_p, term, unit in self._plain(numbers)
+            if log_p <= self._plain_log_level
+        }
         found: dict[int, _Suspect] = {}
         for number in numbers:
             if number.term.is_base or number.term.sessions:
@@ -201,6 +208,21 @@ class Search:
                 suspect.log_p = min([suspect.log_p, own, *others])
                 (suspect.own if own <= level else suspect.other).append((own, number, j))
         return found
+
+    def _plain(self, numbers: Sequence[Number]) -> list[tuple[float, FleetTerm, int]]:
+        """Logarithms of p-values of the numbers that every unit has, where they are open.
+
+        Of a unit in which nothing was found they are those of the first fit: what the whole fleet has is fitted in each
+        unit too, and leaves its scatter less certain.
+        """
+        found = {unit for each in self.found if each.kind in ("odd", "change", "drift") for unit in each.units}
+        return [
+            (float(number.log_p[j]) if unit in found else self._plain_first[number.term, unit], number.term, unit)
+            for number in numbers
+            if number.term.is_base and not number.term.sessions
+            for j, unit in enumerate(number.units.tolist())
+            if not self._has(unit, number.term.key) and (unit in found or (number.term, unit) in self._plain_first)
+        ]
 
     def _odd(self, flagged: dict[int, "_Suspect"], level: float) -> bool:
         worst = min(flagged, key=lambda unit: flagged[unit].log_p)
@@ -248,13 +270,7 @@ class Search:
 
     def _of_base(self, numbers: Sequence[Number]) -> bool:
         """A unit with another number of the base, once no effect explains it."""
-        pairs = [
-            (float(number.log_p[j]), number.term, unit)
-            for number in numbers
-            if number.term.is_base and not number.term.sessions
-            for j, unit in enumerate(number.units.tolist())
-            if not self._has(unit, number.term.key)
-        ]
+        pairs = self._plain(numbers)
         log_p, term, unit = min(pairs, key=lambda each: each[0], default=(0.0, None, -1))
         if term is None or log_p > self._plain_log_level:
             return False
