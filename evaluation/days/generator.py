@@ -1,9 +1,9 @@
 """Cases: readings whose noise is correlated for minutes and whose runs are days, or whose runs have words of their own.
 
 ``case("slow:scale", 7)`` is always the same case. A table of ``slow`` is a sensor over water: one reading every one to
-five minutes for 6 to 14 days, each a run. A table of ``words`` is 8 to 20 flights, each over a surface, with a battery
-and a pilot. All noise is normal: white, one Ornstein-Uhlenbeck process, and an offset of each run. The bench table is
-minutes long and still, so that it shows the white part alone. An effect has the size of ten standard errors by
+five minutes for 6 to 14 days, each a run. A table of ``words`` is 8 to 20 flights, each over a surface and with one of
+five batteries. All noise is normal: white, one Ornstein-Uhlenbeck process, and an offset of each run. The bench table
+is minutes long and still, so that it shows the white part alone. An effect has the size of ten standard errors by
 generalised least squares with that noise, next to an offset and a scale. No number here comes from another generator.
 """
 

@@ -6,6 +6,7 @@ of successive readings), ``null:drift`` (a slow wander inside runs), and ``one:Z
 is drawn otherwise: ``one:10@0.9``; ``null:0.9`` has it too.
 """
 
+import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -29,6 +30,7 @@ from evaluation.second_hand.unknown import UNKNOWN
 FINAL_SEED = 3_000_000_000
 """Seeds from here on are for a final run and refused without ``final``: nothing has been tuned on them."""
 SENSORS = ("left", "right")
+NUMBER = r"\d+(\.\d+)?"
 COUNTS = {"one": 1, "two": 2, "three": 3, "unknown": 1}
 NULLS = ("null:0", "null:0.3", "null:0.5", "null:0.8", "null:drift")
 ATTEMPTS = 40
@@ -81,8 +83,7 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
         raise SeedError(f"seed {seed}: seeds from {FINAL_SEED} on are kept for a final run (--final)")
     family, _, rest = kind.partition(":")
     number, _, correlation = rest.partition("@")
-    numbers = [each for each in (number, correlation or "0") if kind != "null:drift"]
-    if family not in (*COUNTS, "null") or not all(each.replace(".", "", 1).isdigit() for each in numbers):
+    if not re.fullmatch(rf"null:(drift|{NUMBER})|({'|'.join(COUNTS)}):{NUMBER}(@{NUMBER})?", kind):
         raise ValueError(f"kind {kind!r}: expected null:R, null:drift, or {', '.join(COUNTS)} with :Z or :Z@R")
     rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
     if family == "null":

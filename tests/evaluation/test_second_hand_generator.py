@@ -225,3 +225,11 @@ def test_last_seeds_are_kept_for_a_final_run() -> None:
     with pytest.raises(generator.SeedError, match="--final"):
         generator.case("null:0", generator.FINAL_SEED)
     assert generator.case("null:0", generator.FINAL_SEED, final=True).truth["seed"] == generator.FINAL_SEED
+
+
+def test_a_kind_may_say_how_successive_readings_are_correlated() -> None:
+    assert generator.case("one:10@0.9", 1).truth["base"]["correlation"] == 0.9
+    assert generator.case("null:0.95", 1).truth["base"]["correlation"] == 0.95
+    for kind in ("one:10@", "one:10@x", "null:0.5@0.9", "null:", "four:10"):
+        with pytest.raises(ValueError, match="expected null:R"):
+            generator.case(kind, 1)

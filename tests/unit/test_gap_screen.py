@@ -200,6 +200,13 @@ def test_an_effect_whose_column_is_absent_or_empty_is_not_testable() -> None:
     assert not {"latency", "multipath", "missed_by_target"} & columns.keys()
 
 
+def test_a_time_of_day_is_nothing_to_record_where_times_are_of_one_day() -> None:
+    with_times = flown(1) | {"time_s": np.arange(float(N))}
+    without = {name: column for name, column in with_times.items() if name != "time_s"}
+    assert "day_cycle" not in dict(candidates_of(MODEL, with_times)[1])
+    assert dict(candidates_of(MODEL, without)[1])["day_cycle"] == ("time_of_day_h",)
+
+
 def test_what_rests_on_a_few_readings_is_worth_what_it_gains() -> None:
     by_unit = np.zeros((40, NB + 4))
     by_unit[:, NB:] = [-8.0, 8.0, -8.0, 8.0]

@@ -18,7 +18,6 @@ from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
 from msp_lab.gap.ripples import ripples
-from msp_lab.gap.runs import share_between
 from msp_range.arrays import numbered
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel
@@ -35,7 +34,7 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
         # As for effects, runs count in the evidence after a refit: of few runs a scan over them asks more than that.
         forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.unit))
         singles = sum(len(each.variables) == 1 for each in forms)
-        found = curve_of_runs(problem, state) or _likeliest_ripple(problem, state)
+        found = _curve_of_runs(problem, state) or _likeliest_ripple(problem, state)
         found = found or _likeliest_curve(problem, state, forms, singles)
         far = far_curves(problem, state)[: rules.FAR_REFITTED]
         found = _better(problem, state, found, _likeliest_curve(problem, state, far, singles))
@@ -47,15 +46,15 @@ def add_curves(problem: Problem, state: State, needed_nats: float, most: int) ->
     return state
 
 
-def curve_of_runs(problem: Problem, state: State) -> State | None:
+def _curve_of_runs(problem: Problem, state: State) -> State | None:
     """With the likeliest curve of the bias over what is the same all over each run, such as a surface or a battery.
 
-    It is asked before runs are said to differ at random, and among such curves only: few runs tell one of a few.
+    It is asked before runs are said to differ at random, and among such curves only: few runs tell one of a few. What
+    its scores by run promise is too little, for the runs differ by what it is about.
     """
-    by_run = replace(state, by_run=True)
-    forms = free_curves(problem, by_run, ("bias",))
-    of_runs = [each for each in forms if len(each.variables) == 1 and _is_of_whole_runs(problem, each)]
-    found = _likeliest_curve(problem, by_run, of_runs, len(of_runs))
+    asked, by_run = problem.curves_of_runs, replace(state, by_run=True)
+    forms = curve_scan.scan(asked, state.fit, problem.unit, ("bias",)) if asked.curves else []
+    found = _likeliest_curve(problem, by_run, forms, len(forms), rules.SCREEN_KEEPS)
     return None if found is None else replace(found, by_run=state.by_run)
 
 
@@ -65,12 +64,12 @@ def _likeliest_ripple(problem: Problem, state: State) -> State | None:
     return _likeliest_curve(problem, state, found, len(found))
 
 
-def _likeliest_curve(problem: Problem, state: State, forms: list[CandidateCurve], asked: int) -> State | None:
-    """With the first of the likeliest curves that gains enough after a refit."""
+def _likeliest_curve(
+    problem: Problem, state: State, forms: list[CandidateCurve], asked: int, share: float = 1.0
+) -> State | None:
+    """With the first of the likeliest curves that gains enough after a refit, and promises this share of it before."""
     for form in forms[: rules.CURVES_REFITTED]:
-        # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little. So
-        # does one that is the same all over a run: by it the runs differ.
-        share = rules.SCREEN_KEEPS if state.by_run and _is_of_whole_runs(problem, form) else 1.0
+        # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
         if not (form.start or _is_unlikely(form, asked, share)):
             return None
         there = _with_curve(problem, state, _placed(problem, state, form))
@@ -103,16 +102,6 @@ def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCu
 def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
     """Whether a curve moves whole runs more than readings inside them."""
     return shift_between(state.fit, there.fit, problem.unit) > rules.CURVE_OF_RUNS_SHARE
-
-
-def _is_of_whole_runs(problem: Problem, form: CandidateCurve) -> bool:
-    """Whether all that a curve is over hardly varies inside runs, and is no range: sensors stand still for a while."""
-    if "run" not in problem.contexts or TRUE_RANGE in form.variables:
-        return False
-    # Blocks of one run are no runs: what changes slowly is nearly the same all over each.
-    run = numbered(problem.contexts["run"])
-    columns = [numbered(problem.contexts[name]).astype(float) for name in form.variables]
-    return all(share_between(each, run) >= rules.BETWEEN_RUNS_SHARE for each in columns)
 
 
 def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:

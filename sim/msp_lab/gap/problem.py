@@ -21,7 +21,7 @@ from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats, of_one_run, wanders
 from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit, templates
 from msp_lab.gap.refit import JointFit, fit_base, refit
-from msp_lab.gap.runs import Dependence, dependence, previous, sample, spacing_s, taken
+from msp_lab.gap.runs import Dependence, dependence, previous, sample, share_between, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array, Indices, numbered
@@ -114,6 +114,20 @@ class Problem:
     def curves(self) -> CurveWeights:
         """Curves that can be asked for."""
         return curve_scan.curves_of(self.contexts, self.unit)
+
+    @cached_property
+    def curves_of_runs(self) -> CurveWeights:
+        """Those over one column that hardly varies inside runs, such as a surface or a battery.
+
+        Blocks of one run are no runs: what changes slowly is nearly the same all over each.
+        """
+        run = numbered(self.contexts["run"]) if "run" in self.contexts else np.zeros(len(self.readings), dtype=np.intp)
+        constant = {
+            names
+            for names in {names for names, _ in self.curves.curves if len(names) == 1}
+            if share_between(numbered(self.contexts[names[0]]).astype(float), run) >= rules.BETWEEN_RUNS_SHARE
+        }
+        return curve_scan.weights_of(self.contexts, [each for each in self.curves.curves if each[0] in constant])
 
     @property
     def runs(self) -> int:

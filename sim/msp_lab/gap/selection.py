@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.curves import add_curves, curve_of_runs, name_curves
+from msp_lab.gap.curves import add_curves, name_curves
 from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
 from msp_lab.gap.problem import (
     CandidateFit,
@@ -104,11 +104,11 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
         trial = _next_term(problem, state, seen, needed_nats)
         if trial is None:
             break
-        name, before = trial.term.key[0], state
+        name = trial.term.key[0]
         problem.report(f"found {name}", 0.1 + 0.1 * len(state.terms))
-        of_runs = curve_of_runs(problem, state) if trial.term.active.effect.per == "run" else None
-        added = state.having(trial.fit, [*state.terms, trial.term]).logging(f"added {name}")
-        state = eliminate(problem, of_runs or added, needed_nats)
+        before = state
+        state = state.having(trial.fit, [*state.terms, trial.term]).logging(f"added {name}")
+        state = eliminate(problem, state, needed_nats)
         if state.keys in visited:
             # Terms that take each other's place in turn: none of them is better than what was there.
             return before

@@ -17,13 +17,13 @@ from msp_sim.model.model import Model
 
 _Columns = Mapping[str, Column]
 
-DAY_S = 86_400.0
 TIME_OF_DAY = "time_of_day_h"
 PREVIOUS = "previous_reading_cm"
 """Column of the reading of the same sensor and run before this one [cm], which the intake of readings adds."""
 LEAST_KNOWN = 0.5
 """A column is added that more than this share of the rows would have: ranges in random order have no rate, and a log
 of one sensor has no neighbours. Lower: an effect that needs it is judged by few rows."""
+DAY_S = 86_400.0
 SHORTEST_DAYS = 1.5
 """Times over which a time of day is added [days]: within one day what comes with the hour is a drift. Longer leaves out
 tables of two days."""
