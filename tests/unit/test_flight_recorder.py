@@ -246,13 +246,14 @@ def test_a_disk_that_is_full_at_the_start(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 class BrokenDisk:
-    """An os.fdatasync that fails while ``error`` is set, and does not come back between `hang` and `go_on`.
+    """An os.fdatasync that fails while ``error`` is set, of ``only`` one file if any, and hangs from `hang` to `go_on`.
 
     A bridge that waited for it would wait until that is an AssertionError.
     """
 
     def __init__(self) -> None:
         self.error: int | None = None
+        self.only: Path | None = None
         self._works = threading.Event()
         self._works.set()
         self._fdatasync = os.fdatasync
@@ -265,7 +266,7 @@ class BrokenDisk:
 
     def fdatasync(self, descriptor: int) -> None:
         assert self._works.wait(LIMIT_S)
-        if self.error is not None:
+        if self.error is not None and (self.only is None or os.path.samestat(self.only.stat(), os.fstat(descriptor))):
             raise OSError(self.error, os.strerror(self.error))
         self._fdatasync(descriptor)
 
@@ -342,7 +343,8 @@ def test_an_older_file_that_does_not_end_well_is_not_the_end_of_the_recording(tm
     older = flight.recorder._recorder
     assert older is not None
     flight.clock.sleep_until(FILE_LASTS_S)
-    disk.error = errno.EIO
+    # The next file is made at the same time.
+    disk.error, disk.only = errno.EIO, flight.opened[0]
     flight.recorder.flush_if_due(FILE_LASTS_S)
     until(lambda: older.file.has_ended)
     disk.error = None
