@@ -2,7 +2,6 @@
 
 from msp_range.fusion.attitude import Angles, Attitude, AttitudeTrack, RecordedAttitude
 from msp_range.fusion.fusion import Fusion
-from msp_range.fusion.ground_filter import Ground
 from msp_range.fusion.mounting import DownwardSensor, Oblique
 from msp_range.fusion.outcome import OBJECT, OUTLIER, REPEATED, SUSPECT, Fused, Outcome
 from msp_range.fusion.vertical import Moved, RecordedMotion, VerticalMotion

@@ -292,26 +292,22 @@ class Belief:
         since_s = self._time_s - self._windows.held_s
         voters = [mode for mode in self._modes if mode.seen_s >= since_s]
         counts = {surface: sum([mode.share for mode in voters if mode.sees is surface]) for surface in self.surfaces}
-        otherwise = {}
+        nothing, other = 0.0, {}
         for surface, count in counts.items():
             shared = max(count - 1, 0.0) * math.log(SHARED)
             shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
             if surface is not self.proven:
                 shared += object_prior(surface.filter.height_m - self.proven.filter.height_m if self.proven else 9.0)
             fault = surface.common + surface.same - surface.response.log_odds + self._rises(surface) + _steep(surface)
-            otherwise[surface] = shared, fault
-        fixed = {each: _log_sum(0.0, each.evidence + fault) for each, (_, fault) in otherwise.items()}
-        other = {
-            each: _log_sum(0.0, each.evidence + _log_sum(shared, fault)) for each, (shared, fault) in otherwise.items()
-        }
+            other[surface] = _log_sum(0.0, surface.evidence + _log_sum(shared, fault))
+            if surface is self.proven:
+                nothing = _log_sum(0.0, surface.evidence + fault) - other[surface]
         total = sum(other.values())
+        nothing += total
         scores = {each: total - other[each] + each.prior + each.evidence for each in self.surfaces}
         for each, count in counts.items():
             if not count and each is not self.proven:
                 scores[each] += UNSEEN
-        nothing = total
-        if self.proven is not None:
-            nothing += fixed[self.proven] - other[self.proven]
         best = max(scores, key=lambda each: scores[each], default=None)
         self.noise = all_noise([mode.noise for mode in voters]) if voters else 0.0
         if best is None:

@@ -13,7 +13,7 @@ from msp_range.filters.chain import UNCONFIRMED
 from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import Attitude
 from msp_range.fusion.belief import Belief, Surface
-from msp_range.fusion.ground_filter import Ground, GroundFilter
+from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.look import Look, Seen
 from msp_range.fusion.modes import (
     AGAIN_M,
@@ -122,15 +122,6 @@ class Fusion:
         self.level_height_m: float | None = None
         self.down: Vector | None = None
 
-    @property
-    def _filter(self) -> GroundFilter | None:
-        return None if self._belief.ground is None else self._belief.ground.filter
-
-    @property
-    def ground(self) -> Ground | None:
-        """Height, climb and slope with their covariance at the time of the newest reading; None: not known."""
-        return None if self._filter is None else self._filter.ground()
-
     def set_maximum(self, maximum_m: float) -> None:
         """The longest distance that the sensors can measure is another one, because the air is [m]."""
         self._maximum_m = self._above.maximum_m = maximum_m
@@ -138,7 +129,7 @@ class Fusion:
     @property
     def climb_m_s(self) -> float:
         """How fast the height grows [m/s]; 0 where it is not known."""
-        return 0.0 if self._filter is None else self._filter.climb_m_s
+        return 0.0 if self._belief.ground is None else self._belief.ground.filter.climb_m_s
 
     @property
     def fit(self) -> float:
@@ -279,8 +270,10 @@ class Fusion:
         seen_over: dict[Surface, Seen] = {}
         densities: dict[Surface, float] = {}
         for surface in belief.surfaces:
-            at = None if mode is self._odd.mode and surface is ground else look.over(surface.filter)
-            if at is None or (suspect and surface is not parent):
+            if (mode is self._odd.mode and surface is ground) or (suspect and surface is not parent):
+                continue
+            at = seen if surface is parent else look.over(surface.filter)
+            if at is None:
                 continue
             gate_m = GATE_WIDEST_M
             if parent is not None or surface.evidence > 0.0:

@@ -12,7 +12,6 @@ height there and not below the vehicle's middle. Plain floats: for so few that i
 """
 
 import math
-from typing import NamedTuple
 
 from msp_range.fusion.mounting import View
 from msp_range.fusion.vertical import Rate
@@ -48,19 +47,6 @@ _Motion = tuple[float, float, float, float, float, float, float, float, float]
 """Means of one filter, their covariance, and that with the slope: h, w, hh, hw, ww, hn, he, wn, we."""
 
 
-class Ground(NamedTuple):
-    """Where the ground is, and the covariance of the errors."""
-
-    height_m: float
-    climb_m_s: float
-    """Height of the reference point above the plane of the ground, straight up, and how fast it grows [m, m/s]."""
-    rise_north: float
-    rise_east: float
-    """Rise of the ground per metre; forward and right where the attitude is not known."""
-    covariance: tuple[tuple[float, ...], ...]
-    """Covariance of the errors of height, climb and both rises, in that order, 4 x 4, SI units."""
-
-
 class GroundFilter:
     """The three filters, their mixture, and the slope.
 
@@ -75,8 +61,11 @@ class GroundFilter:
 
     Attributes
     ----------
-    height_m, climb_m_s, rise_north, rise_east
-        The mixture's mean; see `Ground`.
+    height_m, climb_m_s
+        Height of the reference point above the plane of the ground, straight up, and how fast it grows, the mean of the
+        three [m, m/s].
+    rise_north, rise_east
+        Rise of the ground per metre; forward and right where the attitude is not known.
     """
 
     def __init__(
@@ -220,28 +209,15 @@ class GroundFilter:
         )
         self._combine()
 
-    def ground(self) -> Ground:
-        """The mixture's mean and covariance."""
-        hh, hw, ww, hn, he, wn, we = [
-            sum([weight * each for weight, each in zip(self._weights, column, strict=True)])
-            for column in list(zip(*self._filters, strict=True))[2:]
-        ]
-        for weight, (h, w, *_) in zip(self._weights, self._filters, strict=True):
-            off_m, off_m_s = h - self.height_m, w - self.climb_m_s
-            hh += weight * off_m * off_m
-            hw += weight * off_m * off_m_s
-            ww += weight * off_m_s * off_m_s
-        nn, ne, ee = self._slope
-        covariance = ((hh, hw, hn, he), (hw, ww, wn, we), (hn, wn, nn, ne), (he, we, ne, ee))
-        return Ground(self.height_m, self.climb_m_s, self.rise_north, self.rise_east, covariance)
-
     def variance(self, by_height: float, by_north: float, by_east: float) -> float:
-        """Variance of the error of a linear combination of height and slope."""
-        row = (by_height, 0.0, by_north, by_east)
-        covariance = self.ground().covariance
-        return sum(
-            [a * b * each for a, line in zip(row, covariance, strict=True) for b, each in zip(row, line, strict=True)]
-        )
+        """Variance of the error of a linear combination of height and slope, the filters' differences included."""
+        nn, ne, ee = self._slope
+        total = by_north * by_north * nn + 2 * by_north * by_east * ne + by_east * by_east * ee
+        for weight, (h, _, hh, _, _, hn, he, _, _) in zip(self._weights, self._filters, strict=True):
+            off_m = h - self.height_m
+            cross = 2 * (by_north * hn + by_east * he)
+            total += weight * by_height * (by_height * (hh + off_m * off_m) + cross)
+        return total
 
     def _combine(self) -> None:
         a, b, c = self._weights

@@ -67,8 +67,9 @@ class DownwardSensor:
         bx, by, bz = self.boresight
         q_north, q_east = nx * px + ny * py + nz * pz, ex * px + ey * py + ez * pz
         b_north, b_east = nx * bx + ny * by + nz * bz, ex * bx + ey * by + ez * bz
-        over_m = height_m - (dx * px + dy * py + dz * pz) - rise_north * q_north - rise_east * q_east
-        axis = dx * bx + dy * by + dz * bz + rise_north * b_north + rise_east * b_east
+        level_m, level_axis = height_m - (dx * px + dy * py + dz * pz), dx * bx + dy * by + dz * bz
+        over_m = level_m - rise_north * q_north - rise_east * q_east
+        axis = level_axis + rise_north * b_north + rise_east * b_east
         if axis < STEEPEST:
             return None
         normal = math.sqrt(1.0 + rise_north * rise_north + rise_east * rise_east)
@@ -78,8 +79,8 @@ class DownwardSensor:
         range_m = over_m / divisor
         apart_m = range_m * (normal - axis) / 2 if slant == 0.5 else 0.0
         # Derivatives by the rises are those over level ground: at the estimate a filter would learn slope from itself.
-        level = slant * (dx * bx + dy * by + dz * bz) + nearest
-        beam_m = slant * (height_m - (dx * px + dy * py + dz * pz)) / level
+        level = slant * level_axis + nearest
+        beam_m = slant * level_m / level
         return View(
             range_m,
             1.0 / divisor,

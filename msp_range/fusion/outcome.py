@@ -22,7 +22,7 @@ class Fused(NamedTuple):
     climb_m_s: float
     rise_north: float
     rise_east: float
-    """As in `msp_range.fusion.ground_filter.Ground`."""
+    """As in `msp_range.fusion.ground_filter.GroundFilter`."""
     probability: float
     """Probability that this surface is the ground."""
 

@@ -111,7 +111,7 @@ class MotionResponse:
         self._was_outlier = False
         self._own_m: dict[str, float] = {}
         # Height, rate and bias over ground, over something fixed, and over ground at the time of the ping before.
-        self._states: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),) * 3
+        self._states = [(0.0, 0.0, 0.0)] * 3
 
     @property
     def log_odds(self) -> float:
@@ -168,7 +168,7 @@ class MotionResponse:
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
         """
         if self._time_s is None:
-            self._states = ((height_m, climb_m_s, 0.0),) * 3
+            self._states = [(height_m, climb_m_s, 0.0)] * 3
         before_s = time_s if self._time_s is None else self._time_s
         self._time_s = self._taken_s[sensor] = time_s
         up_m_s2 = self._motion.measured(before_s, time_s)
@@ -178,10 +178,10 @@ class MotionResponse:
             return
         t = time_s - before_s
         fades = math.exp(-t / B_LASTS_S)
-        predicted = tuple(
+        predicted = [
             (h + (w + 0.5 * (u - b) * t) * t, w + (u - b) * t, b * fades)
             for (h, w, b), u in zip(self._states, (up_m_s2, 0.0, earlier_m_s2), strict=True)
-        )
+        ]
         own_m = self._own_m.get(sensor)
         is_least = variance_m2 >= LEAST_VARIANCE_M2
         variance_m2 = max(variance_m2, self._noise_m2) + (OWN_STD_M**2 if own_m is None else 0.0)
@@ -190,7 +190,8 @@ class MotionResponse:
         height_m -= own_m or 0.0
         share = OWN_STD_M**2 / total_m2 if own_m is None else OWN_SHARE
         self._own_m[sensor] = (own_m or 0.0) + share * (height_m - predicted[1][0])
-        squares_m2 = [(height_m - h) ** 2 for h, _, _ in predicted]
+        offs_m = [height_m - h for h, _, _ in predicted]
+        squares_m2 = [off_m * off_m for off_m in offs_m]
         if min(squares_m2) > OUTLIER_SIGMAS**2 * total_m2 and not self._was_outlier:
             self._states, self._covariance, self._was_outlier = predicted, covariance, True
             return
@@ -200,9 +201,10 @@ class MotionResponse:
         if own_m is not None:
             self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], k_h, up_m_s2, may_slope)
             self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
-        self._states = tuple(
-            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) for h, w, b in predicted for off_m in (height_m - h,)
-        )
+        self._states = [
+            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m)
+            for (h, w, b), off_m in zip(predicted, offs_m, strict=True)
+        ]
 
     def _predicted(self, t: float, fades: float) -> Covariance:
         """P' = F P F^T + Q; b falls to ``fades`` of itself."""

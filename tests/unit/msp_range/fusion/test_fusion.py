@@ -75,8 +75,7 @@ def test_a_ramp_is_followed_without_lag(speed_m_s: float) -> None:
     fusion = four()
     out = fly(fusion, lambda name, time_s: ramp(time_s), 80)
     assert np.abs(errors_m(out[40:], ramp, 40)).max() < 0.005
-    assert fusion.ground is not None
-    assert fusion.ground.climb_m_s == pytest.approx(speed_m_s, abs=0.01)
+    assert fusion.climb_m_s == pytest.approx(speed_m_s, abs=0.01)
 
 
 def test_noise_is_halved_and_the_variance_says_by_how_much() -> None:
@@ -209,10 +208,9 @@ def test_echoes_of_a_group_that_are_out_of_order_make_no_speed() -> None:
     fusion = four()
     for turn in range(50):
         take(fusion, reading("a", 0.1 * turn + 0.020, 3.0))
-        take(fusion, reading("b", 0.1 * turn, 3.0))
-    assert fusion.ground is not None
-    assert fusion.ground.height_m == pytest.approx(3.0, abs=1e-6)
-    assert fusion.ground.climb_m_s == pytest.approx(0.0, abs=1e-6)
+        fused = take(fusion, reading("b", 0.1 * turn, 3.0))
+    assert fused is not None
+    assert (fused.height_m, fused.climb_m_s) == pytest.approx((3.0, 0.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 10.0, 30.0])
@@ -462,9 +460,8 @@ def test_with_attitude_the_height_is_straight_up_and_the_distance_along_the_vehi
             assert axis == pytest.approx(slope_free, abs=0.05 if rise != (0.0, 0.0) else 1e-3)
             off_m.append(fused.height_m - 2.5)
     assert np.abs(off_m).max() < 0.01
-    ground = fusion.ground
-    assert ground is not None
-    assert (ground.rise_north, ground.rise_east) == pytest.approx(rise, abs=0.01)
+    assert fused is not None
+    assert (fused.rise_north, fused.rise_east) == pytest.approx(rise, abs=0.01)
 
 
 def test_without_attitude_a_leaning_vehicle_sees_a_slope_and_the_same_distance() -> None:
