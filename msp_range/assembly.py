@@ -7,7 +7,7 @@ from itertools import pairwise
 from msp_range.acoustics.air import compensate_range
 from msp_range.bus import Bus
 from msp_range.config import Airframe, SensorSettings
-from msp_range.fusion import Attitude, DownwardSensor, Fusion, VerticalMotion, Windows
+from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, VerticalMotion, Windows
 from msp_range.geometry import Vector, quaternion
 from msp_range.health import Expected, SensorWatch
 from msp_range.mavlink.dialect import dialect
@@ -77,7 +77,7 @@ def intervals_s(airframe: Airframe) -> dict[str, float]:
     return intervals if airframe.send.fused is None else intervals | {"fused": windows.gap_s}
 
 
-def fusion_of(airframe: Airframe, attitude: Attitude, motion: VerticalMotion | None = None) -> Fusion | None:
+def fusion_of(airframe: Airframe, attitude: AttitudeTrack, motion: VerticalMotion | None = None) -> Fusion | None:
     """The fusion of the airframe's downward sensors; None without a fused stream."""
     if airframe.send.fused is None:
         return None

@@ -6,7 +6,7 @@ recording: bus, clock, transport and recorder are arguments.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -34,12 +34,14 @@ from msp_range.fusion import (
     OUTLIER,
     REPEATED,
     SUSPECT,
+    Acceleration,
     Angles,
-    Attitude,
     AttitudeTrack,
     Fused,
     Fusion,
     Outcome,
+    PressureHeight,
+    Received,
     VerticalMotion,
 )
 from msp_range.fusion.vertical import GRAVITY_M_S2
@@ -195,10 +197,9 @@ class Bridge:
         Who pings when; None: the airframe's polling order.
     air
         The air at a time on the clock [s]; None: by the airframe's sources.
-    attitude
-        Knows how the vehicle is turned; None: what the autopilot sends.
-    motion
-        Knows how the vehicle moves up and down; None: what the autopilot sends.
+    received
+        What of a recorded flight's attitudes, accelerations and pressures has been received by a time on the clock [s]
+        and was not before, with the time of each; None: they come from the autopilot.
     signing
         Signs and verifies messages; None: they are not signed.
 
@@ -231,8 +232,7 @@ class Bridge:
         thermometer: ThermometerReader | None = None,
         schedule: Schedule | None = None,
         air: Callable[[float], Air] | None = None,
-        attitude: Attitude | None = None,
-        motion: VerticalMotion | None = None,
+        received: Callable[[float], Iterable[tuple[float, Received]]] | None = None,
         signing: Signing | None = None,
     ) -> None:
         self.airframe = airframe
@@ -252,8 +252,9 @@ class Bridge:
         sources = airframe.temperature.sources
         asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
         self._attitude = AttitudeTrack()
-        self._motion = motion or VerticalMotion()
-        self._fusion = fusion_of(airframe, attitude or self._attitude, self._motion)
+        self._motion = VerticalMotion()
+        self._received = received
+        self._fusion = fusion_of(airframe, self._attitude, self._motion)
         self._fused_by_sound = any(sensor.sensor_model.medium == "sound" for sensor in airframe.downward)
         if self._fusion is not None:
             asked |= {ATTITUDE: ATTITUDE_REQUEST_HZ, **WITNESSES[airframe.link.autopilot]}
@@ -342,6 +343,9 @@ class Bridge:
         boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
         filtered, fused = _NOT_FILTERED, None
         if self._fusion is not None and channel.is_fused:
+            if self._received is not None:
+                for received_s, moved in self._received(now_s):
+                    self._on_moved(received_s, moved)
             outcome = self._fusion.update(reading, now_s)
             reading, fused, filtered = outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
             if self._sensor_watch is not None:
@@ -454,20 +458,25 @@ class Bridge:
             self._report_message(now_s, message)
 
     def _on_motion(self, now_s: float, message: Any) -> None:
-        """Attitude, acceleration and pressure, for the fusion and the record."""
+        """Take attitude, acceleration and pressure out of the autopilot's messages."""
         if message.get_type() == ATTITUDE:
             time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
-            angles = Angles(time_s, message.roll, message.pitch, message.yaw)
-            if self._attitude.update(angles):
-                self.write(ATTITUDE_TOPIC, now_s, angles._asdict())
+            self._on_moved(now_s, Angles(time_s, message.roll, message.pitch, message.yaw))
         elif (force := specific_force(message)) is not None:
             down = self._attitude.down_at(now_s)
             if down is not None:
-                up_m_s2 = -dot(down, force) - GRAVITY_M_S2
-                if self._motion.on_acceleration(now_s, up_m_s2):
-                    self.write(MOTION_TOPIC, now_s, {"time_s": now_s, "up_m_s2": up_m_s2})
-        elif (height_m := pressure_height_m(message)) is not None and self._motion.on_pressure_height(now_s, height_m):
-            self.write(MOTION_TOPIC, now_s, {"time_s": now_s, "pressure_height_m": height_m})
+                self._on_moved(now_s, Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2))
+        elif (height_m := pressure_height_m(message)) is not None:
+            self._on_moved(now_s, PressureHeight(now_s, height_m))
+
+    def _on_moved(self, received_s: float, moved: Received) -> None:
+        """An attitude, an acceleration or a pressure, for the fusion and the record."""
+        if isinstance(moved, Angles):
+            topic, is_taken = ATTITUDE_TOPIC, self._attitude.update(moved)
+        else:
+            topic, is_taken = MOTION_TOPIC, self._motion.update(moved)
+        if is_taken:
+            self.write(topic, received_s, moved._asdict())
 
     def _check_conditions(self, now_s: float) -> None:
         """Update the air, the recording and the conditions of all that is not a sensor, and report what has changed."""

@@ -4,8 +4,8 @@ The readings are played through a bus whose sensors answer with them, at their o
 change to a filter or a gate is tried on what really happened.
 """
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,14 +16,13 @@ from msp_range.assembly import polled_sensors
 from msp_range.bridge import Bridge, Counts, Records
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe
-from msp_range.fusion import Angles, Moved, RecordedAttitude, RecordedMotion
+from msp_range.fusion import Received
 from msp_range.mavlink.transport import Transport, TransportStats
 from msp_range.reading import Reading
 from msp_range.recording.error import RecordingError
 from msp_range.recording.mcap_records import Losses
 from msp_range.recording.pings import Pings, Recorded
 from msp_range.recording.replay_bus import ReplayBus
-from msp_range.recording.topics import ATTITUDE_TOPIC, MOTION_TOPIC
 from msp_range.sensors.base import RecordedPing
 from msp_range.sensors.schedule import PolledSensor
 from msp_range.terminal import Bar, PlainConsole, console, plain_table
@@ -158,8 +157,7 @@ def replay(
         recorder=recorder,
         schedule=RecordedOrder(airframe, bus),
         air=recorded.air_at,
-        attitude=RecordedAttitude(recorded.attitudes, clock.now, _keep_in(recorder, ATTITUDE_TOPIC)),
-        motion=RecordedMotion(recorded.motion, clock.now, _keep_in(recorder, MOTION_TOPIC)),
+        received=_received(recorded),
     )
     expected = sum(len(each) for each in pings.values())
     start_s = clock.now()
@@ -181,10 +179,15 @@ def replay(
     return ReplayOutcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
 
 
-def _keep_in(recorder: Records | None, topic: str) -> Callable[[float, Angles | Moved], None] | None:
-    if recorder is None:
-        return None
-    return lambda received_s, each: recorder.write(topic, received_s, each._asdict())
+def _received(recorded: Recorded) -> Callable[[float], Iterator[tuple[float, Received]]]:
+    """What of the vehicle's motion was received since the last call, by the time that it is now."""
+    coming = deque(recorded.received)
+
+    def received(now_s: float) -> Iterator[tuple[float, Received]]:
+        while coming and coming[0][0] <= now_s:
+            yield coming.popleft()
+
+    return received
 
 
 def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:

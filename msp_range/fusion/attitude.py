@@ -5,8 +5,7 @@ than the message that comes after it. Where none is sent, or the last one is old
 """
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from msp_range.geometry import Matrix, Vector, down_axis, rotation_matrix
 from msp_range.health import Condition
@@ -32,14 +31,6 @@ class Angles(NamedTuple):
     roll_rad: float
     pitch_rad: float
     yaw_rad: float
-
-
-class Attitude(Protocol):
-    """Whoever knows how the vehicle is turned."""
-
-    def rotation_at(self, time_s: float) -> Matrix | None:
-        """Body FRD to north, east, down at a time on the bridge's clock [s]; None where it is not known."""
-        ...
 
 
 class AttitudeTrack:
@@ -107,42 +98,6 @@ class AttitudeTrack:
             pitch += share * (pitch - from_pitch)
             yaw += share * _turn(from_yaw, yaw)
         return roll, pitch, yaw
-
-
-class RecordedAttitude:
-    """Recorded attitudes, each known from the time on at which it was received.
-
-    Parameters
-    ----------
-    attitudes
-        When each was received [s], in this order, and the attitude.
-    now
-        The time that it is [s].
-    keep
-        Called with both when that time has come.
-    """
-
-    def __init__(
-        self,
-        attitudes: Sequence[tuple[float, Angles]],
-        now: Callable[[], float],
-        keep: Callable[[float, Angles], None] | None = None,
-    ) -> None:
-        self._track = AttitudeTrack()
-        self._coming = iter(attitudes)
-        self._next = next(self._coming, None)
-        self._now = now
-        self._keep = keep
-
-    def rotation_at(self, time_s: float) -> Matrix | None:
-        """As `AttitudeTrack.rotation_at`, of those that have been received by now."""
-        now_s = self._now()
-        while self._next is not None and self._next[0] <= now_s:
-            received_s, angles = self._next
-            if self._track.update(angles) and self._keep is not None:
-                self._keep(received_s, angles)
-            self._next = next(self._coming, None)
-        return self._track.rotation_at(time_s)
 
 
 def _turn(start_rad: float, end_rad: float) -> float:

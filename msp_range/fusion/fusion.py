@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 from msp_range.filters.chain import UNCONFIRMED
 from msp_range.fusion.above import AboveMaximum
-from msp_range.fusion.attitude import Attitude
+from msp_range.fusion.attitude import AttitudeTrack
 from msp_range.fusion.belief import Belief, Surface
 from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.look import Look, Seen
@@ -98,7 +98,7 @@ class Fusion:
     def __init__(
         self,
         sensors: Mapping[str, DownwardSensor],
-        attitude: Attitude,
+        attitude: AttitudeTrack,
         windows: Windows,
         motion: VerticalMotion | None = None,
         maximum_m: float = 7.65,

@@ -13,7 +13,6 @@ The barometer's slow drift is not separated from z; it is counted where a climb 
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 GRAVITY_M_S2 = 9.80665
@@ -116,6 +115,20 @@ def corrected(covariance: Covariance, variance_m2: float) -> tuple[tuple[float, 
     )
 
 
+class Acceleration(NamedTuple):
+    """The vehicle's acceleration upwards, gravity taken off [m/s^2], and when it was received [s]."""
+
+    time_s: float
+    up_m_s2: float
+
+
+class PressureHeight(NamedTuple):
+    """The pressure as a height over any level [m], and when it was received [s]."""
+
+    time_s: float
+    pressure_height_m: float
+
+
 class VerticalMotion:
     """Height changes of the vehicle, by accelerometer and barometer.
 
@@ -139,6 +152,10 @@ class VerticalMotion:
         self._covariance = _START
         self._start = 0
         self._samples: deque[tuple[float, float]] = deque(maxlen=SAMPLES_KEPT)
+
+    def update(self, moved: Acceleration | PressureHeight) -> bool:
+        """Update with either; False where it makes no sense."""
+        return (self.on_acceleration if isinstance(moved, Acceleration) else self.on_pressure_height)(*moved)
 
     def on_acceleration(self, time_s: float, up_m_s2: float) -> bool:
         """Update with the vehicle's acceleration upwards, gravity taken off [m/s^2]; False where it makes no sense."""
@@ -239,54 +256,3 @@ class VerticalMotion:
             wb,
             bb + BIAS_WALK_M_S2 * BIAS_WALK_M_S2 * t,
         )
-
-
-class Moved(NamedTuple):
-    """One message of the autopilot: when [s], and either the acceleration [m/s^2] or the pressure as a height [m]."""
-
-    time_s: float
-    up_m_s2: float | None
-    pressure_height_m: float | None
-
-
-class RecordedMotion(VerticalMotion):
-    """Recorded accelerations and pressures, each known from its time on.
-
-    Parameters
-    ----------
-    moved
-        In order of time.
-    now
-        The time that it is [s].
-    keep
-        Called with the time and each when that time has come.
-    """
-
-    def __init__(
-        self, moved: Sequence[Moved], now: Callable[[], float], keep: Callable[[float, Moved], None] | None = None
-    ) -> None:
-        super().__init__()
-        self._coming = deque(moved)
-        self._now = now
-        self._keep = keep
-
-    def measured(self, from_s: float, to_s: float) -> float | None:
-        """As `VerticalMotion.measured`, of what has been received by now."""
-        self._catch_up()
-        return super().measured(from_s, to_s)
-
-    def mark(self, time_s: float) -> Mark | None:
-        """As `VerticalMotion.mark`, of what has been received by now."""
-        self._catch_up()
-        return super().mark(time_s)
-
-    def _catch_up(self) -> None:
-        now_s = self._now()
-        while self._coming and self._coming[0].time_s <= now_s:
-            each = self._coming.popleft()
-            if each.up_m_s2 is not None:
-                self.on_acceleration(each.time_s, each.up_m_s2)
-            elif each.pressure_height_m is not None:
-                self.on_pressure_height(each.time_s, each.pressure_height_m)
-            if self._keep is not None:
-                self._keep(each.time_s, each)

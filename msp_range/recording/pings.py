@@ -7,7 +7,7 @@ the ping follows by half the time of flight.
 import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -17,8 +17,8 @@ import numpy as np
 from msp_range.acoustics.air import FIXED, Air
 from msp_range.arrays import Column
 from msp_range.correction.temperature import COLDEST_C, FIXED_STD_C, GRADIENT_STD_C, HOTTEST_C, THERMOMETER_STD_C
+from msp_range.fusion import Acceleration, PressureHeight, Received
 from msp_range.fusion.attitude import Angles
-from msp_range.fusion.vertical import Moved
 from msp_range.reading import Status
 from msp_range.recording.csv_form import MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
@@ -46,10 +46,8 @@ class Recorded(NamedTuple):
     air: Sequence[tuple[float, Air]] = ()
     """The air that readings were corrected for, or that a table has, and its time [s], by time. A deviation that was
     not recorded is that of a thermometer, or of a fixed temperature."""
-    attitudes: Sequence[tuple[float, Angles]] = ()
-    """Attitudes that the autopilot sent, and when each was received [s], by that time."""
-    motion: Sequence[Moved] = ()
-    """Accelerations and pressures that the autopilot sent, by time."""
+    received: Sequence[tuple[float, Received]] = ()
+    """Attitudes, accelerations and pressures that the autopilot sent, and when each was received [s], by that time."""
 
     @property
     def first_ping_s(self) -> float:
@@ -119,13 +117,15 @@ def _angles(message: dict[str, Any]) -> Angles:
 def _of_recording(recording: Recording) -> Recorded:
     pings: dict[str, list[RecordedPing]] = {}
     air: list[tuple[float, Air]] = []
-    attitudes: list[tuple[float, Angles]] = []
-    motion: list[Moved] = []
+    received: list[tuple[float, Received]] = []
     for topic, time_s, message in recording:
         if topic == ATTITUDE_TOPIC:
-            attitudes.append((time_s, _angles(message)))
+            received.append((time_s, _angles(message)))
         elif topic == MOTION_TOPIC:
-            motion.append(Moved(message["time_s"], message.get("up_m_s2"), message.get("pressure_height_m")))
+            if (up_m_s2 := message.get("up_m_s2")) is not None:
+                received.append((time_s, Acceleration(message["time_s"], up_m_s2)))
+            elif (height_m := message.get("pressure_height_m")) is not None:
+                received.append((time_s, PressureHeight(message["time_s"], height_m)))
         elif topic.startswith(RANGE_PREFIX):
             if "temperature_c" in message:
                 air.append((time_s, _air_of(message)))
@@ -138,7 +138,7 @@ def _of_recording(recording: Recording) -> Recorded:
         ping_s = np.array([ping.ping_s for ping in each])
         words = np.array([math.nan if ping.word is None else float(ping.word) for ping in each])
         _check(recording.path, sensor, ping_s, words, ("ping_s", "raw"))
-    return Recorded(pings, air, sorted(attitudes), sorted(motion, key=attrgetter("time_s")))
+    return Recorded(pings, air, sorted(received, key=itemgetter(0)))
 
 
 def _air_of(message: dict[str, Any]) -> Air:

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 from msp_lab.gap.intake import read_readings
 from msp_lab.readings.intake import load_readings
 from msp_range.clock import VirtualClock
+from msp_range.fusion import Acceleration, Angles, Received
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
 from msp_range.recording.pings import read_recorded
@@ -42,6 +43,10 @@ def ranges(path: Path) -> list[tuple[str, list[Any]]]:
     ]
 
 
+def messages(path: Path, *topics: str) -> list[tuple[str, float, Any]]:
+    return [each for each in Recording(path) if each[0] in topics]
+
+
 @pytest.mark.slow
 def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     """Every stage of every reading, faults and all, down to the last digit, from the recording alone."""
@@ -49,6 +54,36 @@ def test_a_replayed_flight_is_the_flight(flight: Path, tmp_path: Path) -> None:
     result = run("msp-range replay", flight, "--record", again)
     assert "front_left" in result.output
     assert ranges(again) == ranges(flight)
+    # What was received after the last reading is no part of the replay.
+    for topic in ("/attitude", "/motion"):
+        moved, played = messages(flight, topic), messages(again, topic)
+        assert played == moved[: len(played)]
+        assert len(played) > 0.99 * len(moved)
+
+
+def test_a_replay_has_the_attitudes_and_accelerations_of_the_flight_when_they_were_received(tmp_path: Path) -> None:
+    """A vehicle that leans by 0.4 rad from the fifth second on: from then on its axis is not straight down."""
+    path, again = tmp_path / "flight.mcap", tmp_path / "again.mcap"
+    recorder = Recorder(path, VirtualClock(START_S))
+    vehicle = airframe()
+    Bench(vehicle, lambda name, time_s: 300, recorder=recorder).fly(10.0)
+    recorder.close()
+    recorded = read_recorded(path)
+    begins_s = recorded.first_ping_s
+    received: list[tuple[float, Received]] = []
+    for i in range(50):
+        time_s = begins_s + 5.0 + 0.1 * i
+        received += [(time_s, Angles(time_s - 0.02, 0.4, 0.0, 0.0)), (time_s, Acceleration(time_s, 0.01))]
+    clock = VirtualClock(begins_s)
+    recorder = Recorder(again, clock)
+    replay(vehicle, recorded._replace(received=received), path, clock, Nowhere(), recorder)
+    recorder.close()
+    kept = messages(again, "/attitude", "/motion")
+    assert [time_s for _, time_s, _ in kept] == pytest.approx([time_s for time_s, _ in received], abs=1e-8)
+    assert [each for _, _, each in kept] == [each._asdict() for _, each in received]
+    along = [(time_s, each["height_m"] / each["range_m"]) for _, time_s, each in messages(again, "/fused")]
+    assert {share for time_s, share in along if time_s < begins_s + 5.0} == {1.0}
+    assert along[-1][1] < 0.99
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ A recording enters, a `Mounting` leaves; a table without either is one of sensor
 sensors as its reference.
 """
 
+from collections import deque
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 from msp_lab.readings.others import Mounting, Referenced, side_by_side, with_others_as_reference
 from msp_range.arrays import Array
 from msp_range.config import load_airframe_from
-from msp_range.fusion.attitude import RecordedAttitude
+from msp_range.fusion.attitude import AttitudeTrack
 from msp_range.fusion.mounting import DownwardSensor
 from msp_range.geometry import Matrix
 from msp_range.recording.csv_form import MeasuredData, join_tables
@@ -37,15 +38,14 @@ def mounting_of(recording: Recording) -> Mounting | None:
     sensors = {
         sensor.name: DownwardSensor(sensor.position_m, sensor.boresight, "nearest") for sensor in airframe.downward
     }
-    now_s = 0.0
-    attitude = RecordedAttitude(recorded_attitudes(recording), lambda: now_s)
+    attitudes, track = deque(recorded_attitudes(recording)), AttitudeTrack()
 
     def rotations(time_s: Array) -> Sequence[Matrix | None]:
-        nonlocal now_s
         found = []
         for each in time_s.tolist():
-            now_s = each + AFTER_S
-            found.append(attitude.rotation_at(each))
+            while attitudes and attitudes[0][0] <= each + AFTER_S:
+                track.update(attitudes.popleft()[1])
+            found.append(track.rotation_at(each))
         return found
 
     return Mounting(sensors, rotations)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from msp_range.fusion import Angles, AttitudeTrack, DownwardSensor, Fused, Fusion, Oblique, RecordedAttitude, Windows
+from msp_range.fusion import Angles, AttitudeTrack, DownwardSensor, Fused, Fusion, Oblique, Windows
 from msp_range.fusion.attitude import OLDEST_S
 from msp_range.fusion.vertical import VerticalMotion
 from msp_range.geometry import Vector, boresight
@@ -485,22 +485,6 @@ def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> No
     assert rotation[1][0] == pytest.approx(0.0, abs=1e-9), "north lies between 350 and 10 deg"
     assert track.rotation_at(1.2 + OLDEST_S - 0.01) is not None
     assert track.rotation_at(1.2 + OLDEST_S + 0.01) is None
-
-
-def test_recorded_attitudes_are_known_from_when_they_were_received() -> None:
-    """The first is of 1.0 s and was received at 1.03 s."""
-    now, kept = [0.0], []
-    attitudes = [(1.03, Angles(1.0, 0.1, 0.0, 0.0)), (1.13, Angles(1.1, 0.2, 0.0, 0.0))]
-    recorded = RecordedAttitude(attitudes, lambda: now[0], lambda *each: kept.append(each))
-    now[0] = 1.02
-    assert recorded.rotation_at(1.0) is None
-    now[0] = 1.05
-    rotation = recorded.rotation_at(1.0)
-    assert rotation is not None
-    assert rotation[2][1] == pytest.approx(math.sin(0.1))
-    now[0] = 2.0
-    recorded.rotation_at(1.1)
-    assert kept == attitudes
 
 
 # What a filter has to be.

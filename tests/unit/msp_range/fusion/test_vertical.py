@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from msp_range.fusion.vertical import CLIMB_STD_M, Moved, RecordedMotion, VerticalMotion, corrected, moved
+from msp_range.fusion.vertical import CLIMB_STD_M, Acceleration, VerticalMotion, corrected, moved
 from msp_range.mavlink.inertial import pressure_height_m, specific_force
 
 IMU_S, PRESSURE_S = 0.04, 0.1
@@ -99,27 +99,13 @@ def test_pressures_alone_give_a_climb_too() -> None:
     assert motion.acceleration(19.9, 20.0) is None
 
 
-def test_recorded_motion_is_known_from_its_time_on() -> None:
-    now, kept = [0.0], []
-    moved = [Moved(0.1 * i, None, 50.0 + 0.1 * i) for i in range(100)]
-    motion = RecordedMotion(moved, lambda: now[0], lambda time_s, each: kept.append(each))
-    assert motion.mark(0.05) is not None
-    now[0] = 5.0
-    mark = motion.mark(5.0)
-    now[0] = 8.0
-    climb = motion.climbed(mark, 8.0)
-    assert climb is not None
-    assert climb.height_m == pytest.approx(3.0, abs=0.05)
-    assert kept == moved[:81]
-
-
-def test_recorded_accelerations_are_those_between_the_times() -> None:
+def test_accelerations_are_those_between_the_times() -> None:
     """Each is the mean since the one before: 1 m/s^2 until 2 s, 3 m/s^2 from then on."""
-    now = [0.0]
-    moved = [Moved(0.1 * i, 1.0 if i <= 20 else 3.0, None) for i in range(100)]
-    motion = RecordedMotion(moved, lambda: now[0])
-    assert motion.measured(-0.1, 0.0) == pytest.approx(1.0)
-    now[0] = 2.5
+    motion = VerticalMotion()
+    for i in range(26):
+        assert motion.update(Acceleration(0.1 * i, 1.0 if i <= 20 else 3.0))
+        if i == 0:
+            assert motion.measured(-0.1, 0.0) == pytest.approx(1.0)
     assert motion.measured(1.5, 2.0) == pytest.approx(1.0)
     assert motion.measured(1.9, 2.4) == pytest.approx(2.6)
     assert motion.measured(2.1, 2.5) == pytest.approx(3.0)
