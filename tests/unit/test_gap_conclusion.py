@@ -16,6 +16,7 @@ from msp_lab.gap.conclusion import of_tables
 from msp_lab.gap.findings import (
     Alternative,
     CalibrationFinding,
+    FittedValue,
     FoundEffect,
     Gap,
     GapFindings,
@@ -23,6 +24,7 @@ from msp_lab.gap.findings import (
     NotTestable,
     OddsMeasures,
     PathStep,
+    ReadingAge,
     Slice,
     UnknownEffect,
     Verdict,
@@ -127,7 +129,7 @@ def test_decision_number_and_next_step_agree(found: GapFindings) -> None:
         assert not flies
     if named and found.verdict in ("explained", "improved"):
         assert "%" not in sentence
-        assert "no name yet" not in sentence
+        assert "not explained" not in sentence
         assert (found.verdict == "explained") == ("all of the disagreement" in sentence)
     if found.verdict in ("partly explained", "unexplained"):
         assert not flies
@@ -199,6 +201,80 @@ def test_what_is_likely_is_to_be_recorded_and_not_what_is_absent() -> None:
     assert said.next_step == "record vibration_hz: vibration would need it, and may be what is left"
     said = with_words(GapFindings("unexplained", 2000, 12, scattered, not_testable=absent[:2]))
     assert said.next_step == "look at the slices that are still off in report.html"
+
+
+def test_a_column_is_likely_only_if_readings_differ_over_what_else_its_effects_need() -> None:
+    hot = NotTestable("hot_box", ("target_temperature_c",))
+    biased = replace(gap(0.5, 0.5, 0.01), bias_cm=Measure(1.0, 1.0, 0.1))
+    warm = replace(SLICE, variables=("air_temperature_c",))
+    for piece, step in ((SLICE, "look at"), (warm, "record target"), (replace(warm, p_value=0.4), "look at")):
+        said = with_words(GapFindings("unexplained", 2000, 12, biased, slices=(piece,), not_testable=(hot,)))
+        assert said.next_step.startswith(step)
+
+
+WITHIN = replace(gap(0.05, 0.05, 0.4), nats_per_reading=Measure(0.05, None, 0.4), bias_cm=Measure(0.01, None, 0.06))
+
+
+@pytest.mark.parametrize(
+    ("measured", "p_value", "sentence", "step"),
+    [
+        (
+            GAPS["left"],
+            None,
+            "disagree, most where throttle 0.5 to 1; what is missing is not named yet.",
+            "name DIR looks",
+        ),
+        (GAPS["left"], 0.4, "disagree, most where throttle 0.5 to 1; no effect of the catalogue", "add DIR measures"),
+        (WITHIN, 0.4, "agree on the whole, but not where throttle 0.5 to 1; no effect", "add DIR measures"),
+    ],
+)
+def test_no_command_is_next_that_has_found_nothing(
+    measured: Gap, p_value: float | None, sentence: str, step: str
+) -> None:
+    said = with_words(GapFindings(None, 2000, 12, measured, slices=(SLICE,), p_value=p_value))
+    assert said.sentence.startswith(f"Readings and model {sentence}")
+    assert said.next_step.startswith(f"msp-lab {step}")
+
+
+@pytest.mark.parametrize(("low", "has_grown"), [(0.4, True), (0.3, False), (None, True)])
+def test_a_bias_has_grown_if_its_interval_says_so(low: float | None, has_grown: bool) -> None:
+    measured = replace(gap(0.3, 0.11, 0.045), bias_cm=Measure(0.34, 0.45, 0.17, low, 0.5))
+    said = with_words(GapFindings("unexplained", 2000, 12, measured, slices=(SLICE,)))
+    assert ("bias grew" in said.next_step) == has_grown
+
+
+@pytest.mark.parametrize(
+    ("delay_ms", "z", "step"), [(-140.0, SURE, "shift"), (-5.0, WEAK, "record"), (90.0, SURE, "fly")]
+)
+def test_nobody_flies_with_readings_that_are_ahead_of_the_reference(delay_ms: float, z: float, step: str) -> None:
+    delay = FittedValue(delay_ms, delay_ms - 3.0, delay_ms + 3.0, "ms")
+    late = replace(scale(z), name="latency", parameters={"delay_ms": delay})
+    said = with_words(GapFindings("explained", 2000, 12, GAPS["closed after"], (late,), age=ReadingAge(-0.14, 0.01)))
+    assert said.next_step.startswith(step)
+    assert not any("old" in each for each in said.summary)
+
+
+def test_what_was_refitted_has_its_part_and_its_name() -> None:
+    tails = CalibrationFinding("effects.heavy_tails", "", 0.0, 0.2, 0.1, 0.3)
+    said = with_words(GapFindings("partly explained", 2000, 12, GAPS["left"], (scale(),), calibration=(tails,)))
+    assert said.sentence.endswith(
+        "; with the refitted numbers that is 60 % of the disagreement, and the rest is not explained."
+    )
+    said = with_words(
+        GapFindings("nothing missing", 2000, 12, GAPS["closed before"], calibration=(tails,), p_value=5e-4)
+    )
+    assert said.sentence == "The model is close enough: it may lack heavy tails, too little to matter."
+
+
+def test_what_is_not_sure_is_perhaps_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    weak = with_words(
+        GapFindings("explained", 2000, 12, GAPS["closed after"], (scale(WEAK),), (curve(WEAK),), selection_path=PATH)
+    )
+    print_findings(weak)
+    table = " ".join(capsys.readouterr().out.partition("experiment")[2].split())
+    text = page_of(weak, tmp_path).partition("What is missing")[2]
+    assert table.count("perhaps") == text.count("Perhaps") == 2
+    assert 'class="mark no"' not in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_no_step_has_a_larger_gap_than_the_given_model() -> None:

@@ -110,7 +110,7 @@ def test_an_unknown_effect_has_its_size_and_the_column_that_would_name_it() -> N
     said = with_words(findings(effects=(), unknown=(unknown,), verdict="partly explained"))
     assert said.sentence == (
         "The error changes by 2 cm over the neighbour lag in an unknown way; that is 97 % of the disagreement, and the "
-        "rest has no name yet."
+        "rest is not explained."
     )
     assert said.next_step == (
         "record neighbour_range_cm: crosstalk needs it and depends on the same neighbour lag, a likely cause"
@@ -124,7 +124,7 @@ def test_an_unknown_effect_has_its_size_and_the_column_that_would_name_it() -> N
             0.45,
             0.55,
             "throttle did not vary enough to say why",
-            "the vehicle tied down over a floor, with",
+            "to see whether it is rotor noise: the vehicle tied down over a floor, with",
         ),
         (0.0, 1.0, "no recorded column says why", "record more context"),
     ],

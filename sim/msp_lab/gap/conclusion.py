@@ -5,7 +5,6 @@ cannot contradict each other: terminal, page, ``gap.json`` and `msp-lab design` 
 """
 
 import math
-from collections import Counter
 from dataclasses import replace
 
 from scipy.special import stdtr
@@ -16,6 +15,8 @@ from msp_lab.gap.labels import effect_label, finding_label, name_of, number_labe
 from msp_lab.gap.measures import CHANNEL_OF
 from msp_lab.gap.verdict import NO_GAP
 from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.latency import LATENCY
 from msp_sim.page.text import and_list, capitalised
 
 MOST_IN_SENTENCE = 3
@@ -57,6 +58,16 @@ def how_sure_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str
     where = "runs" if findings.runs >= rules.MIN_RUNS else "parts of a run"
     tables = of_tables(share_of(each, findings))
     return f"random variation alone would improve the prediction of {where} that were not fitted as much in {tables}"
+
+
+def is_sure(each: FoundEffect | UnknownEffect, findings: GapFindings) -> bool:
+    """Whether random variation alone gains as much in no more tables than the rate that was asked for."""
+    return share_of(each, findings) <= findings.settings.alpha
+
+
+def in_words(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+    """What was found, with 'perhaps' where it is not sure."""
+    return each.plain if is_sure(each, findings) else f"perhaps {each.plain}"
 
 
 def of_tables(share: float) -> str:
@@ -102,9 +113,8 @@ def _how_sure(findings: GapFindings) -> str:
 
 
 def _decision(findings: GapFindings) -> str:
-    share, alpha = findings.random_share, findings.settings.alpha
     if parts := found_parts(findings):
-        plain = ["perhaps " * (share_of(each, findings) > alpha) + each.plain for each in parts]
+        plain = [in_words(each, findings) for each in parts]
         more = len(parts) - MOST_IN_SENTENCE
         others = f", and there {'is 1 more finding' if more == 1 else f'are {more} more findings'}" * (more > 0)
         return capitalised(and_list(plain[:MOST_IN_SENTENCE])) + others + _share_of_gap(findings)
@@ -112,8 +122,10 @@ def _decision(findings: GapFindings) -> str:
     match findings.verdict:
         case None:
             return _compared(findings)
-        case "nothing missing" if share is not None and share < rules.SLICE_P:
-            text = "The model is close enough: something may be missing, too small to have a name"
+        case "nothing missing" if (findings.random_share or 1.0) < rules.SLICE_P:
+            own = [number_label(each.name) for each in findings.refitted if each.name.startswith("effects.")]
+            what = f"{and_list(own)}, too little to matter" if own else "something, too small to have a name"
+            text = f"The model is close enough: it may lack {what}"
         case "nothing missing":
             text = "Nothing is missing: readings and model agree as far as these data can tell"
         case "undecided":
@@ -128,7 +140,7 @@ def _decision(findings: GapFindings) -> str:
 def _share_of_gap(findings: GapFindings) -> str:
     if findings.verdict is None:
         return ""
-    is_ = "is" if (findings.random_share or 0.0) <= findings.settings.alpha else "would be"
+    is_ = "is" if all(is_sure(each, findings) for each in found_parts(findings)) else "would be"
     if findings.verdict == "improved":
         return "; the model was close enough without it"
     if findings.verdict == "explained":
@@ -141,7 +153,10 @@ def _share_of_gap(findings: GapFindings) -> str:
     if percent < 1.0:
         return "; but the disagreement does not become smaller by that"
     only = "only " * (findings.verdict == "unexplained")
-    return f"; that {is_} {only}{min(percent, 99.0):.0f} % of the disagreement, and the rest has no name yet"
+    # The base's numbers were refitted with what was found, and a part of it is theirs.
+    refitted = "with the refitted numbers " * bool(findings.refitted)
+    share = f"{only}{min(percent, 99.0):.0f} % of the disagreement"
+    return f"; {refitted}that {is_} {share}, and the rest is not explained"
 
 
 def _is_left(findings: GapFindings) -> bool:
@@ -150,7 +165,7 @@ def _is_left(findings: GapFindings) -> bool:
 
 
 def _absorbed(findings: GapFindings) -> str:
-    numbers = [number_label(each.name) for each in findings.calibration if each.name not in ("resolution", "code")]
+    numbers = [number_label(each.name) for each in findings.refitted]
     text = f"The disagreement is absorbed in {and_list(numbers) if numbers else 'the numbers of the base model'}"
     if not findings.causes:
         return f"{text}; no recorded column says why"
@@ -160,23 +175,34 @@ def _absorbed(findings: GapFindings) -> str:
 
 
 def _compared(findings: GapFindings) -> str:
+    """Before anything was added: whether readings and model disagree, on the whole and where most."""
     if findings.random_share is None or findings.random_share > rules.SLICE_P:
         return "Readings and model agree as far as random variation lets them"
     worst = next((each for each in findings.slices if each.variables), None)
-    where = f", most where {slice_label(worst.where)}" if worst is not None else ""
-    return f"Readings and model disagree{where}; what is missing is not named yet"
+    off = findings.gap is not None and any(getattr(findings.gap, key).was_beyond_floor for key in NO_GAP)
+    if worst is None:
+        where = "disagree"
+    else:
+        where = ("disagree, most where " if off else "agree on the whole, but not where ") + slice_label(worst.where)
+    name = "what is missing is not named yet" if findings.p_value is None else "no effect of the catalogue explains it"
+    return f"Readings and model {where}; {name}"
 
 
 def _next_step(findings: GapFindings) -> str:
     """The one thing to do first: about what the decision leaves open, or else to fly."""
     verdict, weakest = findings.verdict, _weakest(findings)
     if verdict is None:
-        named = findings.effects or findings.unknown
-        return "msp-lab add DIR adds it and measures what is left" if named else "msp-lab name DIR names it"
+        if findings.effects or findings.unknown:
+            return "msp-lab add DIR adds it and measures what is left"
+        if findings.p_value is not None:
+            return "msp-lab add DIR measures what is left once the model's own numbers are refitted"
+        return "msp-lab name DIR looks for what is missing"
+    if any(_is_ahead(each) and is_sure(each, findings) for each in findings.confirmed):
+        return "shift time_s of the reference, and compare again: no sensor is ahead of it"
     bias = Measure(None) if findings.gap is None else findings.gap.bias_cm
-    if verdict in STILL_OPEN and bias.is_beyond_floor and (bias.after or 0.0) > (bias.before or 0.0):
+    if verdict in STILL_OPEN and bias.is_beyond_floor and bias.has_grown:
         return f"find out why the bias grew to {short(bias.after)} cm before you fly with this model"
-    if weakest is not None and (findings.random_share or 0.0) > findings.settings.alpha:
+    if weakest is not None and not is_sure(weakest, findings):
         return f"record more runs like these: {finding_label(weakest)} is not sure yet"
     for each in found_parts(findings):
         if isinstance(each, UnknownEffect):
@@ -194,13 +220,20 @@ def _next_step(findings: GapFindings) -> str:
             times = math.ceil(rules.NOISE_FLOOR_FACTOR * (findings.nats.noise_floor or 0.0) / rules.CLOSED_MAX_NATS)
             return f"record about {max(times, 2)} times as many readings, in as many more runs"
         case "absorbed" if findings.causes:
-            return findings.causes[0].experiment
+            cause = findings.causes[0]
+            return f"to see whether it is {effect_label(cause.effect, None)}: {cause.experiment}"
         case "absorbed":
             return "record more context (throttle, temperature, tilt)"
     for each in findings.effects:
         if each.verdict == "suggested":
             return f"to decide whether {each.plain} ({each.doubt}): {each.experiment}"
     return _likely_column(findings) or "look at the slices that are still off in report.html"
+
+
+def _is_ahead(each: FoundEffect) -> bool:
+    """Whether readings come before the reference: a fault of its clock, with which nobody should fly."""
+    delay = each.parameters.get("delay_ms") if each.name == LATENCY.name else None
+    return delay is not None and delay.value < 0.0
 
 
 def _next_of_unknown(each: UnknownEffect) -> str:
@@ -212,15 +245,22 @@ def _next_of_unknown(each: UnknownEffect) -> str:
 
 
 def _likely_column(findings: GapFindings) -> str:
-    """The column that is not recorded and would show most effects on what is still off; empty where none would."""
+    """The column that is not recorded and would show most effects on what is still off; empty where none would.
+
+    What else such an effect depends on is recorded, and readings and model differ over it.
+    """
     measures = {} if findings.gap is None else findings.gap.measures
     off = {CHANNEL_OF[key] for key, each in measures.items() if key in CHANNEL_OF and each.is_beyond_floor}
-    likely = [
-        (each.columns[0], effect_label(each.name, None))
-        for each in findings.not_testable
-        if len(each.columns) == 1 and each.name in CATALOGUE and off & set(CATALOGUE[each.name].channels)
-    ]
-    for column, _ in Counter(column for column, _ in likely).most_common(1):
-        names = and_list([name for one, name in likely if one == column][:MOST_IN_SENTENCE])
-        return f"record {column}: {names} would need it, and may be what is left"
-    return ""
+    differing = [each for each in findings.slices if each.p_value is not None and each.p_value < rules.SLICE_P]
+    over = {TRUE_RANGE, *(name for each in differing for name in each.variables)}
+    likely: dict[str, list[str]] = {}
+    for each in findings.not_testable:
+        effect = CATALOGUE.get(each.name)
+        if len(each.columns) != 1 or effect is None or not off & set(effect.channels):
+            continue
+        if set(effect.requires) - {*each.columns} <= over:
+            likely.setdefault(each.columns[0], []).append(effect_label(each.name, None))
+    if not likely:
+        return ""
+    column, names = max(likely.items(), key=lambda item: len(item[1]))
+    return f"record {column}: {and_list(names[:MOST_IN_SENTENCE])} would need it, and may be what is left"

@@ -29,9 +29,23 @@ class Measure:
     """95 % interval of `after`; its errors are those of whole runs."""
 
     @property
+    def was_beyond_floor(self) -> bool:
+        """Whether the given model differs by more than random variation gives, as far as that is known."""
+        return self._is_beyond_floor(self.before)
+
+    @property
     def is_beyond_floor(self) -> bool:
         """Whether more is left than random variation gives, as far as that is known."""
-        return None not in (self.after, self.noise_floor) and (self.after or 0.0) > (self.noise_floor or 0.0)
+        return self._is_beyond_floor(self.after)
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether what is left is more than there was before, by more than its error."""
+        left = self.after if self.low is None else self.low
+        return None not in (left, self.before) and (left or 0.0) > (self.before or 0.0)
+
+    def _is_beyond_floor(self, value: float | None) -> bool:
+        return None not in (value, self.noise_floor) and (value or 0.0) > (self.noise_floor or 0.0)
 
 
 @dataclass(frozen=True)
@@ -332,6 +346,11 @@ class GapFindings:
     def nats(self) -> Measure:
         """The gap per reading; nothing is known of it where nothing was compared."""
         return Measure(None) if self.gap is None else self.gap.nats_per_reading
+
+    @property
+    def refitted(self) -> tuple[CalibrationFinding, ...]:
+        """The numbers of the base model that are others; the readings' step and codes are none."""
+        return tuple(each for each in self.calibration if each.name not in ("resolution", "code"))
 
     @property
     def confirmed(self) -> tuple[FoundEffect, ...]:

@@ -5,6 +5,7 @@ import re
 import numpy as np
 
 from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect
+from msp_sim.effects.plain import digits
 
 _UNITS = {
     "_cm_s": "cm/s",
@@ -127,12 +128,12 @@ def size_label(name: str, size: float, unit: str) -> str:
 
     Examples
     --------
-    >>> size_label("delay_ms", 12.3, "ms"), size_label("log_odds", 3.0, "1"), size_label("share", 0.02, "1")
-    ('12 ms', '20 times the odds', '0.02 (share)')
+    >>> size_label("delay_ms", 12.3, "ms"), size_label("log_odds", 5.0, "1"), size_label("share", 0.02, "1")
+    ('12 ms', '148 times the odds', '0.02 (share)')
     """
     if name == "log_odds":
-        return f"{np.exp(size):.2g} times the odds"
-    return f"{size:.2g} {unit}" if unit_after(unit) else f"{size:.2g} ({name})"
+        return f"{digits(float(np.exp(size)))} times the odds"
+    return f"{digits(size)}{unit_after(unit) or f' ({name})'}"
 
 
 def extension_label(findings: GapFindings) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.conclusion import how_sure_of
+from msp_lab.gap.conclusion import how_sure_of, in_words, is_sure
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.labels import channel_label, effect_label, extension_label
 from msp_lab.gap.measures import HeldOutReadings
@@ -67,7 +67,6 @@ def write_report(
             *(table for _, _, table in effects),
         ],
         findings=findings,
-        capitalised=capitalised,
         training=listed(findings.training_runs),
         held_out=listed(findings.held_out_runs),
         given_effects=[_with_values(each) for each in before.effects],
@@ -78,6 +77,8 @@ def write_report(
         effect_label=effect_label,
         channel_label=channel_label,
         how_sure_of=lambda each: how_sure_of(each, findings),
+        in_words=lambda each: capitalised(in_words(each, findings)),
+        is_sure=lambda each: is_sure(each, findings),
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
 

@@ -54,7 +54,7 @@ def _lines(findings: GapFindings) -> Iterator[str]:
 
 def _age(findings: GapFindings) -> Iterator[str]:
     age = findings.age
-    if age is not None:
+    if age is not None and age.latency_s > 0.0:
         late, hold = f"{age.latency_s:.2f} s behind the reference", f"held for {age.mean_hold_s:.2f} s on average"
         yield f"A reading is {age.total_s:.2f} s old: {late}, {hold}"
 
@@ -62,8 +62,8 @@ def _age(findings: GapFindings) -> Iterator[str]:
 def _refitted(findings: GapFindings) -> Iterator[str]:
     """Numbers of the base that are others now."""
     numbers = []
-    for each in findings.calibration:
-        if each.before is not None and each.after is not None and each.name not in ("resolution", "code"):
+    for each in findings.refitted:
+        if each.before is not None and each.after is not None:
             ends = f"{short(each.before)} to {short(each.after)}{unit_after(each.unit)}"
             numbers.append(f"{number_label(each.name)} {ends}")
     if numbers:

@@ -8,6 +8,7 @@ from rich.progress import BarColumn, TaskProgressColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from msp_lab.gap.conclusion import in_words
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.labels import (
@@ -130,7 +131,8 @@ def print_findings(findings: GapFindings) -> None:
         out.print(f"note: {message}", style="dim")
     columns = sorted({name for each in findings.not_testable for name in each.columns})
     if columns:
-        out.print(f"{len(findings.not_testable)} effects cannot be tested without {', '.join(columns)}", style="dim")
+        effects = counted(len(findings.not_testable), "effect")
+        out.print(f"{effects} cannot be tested without {', '.join(columns)}", style="dim")
 
 
 def print_files(findings: GapFindings, folder: Path) -> None:
@@ -151,7 +153,11 @@ def _found_table(findings: GapFindings) -> Table:
         label = effect_label(each.name, each.of)
         what = label if each.verdict == "named" else f"{label} ({each.verdict})"
         values = [parameter_words(name, value) for name, value in each.parameters.items()]
-        table.add_row(each.plain, "\n".join([what, *values, *filter(None, [each.doubt])]), each.experiment)
+        table.add_row(
+            in_words(each, findings), "\n".join([what, *values, *filter(None, [each.doubt])]), each.experiment
+        )
     for one in findings.unknown:
-        table.add_row(one.plain, f"{finding_label(one)}\n{channel_label(one.channel)} = {one.formula}", "")
+        table.add_row(
+            in_words(one, findings), f"{finding_label(one)}\n{channel_label(one.channel)} = {one.formula}", ""
+        )
     return table
