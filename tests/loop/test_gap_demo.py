@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from msp_lab.gap import demo
+from msp_lab.gap.findings import FittedValue
 from msp_lab.gap.findings_file import read_findings
 from msp_range.yaml_file import ConfigError
 from tests.docs.runner import clone
@@ -40,6 +41,6 @@ def test_an_earlier_demonstration_is_replaced_only_when_asked(tmp_path: Path) ->
 
 
 def test_what_was_not_named_is_reported_so() -> None:
-    assert not demo.HiddenNumber("rotor_noise", "growth", 3.0).holds
-    assert not demo.HiddenNumber("rotor_noise", "growth", 3.0, 2.0, 1.0, 2.9).holds
-    assert demo.HiddenNumber("rotor_noise", "growth", 3.0, 2.0, 1.0, 3.1).holds
+    assert not demo.HiddenNumber("rotor_noise", "growth", 3.0, None).holds
+    assert not demo.HiddenNumber("rotor_noise", "growth", 3.0, FittedValue(2.0, 1.0, 2.9, "1")).holds
+    assert demo.HiddenNumber("rotor_noise", "growth", 3.0, FittedValue(2.0, 1.0, 3.1, "1")).holds

@@ -210,15 +210,14 @@ def _demo(
     seed: Seed = 1,
     force: Annotated[bool, typer.Option("--force", help="replace an earlier demonstration in --out")] = False,
 ) -> None:
-    require("lab", "The gap workflow")
-    from msp_lab.gap import demo
-    from msp_lab.gap.steps import Steps
-    from msp_lab.gap.terminal import ProgressBar, print_comparisons, print_files
-    from msp_sim.terminal import make_folder
+    with _progress() as progress:
+        from msp_lab.gap import demo
+        from msp_lab.gap.steps import Steps
+        from msp_lab.gap.terminal import print_comparisons, print_files
+        from msp_sim.terminal import make_folder
 
-    make_folder(out)
-    demo.clear(out, force)
-    with ProgressBar() as progress:
+        make_folder(out)
+        demo.clear(out, force)
         steps = Steps(out / "gap", progress.clock, progress.report, progress.print_findings)
         findings = demo.run(out, seed, steps)
     print_files(findings, out / "gap")

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from msp_lab.gap.findings import FoundEffect, GapFindings, Settings
+from msp_lab.gap.findings import FittedValue, GapFindings, Settings
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.steps import Steps
 from msp_range.clock import VirtualClock
@@ -46,17 +46,13 @@ class HiddenNumber:
     """Names of the effect and of its parameter."""
     hidden: float
     """The true value."""
-    found: float | None = None
-    low: float | None = None
-    high: float | None = None
-    """Value and 95 % interval; None: the effect was not named."""
-    unit: str = "1"
-    """Name of the parameter's unit."""
+    found: FittedValue | None
+    """None: the effect was not named."""
 
     @property
     def holds(self) -> bool:
         """Whether the interval holds the true value."""
-        return self.low is not None and self.high is not None and self.low <= self.hidden <= self.high
+        return self.found is not None and self.found.may_be(self.hidden)
 
 
 def clear(folder: Path, force: bool) -> None:
@@ -128,13 +124,9 @@ def comparisons(findings: GapFindings) -> Iterator[HiddenNumber]:
     """What was hidden, each number with what was found of it."""
     for hidden in HIDDEN:
         name = hidden["name"]
-        found: FoundEffect | None = next((each for each in findings.effects if each.name == name), None)
+        fitted = next((each.parameters for each in findings.effects if each.name == name), {})
         for parameter, value in hidden["parameters"].items():
-            if found is None or parameter not in found.parameters:
-                yield HiddenNumber(name, parameter, value)
-            else:
-                fitted = found.parameters[parameter]
-                yield HiddenNumber(name, parameter, value, fitted.value, fitted.low, fitted.high, fitted.unit)
+            yield HiddenNumber(name, parameter, value, fitted.get(parameter))
 
 
 def run(folder: Path, seed: int, steps: Steps) -> GapFindings:

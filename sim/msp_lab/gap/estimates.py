@@ -92,14 +92,12 @@ def found_terms(
         values = _values(active, final.half_widths[own])
         if term.candidate is not None:
             name, neutral = term.candidate.parameter.name, term.candidate.neutral
-            low, high = values[name].low, values[name].high
-            is_small = low is not None and high is not None and low <= neutral <= high
-            if is_small or _is_of_all(term.candidate, values[name].value):
+            if values[name].may_be(neutral) or _is_of_all(term.candidate, values[name].value):
                 values[name] = _by_likelihood(term, active, final)
         base = active.effect.base
         number = next(iter(values.values()))
         if base is not None and not near and not _is_beyond_bench(base, number, final.width):
-            if number.low is not None and number.high is not None and not number.low <= 0.0 <= number.high:
+            if number.low is not None and number.high is not None and not number.may_be(0.0):
                 calibration.append(_calibration(base, 0.0, number.value, number.low, number.high, number.unit))
             continue
         doubt = _doubt(term, values)
@@ -173,7 +171,7 @@ def _doubt(term: SelectedTerm, values: Mapping[str, FittedValue]) -> str:
     at_bound = at_bound and not _is_of_all(term.candidate, found.value)
     if found.low is None or found.high is None or (at_bound and abs(found.value - neutral) > near):
         return f"{parameter.name} is at its bound, {found.value:.3g}"
-    if found.low <= neutral <= found.high:
+    if found.may_be(neutral):
         return f"{parameter.name} may be {neutral:g} ({found.low:.3g} to {found.high:.3g})"
     for shape in term.active.effect.parameters if term.candidate.linear else ():
         if shape.unit == "cm" and shape.high - values[shape.name].value < 1e-3 * (shape.high - shape.low):

@@ -96,6 +96,10 @@ class FittedValue:
     high: float | None
     unit: str
 
+    def may_be(self, value: float) -> bool:
+        """Whether a value is in the interval; False where that is not known."""
+        return self.low is not None and self.high is not None and self.low <= value <= self.high
+
 
 @dataclass(frozen=True)
 class Alternative:

@@ -6,7 +6,7 @@ fitted on all runs, and kept only if nearly all splits agree: each part scores b
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
 from msp_lab.gap.runs import previous, sample, taken
 from msp_lab.gap.selection import Selection, select, select_more, settled
 from msp_lab.gap.splits import Splits
-from msp_lab.gap.validation import Gain, Validated, gain, validated
+from msp_lab.gap.validation import Validated, validated
 from msp_lab.readings.intake import PREVIOUS
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags, Indices
@@ -64,14 +64,10 @@ class NamedModel:
     calibration: tuple[CalibrationFinding, ...]
     not_testable: tuple[NotTestable, ...]
     """What was found."""
-    unit: Literal["reading", "run"]
-    """Unit of evidence."""
     p_value: float
     """p-value of the hypothesis that nothing is missing."""
     detectable: str
     """The smallest effects that would have been found, in words."""
-    gain: Gain
-    """Gain of all terms together, on the held-out runs."""
     dropped: tuple[tuple[str, str], ...] = ()
     """Terms on which the splits do not agree, and why."""
     messages: tuple[str, ...] = ()
@@ -203,19 +199,18 @@ class AllReadings:
     reading_cm: Array
     splits: Splits
 
-    def prepared(self, problem: Problem, rows: Indices) -> Prepared:
-        """Some of them."""
+    def sampled(self, problem: Problem, rows: Indices, most: int) -> tuple[Prepared, Indices]:
+        """At most so many of some rows, and which."""
+        rows = sample(self.contexts, rows, most, problem.rng)
         contexts = taken(self.contexts, rows)
-        return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s)
+        return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s), rows
 
 
 def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:
     model, by_run, splits = problem.model, kept.state.by_run, whole.splits
     fit, base = kept.state.fit, selection.base.fit.base
-    held_out_rows = sample(whole.contexts, np.flatnonzero(splits.held_out), rules.FINAL_ROWS, problem.rng)
-    rows = sample(whole.contexts, np.flatnonzero(splits.training), rules.READINGS, problem.rng)
-    training = whole.prepared(problem, rows)
-    held_out = whole.prepared(problem, held_out_rows)
+    held_out, _ = whole.sampled(problem, np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
+    training, _ = whole.sampled(problem, np.flatnonzero(splits.training), rules.READINGS)
     of_training = refit(training, fit.effects, fit.base)
     found = kept.state.terms or selection.run_offset_cm > 0.0
     nothing = Base()
@@ -226,13 +221,11 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         base = nothing
         fit, of_training = refit(readings, [], base, rounds=0), refit(training, [], base, rounds=0)
     elif len(readings) < whole.reading_cm.size:
-        rows = sample(whole.contexts, np.arange(whole.reading_cm.size), rules.FINAL_ROWS, problem.rng)
-        readings, unit = whole.prepared(problem, rows), splits.unit[rows]
+        readings, rows = whole.sampled(problem, np.arange(whole.reading_cm.size), rules.FINAL_ROWS)
+        unit = splits.unit[rows]
         fit = refit(readings, fit.effects, fit.base)
     final = FinalFit.of(readings, fit, unit, by_run)
     effects, unknown, calibration = found_terms(problem, selection.base.fit, kept, selection.alternatives, final)
-    after, before = held_out.log_prob(of_training.base, of_training.effects), held_out.log_prob(base, [])
-    gained = gain(after, before, splits.unit[held_out_rows])
     path = _path(problem, selection, kept.state)
     calibration = [*calibrated(problem, final, of_training), *calibration]
     of_runs, of_all = (of_training.base, of_training.effects), (fit.base, fit.effects)
@@ -253,10 +246,8 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         tuple(unknown),
         tuple(calibration),
         tuple(_not_testable(effect, absent) for effect, absent in problem.untestable),
-        "run" if by_run else "reading",
         selection.first.p_value,
         detectable(problem, selection.first),
-        gained,
         tuple((each.term.label, each.why) for each in kept.dropped),
         tuple(_messages(problem, selection, by_run, whole.reading_cm.size)),
     )

@@ -67,17 +67,13 @@ class ProgressBar(Bar):
 def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     """What was hidden, and what was found of it."""
     header = ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it")
-    rows = [
-        (
-            each.effect,
-            each.parameter,
-            f"{each.hidden:g}",
-            "not named" if each.found is None else f"{each.found:.3g}",
-            f"{ends}{unit_after(each.unit)}" if (ends := interval(each.low, each.high)) else "",
-            "yes" if each.holds else "no",
-        )
-        for each in found
-    ]
+    rows = []
+    for each in found:
+        value, ends = "not named", ""
+        if each.found is not None:
+            value, ends = f"{each.found.value:.3g}", interval(each.found.low, each.found.high)
+            ends += unit_after(each.found.unit) * bool(ends)
+        rows.append((each.effect, each.parameter, f"{each.hidden:g}", value, ends, "yes" if each.holds else "no"))
     console().print(plain_table(header, rows, "llrrl"))
 
 
