@@ -264,6 +264,14 @@ def test_what_was_refitted_has_its_part_and_its_name() -> None:
         GapFindings("nothing missing", 2000, 12, GAPS["closed before"], calibration=(tails,), p_value=5e-4)
     )
     assert said.sentence == "The model is close enough: it may lack heavy tails, too little to matter."
+    step = CalibrationFinding("resolution", "steps of 0.1 cm", 1.0, 0.1)
+    said = with_words(GapFindings("partly explained", 2000, 12, GAPS["left"], (scale(),), calibration=(step,)))
+    assert "refitted" not in said.sentence.lower() + " ".join(said.summary).lower()
+
+
+def test_one_effect_is_not_effects(capsys: pytest.CaptureFixture[str]) -> None:
+    print_findings(with_words(GapFindings("explained", 9, 5, not_testable=(NotTestable("warm_up", ("uptime_s",)),))))
+    assert "one effect cannot be tested without uptime_s" in capsys.readouterr().out
 
 
 def test_what_is_not_sure_is_perhaps_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
