@@ -24,7 +24,6 @@ from pymavlink.DFReader import FORMAT_TO_STRUCT, DFFormat
 from msp_lab.logs.fused import by_ekf2_of_ardupilot, by_ekf3, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
-    RTK_FIXED,
     THROTTLE,
     TILT,
     LoggedFlight,
@@ -34,6 +33,7 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    looks_down,
     magnitude,
     make_continuous,
     make_log,
@@ -62,7 +62,7 @@ _FMT, _FMT_BYTES = 0x80, 89
 """The format message has this type and length in every log; its own type, length, name, format and field names follow
 after 3 bytes of header (AP_Logger, LogStructure.h)."""
 PLACE = "place"
-"""Asked for like a field: where in the file each message is. No field of a log has a name in small letters only."""
+"""Kept like a field: where in the file each message is. No field of a log has a name in small letters only."""
 TEXTS = ("Name", "Message")
 """Fields that are texts, of all that are read; the others are numbers."""
 _FIELD = re.compile(r"\d*[a-zA-Z]")
@@ -99,7 +99,7 @@ def read_ardupilot(path: Path, asked: LogRequest) -> VehicleLog:
     """Read a log; its fields are named ``MESSAGE.FIELD``."""
     message, _, field = asked.field.partition(".")
     wanted = WANTED | ({message: (*WANTED.get(message, ("TimeUS", "TimeMS")), field)} if field else {})
-    found, lost = read_messages(path, {name: (*fields, PLACE) for name, fields in wanted.items()}, asked.progress)
+    found, lost = read_messages(path, wanted, asked.progress)
     flight = flight_of(found)
     clock = make_continuous(flight.values())
     parameters, version = _parameters(found), _version(found)
@@ -170,7 +170,7 @@ def _ranger(number: int, rfnd: MessageColumns, fields: tuple[str, str], paramete
         is_too_near, no_answer = status == _TOO_NEAR, status <= _NO_DATA
         if np.isfinite(maximum_m):
             range_m[status == _TOO_FAR] = maximum_m
-    is_down = int(np.median(rfnd.get(fields[1], DOWN))) == DOWN
+    is_down = looks_down(rfnd.get(fields[1], DOWN))
     ranges = replace(rfnd.unsorted("Dist", range_m), source="RFND.Dist")
     return make_ranger(f"RNGFND{number}", ranges, is_down, np.array([maximum_m]), is_too_near, no_answer)
 
@@ -183,13 +183,10 @@ def _limit_m(limit: str, number: int, parameters: Mapping[str, float], otherwise
 
 
 def _references(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[TruthSource | None]:
-    fixed, receiver = None, ""
+    numbers = [name.removeprefix("GPS") for name in flight if name.partition("[")[0] == "GPS"]
     # Of several receivers the first one that ever has a fixed solution.
-    for name, gps in flight.items():
-        if fixed is None and name.partition("[")[0] == "GPS" and {"Status", "Alt"} <= gps.values.keys():
-            with_fix = gps["Status"] == RTK_FIXED
-            if with_fix.any():
-                fixed, receiver = gps.series("Alt", np.where(with_fix, gps["Alt"], np.nan)), name[len("GPS") :]
+    with_fix = [(found, number) for number in numbers if (found := flight.fixed(f"GPS{number}", "Status", "Alt"))]
+    fixed, receiver = with_fix[0] if with_fix else (None, "")
     return [
         truth_source("simulator", flight.series("SIM", "Alt")),
         truth_source("rtk", fixed, std=flight.series(f"GPA{receiver}", "VAcc") or flight.series("GPA", "VAcc")),
@@ -252,46 +249,45 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
     Raises
     ------
     RecordingError
-        It cannot be read, is no dataflash log, or is damaged throughout.
+        It is no dataflash log, or is damaged throughout.
+    OSError
+        It cannot be read.
     """
     if not dfindexer.available:
         raise RecordingError(f"{path}: this pymavlink has no indexer for dataflash logs; install one from a wheel")
     found: dict[str, dict[str, list[Column]]] = {}
     formats, rest, bad = b"", b"", 0
-    try:
-        with open_input(path, LARGEST_FILE_BYTES) as file:
-            size = file.seek(0, 2)
-            file.seek(0)
-            while new := file.read(PIECE_BYTES):
-                begins, piece = len(formats), formats + rest + new
-                offsets = _index(path, piece)
-                if not offsets[_FMT]:
-                    raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
-                # The last message may go on in the next piece, and is read with that one.
-                end, in_messages = begins, 0
-                for kind, form in _formats(piece, offsets[_FMT]).items():
-                    first, last = bisect_left(offsets[kind], begins), bisect_right(offsets[kind], len(piece) - form.len)
-                    places = offsets[kind][first:last]
-                    if places:
-                        end = max(end, places[-1] + form.len)
-                        in_messages += len(places) * form.len
-                        if form.name in wanted:
-                            _add_values(found, piece, places, form, wanted[form.name])
-                        if PLACE in wanted.get(form.name, ()):
-                            at = np.array(places) + (file.tell() - len(piece))
-                            found.setdefault(form.name, {}).setdefault(PLACE, []).append(at)
-                bad += end - begins - in_messages
-                rest = piece[end:]
-                if len(piece) - begins - in_messages > MOST_BAD_BYTES:
-                    if not formats:
-                        raise RecordingError(f"{path}: no dataflash log, or damaged at its beginning")
-                    bad += size - file.tell()
-                    break
-                newest = {piece[at + 3]: piece[at : at + _FMT_BYTES] for at in offsets[_FMT]}
-                formats = b"".join(each for each in newest.values() if len(each) == _FMT_BYTES)
-                progress(file.tell() / size)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    with open_input(path, LARGEST_FILE_BYTES) as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        while new := file.read(PIECE_BYTES):
+            begins, piece = len(formats), formats + rest + new
+            offsets = _index(path, piece)
+            if not offsets[_FMT]:
+                raise RecordingError(f"{path}: no dataflash log: it begins with {piece[:8]!r}")
+            # The last message may go on in the next piece, and is read with that one.
+            end, in_messages = begins, 0
+            for kind, form in _formats(piece, offsets[_FMT]).items():
+                first, last = bisect_left(offsets[kind], begins), bisect_right(offsets[kind], len(piece) - form.len)
+                places = offsets[kind][first:last]
+                if places:
+                    end = max(end, places[-1] + form.len)
+                    in_messages += len(places) * form.len
+                    if form.name in wanted:
+                        columns = found.setdefault(form.name, {})
+                        columns.setdefault(PLACE, []).append(np.array(places) + (file.tell() - len(piece)))
+                        for name, values in _values(piece, places, form, wanted[form.name]):
+                            columns.setdefault(name, []).append(values)
+            bad += end - begins - in_messages
+            rest = piece[end:]
+            if len(piece) - begins - in_messages > MOST_BAD_BYTES:
+                if not formats:
+                    raise RecordingError(f"{path}: no dataflash log, or damaged at its beginning")
+                bad += size - file.tell()
+                break
+            newest = {piece[at + 3]: piece[at : at + _FMT_BYTES] for at in offsets[_FMT]}
+            formats = b"".join(each for each in newest.values() if len(each) == _FMT_BYTES)
+            progress(file.tell() / size)
     joined = {name: {field: np.concatenate(parts) for field, parts in fields.items()} for name, fields in found.items()}
     bad += len(rest)
     return joined, f"{bad} bytes that belong to no message are left out" if bad else ""
@@ -331,24 +327,15 @@ def _layout(form: Any) -> np.dtype[Any]:
     return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
 
 
-def _add_values(
-    found: dict[str, dict[str, list[Column]]],
-    piece: bytes,
-    places: Sequence[int],
-    form: Any,
-    fields: Sequence[str],
-) -> None:
-    """Add the values of all messages of one type in a piece."""
+def _values(piece: bytes, places: Sequence[int], form: Any, fields: Sequence[str]) -> Iterator[tuple[str, Column]]:
+    """Some fields of all messages of one type in a piece."""
     layout = _layout(form)
     at = np.array(places, dtype=np.int64)
     content = np.frombuffer(piece, dtype=np.uint8)
     rows = content[at[:, None] + np.arange(3, 3 + layout.itemsize)].view(layout).reshape(-1)
-    for index, name in enumerate(form.columns):
-        if name in fields:
-            values = rows[f"f{index}"]
-            if (values.dtype.kind == "S") != (name in TEXTS):
-                continue  # the letter of its format is damaged
-            if name not in TEXTS:
-                with np.errstate(invalid="ignore"):  # bytes that are not a number
-                    values = values.astype(float) * (form.msg_mults[index] or 1.0)
-            found.setdefault(form.name, {}).setdefault(name, []).append(values)
+    for name, column, factor in zip(form.columns, layout.names or (), form.msg_mults, strict=True):
+        is_text = name in TEXTS
+        if name not in fields or (layout[column].kind == "S") != is_text:
+            continue  # not asked for, or the letter of its format is damaged
+        with np.errstate(invalid="ignore"):  # bytes that are not a number
+            yield name, rows[column] if is_text else rows[column].astype(float) * (factor or 1.0)

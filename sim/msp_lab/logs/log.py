@@ -15,6 +15,7 @@ import numpy as np
 from msp_lab.readings.clock_runs import ClockRun, Stamps, continuous
 from msp_lab.readings.column_map import ColumnMap
 from msp_range.arrays import Array, Column, Flags, angle_deg
+from msp_range.mavlink.orientation import DOWN
 
 LONGEST_GAP_S = 1.0
 """Values are interpolated between samples that are no farther apart than this, or than three times the usual interval
@@ -63,7 +64,7 @@ class LogFormat:
     """Of its files' names, in small letters."""
     reader: str
     """``module:function`` of the function that makes a `VehicleLog` of a path and a `LogRequest`, imported when needed;
-    it raises RecordingError for a file that it cannot read."""
+    it raises RecordingError for a file that it cannot read, or OSError where it cannot be opened."""
     begins: bytes = b""
     """First bytes of its files; empty: they are known by their ending alone."""
     is_flight: bool = True
@@ -360,6 +361,15 @@ class LoggedFlight(dict[str, MessageColumns]):
             return None
         return found.series(name, of(*(found[field] for field in fields)))
 
+    def fixed(self, receiver: str, kind: str, altitude: str, factor: float = 1.0) -> Series | None:
+        """An altitude where a receiver has a fixed RTK solution; None: it never has one."""
+
+        def where_fixed(kinds: Array, altitudes: Array) -> Array:
+            return np.where(kinds == RTK_FIXED, factor * altitudes, np.nan)
+
+        found = self.combined(receiver, (kind, altitude), where_fixed, altitude)
+        return found if found is not None and len(found.known()) else None
+
 
 def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     """Put the times of all senders of a log on a clock that never steps; the runs between the steps."""
@@ -390,6 +400,11 @@ def longest_m(maximum_m: Array) -> float:
 def rounded_cm(range_m: Array | float) -> Array:
     """Ranges in centimetres, to a hundredth of a millimetre, since logs keep 32-bit numbers."""
     return np.asarray(np.round(100.0 * np.asarray(range_m, dtype=float), 3))
+
+
+def looks_down(orientation: Array) -> bool:
+    """Whether MAVLink's orientations of a range finder's readings are downwards."""
+    return int(np.median(orientation)) == DOWN
 
 
 def magnitude(*axes: Array) -> Array:

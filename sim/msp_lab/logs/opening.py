@@ -59,7 +59,10 @@ def open_log(
         raise RecordingError(f"{path}: --map is for CSV tables, and this is a {found.what}")
     if found.is_flight:
         require("logs", f"Reading a {found.what}")
-    log: VehicleLog = pkgutil.resolve_name(found.reader)(path, LogRequest(progress, field, column_map, maximum_cm))
+    try:
+        log: VehicleLog = pkgutil.resolve_name(found.reader)(path, LogRequest(progress, field, column_map, maximum_cm))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     return log
 
 

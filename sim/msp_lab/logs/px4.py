@@ -23,7 +23,6 @@ from pyulog.core import ULogException
 from msp_lab.logs.fused import by_px4, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
-    RTK_FIXED,
     THROTTLE,
     TILT,
     LoggedFlight,
@@ -33,6 +32,7 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    looks_down,
     make_continuous,
     make_log,
     make_ranger,
@@ -85,8 +85,6 @@ def read_px4(path: Path, asked: LogRequest) -> VehicleLog:
         # pyulog prints what it leaves out; what is lost is in its attributes too.
         with open_input(path, LARGEST_BYTES) as file, contextlib.redirect_stdout(None):
             log = _InOrder(_Watched(file, asked.progress), [*_TOPICS, *([topic] if dot else [])])
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
     except (TypeError, ValueError, KeyError, IndexError, struct.error, ULogException, _ReadWithoutEnd) as error:
         raise RecordingError(f"{path}: no ULog, or damaged at its beginning: {error}") from None
     asked.progress(1.0)
@@ -191,7 +189,7 @@ def _rangers(flight: LoggedFlight) -> list[Ranger]:
     rangers = []
     for name, data in flight.items():
         if name.startswith("distance_sensor"):
-            is_down = int(np.median(data.get("orientation", DOWN))) == DOWN
+            is_down = looks_down(data.get("orientation", DOWN))
             ranges = data.unsorted("current_distance", data["current_distance"])
             is_too_near = rounded_cm(ranges.values) < rounded_cm(data.get("min_distance", 0.0))
             # Zero is an invalid signal, -1 an unknown one (DistanceSensor.msg).
@@ -205,7 +203,13 @@ def _references(flight: LoggedFlight, parameters: Mapping[str, Any]) -> list[Tru
     height, refused = _without_fused(flight.series("vehicle_local_position", "z", -1.0), flight, parameters)
     return [
         truth_source("simulator", flight.series("vehicle_local_position_groundtruth", "z", -1.0)),
-        truth_source("rtk", _rtk(flight), std=flight.series("vehicle_gps_position", "epv")),
+        # Millimetres before 1.14.
+        truth_source(
+            "rtk",
+            flight.fixed("vehicle_gps_position", "fix_type", "altitude_msl_m")
+            or flight.fixed("vehicle_gps_position", "fix_type", "alt", 1e-3),
+            std=flight.series("vehicle_gps_position", "epv"),
+        ),
         *(
             truth_source("mocap", flight.series(topic, "position[2]", -1.0) or flight.series(topic, "z", -1.0))
             for topic in ("vehicle_mocap_odometry", "vehicle_visual_odometry")
@@ -246,19 +250,6 @@ def _range_height_bit(flight: LoggedFlight) -> Series | None:
         return None
     is_set = np.floor(flags.values / 2.0**_RANGE_HEIGHT_BIT) % 2.0
     return Series(f"bit {_RANGE_HEIGHT_BIT} of {flags.source}", flags.time_s, is_set)
-
-
-def _rtk(flight: LoggedFlight) -> Series | None:
-    # Millimetres before 1.14.
-    name, factor = (
-        ("altitude_msl_m", 1.0) if "altitude_msl_m" in flight.get("vehicle_gps_position", ()) else ("alt", 1e-3)
-    )
-
-    def fixed(kind: Array, altitude: Array) -> Array:
-        return np.where(kind == RTK_FIXED, factor * altitude, np.nan)
-
-    found = flight.combined("vehicle_gps_position", ("fix_type", name), fixed, name)
-    return found if found is not None and len(found.known()) else None
 
 
 def _throttle(flight: LoggedFlight) -> Series | None:

@@ -6,7 +6,7 @@ by the bridge's own link. Messages: https://mavlink.io/en/messages/common.html.
 """
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ import numpy as np
 from msp_lab.logs.fused import by_any, is_estimate
 from msp_lab.logs.log import (
     CLIMB,
-    RTK_FIXED,
     THROTTLE,
     TILT,
     LoggedFlight,
@@ -25,6 +24,7 @@ from msp_lab.logs.log import (
     Series,
     TruthSource,
     VehicleLog,
+    looks_down,
     magnitude,
     make_continuous,
     make_log,
@@ -35,7 +35,6 @@ from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
 from msp_range.input_file import open_input
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.frames import Frame, FrameReader
-from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
 from msp_sim.model.derived import tilt_deg
@@ -82,12 +81,8 @@ def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
     parameters: dict[str, float] = {}
     wanted = {*ids, dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR, dialect.MAVLINK_MSG_ID_PARAM_VALUE}
     start_s: float | None = None
-    bad, size = 0, 0
-    for place, (time_s, frame, read, skipped, size) in enumerate(_frames(path, wanted)):
-        asked.progress(read / size)
-        bad += skipped
-        if frame is None:
-            continue
+    frames = _Frames(wanted)
+    for place, (time_s, frame) in enumerate(frames.of(path, asked.progress)):
         start_s = time_s if start_s is None else start_s
         decoded = frame.decode()
         sender = (frame.system, frame.component)
@@ -103,11 +98,11 @@ def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
             if senders.setdefault(name, sender) == sender:
                 flight.setdefault(name, MessageColumns.collecting(name, fields[name])).add(*stamp)
     clock = make_continuous([*distances.values(), *flight.values()])
-    if bad > MOST_BAD_SHARE * size:
-        raise RecordingError(f"{path}: no telemetry log: {bad} of {size} bytes are in no frame")
+    if frames.bad_bytes > MOST_BAD_SHARE * frames.size:
+        raise RecordingError(f"{path}: no telemetry log: {frames.bad_bytes} of {frames.size} bytes are in no frame")
     notes = ["Times are those of arrival at the ground station, so lags contain the radio link's."]
-    if bad:
-        notes.append(f"{bad} bytes that belong to no message are left out.")
+    if frames.bad_bytes:
+        notes.append(f"{frames.bad_bytes} bytes that belong to no message are left out.")
     refused = by_any(parameters) if is_estimate(asked.field) else ""
     column = truth_source("column", flight.series(message, field), refused=refused)
     references = [*_references(flight, parameters), column]
@@ -115,17 +110,23 @@ def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
     return make_log(path, form, rangers, _context(flight), references, notes, clock)
 
 
-def _frames(path: Path, wanted: set[int]) -> Iterator[tuple[float, Frame | None, int, int, int]]:
-    """Wanted frames with their time [s], the bytes read, the bytes skipped since the last one, and the file's size."""
-    try:
+class _Frames:
+    """The frames of a log with one of these messages, and how many bytes of how many are in no frame."""
+
+    def __init__(self, wanted: set[int]) -> None:
+        self._wanted = wanted
+        self.bad_bytes = self.size = 0
+
+    def of(self, path: Path, progress: Callable[[float], None]) -> Iterator[tuple[float, Frame]]:
+        """Wanted frames with their time [s]."""
         with open_input(path, LARGEST_FILE_BYTES) as file:
-            size = file.seek(0, 2)
+            self.size = file.seek(0, 2)
             file.seek(0)
             rest, skipped = b"", 0
-            while block := file.read(_BLOCK_BYTES):
+            while skipped <= MOST_BAD_BYTES and (block := file.read(_BLOCK_BYTES)):
                 data = rest + block
                 at, end = 0, len(data)
-                is_last = file.tell() >= size
+                is_last = file.tell() >= self.size
                 while end - at > _STAMP_BYTES + _LONGEST_FRAME or (is_last and end - at > _STAMP_BYTES + 3):
                     begin = at + _STAMP_BYTES
                     length, message_id = _header(data, begin)
@@ -133,19 +134,16 @@ def _frames(path: Path, wanted: set[int]) -> Iterator[tuple[float, Frame | None,
                     if not length or stop > end or not (stop == end or _is_frame(data, stop, end)):
                         at += 1
                         skipped += 1
+                        self.bad_bytes += 1
                         continue
-                    if message_id in wanted:
+                    if message_id in self._wanted:
                         for frame in FrameReader().read(data[begin:stop]):
-                            stamp_us = int.from_bytes(data[at:begin], "big")
-                            yield stamp_us / 1e6, frame, file.tell(), skipped, size
+                            yield int.from_bytes(data[at:begin], "big") / 1e6, frame
                             skipped = 0
                     at = stop
                 rest = data[at:]
-                if skipped > MOST_BAD_BYTES:
-                    break
-            yield 0.0, None, size, skipped + len(rest) + size - file.tell(), size
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+                progress(file.tell() / self.size)
+            self.bad_bytes += len(rest) + self.size - file.tell()
 
 
 def _header(data: bytes, begin: int) -> tuple[int, int]:
@@ -180,11 +178,11 @@ def _rangers(distances: Mapping[tuple[int, int, int], MessageColumns]) -> list[R
     for (system, component, number), found in distances.items():
         name = f"distance_sensor_{number}" + (f"_of_{system}_{component}" if numbers.count(number) > 1 else "")
         ranges = found.unsorted("current_distance", found["current_distance"] / 100.0)
-        is_down = int(np.median(found["orientation"])) == DOWN
         is_too_near = found["current_distance"] < found["min_distance"]
         # 1 is an invalid signal, 0 an unknown one (common.xml).
         no_answer = found["signal_quality"] == 1
-        rangers.append(make_ranger(name, ranges, is_down, found["max_distance"] / 100.0, is_too_near, no_answer))
+        is_down, maximum_m = looks_down(found["orientation"]), found["max_distance"] / 100.0
+        rangers.append(make_ranger(name, ranges, is_down, maximum_m, is_too_near, no_answer))
     return rangers
 
 
@@ -201,14 +199,13 @@ def _context(flight: LoggedFlight) -> dict[str, Series | None]:
 
 
 def _references(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[TruthSource | None]:
-    gps, fixed, std = flight.get("GPS_RAW_INT"), None, None
-    if gps is not None and (is_fixed := gps["fix_type"] == RTK_FIXED).any():
-        fixed = gps.series("alt", np.where(is_fixed, 0.001 * gps["alt"], np.nan))
-        std = flight.series("GPS_RAW_INT", "v_acc", 0.001) if (gps["v_acc"] > 0.0).any() else None
+    std = flight.series("GPS_RAW_INT", "v_acc", 0.001)
+    if std is not None and not (std.values > 0.0).any():
+        std = None  # zero is not known
     return [
         truth_source("simulator", flight.series("SIM_STATE", "alt")),
         truth_source("simulator", flight.series("HIL_STATE_QUATERNION", "alt", 0.001)),
-        truth_source("rtk", fixed, std=std),
+        truth_source("rtk", flight.fixed("GPS_RAW_INT", "fix_type", "alt", 0.001), std=std),
         truth_source("mocap", flight.series("ATT_POS_MOCAP", "z", -1.0)),
         truth_source("mocap", flight.series("VISION_POSITION_ESTIMATE", "z", -1.0)),
         truth_source("ekf", flight.series("GLOBAL_POSITION_INT", "relative_alt", 0.001), refused=by_any(parameters)),
