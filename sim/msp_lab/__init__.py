@@ -3,6 +3,7 @@
 For programs and notebooks: `read_readings`, `characterise` and `find_gap`, imported when they are first used.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -11,19 +12,10 @@ if TYPE_CHECKING:
     from msp_lab.readings.from_files import read_readings
 
 __all__ = ["characterise", "find_gap", "read_readings"]
+_PACKAGES = {"characterise": "characterise", "find_gap": "gap", "read_readings": "readings"}
 
 
 def __getattr__(name: str) -> Any:
-    if name == "read_readings":
-        from msp_lab.readings.from_files import read_readings
-
-        return read_readings
-    if name == "characterise":
-        from msp_lab.characterise.from_files import characterise
-
-        return characterise
-    if name == "find_gap":
-        from msp_lab.gap.from_files import find_gap
-
-        return find_gap
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _PACKAGES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PACKAGES[name]}.from_files"), name)

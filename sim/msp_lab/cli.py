@@ -39,33 +39,39 @@ MOST_STD_CM = 1000.0
 """Largest error of a reference that an option may state [cm]: more than any range of these sensors."""
 
 
+CollectBus = Annotated[
+    str | None, typer.Option(help="I2C bus number of the bench, or the path of its device file; default 1")
+]
+Simulate = Annotated[
+    bool, typer.Option("--simulate", help="read emulated sensors instead of a bus, unattended and in virtual time")
+]
+SimulatedModel = Annotated[
+    Path | None,
+    typer.Option(help="with --simulate: use this sensor model for all sensors, instead of the campaign's"),
+]
+SimulatedSeed = Annotated[
+    int | None,
+    typer.Option(min=0, help="with --simulate: random seed; the same gives the same readings; default 1"),
+]
+OnlyPoints = Annotated[list[str] | None, typer.Option(help="only points with a name that begins so; may be repeated")]
+RepeatedPoints = Annotated[
+    list[str] | None,
+    typer.Option(help="read points with a name that begins so again; the old readings stay recorded"),
+]
+
+
 @app.command()
 def collect(
     campaign_file: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="what is to be measured")],
     out: Annotated[
         Path, typer.Option(help="folder for recordings and table; an interrupted campaign in it is resumed")
     ],
-    bus: Annotated[
-        str | None, typer.Option(help="I2C bus number of the bench, or the path of its device file; default 1")
-    ] = None,
-    simulate: Annotated[
-        bool, typer.Option("--simulate", help="read emulated sensors instead of a bus, unattended and in virtual time")
-    ] = False,
-    model: Annotated[
-        Path | None,
-        typer.Option(help="with --simulate: use this sensor model for all sensors, instead of the campaign's"),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, help="with --simulate: random seed; the same gives the same readings; default 1"),
-    ] = None,
-    only: Annotated[
-        list[str] | None, typer.Option(help="only points with a name that begins so; may be repeated")
-    ] = None,
-    repeat: Annotated[
-        list[str] | None,
-        typer.Option(help="read points with a name that begins so again; the old readings stay recorded"),
-    ] = None,
+    bus: CollectBus = None,
+    simulate: Simulate = False,
+    model: SimulatedModel = None,
+    seed: SimulatedSeed = None,
+    only: OnlyPoints = None,
+    repeat: RepeatedPoints = None,
     show_plan: Annotated[
         bool, typer.Option("--plan", help="show the points and the estimated time, and do nothing else")
     ] = False,
@@ -105,71 +111,80 @@ def collect(
         collect_campaign(collection, out, model, seed, show_plan)
 
 
+MeasuredFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="DATA...", help="measured readings (.csv), recordings (.mcap), or datasets of 'msp-lab import'"
+    ),
+]
+StartModel = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="SENSOR.yaml",
+        help="starting model: limits, codes, and what the data do not determine; default: the first driver's",
+    ),
+]
+ColumnMapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
+    ),
+]
+OnlySensors = Annotated[
+    list[str] | None,
+    typer.Option(metavar="SENSOR", help="use only the readings of this sensor (column sensor); may be repeated"),
+]
+TruthOption = Annotated[
+    Literal["recorded", "others"],
+    typer.Option(
+        help="recorded: the files' true_range_cm; others: each sensor's true range is what the other ones say"
+    ),
+]
+ReferenceStd = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0, max=MOST_STD_CM, help="standard deviation of an error that all true ranges have in common [cm]"
+    ),
+]
+SetUpStd = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        max=MOST_STD_CM,
+        help="standard deviation of the error of each placement's true range [cm]; differences beyond it are "
+        "attributed to the sensor and enter the model",
+    ),
+]
+CompareWithReport = Annotated[
+    bool,
+    typer.Option(
+        "--compare-with-report",
+        help="with --report: also compare with the MB1242 characterization report, as DIR/comparison.html",
+    ),
+]
+EachOption = Annotated[
+    Literal["sensor"] | None,
+    typer.Option(help="a model for each sensor; --out is the folder for SENSOR.yaml, --report has a folder for each"),
+]
+
+
 @app.command()
 def characterise(
-    data: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DATA...", help="measured readings (.csv), recordings (.mcap), or datasets of 'msp-lab import'"
-        ),
-    ],
+    data: MeasuredFiles,
     out: Annotated[Path, typer.Option(metavar="MODEL.yaml", help="sensor model file to make")],
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="folder for the page, its pictures, and all numbers")
     ] = None,
-    sensor: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="SENSOR.yaml",
-            help="starting model: limits, codes, and what the data do not determine; default: the first driver's",
-        ),
-    ] = None,
-    column_map: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
-        ),
-    ] = None,
-    of: Annotated[
-        list[str] | None,
-        typer.Option(metavar="SENSOR", help="use only the readings of this sensor (column sensor); may be repeated"),
-    ] = None,
-    truth: Annotated[
-        Literal["recorded", "others"],
-        typer.Option(
-            help="recorded: the files' true_range_cm; others: each sensor's true range is what the other ones say"
-        ),
-    ] = "recorded",
-    reference_std_cm: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0, max=MOST_STD_CM, help="standard deviation of an error that all true ranges have in common [cm]"
-        ),
-    ] = None,
-    set_up_std_cm: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            max=MOST_STD_CM,
-            help="standard deviation of the error of each placement's true range [cm]; differences beyond it are "
-            "attributed to the sensor and enter the model",
-        ),
-    ] = None,
-    compare_with_report: Annotated[
-        bool,
-        typer.Option(
-            "--compare-with-report",
-            help="with --report: also compare with the MB1242 characterization report, as DIR/comparison.html",
-        ),
-    ] = False,
+    sensor: StartModel = None,
+    column_map: ColumnMapOption = None,
+    of: OnlySensors = None,
+    truth: TruthOption = "recorded",
+    reference_std_cm: ReferenceStd = None,
+    set_up_std_cm: SetUpStd = None,
+    compare_with_report: CompareWithReport = False,
     date: Annotated[str | None, typer.Option(help="date to record, YYYY-MM-DD (default: today)")] = None,
     seed: Annotated[int, typer.Option(min=0, help="random seed of the goodness-of-fit test")] = 1,
-    each: Annotated[
-        Literal["sensor"] | None,
-        typer.Option(
-            help="a model for each sensor; --out is the folder for SENSOR.yaml, --report has a folder for each"
-        ),
-    ] = None,
+    each: EachOption = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
 ) -> None:
@@ -179,19 +194,16 @@ def characterise(
     and the exit code is 4.
     """
     require("lab", "msp-lab characterise")
-    from msp_lab.characterise.sensors import Characterisation, characterised, check_free
-    from msp_lab.characterise.show import show_findings
+    from msp_lab.characterise.sensors import Characterisation
+    from msp_lab.readings.from_files import sensor_file
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model
-    from msp_range.sensors.table import DRIVERS
-    from msp_range.terminal import PlainConsole
-    from msp_range.yaml_file import config_path
 
     if date is not None and not _is_date(date):
         raise ConfigError(f"--date {date}: expected a day such as 2026-10-05")
     how = Characterisation(
         tuple(data),
-        sensor or config_path(next(iter(DRIVERS)), "sensors"),
+        sensor_file(sensor),
         tuple(column_map or ()),
         truth,
         date or date_of(SystemClock().utc()),
@@ -206,9 +218,21 @@ def characterise(
         if compare_with_report:
             raise ConfigError("--each and --compare-with-report: give one of them")
         _characterise_each(how, out, report, of or [], jobs, scheduler)
-        return
-    if jobs != 1 or scheduler is not None:
+    elif jobs != 1 or scheduler is not None:
         raise ConfigError("--jobs and --scheduler: models of several sensors are made at a time: give --each sensor")
+    else:
+        _characterise_one(how, out, report, of or [], compare_with_report)
+
+
+def _characterise_one(
+    how: "Characterisation", out: Path, report: Path | None, of: list[str], compare_with_report: bool
+) -> None:
+    """Make one model of all readings, and print what was found."""
+    from msp_lab.characterise.sensors import characterised, check_free
+    from msp_lab.characterise.show import show_findings
+    from msp_range.reading_model.sensor_model import load_sensor_model
+    from msp_range.terminal import PlainConsole
+
     check_free(out, report)
     if compare_with_report:
         if report is None:
@@ -219,7 +243,7 @@ def characterise(
     progress = PlainConsole(stderr=True)
     pages: list[Path] = []
     with progress.status("reading") as status:
-        made = characterised(how, of or (), status.update)
+        made = characterised(how, of, status.update)
         made.write(out)
     console = PlainConsole()
     show_findings(made.findings, console)
@@ -311,14 +335,13 @@ def check_effect(
     Exit code 1 where something was found. A file that passes is used with '--effects FILE.py'.
     """
     require("sim", "msp-lab check-effect")
+    from msp_lab.readings.from_files import sensor_file
     from msp_range.reading_model.sensor_model import load_sensor_model
-    from msp_range.sensors.table import DRIVERS
-    from msp_range.yaml_file import config_path
     from msp_sim.effects.own import effects_of_file
     from msp_sim.model.contract import run_checks
     from msp_sim.model.trial import own_columns
 
-    on = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
+    on = load_sensor_model(sensor_file(sensor))
     failed = False
     for effect in effects_of_file(file):
         print(f"{effect.name}: {effect.sentence}")

@@ -1,9 +1,11 @@
 """Whether the lag of readings behind a reference is found again, and how well a reference is known."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from msp_lab.logs.alignment import Alignment, _lowest, align, reference_std_cm
+from msp_lab.logs.alignment import Alignment, Interval, _lowest, align, reference_std_cm
 from msp_lab.logs.log import Series
 from msp_range.arrays import Array
 
@@ -13,6 +15,18 @@ def climbs(at_s: Array) -> Array:
     return 300.0 + 150.0 * np.sin(at_s / 1.3) + 60.0 * np.sin(at_s / 0.61)
 
 
+def fitted(time_s: Array, reading_cm: Array, expected_cm: Callable[[Array], Array], seed: int = 1) -> Alignment:
+    """How readings fit a reference with which they overlap."""
+    found = align(time_s, reading_cm, expected_cm, np.random.default_rng(seed))
+    assert found is not None
+    return found
+
+
+def lag_of(found: Alignment) -> Interval:
+    assert found.lag_s is not None
+    return found.lag_s
+
+
 def aligned(seed: int, lag_s: float = 0.21, seconds: float = 60.0) -> Alignment:
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, seconds, 0.1)
@@ -20,17 +34,16 @@ def aligned(seed: int, lag_s: float = 0.21, seconds: float = 60.0) -> Alignment:
     reading_cm[rng.random(time_s.size) < 0.1] = 765.0
     reading_cm[rng.random(time_s.size) < 0.05] = np.nan
     reference = Series("", np.arange(0.0, seconds, 0.05), climbs(np.arange(0.0, seconds, 0.05)))
-    found = align(time_s, reading_cm, reference.at, np.random.default_rng(seed))
-    assert found is not None
-    return found
+    return fitted(time_s, reading_cm, reference.at, seed)
 
 
 @pytest.mark.parametrize("lag_s", [-0.4, 0.0, 0.21, 1.1])
 def test_a_lag_is_found_next_to_a_scale_an_offset_and_outliers(lag_s: float) -> None:
     found = aligned(1, lag_s)
-    assert abs(found.lag_s - lag_s) < 0.01
-    assert found.lag_low_s < found.lag_s < found.lag_high_s
-    assert found.lag_high_s - found.lag_low_s < 0.03
+    value_s, low_s, high_s = lag_of(found)
+    assert abs(value_s - lag_s) < 0.01
+    assert low_s < value_s < high_s
+    assert high_s - low_s < 0.03
     # 3 % of 300 cm and 12 cm.
     assert abs(found.offset_cm - 21.0) < 2.0
 
@@ -39,24 +52,20 @@ def test_a_damaged_value_of_the_reference_is_a_hole() -> None:
     time_s = np.arange(0.0, 60.0, 0.1)
     heights = climbs(time_s)
     heights[300] = 7e174
-    found = align(time_s, climbs(time_s - 0.21), Series("", time_s, heights).at, np.random.default_rng(1))
-    assert found is not None
-    assert abs(found.lag_s - 0.21) < 0.01
+    assert abs(lag_of(fitted(time_s, climbs(time_s - 0.21), Series("", time_s, heights).at)).value - 0.21) < 0.01
 
 
 def test_of_many_readings_a_lag_is_found_though_every_second_one_is_bad() -> None:
     time_s = np.linspace(0.0, 600.0, 20_000)
     reading_cm = climbs(time_s - 0.21)
     reading_cm[::2] = 30.0 + np.random.default_rng(2).normal(0.0, 3.0, reading_cm[::2].size)
-    found = align(time_s, reading_cm, climbs, np.random.default_rng(1))
-    assert found is not None
-    assert abs(found.lag_s - 0.21) < 0.05
+    assert abs(lag_of(fitted(time_s, reading_cm, climbs)).value - 0.21) < 0.05
 
 
 @pytest.mark.slow
 def test_the_interval_holds_the_lag_as_often_as_it_says() -> None:
     found = [aligned(seed, seconds=40.0) for seed in range(200)]
-    held = sum(each.lag_low_s <= 0.21 <= each.lag_high_s for each in found)
+    held = sum(low_s <= 0.21 <= high_s for _, low_s, high_s in map(lag_of, found))
     # Of 200 intervals of 95 %, 182 to 197 with a probability of 99 %.
     assert 182 <= held <= 198
 
@@ -64,9 +73,8 @@ def test_the_interval_holds_the_lag_as_often_as_it_says() -> None:
 def test_a_hover_has_no_lag() -> None:
     rng = np.random.default_rng(1)
     time_s = np.arange(0.0, 60.0, 0.1)
-    found = align(time_s, 300.0 + rng.normal(0.0, 2.0, time_s.size), lambda at: 300.0 + 0.0 * at, rng)
-    assert found is not None
-    assert not found.has_lag
+    found = fitted(time_s, 300.0 + rng.normal(0.0, 2.0, time_s.size), lambda at: 300.0 + 0.0 * at)
+    assert found.lag_s is None
     assert found.no_lag == "the reference does not change"
     assert 1.5 < found.scatter_cm < 2.5
 
@@ -75,23 +83,20 @@ def test_a_noisy_reference_and_one_with_holes_leave_no_lag_and_say_why() -> None
     rng = np.random.default_rng(1)
     time_s = np.arange(0.0, 40.0, 0.1)
     noisy = Series("", time_s, climbs(time_s) + rng.normal(0.0, 900.0, time_s.size))
-    found = align(time_s, climbs(time_s - 0.2), noisy.at, rng)
-    assert found is not None
+    found = fitted(time_s, climbs(time_s - 0.2), noisy.at)
     low_s, high_s = (
         float(each) for each in found.no_lag.removeprefix("its 95 % interval is ").split(" s")[0].split(" to ")
     )
     assert high_s - low_s > 0.75
     # 2 s of every 4 s are known: no reading has 1.5 s before and after it.
     holes = Series("", time_s[time_s % 4.0 < 2.0], climbs(time_s[time_s % 4.0 < 2.0]))
-    found = align(time_s, climbs(time_s - 0.2), holes.at, rng)
-    assert found is not None
+    found = fitted(time_s, climbs(time_s - 0.2), holes.at)
     assert found.no_lag == "only 0 readings have the reference throughout from 1.5 s before to 1.5 s after them"
 
 
 def test_a_lag_beyond_those_that_are_tried_is_none() -> None:
     time_s = np.arange(0.0, 60.0, 0.1)
-    found = align(time_s, climbs(time_s - 1.7), climbs, np.random.default_rng(1))
-    assert found is not None
+    found = fitted(time_s, climbs(time_s - 1.7), climbs)
     assert found.no_lag == "the best one is 1.50 s, the last that is tried"
 
 

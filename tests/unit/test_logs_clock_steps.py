@@ -106,7 +106,7 @@ def test_a_pause_in_a_log_is_no_step(tmp_path: Path, form: str) -> None:
     if form == "csv":
         lines = path.read_text().splitlines()
         path.write_text("\n".join([*lines[:200], *lines[300:]]))
-    assert open_log(path, lambda share: None).clock == ()
+    assert open_log(path).clock == ()
 
 
 def test_messages_that_were_delayed_together_are_no_step() -> None:

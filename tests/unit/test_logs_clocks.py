@@ -62,7 +62,7 @@ def test_a_hover_is_refused() -> None:
 
 def test_a_reference_in_a_table_with_another_clock(tmp_path: Path) -> None:
     """The simulator's height of the ArduPilot log, as a motion capture's computer would have written it."""
-    log = open_log(LOGS / "arducopter.BIN", lambda share: None)
+    log = open_log(LOGS / "arducopter.BIN")
     height = next(each.series for each in log.references if each.kind == "simulator")
     with (tmp_path / "mocap.csv").open("w", newline="") as file:
         writer = csv.writer(file)

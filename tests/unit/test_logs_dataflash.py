@@ -10,17 +10,13 @@ from pymavlink.DFReader import DFReader_binary
 
 from msp_lab.logs import ardupilot
 from msp_lab.logs.ardupilot import WANTED, _barometer, _ranger, _version, flight_of, read_ardupilot, read_messages
-from msp_lab.logs.log import LogRequest, MessageColumns, Ranger
+from msp_lab.logs.log import LogRequest, MessageColumns, Ranger, ignored
 from msp_range.recording.error import RecordingError
 
 LOG = Path(__file__).parents[1] / "data" / "logs" / "arducopter.BIN"
 
 
-def nothing(share: float) -> None:
-    pass
-
-
-ASKED = LogRequest(nothing)
+ASKED = LogRequest()
 
 
 def ranger_of(number: int, range_m: list[float], status: list[float] | None, parameters: dict[str, float]) -> Ranger:
@@ -30,7 +26,7 @@ def ranger_of(number: int, range_m: list[float], status: list[float] | None, par
 
 
 def test_values_are_those_of_pymavlink() -> None:
-    found, lost = read_messages(LOG, WANTED, nothing)
+    found, lost = read_messages(LOG, WANTED, ignored)
     rows: dict[str, list[dict[str, Any]]] = {}
     with contextlib.closing(DFReader_binary(str(LOG))) as peer:
         while (message := peer.recv_match(type=list(WANTED))) is not None:
@@ -46,7 +42,7 @@ def test_values_are_those_of_pymavlink() -> None:
 
 
 def test_pieces_give_what_the_whole_file_gives(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, _ = read_messages(LOG, WANTED, nothing)
+    whole, _ = read_messages(LOG, WANTED, ignored)
     monkeypatch.setattr(ardupilot, "PIECE_BYTES", 20_011)
     shares: list[float] = []
     pieces, lost = read_messages(LOG, WANTED, shares.append)

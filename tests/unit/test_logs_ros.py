@@ -18,10 +18,6 @@ from msp_range.recording.error import RecordingError
 from tests.support.flight_logs import height_m, write_bag
 
 
-def nothing(share: float) -> None:
-    pass
-
-
 def check(log: VehicleLog) -> None:
     (ranger,) = log.rangers
     assert ranger.name == "sonar_down"
@@ -41,22 +37,22 @@ def check(log: VehicleLog) -> None:
 
 @pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
 def test_each_form_gives_the_same(tmp_path: Path, form: str) -> None:
-    check(open_log(write_bag(tmp_path, form), nothing))
+    check(open_log(write_bag(tmp_path, form)))
 
 
 @pytest.mark.parametrize("form", ["sqlite3", "mcap"])
 def test_a_single_file_of_a_bag_is_enough(tmp_path: Path, form: str) -> None:
     folder = write_bag(tmp_path, form)
     (file,) = [each for each in folder.iterdir() if each.suffix != ".yaml"]
-    check(open_log(file, nothing))
+    check(open_log(file))
 
 
 def test_any_field_of_a_topic(tmp_path: Path) -> None:
     path = write_bag(tmp_path, "ros1")
-    reference = open_log(path, nothing, field="/vrpn/drone/pose.pose.orientation.w").references[-1]
+    reference = open_log(path, field="/vrpn/drone/pose.pose.orientation.w").references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", pytest.approx(np.cos(0.05)))
     with pytest.raises(RecordingError, match="orientation"):
-        open_log(path, nothing, field="/vrpn/drone/pose.orientation.w")
+        open_log(path, field="/vrpn/drone/pose.orientation.w")
 
 
 @pytest.mark.slow
@@ -68,7 +64,7 @@ def test_messages_that_are_not_read_take_no_memory(tmp_path: Path) -> None:
         folder.mkdir()
         path = write_bag(folder, "ros1", others)
         tracemalloc.start()
-        check(open_log(path, nothing))
+        check(open_log(path))
         peak_bytes.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     # A chunk at a time is in memory.
@@ -130,7 +126,7 @@ def cut(written: Callable[[str], Path], tmp_path: Path) -> Cut:
 @pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
 @pytest.mark.parametrize(("share", "least"), [(0.3, 150), (0.5, 280), (0.8, 470), (0.95, 560), (0.999, 590)])
 def test_a_cut_bag_gives_what_is_whole(cut: Cut, form: str, share: float, least: int) -> None:
-    log = open_log(cut(form, share), nothing)
+    log = open_log(cut(form, share))
     (ranger,) = log.rangers
     assert least <= len(ranger.series) <= 600
     heights_m = [height_m(each + 0.02 - 0.1) for each in ranger.series.time_s]
@@ -147,7 +143,7 @@ def test_a_cut_bag_gives_what_is_whole(cut: Cut, form: str, share: float, least:
 @pytest.mark.parametrize("form", ["ros1", "sqlite3", "mcap"])
 def test_a_bag_without_a_whole_message_is_a_line(cut: Cut, form: str) -> None:
     with pytest.raises(RecordingError) as failed:
-        open_log(cut(form, 0.0), nothing)
+        open_log(cut(form, 0.0))
     assert len(str(failed.value).splitlines()) == 1
 
 
@@ -155,9 +151,9 @@ def test_a_bag_without_a_whole_message_is_a_line(cut: Cut, form: str) -> None:
 def test_a_folder_whose_metadata_are_damaged_is_read_by_its_files(tmp_path: Path, form: str) -> None:
     path = write_bag(tmp_path, form)
     (path / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 9, relative_")
-    check(open_log(path, nothing))
+    check(open_log(path))
 
 
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 def test_a_packed_bag_is_unpacked(tmp_path: Path, mode: CompressionMode) -> None:
-    check(open_log(write_bag(tmp_path, "sqlite3", packed=mode), nothing))
+    check(open_log(write_bag(tmp_path, "sqlite3", packed=mode)))

@@ -15,12 +15,8 @@ from msp_range.recording.error import RecordingError
 from tests.support.flight_logs import START_US, Messages, height_m, telemetry, write_telemetry
 
 
-def nothing(share: float) -> None:
-    pass
-
-
 def test_readings_context_and_reference(tmp_path: Path) -> None:
-    log = open_log(write_telemetry(tmp_path / "a.tlog", telemetry()), nothing)
+    log = open_log(write_telemetry(tmp_path / "a.tlog", telemetry()))
     down, forward = log.rangers
     assert (down.name, forward.name) == ("distance_sensor_10", "distance_sensor_0")
     assert (down.is_down, forward.is_down, down.maximum_cm) == (True, False, 765.0)
@@ -35,7 +31,7 @@ def test_readings_context_and_reference(tmp_path: Path) -> None:
     (reference,) = log.references
     assert (reference.kind, reference.refused) == ("ekf", "")
     assert reference.series.values[20] == pytest.approx(height_m(1.0), abs=1e-3)
-    (refused,) = open_log(write_telemetry(tmp_path / "b.tlog", telemetry(posz=2.0)), nothing).references
+    (refused,) = open_log(write_telemetry(tmp_path / "b.tlog", telemetry(posz=2.0))).references
     assert "EK3_SRC1_POSZ is 2" in refused.refused
 
 
@@ -43,7 +39,7 @@ def test_heights_of_an_ekf_are_refused_in_a_column_by_the_parameters(tmp_path: P
     named = "GLOBAL_POSITION_INT.relative_alt"
     for posz, begins in ((1.0, ""), (2.0, "EK3_SRC1_POSZ is 2")):
         path = write_telemetry(tmp_path / f"{posz:g}.tlog", telemetry(posz=posz))
-        found = open_log(path, nothing, field=named).references
+        found = open_log(path, field=named).references
         column = next(each for each in found if each.kind == "column")
         assert column.refused.startswith(begins)
         assert bool(column.refused) == bool(begins)
@@ -65,19 +61,19 @@ def with_gps(late_s: float = 0.0) -> Messages:
 
 
 def test_an_altitude_counts_with_a_fixed_rtk_solution(tmp_path: Path) -> None:
-    log = open_log(write_telemetry(tmp_path / "a.tlog", with_gps()), nothing)
+    log = open_log(write_telemetry(tmp_path / "a.tlog", with_gps()))
     rtk = next(each for each in log.references if each.kind == "rtk")
     assert np.isfinite(rtk.series.values).tolist() == [True, False] * 75
     messages = with_gps()
     for _, _, message in messages:
         if hasattr(message, "fix_type"):
             message.fix_type = 3
-    without = open_log(write_telemetry(tmp_path / "b.tlog", messages), nothing)
+    without = open_log(write_telemetry(tmp_path / "b.tlog", messages))
     assert [each.kind for each in without.references] == ["ekf"]
 
 
 def test_a_reference_of_another_log_keeps_its_accuracy_at_its_times(tmp_path: Path) -> None:
-    log = open_log(write_telemetry(tmp_path / "a.tlog", telemetry()), nothing)
+    log = open_log(write_telemetry(tmp_path / "a.tlog", telemetry()))
     other = write_telemetry(tmp_path / "b.tlog", with_gps(late_s=7.0))
     reference, difference_s = reference_of(other, Truth("rtk"), log, np.inf)
     assert reference.std is not None
@@ -91,7 +87,7 @@ def test_a_maximum_of_zero_is_none(tmp_path: Path) -> None:
     for _, _, message in messages:
         if hasattr(message, "max_distance"):
             message.max_distance = 0
-    down, _ = open_log(write_telemetry(tmp_path / "a.tlog", messages), nothing).rangers
+    down, _ = open_log(write_telemetry(tmp_path / "a.tlog", messages)).rangers
     assert down.maximum_cm == np.inf
     assert down.series.values[1] == round(100 * height_m(-0.05))
 
@@ -101,7 +97,7 @@ def test_a_reading_nearer_than_the_minimum_is_no_answer(tmp_path: Path) -> None:
     for _, _, message in messages:
         if message.get_type() == "DISTANCE_SENSOR":
             message.min_distance = 101 if message.id == 10 else 0
-    down, forward = open_log(write_telemetry(tmp_path / "a.tlog", messages), nothing).rangers
+    down, forward = open_log(write_telemetry(tmp_path / "a.tlog", messages)).rangers
     near = sum(round(100 * height_m(0.05 * step - 0.1)) < 101 for step in range(600) if step % 50)
     assert down.too_near == np.isnan(down.series.values).sum() == near > 5
     assert np.nanmin(down.series.values) >= 101.0
@@ -117,7 +113,7 @@ def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
                 readings.append((message._timestamp - START_US / 1e6, min(message.current_distance, 765)))
             elif message.get_type() == "GLOBAL_POSITION_INT":
                 heights.append(message.relative_alt / 1e3)
-    log = open_log(path, nothing)
+    log = open_log(path)
     np.testing.assert_allclose(log.rangers[0].series.time_s, [each[0] for each in readings], atol=2e-6)
     assert log.rangers[0].series.values.tolist() == [each[1] for each in readings]
     np.testing.assert_allclose(log.references[0].series.values, heights, rtol=1e-14)
@@ -125,10 +121,10 @@ def test_frames_are_those_of_pymavlink(tmp_path: Path) -> None:
 
 def test_any_field_of_a_message(tmp_path: Path) -> None:
     path = write_telemetry(tmp_path / "a.tlog", telemetry())
-    reference = open_log(path, nothing, field="VFR_HUD.throttle").references[-1]
+    reference = open_log(path, field="VFR_HUD.throttle").references[-1]
     assert (reference.kind, reference.series.values[0]) == ("column", 42.0)
     with pytest.raises(RecordingError, match=r"common messages have no VFR_HUD\.thrott"):
-        open_log(path, nothing, field="VFR_HUD.thrott")
+        open_log(path, field="VFR_HUD.thrott")
 
 
 def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
@@ -136,7 +132,7 @@ def test_a_cut_and_damaged_log_gives_what_is_whole(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[30_000:30_500] = b"\x00\xfd\x05" * 166 + b"\xff\xff"
     path.write_bytes(content[:-20])
-    log = open_log(path, nothing)
+    log = open_log(path)
     assert 580 <= len(log.rangers[0].series) < 600
     assert log.notes[1].endswith("bytes that belong to no message are left out.")
     assert 400 < int(log.notes[1].split()[0]) < 800
@@ -149,7 +145,7 @@ def test_what_is_no_log_is_a_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bad.tlog"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"bad\.tlog: no telemetry log"):
-        open_log(path, nothing)
+        open_log(path)
 
 
 @pytest.mark.parametrize("sent", [50, 5000])
@@ -157,6 +153,6 @@ def test_humidity_is_in_per_cent_by_px4_and_by_ardupilot(tmp_path: Path, sent: i
     hygrometer = dialect.MAVLink_hygrometer_sensor_message(0, 2150, sent)
     messages = [*telemetry(), *((0.5 * i, 1, hygrometer) for i in range(20))]
     path = write_telemetry(tmp_path / "a.tlog", sorted(messages, key=lambda each: each[0]))
-    context = open_log(path, nothing).context
+    context = open_log(path).context
     assert set(context["humidity_pct"].values.tolist()) == {50.0}
     assert context["air_temperature_c"].values[0] == pytest.approx(21.5)

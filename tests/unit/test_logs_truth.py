@@ -142,7 +142,7 @@ def test_a_column_of_an_ekf_is_refused_by_the_parameters_of_that_ekf(
         "PARM": {"Name": np.array(list(parameters), "S16"), "Value": np.array(list(parameters.values()))},
     }
     monkeypatch.setattr(ardupilot, "read_messages", lambda path, wanted, progress: (found, ""))
-    log = ardupilot.read_ardupilot(Path("a.bin"), LogRequest(lambda share: None, f"{message}.PD"))
+    log = ardupilot.read_ardupilot(Path("a.bin"), LogRequest(field=f"{message}.PD"))
     (column,) = [each for each in log.references if each.kind == "column"]
     assert column.refused.startswith(refused)
     assert bool(column.refused) == bool(refused)

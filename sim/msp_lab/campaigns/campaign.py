@@ -6,8 +6,9 @@ in which a person sets them up.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
@@ -24,6 +25,11 @@ Firing = Literal["sequential", "simultaneous"]
 
 MAX_STEPS = 1000
 """Refuse a longer span: it is a typing error, and its points would take years."""
+
+
+def repeated(values: Iterable[Any]) -> list[Any]:
+    """Those of the values that are there more than once."""
+    return [each for each, count in Counter(values).items() if count > 1]
 
 
 class Span(Section):
@@ -175,8 +181,7 @@ class Experiment(Section):
     @model_validator(mode="after")
     def _once_each(self) -> "Experiment":
         for key in ("ranges_cm", "angles_deg", "targets", "air", "vibrations_hz", "sensors", "firing"):
-            twice = [each for each, count in Counter(getattr(self, key)).items() if count > 1]
-            if twice:
+            if twice := repeated(getattr(self, key)):
                 raise ValueError(f"{key}: found {twice[0]!r} more than once, expected each once")
         if self.moving is not None and self.moving.to_cm in self.ranges_cm:
             raise ValueError(f"moving.to_cm: found {self.moving.to_cm:g}, which is also where a movement begins")
@@ -211,8 +216,7 @@ class Campaign(Section):
     def _consistent(self) -> "Campaign":
         names = [sensor.name for sensor in self.sensors]
         for what, values in (("name", names), ("address", [f"0x{sensor.address:02x}" for sensor in self.sensors])):
-            twice = [each for each, count in Counter(values).items() if count > 1]
-            if twice:
+            if twice := repeated(values):
                 raise ValueError(f"sensors: {what} {twice[0]} is given more than once; each needs its own")
         for number, condition in enumerate(self.conditions):
             for name in condition.sensors:

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from rich.console import Console
 
-from msp_lab.campaigns.campaign import Reference
+from msp_lab.campaigns.campaign import Reference, repeated
 from msp_lab.campaigns.store import READINGS_NAME
 from msp_lab.logs.log import between_samples
 from msp_range.arrays import Column
@@ -67,9 +67,7 @@ class FlightCampaign(Section):
 
     @model_validator(mode="after")
     def _once_each(self) -> "FlightCampaign":
-        names = [each.flight for each in self.flights]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
+        if twice := repeated(each.flight for each in self.flights):
             raise ValueError(f"flights: flight {twice[0]} is given more than once; each needs its own name")
         return self
 

@@ -5,8 +5,9 @@ readings leaves the least squares (which is the largest correlation), with outli
 bootstrap over blocks of time, in which errors may depend on each other as they like.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import median_abs_deviation
@@ -37,14 +38,31 @@ LEAST_READINGS = 50
 """Fewer readings with a reference are not aligned: a lag of them would have an interval as wide as what is tried."""
 
 
+class Interval(NamedTuple):
+    """An estimate and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, value: float, drawn: Sequence[float]) -> "Interval":
+        """By values of a bootstrap."""
+        low, high = np.quantile(drawn, (0.025, 0.975)).tolist()
+        return cls(value, low, high)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the estimate, a quarter of its interval."""
+        return (self.high - self.low) / 4.0
+
+
 @dataclass(frozen=True)
 class Alignment:
     """What the comparison of readings with a reference shows."""
 
-    lag_s: float
-    lag_low_s: float
-    lag_high_s: float
-    """How much later than the reference the readings are, with its 95 % interval; NaN: cannot be seen."""
+    lag_s: Interval | None
+    """How much later than the reference the readings are; None: cannot be seen."""
     offset_cm: float
     """Median of readings minus reference at that lag."""
     scatter_cm: float
@@ -52,15 +70,10 @@ class Alignment:
     no_lag: str = ""
     """Why the lag cannot be seen, in a few words; empty: it can."""
 
-    @property
-    def has_lag(self) -> bool:
-        """Whether the lag can be seen."""
-        return bool(np.isfinite(self.lag_s))
-
-    @property
-    def lag_std_s(self) -> float:
-        """Standard deviation of the lag, a quarter of its interval [s]."""
-        return (self.lag_high_s - self.lag_low_s) / 4.0
+    @classmethod
+    def by(cls, off_cm: Array, lag_s: Interval | None, no_lag: str = "") -> "Alignment":
+        """By readings minus reference at the lag, or without one where it cannot be seen [cm]."""
+        return cls(lag_s, float(np.nanmedian(off_cm)), _spread(off_cm), no_lag)
 
 
 def align(
@@ -88,7 +101,7 @@ def align(
     if whole.sum() < LEAST_READINGS:
         around = f"{LARGEST_LAG_S:g} s before to {LARGEST_LAG_S:g} s after them"
         why = f"only {whole.sum()} readings have the reference throughout from {around}"
-        return _without_lag(reading_cm - expected_cm(time_s), why)
+        return Alignment.by(reading_cm - expected_cm(time_s), None, why)
     time_s, reading_cm, expected = time_s[whole], reading_cm[whole], expected[:, whole]
     off_cm = reading_cm - expected
     off_cm -= np.median(off_cm, axis=1, keepdims=True)
@@ -98,23 +111,24 @@ def align(
         sums = _sums(reading_cm[good], expected[:, good], _blocks(time_s[good]))
         best = int(np.argmin(_squares(sums.sum(axis=2))))
     weights = rng.multinomial(sums.shape[2], np.full(sums.shape[2], 1.0 / sums.shape[2]), size=RESAMPLES)
-    lag_s = _lowest(lags_s, _squares(sums.sum(axis=2)))
-    drawn_s = np.array([_lowest(lags_s, _squares(sums @ weight)) for weight in weights])
-    low_s, high_s = np.quantile(drawn_s, (0.025, 0.975)).tolist()
-    off_unshifted_cm = reading_cm - expected_cm(time_s)
+    lag_s = Interval.of(
+        _lowest(lags_s, _squares(sums.sum(axis=2))), [_lowest(lags_s, _squares(sums @ weight)) for weight in weights]
+    )
+    why = ""
     if np.ptp(expected) < LEAST_STD_CM:
-        return _without_lag(off_unshifted_cm, "the reference does not change")
-    if high_s - low_s > WIDEST_SHARE * 2.0 * LARGEST_LAG_S:
-        return _without_lag(off_unshifted_cm, f"its 95 % interval is {low_s:.2f} to {high_s:.2f} s")
-    if abs(lag_s) > LARGEST_LAG_S - LAG_STEP_S:
-        return _without_lag(off_unshifted_cm, f"the best one is {lag_s:.2f} s, the last that is tried")
-    aligned_cm = reading_cm - expected_cm(time_s - lag_s)
-    return Alignment(lag_s, low_s, high_s, float(np.nanmedian(aligned_cm)), _spread(aligned_cm))
+        why = "the reference does not change"
+    elif lag_s.high - lag_s.low > WIDEST_SHARE * 2.0 * LARGEST_LAG_S:
+        why = f"its 95 % interval is {lag_s.low:.2f} to {lag_s.high:.2f} s"
+    elif abs(lag_s.value) > LARGEST_LAG_S - LAG_STEP_S:
+        why = f"the best one is {lag_s.value:.2f} s, the last that is tried"
+    if why:
+        return Alignment.by(reading_cm - expected_cm(time_s), None, why)
+    return Alignment.by(reading_cm - expected_cm(time_s - lag_s.value), lag_s)
 
 
 def reference_std_cm(
     reading_cm: Array, reference_cm: Array, other_cm: Array, rng: np.random.Generator
-) -> tuple[float, float, float] | None:
+) -> Interval | None:
     """Standard deviation of a reference's error, from three instruments whose errors are independent, with an interval.
 
     Of three instruments the variance of each follows from the three differences: var(a) = (var(a - b) + var(a - c) -
@@ -130,8 +144,8 @@ def reference_std_cm(
 
     Returns
     -------
-    tuple of float, or None
-        Estimate and 95 % interval [cm]; zero where it is too small to be seen; None: too few times with all three.
+    Interval or None
+        In centimetres; zero where it is too small to be seen; None: too few times with all three.
     """
     rows = np.flatnonzero(np.isfinite(reading_cm) & np.isfinite(reference_cm) & np.isfinite(other_cm))
     rows = _sample(rows, rng)
@@ -146,17 +160,12 @@ def reference_std_cm(
         return float(np.sqrt(max(0.0, (with_other + with_reading - rest) / 2.0)))
 
     drawn = [estimate(np.concatenate([blocks[b] for b in rng.integers(0, BLOCKS, BLOCKS)])) for _ in range(200)]
-    low, high = np.quantile(drawn, (0.025, 0.975)).tolist()
-    return estimate(np.arange(rows.size)), low, high
+    return Interval.of(estimate(np.arange(rows.size)), drawn)
 
 
 def _sample(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Some of many rows, in their order. Every k-th one could be always of the same state of a vehicle."""
     return rows if rows.size <= MOST_READINGS else np.sort(rng.choice(rows, MOST_READINGS, replace=False))
-
-
-def _without_lag(off_cm: Array, why: str) -> Alignment:
-    return Alignment(np.nan, np.nan, np.nan, float(np.nanmedian(off_cm)), _spread(off_cm), why)
 
 
 def _spread(values: Array) -> float:

@@ -16,7 +16,7 @@ from msp_range.recording.error import RecordingError
 from msp_sim.cli import Jobs, Scheduler
 
 if TYPE_CHECKING:
-    from msp_lab.logs.importing import Imported
+    from msp_lab.logs.importing import Import, Imported
     from msp_lab.logs.truth import Truth
 
 app = typer.Typer()
@@ -60,19 +60,12 @@ def _import(
     SOURCE@FILE takes the reference from another file and aligns the clocks: mocap@room.bag, column:z*0.001@room.csv.
     """
     from msp_lab.logs.show import show
+    from msp_lab.logs.truth import Truth, parse_truth
     from msp_sim.workers import EXIT_SOME_FAILED
 
-    found, failed = run_import(
-        files,
-        out,
-        truth,
-        sensor=sensor,
-        column_map=column_map,
-        align=align,
-        seed=seed,
-        jobs=jobs,
-        scheduler=scheduler,
-    )
+    wanted = Truth() if truth is None else parse_truth(truth)
+    common = _common(out, wanted, sensor, column_map, align=align, seed=seed)
+    found, failed = run_import(files, common, jobs, scheduler)
     if as_json:
         print(json.dumps([asdict(each) for each in found], indent=2))
     else:
@@ -84,17 +77,27 @@ def _import(
         raise typer.Exit(EXIT_SOME_FAILED)
 
 
-def run_import(
-    files: list[Path],
+def _common(
     out: Path,
-    truth: "str | Truth | None",
-    *,
+    truth: "Truth",
     sensor: Path | None = None,
     column_map: list[str] | None = None,
+    *,
     align: bool = False,
     seed: int = 1,
-    jobs: int = 1,
-    scheduler: str | None = None,
+) -> "Import":
+    """What all logs of an import have in common, by the options of the command."""
+    require("logs", "msp-lab import")
+    from msp_lab.logs.importing import Import
+    from msp_lab.readings.column_map import load_maps
+    from msp_lab.readings.from_files import sensor_file
+    from msp_range.reading_model.sensor_model import load_sensor_model
+
+    return Import(out, truth, load_sensor_model(sensor_file(sensor)), load_maps(column_map), align, seed)
+
+
+def run_import(
+    files: list[Path], common: "Import", jobs: int = 1, scheduler: str | None = None
 ) -> "tuple[list[Imported], dict[Path, str]]":
     """Import logs with a progress bar on the terminal; also for commands that take logs as they are.
 
@@ -108,24 +111,15 @@ def run_import(
     RecordingError
         None of the logs can be imported; or as `import_logs`.
     """
-    require("logs", "msp-lab import")
     from rich.progress import BarColumn, TaskProgressColumn, TimeRemainingColumn
 
-    from msp_lab.logs.importing import Import, import_logs
-    from msp_lab.logs.truth import Truth, parse_truth
-    from msp_lab.readings.column_map import load_maps
-    from msp_range.reading_model.sensor_model import load_sensor_model
-    from msp_range.sensors.table import DRIVERS
+    from msp_lab.logs.importing import import_logs
     from msp_range.terminal import Bar, PlainConsole
-    from msp_range.yaml_file import config_path
     from msp_sim.terminal import make_folder
     from msp_sim.workers import Workers, workers
 
-    wanted = Truth() if truth is None else parse_truth(truth) if isinstance(truth, str) else truth
-    model = load_sensor_model(sensor or config_path(next(iter(DRIVERS)), "sensors"))
-    make_folder(out)
+    make_folder(common.out)
     columns = (BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    common = Import(out, wanted, model, load_maps(column_map), align, seed)
     with ExitStack() as opened:
         if jobs == 1 and scheduler is None:
             bar = opened.enter_context(Bar(*columns, total=1.0, on=PlainConsole(stderr=True)))
@@ -134,7 +128,7 @@ def run_import(
             where = opened.enter_context(workers(jobs, scheduler, "msp-lab import"))
         if scheduler is not None:
             # Other machines have other working folders.
-            files, common = [path.resolve() for path in files], replace(common, out=out.resolve())
+            files, common = [path.resolve() for path in files], replace(common, out=common.out.resolve())
         found, failed = import_logs(files, common, where)
     if where.died:
         print(f"{where.died} worker processes died; what they read was read again", file=sys.stderr)
@@ -159,19 +153,19 @@ def with_logs_imported(
         As `import_logs`.
     """
     from msp_lab.logs.opening import is_flight_log
-    from msp_lab.logs.truth import NONE, OTHERS, RECORDED, Truth
+    from msp_lab.logs.truth import NONE, OTHERS, RECORDED, Truth, parse_truth
     from msp_lab.readings.dataset import is_dataset
 
     logs = [path for path in measured if is_flight_log(path)]
     if truth in (RECORDED, OTHERS) and not logs:
         return measured, truth
     # With the others as reference the comparison itself finds it.
-    wanted = Truth() if truth == RECORDED else Truth(NONE) if truth == OTHERS else truth
+    wanted = Truth() if truth == RECORDED else Truth(NONE) if truth == OTHERS else parse_truth(truth)
     as_they_are = [path for path in measured if path not in logs] if truth in (RECORDED, OTHERS) else []
     if is_dataset(out):
         shutil.rmtree(out)
     to_import = [path for path in measured if path not in as_they_are]
-    imported, failed = run_import(to_import, out, wanted, column_map=column_map)
+    imported, failed = run_import(to_import, _common(out, wanted, column_map=column_map))
     if failed:
         raise RecordingError("\n".join(failed.values()))
     if is_shown:

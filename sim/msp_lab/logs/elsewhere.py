@@ -54,7 +54,7 @@ def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -
             raise RecordingError(f"{path}: of a CSV file --truth needs the column: column:NAME*FACTOR@{path.name}")
         reference = TruthSource("column", _column(path, truth))
     else:
-        found = choose(open_log(path, lambda share: None, field=truth.field, maximum_cm=maximum_cm), truth)
+        found = choose(open_log(path, field=truth.field, maximum_cm=maximum_cm), truth)
         if found is None:
             raise RecordingError(f"{path}: no reference in this file")
         reference = found

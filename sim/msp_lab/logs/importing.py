@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from msp_lab.logs.alignment import Interval
 from msp_lab.logs.elsewhere import reference_of
 from msp_lab.logs.join import Joined, join
 from msp_lab.logs.log import Ranger, TruthSource, VehicleLog
@@ -84,16 +85,16 @@ class FoundRanger:
     """Readings with a true range."""
     repeated: float
     """Share of the readings that are the one before them, while the range changes."""
-    lag_s: tuple[float, float, float] | None = None
-    """How much later than the reference, and its 95 % interval; None: cannot be seen."""
+    lag_s: Interval | None = None
+    """How much later than the reference; None: cannot be seen."""
     offset_cm: float | None = None
     """Readings less the reference, the median; taken off where the reference does not know the ground."""
     scatter_cm: float | None = None
     """Standard deviation of the differences, without outliers."""
     reference_span_cm: float | None = None
     """How much the reference changes over the log, between its 2.5 and 97.5 % points; None: there is none."""
-    reference_std_cm: tuple[float, float, float] | None = None
-    """Standard deviation of the reference's error, and its 95 % interval; None: not known."""
+    reference_std_cm: Interval | None = None
+    """Standard deviation of the reference's error; None: not known."""
     reference_std_from: str = ""
     """What that is from."""
     notes: tuple[str, ...] = ()
@@ -379,12 +380,9 @@ def _found(each: Joined) -> FoundRanger:
         notes=each.notes,
     )
     if alignment is not None:
-        lag_s = (alignment.lag_s, alignment.lag_low_s, alignment.lag_high_s) if alignment.has_lag else None
-        offset_cm, scatter_cm = alignment.offset_cm, alignment.scatter_cm
-        found = replace(found, lag_s=lag_s, offset_cm=offset_cm, scatter_cm=scatter_cm, no_lag=alignment.no_lag)
+        found = replace(found, **vars(alignment))  # its fields have these names
     if error is not None:
-        std_cm = (error.std_cm, error.low_cm, error.high_cm)
-        found = replace(found, reference_std_cm=std_cm, reference_std_from=error.source)
+        found = replace(found, reference_std_cm=error.std_cm, reference_std_from=error.source)
     return found
 
 

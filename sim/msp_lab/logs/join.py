@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from msp_lab.logs.alignment import LEAST_READINGS, Alignment, align, reference_std_cm
+from msp_lab.logs.alignment import LEAST_READINGS, Alignment, Interval, align, reference_std_cm
 from msp_lab.logs.log import CLIMB, CONTEXT, TILT, Ranger, TruthSource, VehicleLog
 from msp_lab.logs.truth import second
 from msp_lab.readings.no_echo import NO_ECHO
@@ -33,11 +33,9 @@ lines, of what is rare in any flight; below 30 deg a quick flight would have the
 
 @dataclass(frozen=True)
 class TruthAccuracy:
-    """How well a reference is known: standard deviation [cm], its 95 % interval, and from what."""
+    """How well a reference is known: standard deviation of its error, and from what."""
 
-    std_cm: float
-    low_cm: float
-    high_cm: float
+    std_cm: Interval
     source: str
 
 
@@ -113,10 +111,11 @@ def _join(
         answered = ranger.echoes_cm
         answered[is_overturned] = np.nan
         alignment = align(time_s, answered, lambda at: _expected_cm(log, reference, at), rng)
-        is_shifted = shift and alignment is not None and alignment.has_lag
-        lag_s = alignment.lag_s if alignment is not None and is_shifted else 0.0
+        lag_s = alignment.lag_s if shift and alignment is not None else None
+        is_shifted, lag_s = lag_s is not None, lag_s or Interval(0.0, 0.0, 0.0)
+        at_s = time_s - lag_s.value
         error = _error(log, reference, time_s, answered, alignment, rng)
-        columns |= _true(log, reference, time_s - lag_s, alignment, error, is_shifted, ~is_overturned)
+        columns |= _true(log, reference, at_s, alignment, error, lag_s.std, ~is_overturned)
         if alignment is None and not reference.has_datum:
             there = int(np.isfinite(answered * reference.series.at(time_s)).sum())
             notes.append(
@@ -125,7 +124,7 @@ def _join(
             )
         else:
             lost = np.isfinite(ranger.series.values) & ~np.isfinite(columns[TRUE_RANGE]) & ~is_overturned
-            notes += _about_lost(reference, time_s[lost] - lag_s)
+            notes += _about_lost(reference, at_s[lost])
             steep = np.isfinite(ranger.series.values * columns[TRUE_RANGE]) & (tilt_deg > STEEP_DEG)
             if steep.any() and not reference.along_beam:
                 notes.append(
@@ -186,13 +185,13 @@ def _error(
     """How well the reference is known, by another one next to it, or by its own word."""
     other = second(log, reference)
     if other is not None and alignment is not None:
-        at = time_s - (alignment.lag_s if alignment.has_lag else 0.0)
+        at = time_s - (0.0 if alignment.lag_s is None else alignment.lag_s.value)
         found = reference_std_cm(answered_cm, _expected_cm(log, reference, at), _expected_cm(log, other, at), rng)
         if found is not None:
-            return TruthAccuracy(*found, f"its differences to {other.series.source} and to the readings")
+            return TruthAccuracy(found, f"its differences to {other.series.source} and to the readings")
     if reference.std is not None and len(reference.std):
         std_cm = 100.0 * float(np.nanmedian(reference.std.values))
-        return TruthAccuracy(std_cm, std_cm, std_cm, f"the receiver's own word ({reference.std.source})")
+        return TruthAccuracy(Interval(std_cm, std_cm, std_cm), f"the receiver's own word ({reference.std.source})")
     return None
 
 
@@ -202,7 +201,7 @@ def _true(
     at_s: Array,
     alignment: Alignment | None,
     error: TruthAccuracy | None,
-    is_shifted: bool,
+    lag_std_s: float,
     has_ground: Flags,
 ) -> Mapping[str, Column]:
     """Columns of the true range at these times; empty where the beam does not meet the ground."""
@@ -212,9 +211,7 @@ def _true(
     rate_cm_s = (
         _expected_cm(log, reference, at_s + RATE_STEP_S) - _expected_cm(log, reference, at_s - RATE_STEP_S)
     ) / (2.0 * RATE_STEP_S)
-    std_cm = np.full(at_s.size, 0.0 if error is None else error.std_cm)
-    if alignment is not None and is_shifted:
-        std_cm = np.hypot(std_cm, np.nan_to_num(rate_cm_s) * alignment.lag_std_s)
+    std_cm = np.hypot(0.0 if error is None else error.std_cm.value, np.nan_to_num(rate_cm_s) * lag_std_s)
     known = np.isfinite(true_cm)
     return {
         # To a hundredth of a millimetre, like the readings.

@@ -40,11 +40,15 @@ CONTEXT = {
 """What a log may know of the time of a reading."""
 
 
+def ignored(share: float) -> None:
+    """Progress that nobody is shown."""
+
+
 @dataclass(frozen=True)
 class LogRequest:
     """What is asked of the reader of a format."""
 
-    progress: Callable[[float], None]
+    progress: Callable[[float], None] = ignored
     """Called with the share of the file that is read."""
     field: str = ""
     """The field that is to be read as a reference, as ``--truth column:`` names it; empty: none."""

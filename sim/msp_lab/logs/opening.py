@@ -4,7 +4,7 @@ import pkgutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from msp_lab.logs.log import LogFormat, LogRequest, VehicleLog
+from msp_lab.logs.log import LogFormat, LogRequest, VehicleLog, ignored
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.dataset import is_dataset
 from msp_range.extras import require
@@ -41,7 +41,7 @@ _ROS_PROFILES = (b"\4\0\0\0ros2", b"\4\0\0\0ros1")
 
 def open_log(
     path: Path,
-    progress: Callable[[float], None],
+    progress: Callable[[float], None] = ignored,
     *,
     field: str = "",
     column_map: ColumnMap | None = None,

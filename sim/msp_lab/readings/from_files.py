@@ -8,6 +8,8 @@ from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import load_readings
 from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import load_sensor_model
+from msp_range.sensors.table import DRIVERS
+from msp_range.yaml_file import config_path
 
 Files: TypeAlias = Path | str | Sequence[Path | str]
 """One file of readings or several: CSV, a recording (.mcap), or a dataset of ``msp-lab import``."""
@@ -60,6 +62,11 @@ def read_readings(
     """
     mapping = load_maps(map_options(columns))
     return dict(load_readings(paths_of(files), load_sensor_model(sensor), mapping, truth=truth).data.columns)
+
+
+def sensor_file(sensor: Path | None) -> Path:
+    """The sensor model file that an option names; without one that of the first driver."""
+    return sensor or config_path(next(iter(DRIVERS)), "sensors")
 
 
 def paths_of(files: Files) -> list[Path]:
