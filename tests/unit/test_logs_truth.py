@@ -64,6 +64,14 @@ def test_old_logs_of_px4_have_the_flag_of_the_range_in_a_number() -> None:
     )
 
 
+@pytest.mark.parametrize(("field", "altitude"), [("altitude_msl_m", 584.0), ("alt", 584_000)])
+def test_an_altitude_of_px4_is_in_metres_by_both_of_its_names(field: str, altitude: float) -> None:
+    gps = {"timestamp": np.arange(2) * 10**6, "fix_type": np.array([6, 3]), field: np.full(2, altitude)}
+    (rtk,) = filter(None, px4._references(flown({"vehicle_gps_position": gps}), {}))
+    assert rtk.kind == "rtk"
+    assert rtk.series.values.tolist() == pytest.approx([584.0, np.nan], nan_ok=True)
+
+
 def test_old_logs_of_px4_have_the_throttle_among_the_controls() -> None:
     throttle = px4._throttle(old_px4([0] * 10))
     assert throttle is not None
