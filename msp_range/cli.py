@@ -13,7 +13,7 @@ import typer
 
 from msp_range.recordings_cli import export, layout, recover, replay, tune
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
-from msp_range.yaml_file import ConfigError, writing
+from msp_range.yaml_file import ConfigError, write_file
 
 if TYPE_CHECKING:
     from msp_range.sensors.base import Driver
@@ -253,14 +253,14 @@ def params(
     airframe = load_airframe(airframe_file).changed(link=link)
     if not (compare or write or restore):
         text = commands.file_text(airframe, Firmware(airframe.link.autopilot, vehicle, before_4_7), port)
-        print(text, end="") if out is None else _write_file(out, text)
+        print(text, end="") if out is None else _save(out, text)
         return
     to_restore = None if restore is None else commands.restored(restore)
     clock = SystemClock()
     client = commands.connect(airframe, clock)
     firmware, settings = commands.wanted(airframe, client, port)
     if out is not None:
-        _write_file(out, commands.file_text(airframe, firmware, port))
+        _save(out, commands.file_text(airframe, firmware, port))
     if to_restore is not None:
         settings = to_restore
     changes = commands.differences(client, settings)
@@ -275,9 +275,8 @@ def params(
         print(f"{len(done)} set. Restart the autopilot. To undo: msp-range params {airframe_file} --restore {undo}")
 
 
-def _write_file(path: Path, text: str) -> None:
-    with writing(path):
-        path.write_text(text, encoding="utf-8")
+def _save(path: Path, text: str) -> None:
+    write_file(path, text)
     print(f"written: {path}")
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from msp_range.yaml_file import ConfigError, writing
+from msp_range.yaml_file import ConfigError, write_file
 
 RecordingFile = Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")]
 
@@ -110,6 +110,5 @@ def layout(
     if out.suffix not in FORMS:
         raise ConfigError(f"{out}: found the ending {out.suffix!r}; expected .json (Foxglove) or .xml (PlotJuggler)")
     plots = plots_of(Recording(recording))
-    with writing(out):
-        out.write_text(FORMS[out.suffix](plots), encoding="utf-8")
+    write_file(out, FORMS[out.suffix](plots))
     print(f"{out}: {len(plots)} plots")

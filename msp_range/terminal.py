@@ -4,6 +4,7 @@ rich interprets ``[red]`` as a style and ``:warning:`` as an emoji, and terminal
 vehicles, sensors, runs and files must not be interpreted.
 """
 
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Self
@@ -56,6 +57,13 @@ def plain_table(
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def wrapped(first: str, text: str) -> list[str]:
+    """The lines of a text behind a first word, at most `NARROW` wide; the others are indented as far."""
+    return textwrap.wrap(
+        printable(text), NARROW, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
+    )
 
 
 def console() -> Console:

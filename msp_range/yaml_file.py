@@ -86,6 +86,12 @@ def writing(path: Path) -> Iterator[None]:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
+def write_file(path: Path, text: str) -> None:
+    """Write a text into a file that a user named; raises ConfigError as `writing` does."""
+    with writing(path):
+        path.write_text(text, encoding="utf-8")
+
+
 Place = tuple[int | str, ...]
 """Keys and indices that lead to a value in a file."""
 SectionT = TypeVar("SectionT", bound=Section)

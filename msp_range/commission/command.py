@@ -12,7 +12,8 @@ from msp_range.commission.session import Session
 from msp_range.commission.state import VERIFIED, PassedSteps
 from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
 from msp_range.config import load_airframe
-from msp_range.doctor.command import lines_of, wrapped
+from msp_range.doctor.command import lines_of
+from msp_range.terminal import wrapped
 from msp_range.yaml_file import ConfigError, place_of
 
 STEPS: dict[str, Callable[[Session], StepOutcome]] = {

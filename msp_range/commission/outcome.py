@@ -7,7 +7,7 @@ from typing import Any
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured
 from msp_range.config import Airframe
-from msp_range.doctor.finding import RIGHT, WRONG, Finding, right, unknown, wrong
+from msp_range.doctor.finding import RIGHT, WRONG, Finding, Row, first_of, right, unknown, wrong
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,10 @@ class StepOutcome:
     again: "Callable[[Airframe], StepOutcome] | None" = None
     """Compares the same measurements with another airframe, such as one with the changes; None where a step measured
     nothing that depends on the file."""
+
+    def add(self, step: str, *rows: Row) -> None:
+        """Add the finding of the first row whose test holds, see `first_of`."""
+        self.findings.append(first_of(step, *rows))
 
     def right(self, step: str, text: str) -> None:
         """Add that all is as it should be."""

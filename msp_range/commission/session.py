@@ -36,31 +36,19 @@ SILENT_S = 2.0
 ENDED = "the running bridge ended or hangs: start it again, or stop the service, then again"
 
 
-class Armed(ConfigError):
-    """The vehicle is armed, so nobody should hold it in his hands."""
-
-    def __init__(self) -> None:
-        super().__init__("the vehicle is armed: disarm it and take the propellers off; nothing was changed")
-
-
-class HeartbeatLost(ConfigError):
-    """Nobody knows any more whether the vehicle is armed."""
-
-    def __init__(self) -> None:
-        super().__init__(
+def _refuse_armed(is_armed: bool | None) -> None:
+    """Go on while the vehicle is disarmed, and known to be: nobody should hold an armed one in his hands."""
+    if is_armed:
+        raise ConfigError("the vehicle is armed: disarm it and take the propellers off; nothing was changed")
+    if is_armed is None:
+        raise ConfigError(
             "the autopilot's heartbeat is lost, so nobody knows whether the vehicle is armed; nothing was changed. "
             "'msp-range doctor' looks for the reason"
         )
 
 
-def _refuse_armed(is_armed: bool | None) -> None:
-    """Go on while the vehicle is disarmed, and known to be."""
-    if is_armed is not False:
-        raise Armed if is_armed else HeartbeatLost
-
-
 class OwnBridge:
-    """A bridge of this program on the vehicle's bus and link, and the recorder of that bridge.
+    """A bridge of this program on the vehicle's bus and link, and what it shows.
 
     Parameters
     ----------
@@ -70,8 +58,6 @@ class OwnBridge:
         Where it is looked for who else has the link.
     """
 
-    fault: str | None = None
-
     def __init__(self, airframe: Airframe, bus: Bus, clock: Clock, transport: Transport, computer: Computer) -> None:
         self._clock, self._computer, self._transport = clock, computer, Tap(transport)
         self._records: list[Message] = []
@@ -80,11 +66,11 @@ class OwnBridge:
             bus,
             clock,
             self._transport,
-            recorder=self,
             on_message=self._on_message,
             wanted={"ATTITUDE": ATTITUDE_HZ, "DISTANCE_SENSOR": RETURNED_HZ},
             signing=signing_of(airframe.link.signing_key, clock),
         )
+        self._bridge.show_to(self._keep)
 
     def begin(self, airframe: Airframe) -> None:
         """Wait for the autopilot's heartbeat, by which it is seen whether the vehicle is armed.
@@ -106,7 +92,7 @@ class OwnBridge:
 
         Raises
         ------
-        Armed, HeartbeatLost
+        ConfigError
             The vehicle is armed, or nobody knows.
         """
         end_s, self._records, link = self._clock.now() + duration_s, [], self._bridge.link
@@ -115,17 +101,12 @@ class OwnBridge:
             _refuse_armed(link.autopilot_armed or (False if link.autopilot_is_present else None))
         return self._records
 
-    def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
-        """Keep one record."""
+    def _keep(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         self._records.append(Message(topic, time_s, message))
 
-    def flush_if_due(self, now_s: float) -> None:
-        """Nothing is written to a disk."""
-
     def _on_message(self, now_s: float, message: Any) -> None:
-        shown = autopilot_message(message)
-        if shown is not None:
-            self.write("/autopilot", now_s, shown)
+        if (shown := autopilot_message(message)) is not None:
+            self._keep("/autopilot", now_s, shown)
 
 
 class RunningBridge:

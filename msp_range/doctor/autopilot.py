@@ -15,7 +15,7 @@ from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import distance_sensor
 from msp_range.mavlink.frames import Frame, FrameReader
 from msp_range.mavlink.orientation import DOWN
-from msp_range.mavlink.signing import PX4_SIGNS_NOT, signing_of
+from msp_range.mavlink.signing import PX4_SIGNS_NOT
 from msp_range.mavlink.transport import Transport, Wrapped, open_transport
 from msp_range.mavlink.transport.url import NetworkUrl, SerialUrl, parse_url
 from msp_range.params.client import ParameterClient
@@ -102,11 +102,10 @@ def check_autopilot(
     temperatures = [each for each in airframe.temperature.sources if isinstance(each, MavlinkSource)]
     wanted = {each.message: 1.0 for each in temperatures} | {"DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0}
     try:
-        signing = signing_of(airframe.link.signing_key, clock)
+        client = ParameterClient(tap, clock, airframe.link, wanted)
     except ConfigError as error:
         yield wrong("signing", str(error), "msp-range sign AIRFRAME.yaml makes a key and gives it to the autopilot")
         return
-    client = ParameterClient(tap, clock, airframe.link.system_id, wanted, signing)
     if not client.connect(CONNECT_S):
         yield silence(airframe, computer, tap, clock)
         return

@@ -17,7 +17,7 @@ from msp_range.assembly import polling_interval_s
 from msp_range.bridge import Bridge
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe, SensorSettings, load_airframe
-from msp_range.doctor.finding import Finding, right, unknown
+from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right
 from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.replay import Nowhere
@@ -116,4 +116,4 @@ def _processor_s() -> float:
 
 
 def _judged(step: str, is_odd: bool, text: str) -> Finding:
-    return unknown(step, text, "is the computer busy with something else?") if is_odd else right(step, text)
+    return first_of(step, (is_odd, text, "is the computer busy with something else?", UNKNOWN), (True, text))

@@ -1,7 +1,6 @@
 """What `msp-range doctor` prints: each finding as soon as it is known, or all of them as JSON."""
 
 import json
-import textwrap
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
@@ -11,8 +10,7 @@ from msp_range.doctor.bench import measure
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.examination import examine
 from msp_range.doctor.finding import Finding, Verdict
-from msp_range.input_file import printable
-from msp_range.terminal import NARROW
+from msp_range.terminal import wrapped
 
 INDENT = 9
 """Columns of the verdict in front of a finding [characters]."""
@@ -24,12 +22,6 @@ def lines_of(finding: Finding) -> list[str]:
     if finding.remedy is not None and finding.verdict is not Verdict.RIGHT:
         lines += wrapped(" " * INDENT + "-> ", finding.remedy)
     return lines
-
-
-def wrapped(first: str, text: str) -> list[str]:
-    return textwrap.wrap(
-        printable(text), NARROW, initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
-    )
 
 
 def show(path: Path, computer: Computer, as_json: bool, bench: bool = False) -> int:

@@ -5,6 +5,7 @@ Bus and port of a bridge that runs are its own, and are left alone: it is seen t
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 from msp_range.bus.smbus import BusInUse, KernelBus
@@ -13,8 +14,8 @@ from msp_range.config import Airframe, load_airframe
 from msp_range.correction.air_temperature import NO_THERMOMETER
 from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import RIGHT, WRONG, Finding, right, unknown, wrong
-from msp_range.doctor.port import check_interface, check_port
+from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, unknown, wrong
+from msp_range.doctor.port import check_clock, check_interface, check_port
 from msp_range.doctor.sensors import Looked, look
 from msp_range.doctor.storage import check_date, check_disk, check_supply
 from msp_range.doctor.thermometer import check_files
@@ -55,13 +56,13 @@ def findings(newest: Newest) -> Iterator[Finding]:
     for name, sensor in status["sensors"].items():
         if sensor["fault"] is not None:
             continue
-        if sensor["readings"] == 0:
-            yield unknown(f"sensor {name}", "no reading yet", "msp-range doctor once more")
-        else:
-            corrected_m = newest.readings.get(name, {}).get("corrected_m")
-            now = "no echo now" if corrected_m is None else f"{corrected_m:.2f} m now"
-            rejected = sum(sensor["rejected"].values())
-            yield right(f"sensor {name}", f"{now}; {rejected} of {sensor['readings']} readings were not used")
+        corrected_m, readings = newest.readings.get(name, {}).get("corrected_m"), sensor["readings"]
+        now = "no echo now" if corrected_m is None else f"{corrected_m:.2f} m now"
+        yield first_of(
+            f"sensor {name}",
+            (readings == 0, "no reading yet", "msp-range doctor once more", UNKNOWN),
+            (True, f"{now}; {sum(sensor['rejected'].values())} of {readings} readings were not used"),
+        )
     link = status["link"]
     sent = link["sent"].get("DISTANCE_SENSOR", 0)
     if link["autopilot"] is not None:
@@ -102,12 +103,10 @@ def examine(
     for doubt in doubts(airframe):
         yield unknown("airframe file", doubt, "correct it if that is so")
     looked, in_use = Looked([], {}, None), False
-    bus_is_right = True
-    stretches = any(sensor.driver.stretches_clock for sensor in airframe.sensors)
-    for finding in check_interface(computer, str(KernelBus(airframe.bus).path), stretches):
-        yield finding
-        bus_is_right = bus_is_right and (finding.verdict is not WRONG or finding.step == "I2C clock")
-    if bus_is_right:
+    bus_path = str(KernelBus(airframe.bus).path)
+    if (yield from check_interface(computer, bus_path)):
+        if any(sensor.driver.stretches_clock for sensor in airframe.sensors):
+            yield check_clock(computer, bus_path)
         bus = make_bus(airframe.bus)
         try:
             bus.claim()
@@ -136,13 +135,7 @@ def _link(
     make_transport: Callable[[str, Clock], Transport],
 ) -> Iterator[Finding]:
     url = parse_url(airframe.link.url)
-    if isinstance(url, SerialUrl):
-        for finding in check_port(computer, url):
-            yield finding
-            if finding.verdict is not RIGHT:
-                return
-    transport = make_transport(airframe.link.url, clock)
-    try:
+    if isinstance(url, SerialUrl) and not (yield from check_port(computer, url)):
+        return
+    with closing(make_transport(airframe.link.url, clock)) as transport:
         yield from check_autopilot(airframe, computer, transport, clock, looked.ranges_m, looked.latency_s)
-    finally:
-        transport.close()

@@ -3,6 +3,7 @@
 A step is a table of rows (test, text, remedy), of which the first that applies is its finding.
 """
 
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -48,6 +49,15 @@ def first_of(step: str, *rows: Row) -> Finding:
     row: tuple[Any, ...] = next(row for row in rows if row[0])
     _, text, remedy, verdict = row + ((None, RIGHT) if len(row) == 2 else (WRONG,))[: 4 - len(row)]
     return Finding(step, verdict, text, remedy)
+
+
+def while_right(findings: Iterable[Finding]) -> Generator[Finding, None, bool]:
+    """Findings up to the first one that is not right; returns whether all were."""
+    for finding in findings:
+        yield finding
+        if finding.verdict is not RIGHT:
+            return False
+    return True
 
 
 def right(step: str, text: str) -> Finding:

@@ -4,10 +4,10 @@ Nothing is transferred here, and the port is not opened.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import RIGHT, UNKNOWN, Finding, first_of, right, wrong
+from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, while_right, wrong
 from msp_range.mavlink.transport.serial import UARTS
 from msp_range.mavlink.transport.url import SerialUrl, TransportUrl
 from msp_range.state_folder import SERVICE_USER
@@ -26,22 +26,14 @@ STEP = "serial port in use"
 _CONSOLE = re.compile(r"console=(tty[A-Z]+\d+|serial\d)")
 
 
-def check_interface(computer: Computer, path: str, stretches_clock: bool) -> Iterator[Finding]:
-    """The steps before the first transfer; the first one that is wrong ends them.
+def check_interface(computer: Computer, path: str) -> Generator[Finding, None, bool]:
+    """The steps before the first transfer, up to the first one that is wrong; returns whether none is."""
+    return while_right(_interface(computer, path))
 
-    Parameters
-    ----------
-    stretches_clock
-        Whether a sensor holds the clock low while it is not ready.
-    """
-    found = _device_file(computer, path)
-    yield found
-    if found.verdict is not RIGHT:
-        return
-    allowed = computer.permission("I2C permission", path, "i2c")
-    yield allowed
-    if allowed.verdict is RIGHT and stretches_clock:
-        yield _clock(computer, path.removeprefix("/dev/"))
+
+def _interface(computer: Computer, path: str) -> Iterator[Finding]:
+    yield _device_file(computer, path)
+    yield computer.permission("I2C permission", path, "i2c")
 
 
 def _device_file(computer: Computer, path: str) -> Finding:
@@ -68,8 +60,9 @@ def _device_file(computer: Computer, path: str) -> Finding:
     )
 
 
-def _clock(computer: Computer, name: str) -> Finding:
-    node = f"/sys/bus/i2c/devices/{name}/of_node"
+def check_clock(computer: Computer, path: str) -> Finding:
+    """Whether the bus is slow enough for a sensor that holds the clock low while it is not ready."""
+    node = f"/sys/bus/i2c/devices/{path.removeprefix('/dev/')}/of_node"
     compatible = computer.text(f"{node}/compatible") or ""
     stated_hz = computer.number(f"{node}/clock-frequency")
     is_pi = "bcm2835" in compatible or "bcm2711" in compatible
@@ -94,15 +87,12 @@ def _clock(computer: Computer, name: str) -> Finding:
     )
 
 
-def check_port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
-    """The steps before the port is opened; the first one that is not right ends them."""
-    for finding in _looks(computer, url):
-        yield finding
-        if finding.verdict is not RIGHT:
-            return
+def check_port(computer: Computer, url: SerialUrl) -> Generator[Finding, None, bool]:
+    """The steps before the port is opened, up to the first one that is not right; returns whether all are."""
+    return while_right(_port(computer, url))
 
 
-def _looks(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
+def _port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
     yield _there(computer, url.path)
     yield computer.permission("serial permission", computer.target(url.path), "dialout")
     yield _free(computer, url)

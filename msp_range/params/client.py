@@ -6,14 +6,16 @@ ArduPilot sends every value as a float; PX4 sends its integers (INT32) as four b
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from msp_range.clock import Clock
+from msp_range.config import LinkSettings
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.participants import AUTOPILOTS
-from msp_range.mavlink.signing import Signing
+from msp_range.mavlink.signing import Signing, signing_of
 from msp_range.mavlink.transport import Transport
 from msp_range.params.settings import Firmware, Vehicle
 
@@ -50,12 +52,12 @@ class ParameterClient:
         The link, which nobody else uses.
     clock
         How long to wait.
-    system_id
-        The autopilot's; None: that of the first autopilot that is received.
+    settings
+        The airframe's link: the autopilot's system id, and the key for signing.
     wanted
         Other messages to ask the autopilot for: name -> rate [Hz].
     signing
-        Signs and verifies messages; None: they are not signed.
+        Instead of that with the airframe's key.
 
     Attributes
     ----------
@@ -63,14 +65,19 @@ class ParameterClient:
         The connection.
     messages
         The last message of each kind that the autopilot sent.
+
+    Raises
+    ------
+    ConfigError
+        The airframe's key cannot be used.
     """
 
     def __init__(
         self,
         transport: Transport,
         clock: Clock,
-        system_id: int | None = None,
-        wanted: Mapping[str, float] | None = None,
+        settings: LinkSettings,
+        wanted: Mapping[str, float] = MappingProxyType({}),
         signing: Signing | None = None,
     ) -> None:
         self._clock = clock
@@ -83,9 +90,9 @@ class ParameterClient:
             clock,
             component_id=COMPONENT_ID,
             on_message=self.on_message,
-            wanted=wanted or {},
-            system_id=system_id,
-            signing=signing,
+            wanted=wanted,
+            system_id=settings.system_id,
+            signing=signing or signing_of(settings.signing_key, clock),
         )
 
     def on_message(self, now_s: float, message: Any) -> None:

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
-from msp_range.mavlink.signing import Signing, signing_of
+from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.transport import open_transport
 from msp_range.params.client import NotSet, ParameterClient, same
 from msp_range.params.settings import Firmware, Setting, remarks, settings
-from msp_range.yaml_file import ConfigError, read_config, writing
+from msp_range.yaml_file import ConfigError, read_config, write_file
 
 CONNECT_S = 10.0
 """How long to wait for an autopilot: it sends a heartbeat each second, and a TCP or serial link may have to be opened
@@ -82,9 +82,8 @@ def connect(airframe: Airframe, clock: Clock, signing: Signing | None = None) ->
     ConfigError
         None is received there.
     """
-    signing = signing or signing_of(airframe.link.signing_key, clock)
     transport = open_transport(airframe.link.url, clock)
-    client = ParameterClient(transport, clock, airframe.link.system_id, signing=signing)
+    client = ParameterClient(transport, clock, airframe.link, signing=signing)
     if not client.connect(CONNECT_S):
         why = f" ({transport.last_error})" if transport.last_error else ""
         transport.close()
@@ -181,8 +180,7 @@ def write(
         if not confirm(described(change)):
             continue
         before.insert(0, Setting(setting.name, found, "before msp-range params --write", "read from the autopilot"))
-        with writing(undo):
-            undo.write_text(parm_text([f"{vehicle}: msp-range params --restore {undo} sets these again."], before))
+        write_file(undo, parm_text([f"{vehicle}: msp-range params --restore {undo} sets these again."], before))
         try:
             done[setting.name] = client.write(setting.name, setting.value)
         except NotSet as error:

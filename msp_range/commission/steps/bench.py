@@ -241,29 +241,27 @@ def _vertical(sensor: SensorSettings) -> float:
 
 def _heights(airframe: Airframe, found: Levels, stands: Sequence[Stand], outcome: StepOutcome) -> None:
     first = median_ranges_m(stands[0].samples)
-    wrong_by: dict[str, float] = {}
+    by_m: list[float] = []
     for i, sensor in enumerate(airframe.sensors):
         if sensor.tilt_from_down_rad >= 0.8:
             continue
-        measured = found.down_m.get(sensor.name)
-        expected_m = stands[0].height_m - sensor.position_m[2]
+        measured, in_file, step = found.down_m.get(sensor.name), sensor.position_m[2], f"height of {sensor.name}"
+        expected_m = stands[0].height_m - in_file
         if measured is None:
             text = f"no distance where {expected_m:.2f} m are expected"
-            outcome.unknown(f"height of {sensor.name}", text, "the lift shows where it looks")
+            outcome.unknown(step, text, "the lift shows where it looks")
             continue
-        in_file = sensor.position_m[2]
-        if abs(measured.value - in_file) > ELSEWHERE_M:
+        off_m, below = measured.value - in_file, f"{shown(measured)} below the reference point"
+        if abs(off_m) > ELSEWHERE_M:
             text = f"it reads {first[sensor.name]:.2f} m where {expected_m:.2f} m are expected"
             remedy = "was the right height typed, and does it look at the floor? The lift shows where it looks"
-            outcome.unknown(f"height of {sensor.name}", text, remedy)
+            outcome.unknown(step, text, remedy)
         elif measured.differs_from(in_file, DEEPER_M):
-            wrong_by[sensor.name] = measured.value - in_file
-            text = f"{sensor.name}: {shown(measured)} below the reference point, and the file has {in_file:g}"
+            by_m.append(off_m)
+            text = f"{sensor.name}: {below}, and the file has {in_file:g}"
             outcome.propose(text, Edit(("sensors", i, "position_m", 2), round(measured.value, 2)))
         else:
-            text = f"{shown(measured)} below the reference point, {in_file:g} in the file"
-            outcome.right(f"height of {sensor.name}", text)
-    by_m = list(wrong_by.values())
+            outcome.right(step, f"{below}, {in_file:g} in the file")
     if len(by_m) > 1 and len(by_m) == len(found.down_m) and max(by_m) - min(by_m) < 0.03:
         text = f"all sensors are {abs(by_m[0]):.2f} m {'lower' if by_m[0] > 0 else 'higher'} than the file says"
         remedy = "was the tape held at the reference point, [0, 0, 0] of the file?"
@@ -287,16 +285,15 @@ def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source
     if not measured.differs_from(assumed_c, WARMER_C):
         outcome.right("air temperature", text)
         return
-    temperature = airframe.temperature
-    sources = [each.name for each in temperature.sources]
+    sources, fixed_c = [each.name for each in airframe.temperature.sources], airframe.temperature.fixed_c
     if source in sources:
         i = sources.index(source)
-        bias_c = round(temperature.sources[i].bias_c + assumed_c - measured.value)
+        before_c = airframe.temperature.sources[i].bias_c
+        bias_c = round(before_c + assumed_c - measured.value)
         edit = Edit(("temperature", "sources", i, "bias_c"), bias_c)
-        outcome.propose(f"{text}: bias_c of {source} from {temperature.sources[i].bias_c:g} to {bias_c}", edit)
+        outcome.propose(f"{text}: bias_c of {source} from {before_c:g} to {bias_c}", edit)
     elif source == FIXED and not sources:
-        fixed_c = round(measured.value)
-        edit = Edit(("temperature", "fixed_c"), fixed_c)
-        outcome.propose(f"{text}: fixed_c from {temperature.fixed_c:g} to {fixed_c}", edit)
+        edit = Edit(("temperature", "fixed_c"), round(measured.value))
+        outcome.propose(f"{text}: fixed_c from {fixed_c:g} to {edit.value}", edit)
     else:
         outcome.unknown("air temperature", text, "its source has no value now: see 'msp-range doctor'")

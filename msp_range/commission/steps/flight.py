@@ -15,7 +15,7 @@ from msp_range.commission.session import Session
 from msp_range.commission.state import flown_part
 from msp_range.commission.steps.places import compare_lag, compare_places
 from msp_range.config import Airframe, load_airframe_from
-from msp_range.doctor.finding import Finding, right, unknown, wrong
+from msp_range.doctor.finding import Finding, first_of, unknown, wrong
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
 from msp_range.yaml_file import ConfigError
@@ -61,9 +61,8 @@ def gaps(times_s: Array) -> Finding:
     """Whether fused distances came all the time, by their times [s]."""
     longest_s = float(np.diff(times_s).max())
     text = f"{len(times_s) / (times_s[-1] - times_s[0]):.1f} a second, at most {longest_s:.2f} s apart"
-    if longest_s > SILENT_S:
-        return wrong("fused distance", text, "the review says which sensor has no readings, and why")
-    return right("fused distance", text)
+    remedy = "the review says which sensor has no readings, and why"
+    return first_of("fused distance", (longest_s > SILENT_S, text, remedy), (True, text))
 
 
 def review(session: Session) -> StepOutcome:
@@ -111,7 +110,6 @@ def compare(airframe: Airframe, part: Samples) -> StepOutcome:
 
 def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
     """Shares of missed and rejected readings."""
-    step = f"flight of {name}"
     total = len(readings.status)
     missed = np.mean(~np.isin(readings.status, ("ok", "at_minimum")))
     reasons = Counter(each for each in readings.rejected.tolist() if each not in ("", "no_echo", "suspect"))
@@ -120,13 +118,8 @@ def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
         f"{reason.replace('_', ' ')} {100 * count / total:.0f} %" for reason, count in reasons.most_common(3)
     )
     text = f"{100 * missed:.0f} % without an echo, {100 * rejected:.0f} % rejected{f' ({listed})' if listed else ''}"
-    if missed > MOST_MISSED or rejected > MOST_REJECTED:
-        remedy = (
-            "prop wash, vibration, soft or rough ground, or a sensor that looks aside: move or damp it, or fly lower"
-        )
-        outcome.wrong(step, text, remedy)
-    else:
-        outcome.right(step, text)
+    remedy = "prop wash, vibration, soft or rough ground, or a sensor that looks aside: move or damp it, or fly lower"
+    outcome.add(f"flight of {name}", (missed > MOST_MISSED or rejected > MOST_REJECTED, text, remedy), (True, text))
 
 
 def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:

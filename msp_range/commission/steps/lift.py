@@ -212,7 +212,7 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
     """Whether the autopilot's own distance followed the lift."""
     if airframe.send.fused is None or not len(recorded.all.fused):
         return
-    step = "distance in the autopilot"
+    step, fused = "distance in the autopilot", recorded.all.fused
     if airframe.send.nothing:
         outcome.unknown(step, "not compared: the airframe file sends nothing")
         return
@@ -220,12 +220,9 @@ def _came_back(airframe: Airframe, recorded: Recorded, outcome: StepOutcome) -> 
         text = "the autopilot reports no distance of its own"
         outcome.unknown(step, text, "msp-range commission --step parameters, then restart the autopilot")
         return
-    back = np.array(recorded.returned_m)
-    fused = recorded.all.fused
-    sent = np.interp(back[:, 0] - 0.2, fused[:, 0], fused[:, 1])
-    typical_m = float(np.median(np.abs(back[:, 1] - sent)))
-    text = f"it follows the lift from {back[:, 1].min():.2f} to {back[:, 1].max():.2f} m, typically to {typical_m:.2f}"
-    if typical_m > FOLLOWS_M:
-        outcome.wrong(step, f"it does not follow the lift: typically {typical_m:.2f} m off", FIRST_RANGE_FINDER)
-    else:
-        outcome.right(step, text)
+    time_s, back_m = np.array(recorded.returned_m).T
+    sent_m = np.interp(time_s - 0.2, fused[:, 0], fused[:, 1])
+    typical_m = float(np.median(np.abs(back_m - sent_m)))
+    off = typical_m > FOLLOWS_M, f"it does not follow the lift: typically {typical_m:.2f} m off", FIRST_RANGE_FINDER
+    follows = f"it follows the lift from {back_m.min():.2f} to {back_m.max():.2f} m, typically to {typical_m:.2f}"
+    outcome.add(step, off, (True, follows))

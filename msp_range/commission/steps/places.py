@@ -82,8 +82,6 @@ def compare_lag(found: Places, outcome: StepOutcome) -> None:
     lag = Measured(1e3 * found.lag.value, 1e3 * found.lag.half_width)
     outcome.measured["attitude_later_s"] = round(found.lag.value, 3)
     text = f"the attitude is {shown(lag, 'ms', 0)} later than the readings"
-    if lag.value - lag.half_width > 0 and found.lag.value > LATE_S:
-        remedy = "does the autopilot answer TIMESYNC, and is the link slow or shared? A distance is off while it turns"
-        outcome.wrong("delay of the attitude", text, remedy)
-    else:
-        outcome.right("delay of the attitude", text)
+    is_late = lag.value - lag.half_width > 0 and found.lag.value > LATE_S
+    remedy = "does the autopilot answer TIMESYNC, and is the link slow or shared? A distance is off while it turns"
+    outcome.add("delay of the attitude", (is_late, text, remedy), (True, text))
