@@ -365,6 +365,17 @@ def test_a_change_that_is_refused_leaves_the_step_open(tmp_path: Path) -> None:
     assert not (tmp_path / "airframe.commission.json").exists()
 
 
+def test_a_parameter_that_is_refused_or_not_known_leaves_the_step_open(tmp_path: Path) -> None:
+    vehicle = Vehicle(tmp_path, GOOD, GOOD, seed=7)
+    known = {name: value for name, value in COPTER.items() if name != "RNGFND1_ORIENT"}
+    vehicle.held.parameters = known | {"RNGFND1_TYPE": 0.0}
+    vehicle.person.agrees_to = lambda text: False
+    assert vehicle.commission("parameters") == 1
+    assert "wrong RNGFND1_TYPE: left as it was: RNGFND1_TYPE: 0 -> 10" in vehicle.shown
+    assert "wrong RNGFND1_ORIENT: RNGFND1_ORIENT: not known by this autopilot; expected 25" in vehicle.shown
+    assert vehicle.held.parameters["RNGFND1_TYPE"] == 0.0
+
+
 def test_a_vehicle_held_still_is_not_measured(tmp_path: Path) -> None:
     vehicle = Vehicle(tmp_path, GOOD, WRONG_SIGN, seed=8)
     vehicle.person.is_idle = True
