@@ -83,15 +83,15 @@ def fleet(
 
 def _print(findings: "FleetFindings", died: int, console: PlainConsole) -> None:
     from msp_lab.fleet.words import left_out_line, line_of
+    from msp_lab.gap.labels import unit_after
 
     console.print(findings.sentence, style="bold")
     found = findings.effects[: findings.found]
     for each in found:
         console.print(f"  {each.kind}: {line_of(each, findings)}")
         if each.mean is not None:
-            unit = "" if each.unit in ("1", "") else f" {each.unit}"
             console.print(
-                f"    fleet {each.mean:.3g} ({each.low:.3g} to {each.high:.3g}){unit}, "
+                f"    fleet {each.mean:.3g} ({each.low:.3g} to {each.high:.3g}){unit_after(each.unit)}, "
                 f"between vehicles {each.tau:.2g}, {each.parameter}",
                 style="dim",
             )

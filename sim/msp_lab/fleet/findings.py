@@ -129,42 +129,35 @@ class FleetFindings:
     def as_csv(self) -> str:
         """A row for each number of each sensor."""
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(self._rows())
+        rows = list(self._rows())
+        writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
         return text.getvalue()
 
-    def _rows(self) -> Iterator[list[str]]:
+    def _rows(self) -> Iterator[dict[str, str]]:
         for each in self.effects:
-            fleet = [_digits(value) for value in (each.mean, each.low, each.high, each.tau)]
             for one in each.estimates:
-                numbers = (one.value, one.error, one.shrunk, one.low, one.high, one.p_value)
-                own = [_digits(value) for value in numbers]
-                what = [each.kind, each.name, each.parameter, each.unit, one.vehicle, one.sensor, each.since]
-                yield [*what, "yes" if one.odd else "no", *own, *fleet]
-
-
-COLUMNS = (
-    "kind",
-    "effect",
-    "parameter",
-    "unit",
-    "vehicle",
-    "sensor",
-    "since",
-    "odd",
-    "value",
-    "std_error",
-    "shrunk",
-    "shrunk_low",
-    "shrunk_high",
-    "p_value",
-    "fleet_mean",
-    "fleet_low",
-    "fleet_high",
-    "between_vehicles_std",
-)
-"""Columns of ``fleet.csv``."""
+                yield {
+                    "kind": each.kind,
+                    "effect": each.name,
+                    "parameter": each.parameter,
+                    "unit": each.unit,
+                    "vehicle": one.vehicle,
+                    "sensor": one.sensor,
+                    "since": each.since,
+                    "odd": "yes" if one.odd else "no",
+                    "value": _digits(one.value),
+                    "std_error": _digits(one.error),
+                    "shrunk": _digits(one.shrunk),
+                    "shrunk_low": _digits(one.low),
+                    "shrunk_high": _digits(one.high),
+                    "p_value": _digits(one.p_value),
+                    "fleet_mean": _digits(each.mean),
+                    "fleet_low": _digits(each.low),
+                    "fleet_high": _digits(each.high),
+                    "between_vehicles_std": _digits(each.tau),
+                }
 
 
 def _digits(value: float | None) -> str:

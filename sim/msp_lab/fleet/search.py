@@ -11,17 +11,18 @@ Which effect a unit has is decided by refits: that which gains most over all uni
 that gain nearly as much are its alternatives.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from msp_lab.fleet.findings import Kind
-from msp_lab.fleet.statistics import Change, Number, changes_of, numbers_of
+from msp_lab.fleet.statistics import Change, Deviation, Number, changes_of, numbers_of
 from msp_lab.fleet.terms import FleetTerm, candidate_of, effect_of
 from msp_lab.fleet.unit import RefittedTerm, Unit, UnitScores, compare, examine
 from msp_lab.gap import rules
+from msp_range.arrays import Array
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
 from msp_sim.workers import ItemOutcome
@@ -33,9 +34,11 @@ Map = Callable[[Callable[[Model, Any], Any], Sequence[Any]], Iterable[ItemOutcom
 MAX_FINDINGS = 40
 """The search ends after so many: what is then left has a common cause that nobody has named."""
 SHARED_NATS = 8.0
-"""An effect that the fleet shares gains so much in the mean sensor [nat], 4 standard errors. Twenty vehicles show less
-for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn fleet without any effect. Lower:
-shared effects that are the bench's error; higher: weak ones are missed."""
+"""An effect that the fleet shares gains so much in the mean ordinary sensor [nat], 4 standard errors. Twenty vehicles
+show less for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn fleet without any
+effect. Lower: shared effects that are the bench's error; higher: weak ones are missed."""
+FLEET = -1
+"""Stands for the place of a unit where the whole fleet is meant."""
 SHARED_TRIED = 6
 """So many effects are refitted in all units when the fleet shares one. More: slower."""
 
@@ -50,13 +53,16 @@ class FleetFinding:
     term: FleetTerm
     """The number."""
     units: tuple[int, ...]
-    """Places of the units."""
-    log_p: tuple[float, ...]
-    """Logarithms of their p-values, or the one of the fleet's mean."""
+    """Places of the units that have it; of what the fleet has none."""
     alternatives: tuple[tuple[FleetTerm, float], ...] = ()
     """Other effects that explain it as well, with how much less they gain [nat]."""
     change: Change | None = None
     """Of one unit."""
+
+    @property
+    def count(self) -> int:
+        """As how many findings it counts."""
+        return max(len(self.units), 1)
 
 
 @dataclass
@@ -82,18 +88,14 @@ class Search:
         self.before_change: dict[int, UnitScores] = {}
         """Of a unit that changed, its scores before the change was known."""
         self._without: set[tuple[int, Key]] = set()
-        """Units, or -1 for the fleet, and effects that did not gain what their scores promised."""
+        """Units, or `FLEET`, and effects that did not gain what their scores promised."""
         self._plain_first: dict[tuple[FleetTerm, int], float] = {}
         """Logarithms of p-values of the numbers that every unit has, at the first fit."""
 
     def search(self) -> None:
         """Find until nothing is left that random variation does not explain."""
-        self._plain_first = {
-            (each.term, unit): log_p
-            for each in numbers_of(self.scores)
-            if each.term.is_base
-            for unit, log_p in zip(each.units.tolist(), each.log_p.tolist(), strict=True)
-        }
+        first = [each for number in numbers_of(self.scores) if number.term.is_base for each in number.deviations]
+        self._plain_first = {(each.term, each.unit): each.log_p for each in first}
         while len(self.found) < MAX_FINDINGS:
             numbers, changes = numbers_of(self.scores), changes_of(self.scores)
             plain = sum(each.units.size for each in numbers if each.term.is_base)
@@ -108,18 +110,9 @@ class Search:
         """Number of hypotheses."""
         return self.plain_tests + self.other_tests
 
-    @property
-    def _log_level(self) -> float:
-        """Logarithm of the p-value that the next finding may have, unless it is a number that every unit has."""
-        return self._level(self.other_tests)
-
-    @property
-    def _plain_log_level(self) -> float:
-        """The same of a number that every unit has."""
-        return self._level(self.plain_tests)
-
-    def _level(self, tests: int) -> float:
-        count = sum(len(each.log_p) for each in self.found)
+    def log_level(self, tests: int) -> float:
+        """Logarithm of the p-value that the next finding of a family of so many tests may have."""
+        count = sum(each.count for each in self.found)
         return float(np.log(0.5 * self.fdr * (count + 1) / max(tests, 1)))
 
     @property
@@ -133,42 +126,39 @@ class Search:
 
     def _shared(self, numbers: Sequence[Number]) -> bool:
         """One more effect that the fleet shares."""
-        of_all = self._of_all
-        open_ = [
-            each
+        level, of_all = self.log_level(self.other_tests), self._of_all
+        open_ = {
+            each.term: each
             for each in numbers
             if not (each.term.is_base or each.term.sessions)
             and each.term.key not in of_all
-            and (-1, each.term.key) not in self._without
+            and (FLEET, each.term.key) not in self._without
             and each.fleet.ordinary.sum() > len(self.units) / 2.0
-        ]
-        best = _best_by_key((each.shared_log_p, each) for each in open_)
-        best = [pair for pair in best if pair[0] <= self._log_level]
+        }
+        means = [Deviation(each.shared_log_p, term, FLEET, each.fleet.mean) for term, each in open_.items()]
+        best = [each for each in _best_by_key(means) if each.log_p <= level]
         if not best:
             return False
         # What every sensor has a number for, such as the tails of its noise, is calibrated before anything is named.
-        numbered = [pair for pair in best if effect_of(pair[1].term.effect).base is not None]
-        near = [pair for pair in best if pair[0] <= rules.REFIT_WITHIN_SHARE * best[0][0]]
+        numbered = [each for each in best if effect_of(each.term.effect).base is not None]
+        near = [each for each in best if each.log_p <= rules.REFIT_WITHIN_SHARE * best[0].log_p]
         best = numbered[:1] or near[:SHARED_TRIED]
-        everyone = list(range(len(self.units)))
-        tried = [_tried(number, number.fleet.mean) for _, number in best]
-        gains = self._gains(everyone, tried)
-        total = gains.nats.sum(axis=0)
+        everyone = range(len(self.units))
+        gains = self._gains(everyone, [_tried(each) for each in best])
+        total = len(self.units) * mean_nats(gains.nats, [open_[each.term] for each in best])
         k = int(np.argmax(total))
-        calibration = effect_of(tried[k].effect).base is not None
-        needed = -self._log_level if calibration else max(-self._log_level, SHARED_NATS * len(self.units))
+        needed = -level if numbered else max(-level, SHARED_NATS * len(self.units))
         if total[k] < needed:
-            self._without |= {(-1, each.key) for each in tried}
+            self._without |= {(FLEET, each.term.key) for each in best}
             return True
         term = gains.common(k, everyone)
-        log_p = next(each for each, number in best if number.term.key == term.key)
-        kind: Kind = "calibration" if calibration else "shared"
-        self._take(FleetFinding(kind, term, tuple(everyone), (log_p,), gains.near(k, total)))
+        self.found.append(FleetFinding("calibration" if numbered else "shared", term, (), gains.near(k, total)))
+        self._fit(everyone, term)
         return True
 
     def _of_units(self, numbers: Sequence[Number], changes: Sequence[tuple[FleetTerm, int, Change]]) -> bool:
         """Some units with one more effect, or one that changed."""
-        level = self._log_level
+        level = self.log_level(self.other_tests)
         flagged = self._flagged(numbers, level)
         done = {each.units[0] for each in self.found if each.change is not None}
         changed = [each for each in changes if each[2].log_p <= level and each[1] not in done]
@@ -176,9 +166,9 @@ class Search:
         if changed and min(each[2].log_p for each in changed) <= first:
             self._take_change(*min(changed, key=lambda each: each[2].log_p), changes)
             return True
-        if not flagged:
-            return False
-        return self._odd(flagged, level)
+        if flagged:
+            self._odd(flagged, level)
+        return bool(flagged)
 
     def _flagged(self, numbers: Sequence[Number], level: float) -> dict[int, "_Suspect"]:
         """Units that are odd, each with the effects that may be why.
@@ -186,10 +176,11 @@ class Search:
         Those are effects whose own number is odd, and where a number of the base is, all that change the same: where
         throttle hardly varies, a score says little of what grows with throttle, and a refit more.
         """
+        plain_level = self.log_level(self.plain_tests)
         of_base = {
-            (unit, effect_of(term.effect).channels[0]): log_p
-            for log_p, term, unit in self._plain(numbers)
-            if log_p <= self._plain_log_level
+            (each.unit, effect_of(each.term.effect).channels[0]): each.log_p
+            for each in self._plain(numbers)
+            if each.log_p <= plain_level
         }
         found: dict[int, _Suspect] = {}
         for number in numbers:
@@ -199,143 +190,134 @@ class Search:
             if "component" in channels:
                 # Echoes from elsewhere count as short or random readings until they have a name.
                 channels = (*channels, "short", "random")
-            for j, unit in enumerate(number.units.tolist()):
-                own, same = float(number.log_p[j]), [(unit, each) for each in channels]
-                others = [] if self.fits(unit, number.term) else [of_base[each] for each in same if each in of_base]
-                if self._has(unit, number.term.key) or (own > level and not others):
+            for each in number.deviations:
+                same = [(each.unit, channel) for channel in channels]
+                others = [] if self.fits(each.unit, each.term) else [of_base[one] for one in same if one in of_base]
+                if self._has(each.unit, each.term.key) or (each.log_p > level and not others):
                     continue
-                suspect = found.setdefault(unit, _Suspect())
-                suspect.log_p = min([suspect.log_p, own, *others])
-                (suspect.own if own <= level else suspect.other).append((own, number, j))
+                suspect = found.setdefault(each.unit, _Suspect())
+                suspect.log_p = min([suspect.log_p, each.log_p, *others])
+                (suspect.own if each.log_p <= level else suspect.other).append(each)
         return found
 
-    def _plain(self, numbers: Sequence[Number]) -> list[tuple[float, FleetTerm, int]]:
-        """Logarithms of p-values of the numbers that every unit has, where they are open.
+    def _plain(self, numbers: Sequence[Number]) -> list[Deviation]:
+        """Deviations in the numbers that every unit has, where they are open.
 
         Of a unit in which nothing was found they are those of the first fit: what the whole fleet has is fitted in each
         unit too, and leaves its scatter less certain.
         """
-        found = {unit for each in self.found if each.kind in ("odd", "change", "drift") for unit in each.units}
+        found = {unit for each in self.found for unit in each.units}
+        plain = [number for number in numbers if number.term.is_base and not number.term.sessions]
         return [
-            (float(number.log_p[j]) if unit in found else self._plain_first[number.term, unit], number.term, unit)
-            for number in numbers
-            if number.term.is_base and not number.term.sessions
-            for j, unit in enumerate(number.units.tolist())
-            if not self._has(unit, number.term.key) and (unit in found or (number.term, unit) in self._plain_first)
+            each if each.unit in found else each._replace(log_p=self._plain_first[each.term, each.unit])
+            for number in plain
+            for each in number.deviations
+            if not self._has(each.unit, each.term.key)
+            and (each.unit in found or (each.term, each.unit) in self._plain_first)
         ]
 
-    def _odd(self, flagged: dict[int, "_Suspect"], level: float) -> bool:
-        worst = min(flagged, key=lambda unit: flagged[unit].log_p)
+    def _odd(self, flagged: Mapping[int, "_Suspect"], level: float) -> None:
+        """Name what the clearest of the odd units has, and all that have the same."""
+        units = list(flagged)
+        worst = min(units, key=lambda unit: flagged[unit].log_p)
         # What all units have is fitted in all: a unit with more or less of it needs no refit.
-        best = min(flagged[worst].own, key=lambda each: each[0], default=None)
+        best = min(flagged[worst].own, key=lambda each: each.log_p, default=None)
         of_all = self._of_all
-        if best is not None and best[1].term.key in of_all:
-            self._take(FleetFinding("odd", best[1].term, (worst,), (best[0],)))
-            return True
+        if best is not None and best.term.key in of_all:
+            self._take_odd(best.term, (worst,))
+            return
         tried: dict[Key, FleetTerm] = {}
         for suspect in sorted(flagged.values(), key=lambda each: each.log_p):
-            for number, j in suspect.candidates():
-                if number.term.key not in of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
-                    tried.setdefault(number.term.key, _tried(number, float(number.value[j])))
+            for each in suspect.candidates():
+                if each.term.key not in of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
+                    tried.setdefault(each.term.key, _tried(each))
         if not tried:
-            self._without |= {(worst, number.term.key) for _, number, _ in (*flagged[worst].own, *flagged[worst].other)}
-            return True
-        units = list(flagged)
+            self._without |= {(worst, each.term.key) for each in (*flagged[worst].own, *flagged[worst].other)}
+            return
         gains = self._gains(units, list(tried.values()))
-        nats = gains.nats
         row = units.index(worst)
-        k = int(np.argmax(nats[row]))
-
-        def alike(k: int) -> list[int]:
-            """Units that this effect explains as well as any other does."""
-            behind = nats.max(axis=1) - nats[:, k] <= rules.ALTERNATIVE_NATS
-            return [
-                i
-                for i in np.flatnonzero(behind & (nats[:, k] >= -level)).tolist()
-                if not self._has(units[i], gains.terms[k].key)
-            ]
-
-        group = alike(k)
+        k = int(np.argmax(gains.nats[row]))
+        group = [i for i in gains.explained(k, -level) if not self._has(units[i], gains.terms[k].key)]
         if row not in group:
-            self._without |= {(worst, each.key) for each in tried.values()}
-            return True
-        total = nats[group].sum(axis=0)
+            self._without |= {(worst, key) for key in tried}
+            return
+        total = gains.nats[group].sum(axis=0)
         k = int(np.argmax(total))
-        term = gains.common(k, group)
         members = tuple(units[i] for i in group)
-        smallest = tuple(flagged[unit].log_p for unit in members)
-        self._take(FleetFinding("odd", term, members, smallest, gains.near(k, total)))
+        self._take_odd(gains.common(k, group), members, gains.near(k, total))
         self._prune(members)
-        return True
 
     def _of_base(self, numbers: Sequence[Number]) -> bool:
         """A unit with another number of the base, once no effect explains it."""
-        pairs = self._plain(numbers)
-        log_p, term, unit = min(pairs, key=lambda each: each[0], default=(0.0, None, -1))
-        if term is None or log_p > self._plain_log_level:
+        best = min(self._plain(numbers), key=lambda each: each.log_p, default=None)
+        if best is None or best.log_p > self.log_level(self.plain_tests):
             return False
-        same = next((k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term), None)
-        if same is None:
-            self._take(FleetFinding("odd", term, (unit,), (log_p,)))
-        else:
-            old = self.found[same]
-            self.found[same] = replace(old, units=(*old.units, unit), log_p=(*old.log_p, log_p))
+        self._take_odd(best.term, (best.unit,))
         return True
 
     def _take_change(
         self, term: FleetTerm, unit: int, change: Change, changes: Sequence[tuple[FleetTerm, int, Change]]
     ) -> None:
         """Only the clearest change of a unit, with the other numbers that it could be a change of."""
-        nats = 0.5 * (change.size / change.error) ** 2
         near = []
         for other, place, each in changes:
-            lost = nats - 0.5 * (each.size / each.error) ** 2
+            lost = change.nats - each.nats
             if place == unit and other != term and lost <= rules.ALTERNATIVE_NATS:
                 near.append((other, lost))
-        self.found.append(FleetFinding(change.kind, term, (unit,), (change.log_p,), tuple(near), change))
+        self.found.append(FleetFinding(change.kind, term, (unit,), tuple(near), change))
         self.before_change[unit] = self.scores[unit]
         sessions = self.scores[unit].sessions
         # A drift is a change in the middle, as far as it could pass for another effect.
         later = sessions[change.first if change.kind == "change" else len(sessions) // 2 :]
-        self._fit({unit: replace(term, sessions=later, start=change.size)})
+        self._fit([unit], replace(term, sessions=later, start=change.size))
 
-    def _take(self, finding: FleetFinding) -> None:
-        self.found.append(finding)
-        if not finding.term.is_base:
-            self._fit({unit: finding.term for unit in finding.units if not self.fits(unit, finding.term)})
+    def _take_odd(
+        self, term: FleetTerm, units: tuple[int, ...], alternatives: tuple[tuple[FleetTerm, float], ...] = ()
+    ) -> None:
+        """Units that are odd in a number, with those that were found to be before."""
+        same = self._odd_in(term)
+        if same:
+            self._replace(same[0], (*same[0].units, *units))
+        else:
+            self.found.append(FleetFinding("odd", term, units, alternatives))
+        if not term.is_base:
+            self._fit([unit for unit in units if not self.fits(unit, term)], term)
+
+    def _odd_in(self, term: FleetTerm) -> list[FleetFinding]:
+        return [each for each in self.found if each.kind == "odd" and each.term.identity == term.identity]
+
+    def _replace(self, finding: FleetFinding, units: tuple[int, ...]) -> None:
+        """The finding with other units in its place; with none it is no finding."""
+        place = self.found.index(finding)
+        self.found[place : place + 1] = [replace(finding, units=units)] if units else []
 
     def _prune(self, units: Iterable[int]) -> None:
         """Take out effects of units that others, found later, have made needless."""
         for unit in units:
-            for term in [each for each in self.terms[unit] if not each.sessions]:
-                own = [k for k, each in enumerate(self.found) if each.kind == "odd" and each.term == term]
+            for term in self.terms[unit]:
                 others = tuple(each for each in self.terms[unit] if each != term)
-                if not own or not others or unit not in self.found[own[0]].units:
+                own = [each for each in self._odd_in(term) if unit in each.units]
+                if not own or not others:
                     continue
                 ((lost,),) = values_of(self.run(compare, [(self.units[unit], others, (term,))]))
-                if lost.gain_nats >= -rules.KEEP_SHARE * self._log_level:
+                if lost.gain_nats >= -rules.KEEP_SHARE * self.log_level(self.other_tests):
                     continue
                 self.terms[unit] = others
                 (self.scores[unit],) = self.examined([unit], self.terms)
                 # It is not asked again, so that effects do not take each other's place in turn.
                 self._without.add((unit, term.key))
-                old = self.found[own[0]]
-                kept = [k for k, each in enumerate(old.units) if each != unit]
-                units_left, log_p = tuple(old.units[k] for k in kept), tuple(old.log_p[k] for k in kept)
-                self.found[own[0]] = replace(old, units=units_left, log_p=log_p)
-        self.found = [each for each in self.found if each.units]
+                self._replace(own[0], tuple(each for each in own[0].units if each != unit))
 
     def fits(self, unit: int, term: FleetTerm) -> bool:
         """Whether a unit is known to have an effect."""
         return any(each.key == term.key and not each.sessions for each in self.terms[unit])
 
-    def _fit(self, added: dict[int, FleetTerm]) -> None:
+    def _fit(self, units: Sequence[int], term: FleetTerm) -> None:
         """Refit units with one more term."""
-        for unit, term in added.items():
+        for unit in units:
             self.terms[unit] = (*self.terms[unit], term)
-        places = list(added)
-        for k, each in zip(places, self.examined(places, self.terms), strict=True):
-            self.scores[k] = each
+        for unit, each in zip(units, self.examined(units, self.terms), strict=True):
+            self.scores[unit] = each
 
     def examined(
         self, places: Sequence[int], terms: Sequence[tuple[FleetTerm, ...]], with_others: bool = True
@@ -375,15 +357,13 @@ class _Suspect:
     """A unit that is odd: the smallest p-value that says so, effects that do, and others that may be why."""
 
     log_p: float = 0.0
-    own: list[tuple[float, Number, int]] = field(default_factory=list)
-    other: list[tuple[float, Number, int]] = field(default_factory=list)
+    own: list[Deviation] = field(default_factory=list)
+    other: list[Deviation] = field(default_factory=list)
 
-    def candidates(self) -> list[tuple[Number, int]]:
+    def candidates(self) -> list[Deviation]:
         """The effects to refit, the clearest first; each with its best shape."""
-        own = _best_by_key((log_p, (number, j)) for log_p, number, j in self.own)
         # Not only those near the best: of what is large a score promises too little.
-        own = own[: rules.REFITS_PER_STEP]
-        return [each for _, each in (*own, *_best_by_key((log_p, (number, j)) for log_p, number, j in self.other))]
+        return [*_best_by_key(self.own)[: rules.REFITS_PER_STEP], *_best_by_key(self.other)]
 
 
 @dataclass(frozen=True)
@@ -392,9 +372,14 @@ class _Gains:
 
     terms: tuple[FleetTerm, ...]
     fits: list[list[RefittedTerm]]
-    nats: Any
+    nats: Array
 
-    def near(self, k: int, total: Any) -> tuple[tuple[FleetTerm, float], ...]:
+    def explained(self, k: int, least_nats: float) -> list[int]:
+        """Places of the units that the k-th effect explains, and as well as any other does."""
+        behind = self.nats.max(axis=1) - self.nats[:, k]
+        return np.flatnonzero((behind <= rules.ALTERNATIVE_NATS) & (self.nats[:, k] >= least_nats)).tolist()
+
+    def near(self, k: int, total: Array) -> tuple[tuple[FleetTerm, float], ...]:
         """Alternatives to the k-th effect."""
         lost = total[k] - total
         order = [j for j in np.argsort(lost).tolist() if j != k and lost[j] <= rules.ALTERNATIVE_NATS]
@@ -411,16 +396,26 @@ class _Gains:
         )
 
 
-def _best_by_key(pairs: Iterable[tuple[float, Any]]) -> list[tuple[float, Any]]:
+def mean_nats(nats: Array, numbers: Sequence[Number]) -> Array:
+    """What each number gains in the mean unit that is ordinary in it: a few odd ones are no reason to give it to all.
+
+    Parameters
+    ----------
+    nats
+        What each unit gains by each number, (units, numbers).
+    numbers
+        Over the fleet.
+    """
+    return np.array([nats[each.units[each.fleet.ordinary], j].mean() for j, each in enumerate(numbers)])
+
+
+def _best_by_key(deviations: Iterable[Deviation]) -> list[Deviation]:
     """For each effect the shape with the smallest p-value, the smallest first."""
-    best: dict[Key, tuple[float, Any]] = {}
-    for log_p, each in pairs:
-        number = each if isinstance(each, Number) else each[0]
-        key = number.term.key
-        if key not in best or log_p < best[key][0]:
-            best[key] = log_p, each
-    return sorted(best.values(), key=lambda each: each[0])
+    best: dict[Key, Deviation] = {}
+    for each in sorted(deviations, key=lambda each: each.log_p):
+        best.setdefault(each.term.key, each)
+    return list(best.values())
 
 
-def _tried(number: Number, start: float) -> FleetTerm:
-    return replace(number.term, shape_fitted=True, start=start)
+def _tried(deviation: Deviation) -> FleetTerm:
+    return replace(deviation.term, shape_fitted=True, start=deviation.value)

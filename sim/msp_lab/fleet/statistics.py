@@ -7,7 +7,7 @@ the fleet: the value at which the median vehicle's sessions scatter as much as e
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -37,6 +37,24 @@ class Change:
     log_p: float
     """Logarithm of its p-value, with the search for the place counted."""
 
+    @property
+    def nats(self) -> float:
+        """By how much the likelihood of its sessions grows [nat]."""
+        return 0.5 * (self.size / self.error) ** 2
+
+
+class Deviation(NamedTuple):
+    """How one number of a unit deviates from the others', or that of the fleet from nothing."""
+
+    log_p: float
+    """Logarithm of its p-value."""
+    term: FleetTerm
+    """The number."""
+    unit: int
+    """Place of the unit."""
+    value: float
+    """Its estimate."""
+
 
 @dataclass(frozen=True)
 class Number:
@@ -55,6 +73,12 @@ class Number:
     """Mean and spread."""
     log_p: Array
     """Logarithms of the p-values of each unit's deviation from the others, (k,)."""
+
+    @property
+    def deviations(self) -> list[Deviation]:
+        """That of each unit."""
+        of_units = zip(self.log_p.tolist(), self.units.tolist(), self.value.tolist(), strict=True)
+        return [Deviation(log_p, self.term, unit, value) for log_p, unit, value in of_units]
 
     @property
     def shared_log_p(self) -> float:

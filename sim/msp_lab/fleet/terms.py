@@ -53,6 +53,11 @@ class FleetTerm:
         return self.effect, self.of
 
     @property
+    def identity(self) -> tuple[object, ...]:
+        """What terms have in common that are of one number, wherever their fits start."""
+        return self.effect, self.number, self.of, self.shape, self.sessions
+
+    @property
     def is_base(self) -> bool:
         """A number that every sensor has."""
         return self.effect in BASE_NUMBERS

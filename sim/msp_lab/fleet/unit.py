@@ -27,7 +27,7 @@ import numpy as np
 from msp_lab.fleet.rare import RareReadings
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import score_of
+from msp_lab.gap.candidates import CandidateEffect, score_of
 from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, with_candidate
@@ -151,95 +151,83 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     Raises
     ------
     UserError
-        As `problem_of`.
+        As `_fitted`.
     """
     unit, terms, with_others = task
-    problem, fit = problem_of(model, unit), fit_of(model, unit, terms)
-    own = {(*each.key, each.number) for each in terms if not each.sessions}
-    candidates = [
-        each
-        for each in problem.candidates
-        if with_others and each.effect.per != "run" and (*each.key, each.parameter.name) not in own
-    ]
+    problem, fit = _fitted(model, unit, terms)
+    candidates = _candidates(problem, terms) if with_others else []
     numbers = (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms, *map(term_of, candidates))
-
-    def scores(prepared: Prepared) -> Array:
-        """Of all fitted numbers, then of the candidates."""
-        again = refit(prepared, fit.effects, fit.base, rounds=0)
-        here = again.here
-        of_candidates = [score_of(each, prepared, here) for each in candidates]
-        return np.column_stack([again.at.scores, *of_candidates])
-
     rng = unit.rng(1)
     rows = max(rules.REPLICATE_ROWS, min(4 * len(problem.readings), REPLICATE_ROWS))
     drawn = replicate(
         problem.model, fit.base, fit.effects, problem.contexts, rng, rows, spacing_s=problem.readings.spacing_s
     )
     rare = RareReadings(drawn, fit, candidates, rng)
-    expected, measured = scores(rare.prepared), scores(problem.readings)
-    of_numbers, values = list(range(len(BASE_NUMBERS))), list(fit.base[: len(BASE_NUMBERS)])
-    for k, term in enumerate(terms):
-        of_numbers.append(fit.names.index(f"{k}.{term.number}"))
-        values.append(fit.effects[k].values[term.number])
-    fitted = len(fit.names)
+    expected, measured = (_scores(each, fit, candidates) for each in (rare.prepared, problem.readings))
+    bases, fitted = len(BASE_NUMBERS), len(fit.names)
+    of_terms = [fit.names.index(f"{k}.{term.number}") for k, term in enumerate(terms)]
+    places = np.array([*range(bases), *of_terms, *range(fitted, fitted + len(candidates))])
+    value = np.append(fit.values, np.zeros(len(candidates)))[places]
     weight = rare.weights(expected[:, fitted:])[:, None]
-    places = np.array([*of_numbers, *range(fitted, fitted + len(candidates))])
     free = np.flatnonzero(~fit.at.held)
-    linear = np.array([each.linear for each in candidates], dtype=bool)
-    is_linear = np.append(np.zeros(len(of_numbers), dtype=bool), linear)
-    bounded, bounded_here = _bounded(expected, fitted, linear), _bounded(measured, fitted, linear)
+    is_share = np.append(np.zeros(fitted, dtype=bool), np.array([each.linear for each in candidates], dtype=bool))
+    bounded, bounded_here = (_bounded(each, is_share) for each in (expected, measured))
     turned = _explained(weight * expected / len(drawn), expected, bounded, places, free)
     flown = set(problem.contexts["run"].tolist())
     sessions = {name: k for k, name in enumerate(each for each in unit.sessions if each in flown)}
     here, there = (
         np.array([sessions[each] for each in columns["run"].tolist()]) for columns in (problem.contexts, drawn.scene)
     )
-    readings = np.bincount(here, minlength=len(sessions))
     explained = expected[:, free] @ turned.T
     score, information, variance = sums_over_sessions(
         SimulatedScores(weight, expected[:, places] - explained, bounded[:, places] - explained),
         there,
         bounded_here[:, places] - measured[:, free] @ turned.T,
         here,
-        is_linear,
+        is_share[places],
         len(sessions),
     )
     # What the other numbers explain nearly all of says nothing.
     own_information = (weight * bounded[:, places] * expected[:, places]).mean(axis=0) * len(problem.readings)
-    total = information.sum(axis=0)
-    clear = (own_information > 0.0) & (total > rules.COLLINEAR * own_information)
+    clear = (own_information > 0.0) & (information.sum(axis=0) > rules.COLLINEAR * own_information)
     # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare.
-    clear[: len(BASE_NUMBERS)] &= ~fit.at.held[: len(BASE_NUMBERS)]
+    clear[:bases] &= ~fit.at.held[:bases]
     information = np.where(clear, np.maximum(information, 0.0), 0.0)
     variance, score = (np.where(information > 0.0, each, 0.0) for each in (variance, score))
-    value = np.array([*values, *np.zeros(len(candidates))])
+    readings, untestable = np.bincount(here, minlength=len(sessions)), problem.untestable
     return UnitScores(
-        numbers,
-        tuple(sessions),
-        readings,
-        value,
-        places < fitted,
-        score,
-        information,
-        variance,
-        problem.untestable,
+        numbers, tuple(sessions), readings, value, places < fitted, score, information, variance, untestable
     )
+
+
+def _candidates(problem: Problem, terms: Sequence[FleetTerm]) -> list[CandidateEffect]:
+    """Effects that a unit with these terms may have as well."""
+    own = {(*each.key, each.number) for each in terms if not each.sessions}
+    return [
+        each for each in problem.candidates if each.effect.per != "run" and (*each.key, each.parameter.name) not in own
+    ]
+
+
+def _scores(prepared: Prepared, fit: JointFit, candidates: Sequence[CandidateEffect]) -> Array:
+    """Scores of readings at a fit, of all fitted numbers and then of the candidates."""
+    again = refit(prepared, fit.effects, fit.base, rounds=0)
+    return np.column_stack([again.at.scores, *(score_of(each, prepared, again.here) for each in candidates)])
 
 
 def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[RefittedTerm]:
     """Refits of a unit with its terms and one more, each of the last ones in its turn."""
     unit, terms, tried = task
-    problem, fit = problem_of(model, unit), fit_of(model, unit, terms)
+    problem, fit = _fitted(model, unit, terms)
     found = []
     for term in tried:
-        best = with_term(problem, fit, term)
+        best = _with_term(problem, fit, term)
         gained = best.log_likelihood - fit.log_likelihood - candidate_of(term).cost_nats
         found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
     return found
 
 
-def problem_of(model: Model, unit: Unit) -> Problem:
-    """The readings of a unit, ready for fits.
+def _fitted(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> tuple[Problem, JointFit]:
+    """The readings of a unit, ready for fits, and the joint fit of base and terms, which are added one after another.
 
     Raises
     ------
@@ -248,7 +236,8 @@ def problem_of(model: Model, unit: Unit) -> Problem:
     UnusableError
         There are too few readings.
     """
-    return _problem(pickle.dumps(model), unit)
+    pickled = pickle.dumps(model)
+    return _problem(pickled, unit), _fit(pickled, unit, tuple(terms))
 
 
 @lru_cache(maxsize=KEPT_UNITS)
@@ -267,18 +256,13 @@ def _problem(pickled: bytes, unit: Unit) -> Problem:
     return Problem.of(model, columns, reading_cm, numbered(columns["run"]), unit.rng())
 
 
-def fit_of(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> JointFit:
-    """The joint fit of base and terms, which are added one after another."""
-    return _fit(pickle.dumps(model), unit, tuple(terms))
-
-
 @lru_cache(maxsize=KEPT_UNITS)
 def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
     problem = _problem(pickled, unit)
-    return with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
+    return _with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
 
 
-def with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
+def _with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
     """The joint fit with one more term, from where it is expected."""
     candidate = candidate_of(term)
     parameter = candidate.parameter
@@ -328,12 +312,9 @@ def sums_over_sessions(
     return sums_by(here, own, sessions), information, variance
 
 
-def _bounded(scores: Array, fitted: int, linear: Flags) -> Array:
+def _bounded(scores: Array, is_share: Flags) -> Array:
     """The same with the scores of shares at a share of `SMALL_SHARE`: none is larger than its inverse."""
-    found = scores.copy()
-    of_shares = fitted + np.flatnonzero(linear)
-    found[:, of_shares] /= 1.0 + SMALL_SHARE * scores[:, of_shares]
-    return found
+    return np.where(is_share, scores / np.where(is_share, 1.0 + SMALL_SHARE * scores, 1.0), scores)
 
 
 def _explained(weighted: Array, scores: Array, bounded: Array, places: Indices, free: Indices) -> Array:

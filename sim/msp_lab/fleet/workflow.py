@@ -67,7 +67,7 @@ def find_in_fleet(
     search = Search(units, [each.value for _, each in outcomes if each.value is not None], fdr, run)
     search.search()
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
-    effects = sorted(_joined([_effect(search, each) for each in search.found]), key=lambda each: order[each.kind])
+    effects = sorted((_effect(search, each) for each in search.found), key=lambda each: order[each.kind])
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),
@@ -76,7 +76,7 @@ def find_in_fleet(
         sensors=len(units),
         sessions=sum(len(each.sessions) for each in search.scores),
         readings=sum(int(each.readings.sum()) for each in search.scores),
-        effects=tuple(effects) or (_effect(search, FleetFinding("calibration", FleetTerm("offset", "value"), (), ())),),
+        effects=tuple(effects) or (_effect(search, FleetFinding("calibration", FleetTerm("offset", "value"), ())),),
         found=len(effects),
         left_out=tuple(left_out),
         fdr=fdr,
@@ -140,15 +140,14 @@ def _estimated(search: Search, term: FleetTerm) -> Number:
         added = search.examined(lacking, [(*own, term) for own in search.terms], with_others=False)
         again = dict(zip(lacking, added, strict=True))
         scores = [again.get(k, each) for k, each in enumerate(search.scores)]
-    same = replace(term, start=0.0)
-    return next(each for each in numbers_of(scores) if each.term == same)
+    return next(each for each in numbers_of(scores) if each.term.identity == term.identity)
 
 
 def _changed(search: Search, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
     """The effect with what a unit's number changed by, and its estimates by session."""
-    unit, term = finding.units[0], replace(finding.term, start=0.0)
+    unit = finding.units[0]
     scores = search.before_change[unit]
-    series = next(each for each in series_of([scores]) if each.term == term)
+    series = next(each for each in series_of([scores]) if each.term.identity == finding.term.identity)
     score, information, variance = series.score[0], series.information[0], series.variance[0]
     known = np.flatnonzero(information > 0.0)
     value = series.value[0] + score[known] / information[known]
@@ -162,16 +161,3 @@ def _changed(search: Search, finding: FleetFinding, change: Change, effect: Flee
         since=scores.sessions[change.first] if change.kind == "change" else "",
         sessions=tuple(SessionEstimate(*each) for each in sessions),
     )
-
-
-def _joined(effects: Sequence[FleetEffect]) -> list[FleetEffect]:
-    """The odd ones of one effect together, whenever they were found."""
-    found: dict[tuple[object, ...], FleetEffect] = {}
-    for number, each in enumerate(effects):
-        key = (each.name, each.shape) if each.kind == "odd" else (number,)
-        if key in found:
-            odd = {(one.vehicle, one.sensor) for one in each.odd}
-            merged = [replace(one, odd=one.odd or (one.vehicle, one.sensor) in odd) for one in found[key].estimates]
-            each = replace(found[key], estimates=tuple(merged))
-        found[key] = each
-    return list(found.values())

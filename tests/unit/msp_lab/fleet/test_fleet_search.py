@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msp_lab.fleet.meta import pooled
-from msp_lab.fleet.search import FleetFinding, Search
+from msp_lab.fleet.search import FleetFinding, Search, mean_nats
 from msp_lab.fleet.statistics import Number
 from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.unit import Unit
@@ -37,12 +37,33 @@ def test_a_plain_number_keeps_the_answer_of_the_first_fit() -> None:
 
 def test_of_a_unit_in_which_something_was_found_it_is_what_is_left() -> None:
     made = search()
-    made.found.append(FleetFinding("odd", FleetTerm("vibration", "growth"), (3,), (-20.0,)))
+    made.found.append(FleetFinding("odd", FleetTerm("vibration", "growth"), (3,)))
     assert not made._of_base([scatter([-1.0] * 5)])
 
 
 def test_plain_numbers_share_half_of_the_rate_among_themselves() -> None:
     made = search()
-    assert made._plain_log_level == pytest.approx(np.log(0.05 / 2.0 / 5.0))
-    assert made._log_level == pytest.approx(np.log(0.05 / 2.0 / 1000.0))
+    assert made.log_level(made.plain_tests) == pytest.approx(np.log(0.05 / 2.0 / 5.0))
+    assert made.log_level(made.other_tests) == pytest.approx(np.log(0.05 / 2.0 / 1000.0))
     assert made.tests == 1005
+
+
+def test_what_three_odd_vehicles_gain_is_not_given_to_the_fleet() -> None:
+    """Each of them gains 100 nats by a bend, the 17 others next to nothing, and the fleet's mean is not quite 0."""
+    value = np.array([-0.2] * 3 + [-0.02] * 17)
+    error = np.full(20, 0.01)
+    fleet = pooled(value, error)
+    bend = Number(FleetTerm("bend", "slope_pct"), np.arange(20), value, error, 0.0, fleet, np.zeros(20))
+    nats = np.array([[100.0]] * 3 + [[0.5]] * 17)
+    assert mean_nats(nats, [bend]) == pytest.approx([0.5])
+
+
+def test_the_odd_ones_of_one_effect_are_one_finding_whenever_they_were_found() -> None:
+    made = search()
+    for unit in (3, 1):
+        made._take_odd(SCATTER, (unit,))
+    assert [each.units for each in made.found] == [(3, 1)]
+    made._replace(made.found[0], (1,))
+    assert [each.units for each in made.found] == [(1,)]
+    made._replace(made.found[0], ())
+    assert made.found == []
