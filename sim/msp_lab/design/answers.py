@@ -146,17 +146,16 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
         return as_answer([*without.effects, term], without.base, None)
     fit = _best_fit(old, without.effects, starts, without.base)
     is_shown = fit.log_likelihood - without.log_likelihood >= SHOWN_NATS
+    fitted = as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
     if is_shown and _doubt(fit) <= LARGEST_DOUBT:
-        return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
+        return fitted
     # The model's own numbers do as well. Then it may be the effect that has changed them: without it they are as given.
     given = Base()
     instead = _best_fit(old, without.effects, starts, given)
     unexplained = old.prepared.log_likelihood(given, without.effects)
     if instead.log_likelihood - max(without.log_likelihood - SHOWN_NATS, unexplained + SHOWN_NATS) >= 0.0:
         return as_answer([*instead.effects[:-1], _cautious(instead, alone=True)], instead.base, instead)
-    if is_shown:
-        return as_answer([*fit.effects[:-1], _cautious(fit)], fit.base, fit)
-    return as_answer([*without.effects, fit.effects[-1]], without.base, None)
+    return fitted if is_shown else as_answer([*without.effects, fit.effects[-1]], without.base, None)
 
 
 def _best_fit(old: OldReadings, others: Sequence[Term], starts: Sequence[Term], base: Base) -> JointFit:

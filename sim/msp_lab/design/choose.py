@@ -154,107 +154,134 @@ class Design:
         return next((each for each in self.classes if place in each), frozenset({place}))
 
 
-def cheapest(
-    question: OpenQuestion,
-    answers: Sequence[FittedAnswer],
-    given: Model,
-    places: Sequence[SessionPlace],
-    max_minutes: float,
-    power: float,
-    run_offset_cm: float,
-    old_runs: int,
-    rng: np.random.Generator,
-    report: Progress,
-) -> Design:
-    """The cheapest session in which each answer is found with this power where it is true.
+@dataclass(frozen=True)
+class Decision:
+    """What a session has to decide, and what its readings have to say for it."""
+
+    question: OpenQuestion
+    answers: tuple[FittedAnswer, ...]
+    """Fitted to the old readings."""
+    given: Model
+    """The given model."""
+    power: float
+    """Probability that the right answer is named, whichever it is."""
+    run_offset_cm: float
+    """Standard deviation of offsets between runs that the old readings have."""
+    old_runs: int
+    """Runs of the old readings, if they go in."""
+    rng: np.random.Generator
+    """Draws readings."""
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """A right answer that is an effect, and a wrong one."""
+        places = permutations(range(len(self.answers)), 2)
+        return [(truth, other) for truth, other in places if self.answers[truth].answer.name is not None]
+
+    def needed(self, truth: int, alternative: int) -> float:
+        """Expected nats that a pair needs."""
+        return MARGIN * needed_nats(self.power, threshold_nats(self.answers[truth], self.answers[alternative]))
+
+    def separations(self, session: PlannedSession, pairs: Iterable[tuple[int, int]], rows: int) -> list[Separation]:
+        """How far a session's readings tell pairs apart, from so many that are drawn."""
+        contexts = session.sampled(rows)
+        offset_cm = float(np.hypot(session.offset_cm, self.run_offset_cm))
+        return [
+            separation(
+                self.given, (self.answers[a], self.answers[b]), (a, b), contexts, offset_cm, self.rng, self.old_runs
+            )
+            for a, b in pairs
+        ]
+
+
+def cheapest(decision: Decision, places: Sequence[SessionPlace], max_minutes: float, report: Progress) -> Design:
+    """The cheapest session in which each answer is found with the wanted power where it is true.
 
     Parameters
     ----------
-    question, answers
-        Fitted to the old readings.
-    given
-        The given model.
+    decision
+        What it has to decide.
     places
         Where sessions may be held.
     max_minutes
         No session may take longer.
-    power
-        Probability that the right answer is named, whichever it is.
-    run_offset_cm
-        Standard deviation of offsets between runs that the old readings have.
-    old_runs
-        Runs of the old readings that go in with the new ones.
-    rng
-        Draws readings.
     report
         Progress.
     """
-    usable = [each for each in places if each.can_record(question.columns) and each.factors(question.columns)]
+    question, record = decision.question, decision.question.columns
+    usable = [each for each in places if each.can_record(record) and each.factors(record)]
     if not usable:
-        return Design(question, tuple(answers), None, why=_why_not(question.columns, places))
-    record = question.columns
+        return Design(question, decision.answers, None, why=_why_not(record, places))
     # What is largest at the ends of its range is seen best without the middle.
     richest = [
         each.session(each.factors(record)[:MOST_VARIED], ends_only, record, TRIED_READINGS, VISITS[0])
         for each, ends_only in product(usable, (False, True))
     ]
-    answers = tuple(with_strength(each, given, richest[0].sampled(DRAWN_ROWS), rng) for each in answers)
-    pairs = [
-        (one, other) for one, other in permutations(range(len(answers)), 2) if answers[one].answer.name is not None
-    ]
-
-    def needed(truth: int, alternative: int) -> float:
-        return MARGIN * needed_nats(power, threshold_nats(answers[truth], answers[alternative]))
-
-    def separations(session: PlannedSession, of: Iterable[tuple[int, int]], rows: int = DRAWN_ROWS) -> list[Separation]:
-        contexts = session.sampled(rows)
-        offset_cm = float(np.hypot(session.offset_cm, run_offset_cm))
-        return [separation(given, (answers[a], answers[b]), (a, b), contexts, offset_cm, rng, old_runs) for a, b in of]
-
+    contexts = richest[0].sampled(DRAWN_ROWS)
+    answers = [with_strength(each, decision.given, contexts, decision.rng) for each in decision.answers]
+    decision = replace(decision, answers=tuple(answers))
     report(f"what could tell {question.label} apart", 0.1)
-    reach = dict.fromkeys(pairs, 0.0)
+    reach = dict.fromkeys(decision.pairs, 0.0)
     for most in richest:
-        for each in separations(most, pairs):
+        for each in decision.separations(most, decision.pairs, DRAWN_ROWS):
             pair = each.truth, each.alternative
             reach[pair] = max(reach[pair], each.nats(MOST_READINGS, VISITS[-1] * most.runs))
     same: list[Same] = []
     for one, other in combinations(range(len(answers)), 2):
-        short = [nats for pair, nats in reach.items() if {*pair} == {one, other} and nats < needed(*pair)]
+        short = [nats for pair, nats in reach.items() if {*pair} == {one, other} and nats < decision.needed(*pair)]
         same += [Same(one, other, min(short))] if short else []
     trials = sorted(_trials(record, usable), key=lambda each: each[1].minutes)
     known: dict[int, list[Separation]] = {}
     why = "no session that can be held here tells them apart"
     while True:
         classes = _classes(len(answers), same)
-        left = [pair for pair in pairs if not any({*pair} <= each for each in classes)]
+        left = [pair for pair in decision.pairs if not any({*pair} <= each for each in classes)]
         if not left:
-            return Design(question, answers, None, same=tuple(same), classes=classes, why=why)
-        best, quickest = None, inf
-        for number, (make, shortest) in enumerate(trials):
-            if shortest.minutes >= quickest:
-                break
-            if shortest.minutes > max_minutes and best is None and number:
-                why = f"no session of {max_minutes:.0f} minutes tells them apart; allow longer ones with --max-minutes"
-                break
-            report(f"trying sessions for {question.label}", 0.2 + 0.8 * number / len(trials))
-            if number not in known:
-                known[number] = separations(shortest, left)
-            found = [each for each in known[number] if (each.truth, each.alternative) in left]
-            session = _long_enough(make, shortest, found, needed)
-            if session is not None and session.minutes < quickest:
-                quickest, own_power = session.minutes, _power(session, found, answers)
-                best = Design(
-                    question, answers, session, tuple(found), tuple(same), classes, own_power, wanted=power, make=make
-                )
-        if best is not None:
-            best = _checked(best, needed, separations)
-        if best is not None and best.session is not None:
+            return Design(question, decision.answers, None, same=tuple(same), classes=classes, why=why)
+        best = _quickest(decision, left, trials, known, max_minutes, report)
+        why = best.why or why
+        if best.session is not None:
+            best = _checked(best, decision)
+        if best.session is not None:
             if best.session.minutes <= max_minutes:
-                return best
+                return replace(best, same=tuple(same), classes=classes)
             why = f"the shortest session takes {best.session.minutes:.0f} minutes; allow it with --max-minutes"
         # What is hardest to tell apart is given up first: the rest may be decided by a shorter session.
-        hardest = min(left, key=lambda pair: reach[pair] / needed(*pair))
+        hardest = min(left, key=lambda pair: reach[pair] / decision.needed(*pair))
         same.append(Same(min(hardest), max(hardest), reach[hardest]))
+
+
+def _quickest(
+    decision: Decision,
+    left: Sequence[tuple[int, int]],
+    trials: Sequence[tuple["Make", PlannedSession]],
+    known: dict[int, list[Separation]],
+    max_minutes: float,
+    report: Progress,
+) -> Design:
+    """The quickest session that tells these pairs apart, or none.
+
+    `known` keeps the separations of each trial, by its place, for the time when fewer pairs are left.
+    """
+    best = Design(decision.question, decision.answers, None)
+    quickest = inf
+    for number, (make, shortest) in enumerate(trials):
+        if shortest.minutes >= quickest:
+            break
+        if shortest.minutes > max_minutes and best.session is None and number:
+            why = f"no session of {max_minutes:.0f} minutes tells them apart; allow longer ones with --max-minutes"
+            return replace(best, why=why)
+        report(f"trying sessions for {decision.question.label}", 0.2 + 0.8 * number / len(trials))
+        if number not in known:
+            known[number] = decision.separations(shortest, left, DRAWN_ROWS)
+        found = [each for each in known[number] if (each.truth, each.alternative) in left]
+        session = _long_enough(make, shortest, found, decision.needed)
+        if session is not None and session.minutes < quickest:
+            quickest, power = session.minutes, _power(session, found, decision.answers)
+            best = replace(
+                best, session=session, separations=tuple(found), power=power, wanted=decision.power, make=make
+            )
+    return best
 
 
 def _why_not(columns: frozenset[str], places: Sequence[SessionPlace]) -> str:
@@ -323,11 +350,7 @@ def _readings_needed(
     return readings
 
 
-def _checked(
-    design: Design,
-    needed: Callable[[int, int], float],
-    separations: Callable[[PlannedSession, Iterable[tuple[int, int]], int], list[Separation]],
-) -> Design:
+def _checked(design: Design, decision: Decision) -> Design:
     """The design with its hardest pairs computed anew from more readings, and as long as these need.
 
     The shortest of many sessions is one of those whose nats were drawn too large.
@@ -337,11 +360,12 @@ def _checked(
     assert make is not None
 
     def is_hard(each: Separation) -> bool:
-        return each.nats(session.readings, session.runs) < HARD * needed(each.truth, each.alternative)
+        return each.nats(session.readings, session.runs) < HARD * decision.needed(each.truth, each.alternative)
 
     hard = [(each.truth, each.alternative) for each in design.separations if is_hard(each)]
-    found = [*(each for each in design.separations if not is_hard(each)), *separations(session, hard, CHECKED_ROWS)]
-    longer = _long_enough(make, session, found, needed)
+    easy = [each for each in design.separations if not is_hard(each)]
+    found = [*easy, *decision.separations(session, hard, CHECKED_ROWS)]
+    longer = _long_enough(make, session, found, decision.needed)
     if longer is None:
         return replace(design, session=None)
     return replace(design, session=longer, separations=tuple(found), power=_power(longer, found, design.answers))

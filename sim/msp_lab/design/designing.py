@@ -13,7 +13,7 @@ import numpy as np
 
 from msp_lab.design.answers import OldReadings, fit_answers
 from msp_lab.design.bench import BenchSessions
-from msp_lab.design.choose import Design, SessionPlace, cheapest
+from msp_lab.design.choose import Decision, Design, SessionPlace, cheapest
 from msp_lab.design.flight import Pilot
 from msp_lab.design.proof import Proof, prove, with_old
 from msp_lab.design.questions import OpenQuestion, open_questions
@@ -109,18 +109,9 @@ def _plan(
 ) -> Plan:
     rng = np.random.default_rng([options.seed, 0])
     answers = fit_answers(old, question)
-    design = cheapest(
-        question,
-        answers,
-        old.model,
-        places,
-        options.max_minutes,
-        options.power,
-        old.run_offset_cm,
-        old.runs if with_old(old, answers, 0) else 0,
-        rng,
-        lambda what, share: report(what, 0.4 * share),
-    )
+    old_runs = old.runs if with_old(old, answers, 0) else 0
+    decision = Decision(question, tuple(answers), old.model, options.power, old.run_offset_cm, old_runs, rng)
+    design = cheapest(decision, places, options.max_minutes, lambda what, share: report(what, 0.4 * share))
     if design.session is None:
         return Plan(design)
     joined = with_old(old, answers, design.session.readings)

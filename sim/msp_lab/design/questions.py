@@ -73,25 +73,13 @@ class OpenQuestion:
         return frozenset(column for each in self.answers if each.effect for column in each.effect.columns)
 
 
-def questions_of(findings: GapFindings) -> tuple[OpenQuestion, ...]:
+def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, ...]:
     """What a gap run left open, what is nearest to a name first.
 
     Parameters
     ----------
-    findings
-        Of a run up to the step `name` or later.
-    """
-    found: dict[frozenset[Answer], OpenQuestion] = {}
-    # What nothing points to is asked only where nothing else is.
-    for question in [*_all(findings)] or _not_testable(findings):
-        known = all(each.name is None or each.name in CATALOGUE for each in question.answers)
-        if known and len(question.answers) > 1:
-            found.setdefault(frozenset(question.answers), question)
-    return tuple(found.values())
-
-
-def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, ...]:
-    """`questions_of` the findings of a folder.
+    findings, folder
+        Of a run up to the step `name` or later, and where they are.
 
     Raises
     ------
@@ -100,10 +88,15 @@ def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, .
     """
     if findings.verdict is None:
         raise ConfigError(f"{folder / NUMBERS}: the run did not end; run 'msp-lab add {folder}' first")
-    questions = questions_of(findings)
-    if not questions:
+    found: dict[frozenset[Answer], OpenQuestion] = {}
+    # What nothing points to is asked only where nothing else is.
+    for question in [*_all(findings)] or _not_testable(findings):
+        known = all(each.name is None or each.name in CATALOGUE for each in question.answers)
+        if known and len(question.answers) > 1:
+            found.setdefault(frozenset(question.answers), question)
+    if not found:
         raise ConfigError(f"{folder / NUMBERS}: nothing to decide ({findings.verdict}); next: {findings.next_step}")
-    return questions
+    return tuple(found.values())
 
 
 def _all(findings: GapFindings) -> Iterator[OpenQuestion]:

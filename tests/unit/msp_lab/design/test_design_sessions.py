@@ -9,7 +9,7 @@ import yaml
 
 from msp_lab.design.answers import FittedAnswer, OldReadings, fit_answers, with_strength
 from msp_lab.design.bench import BenchSessions
-from msp_lab.design.choose import Design, Same, SessionPlace, _classes, _long_enough, cheapest
+from msp_lab.design.choose import Decision, Design, Same, SessionPlace, _classes, _long_enough, cheapest
 from msp_lab.design.flight import Pilot
 from msp_lab.design.proof import Proof
 from msp_lab.design.questions import NONE, Answer, OpenQuestion
@@ -190,8 +190,8 @@ def test_the_cheapest_session_decides_what_can_be_decided(monkeypatch: pytest.Mo
     question = OpenQuestion("indistinguishable", tuple(each.answer for each in weak), "")
 
     def found(max_minutes: float) -> Design:
-        rng, report = np.random.default_rng(1), lambda what, share: None
-        return cheapest(question, weak, GIVEN, [BENCH], max_minutes, 0.95, 0.0, 0, rng, report)
+        decision = Decision(question, tuple(weak), GIVEN, 0.95, 0.0, 0, np.random.default_rng(1))
+        return cheapest(decision, [BENCH], max_minutes, lambda what, share: None)
 
     design = found(240.0)
     assert design.classes == (frozenset({0, 2}), frozenset({1}))
@@ -272,9 +272,8 @@ def test_what_cannot_be_varied_comes_with_what_to_do_instead(
     file = ROOT / "configs/quad_pallet.yaml"
     place: SessionPlace = BENCH if at_bench else Pilot(file, load_airframe(file))
     question = OpenQuestion("indistinguishable", (Answer(names[0]), Answer(names[1])), "")
-    design = cheapest(
-        question, [], GIVEN, [place], 240.0, 0.95, 0.0, 0, np.random.default_rng(1), lambda what, share: None
-    )
+    decision = Decision(question, (), GIVEN, 0.95, 0.0, 0, np.random.default_rng(1))
+    design = cheapest(decision, [place], 240.0, lambda what, share: None)
     assert design.session is None
     assert words in design.why
 
