@@ -74,5 +74,5 @@ def test_the_baseline_has_its_numbers() -> None:
 def test_the_longest_range_that_is_echo() -> None:
     rng = np.random.default_rng(5)
     data = table(point(rng, 300), point(rng, 400, missed=0.1), point(rng, 500, missed=0.6))
-    assert longest_reliable_cm(sort_into_points(data, SENSOR), 0.8) == 400.0
-    assert longest_reliable_cm([], 0.8) is None
+    assert longest_reliable_cm(sort_into_points(data, SENSOR), 765.0) == 400.0
+    assert longest_reliable_cm([], 765.0) is None

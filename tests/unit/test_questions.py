@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import FactorEffect, Question
+from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.characterise.questions import _paired, answer_questions
 from tests.support.known import contains, known
@@ -48,9 +49,9 @@ def test_set_ups_of_the_reference_have_an_error_too() -> None:
     rng = np.random.default_rng(3)
     seen = []
     for _ in range(400):
-        placed = [SimpleNamespace(place_cm=100.0, error=each) for each in rng.normal(0.0, 0.5, 6)]
+        placed = [SimpleNamespace(place_cm=100.0, error=IntervalEstimate(each)) for each in rng.normal(0.0, 0.5, 6)]
         question = cast(Question, SimpleNamespace(points=placed[1:], reference_points=placed[:1]))
-        raw = _paired(question, lambda p: cast(Any, p.error))
+        raw = _paired("bias", question)
         assert raw is not None
         seen.append(raw.p_value < 0.05)
     assert np.mean(seen) < 0.08

@@ -11,6 +11,7 @@ from scipy.signal import find_peaks, peak_widths
 
 from msp_lab.characterise.calibration import pooled_spread
 from msp_lab.characterise.estimates import Z, fit_line, mean_of_points, share
+from msp_lab.characterise.field_of_view import RELIABLE_SHARE
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
@@ -123,7 +124,7 @@ def _mode(reading_cm: Array) -> IntervalEstimate:
     return IntervalEstimate(middle, float(near.min()), float(near.max()), "cm", reading_cm.size)
 
 
-def longest_reliable_cm(points: Sequence[PointReadings], reliable_share: float) -> float | None:
-    """Longest range on the axis at which a large enough share of the readings is of the surface [cm]."""
-    ranges = [p.range_cm for p in points if p.reading_cm.size and p.hits / p.reading_cm.size >= reliable_share]
-    return max(ranges, default=None)
+def longest_reliable_cm(points: Sequence[PointReadings], maximum_cm: float) -> float | None:
+    """Longest range on the axis, to a millimetre and up to a maximum, at which readings are reliably of the surface."""
+    ranges = [p.range_cm for p in points if p.hits / p.reading_cm.size >= RELIABLE_SHARE]
+    return min(round(max(ranges), 1), float(maximum_cm)) if ranges else None

@@ -4,7 +4,7 @@ What the data do not determine stays as in the starting model, and the findings 
 """
 
 import difflib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -15,8 +15,8 @@ from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
-from msp_lab.characterise.field_of_view import RELIABLE_SHARE, breakaway_rows, find_field_of_view, sonar_through
-from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings
+from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
+from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
@@ -25,7 +25,7 @@ from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_lab.readings.resolution import measured_step, step_with
-from msp_range.correction.calibration import curve_through
+from msp_range.correction.calibration import Calibration, curve_through
 from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
 from msp_sim.model.model import Model
@@ -58,55 +58,28 @@ def characterise(
     set_up_std_cm: float | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Characterised:
-    """Characterise a sensor.
+    """Characterise a sensor by readings with true ranges, from a model with its limits and codes to start with.
 
-    Parameters
-    ----------
-    loaded
-        Readings with true ranges.
-    sensor
-        The starting model: limits, codes, calibration temperature, and numbers to compare with.
-    date
-        Date to record, ISO 8601.
-    rng
-        Random generator of the goodness of fit.
-    reference_std_cm
-        Standard deviation of an error that the reference may have at all ranges alike [cm]; None: not stated.
-    set_up_std_cm
-        Standard deviation of the error of each placement's true range [cm]; None: not stated.
-    progress
-        Called with a description of the current analysis.
-
-    Raises
-    ------
-    RecordingError
-        Nothing can be found in these readings, they are of different sensors, or most are far from their true ranges.
+    `date` is recorded, `rng` is for the goodness of fit, the standard deviations are as for `calibration.calibrate`,
+    and `progress` is called with a description of the current analysis. RecordingError if nothing can be found in
+    these readings, if they are of different sensors, or if most are far from their true ranges.
     """
-    start = sensor
-    sensor, about_step = _with_step(start, loaded)
+    start, (sensor, about_step) = sensor, _with_step(sensor, loaded)
     progress("sorting readings into points")
     points = sort_into_points(loaded.data, sensor)
     by = {name: [p for p in points if p.condition == name] for name in EXPERIMENTS}
     undisturbed = [p for name in UNDISTURBED for p in by[name]]
     _check_one_kind(loaded, points)
     _check_together(loaded, undisturbed)
-
     progress("calibration")
     calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
     curve = curve_through(() if calibration is None else calibration.knots)
     progress("mixture")
-    mixture, parameters, no_mixture = None, None, ""
-    correlation = hit_correlation(undisturbed, loaded.data)
-    try:
-        mixture, parameters = fit_mixture(undisturbed, curve, sensor, rng, correlation)
-    except FitError as error:
-        no_mixture = str(error)
+    mixture, parameters, no_mixture = _mixture(undisturbed, loaded, curve, sensor, rng)
     progress("maximum range, field of view and sonar equation")
-    view = find_field_of_view(by["field_of_view"], curve)
-    angles = () if view is None else view.angles
-    rows = breakaway_rows(angles)
-    longest_cm = longest_reliable_cm(by["maximum_range"], RELIABLE_SHARE)
-    heard_cm = None if longest_cm is None else min(round(longest_cm, 1), float(sensor.maximum_cm))
+    view, longest = find_field_of_view(by["field_of_view"], curve), by["maximum_range"]
+    rows = breakaway_rows(view.angles if view else ())
+    heard_cm = longest_reliable_cm(longest, sensor.maximum_cm)
     progress("questions")
     found = tuple(point.found for point in points)
     calibration_c = sensor.calibration_temperature_c if sensor.medium == "sound" else None
@@ -120,31 +93,47 @@ def characterise(
         baseline=baseline(by[BASELINE], reference_std_cm),
         calibration=calibration,
         mixture=mixture,
-        maximum_range=maximum_range(by["maximum_range"], sensor),
+        maximum_range=maximum_range(longest, sensor),
         field_of_view=view,
         sonar=sonar_through(rows, sensor, heard_cm or sensor.heard_on_axis_cm),
         questions=questions,
         hot_boxes=() if calibration_c is None else tuple(hot_boxes(questions, calibration_c)),
         temperature_compensation=() if calibration_c is None else tuple(compensation_table(by[COMPENSATION], curve)),
-        warnings=(
-            *about_step,
-            *_warnings(loaded, points, undisturbed, calibration),
-            *_angle_warnings(angles, rows),
-            *_spread_warnings(sensor, parameters),
-        ),
     )
-    findings = replace(findings, absent=_absent(findings, sensor, no_mixture))
+    warnings = [*about_step, *_warnings(loaded, points, undisturbed, calibration)]
+    warnings += [*_angle_warnings(view.angles if view else (), rows), *_spread_warnings(sensor, parameters)]
+    findings = replace(findings, warnings=tuple(warnings), absent=_absent(findings, sensor, no_mixture))
     changes = _changes(findings, sensor, rows) | {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
+    changes = _checked(findings, changes)
+    if sensor.resolution_cm != start.resolution_cm:
+        changes["resolution_cm"] = sensor.resolution_cm
+    return Characterised(findings, changes)
+
+
+def _mixture(
+    undisturbed: Sequence[PointReadings],
+    loaded: LoadedReadings,
+    curve: Calibration,
+    sensor: SensorModel,
+    rng: np.random.Generator,
+) -> tuple[Mixture | None, MixtureParameters | None, str]:
+    """The fitted mixture and its parameters for the model file, or the reason why there are none."""
+    try:
+        return *fit_mixture(undisturbed, curve, sensor, rng, hit_correlation(undisturbed, loaded.data)), ""
+    except FitError as error:
+        return None, None, str(error)
+
+
+def _checked(findings: Findings, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The changes that readings determine; refuses readings in which nothing can be found."""
     changes = {name: value for name, value in changes.items() if value is not None}
     if not findings.questions and not findings.temperature_compensation and not changes:
         why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
         raise RecordingError(
-            f"{_names(loaded.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
+            f"{_names(findings.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
             "which varies everything at once, is for msp-lab gap"
         )
-    if sensor.resolution_cm != start.resolution_cm:
-        changes["resolution_cm"] = sensor.resolution_cm
-    return Characterised(findings, changes)
+    return changes
 
 
 def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[str, str]:

@@ -310,6 +310,8 @@ class CompensationRow:
 
 Metric = Literal["bias", "spread", "missed", "outliers"]
 Verdict = Literal["matters", "does not matter", "cannot tell"]
+VERDICTS: tuple[Verdict, ...] = ("matters", "cannot tell", "does not matter")
+"""Of several effects the first of these that one of them has is that of all."""
 NAMES: dict[Metric, str] = {
     "bias": "bias",
     "spread": "spread",
@@ -363,11 +365,11 @@ class Question:
     """Whose readings; "" for all."""
     pairs: int
     """Points of equal range that were compared; the unit of the bias."""
-    effects: tuple[FactorEffect, ...]
-    """Bias, spread, missed, outliers, in this order."""
-    verdict: Verdict
+    effects: tuple[FactorEffect, ...] = ()
+    """Bias, spread, missed, outliers, in this order; none before they are computed."""
+    verdict: Verdict = "cannot tell"
     """"matters" if one effect does, "does not matter" if none does, else "cannot tell"."""
-    answer: str
+    answer: str = ""
     """The answer in a sentence."""
     points: tuple[PointResult, ...] = ()
     reference_points: tuple[PointResult, ...] = ()

@@ -6,7 +6,7 @@ is not noise of the sensor; the calibration deals with the differences between s
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -61,48 +61,32 @@ def fit_mixture(
         raise FitError(str(error)) from None
     set_ups = [_placement_error(point, calibration) for point in points]
     reading_cm, expected_cm, reference_std_cm = _readings(points, set_ups, calibration)
-    whole, notes = grid.nearest(reading_cm), []
-    if not np.array_equal(whole, reading_cm):
-        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
+    whole = grid.nearest(reading_cm)
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
     result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
-    good = None
+    good, fit_note = None, ""
     try:
         good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
-        notes.append(good.note)
     except ValueError as error:
-        notes.append(f"how well it fits is not known: {error}")
+        fit_note = f"how well it fits is not known: {error}"
     moved = tuple(each for each in set_ups if each is not None)
-    if moved:
-        farthest_cm = max(abs(each.error_cm) for each in moved)
-        notes.append(
-            f"{len(moved)} of {len(points)} set-ups are fitted about the mean of their own hits, up to "
-            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
-            "reference was off by"
-        )
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
-    bound = {
-        **dict.fromkeys(result.at_bound, "at its bound; the value may lie beyond it"),
-        **dict.fromkeys(
-            raised,
-            f"hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still come in "
-            "flight",
-        ),
-    }
-    notes += [f"{name}: {bound[name]}" for name in result.estimates if name in bound]
-    unknown = result.not_identified
     # All weights are one number together, so none of them alone can be the starting model's.
-    changed = {name: getattr(sensor.reading_model, name) for name in unknown if name in MixtureParameters.model_fields}
-    kept = dict.fromkeys(changed, "; the starting model's value is kept")
-    notes += [f"{name}: not identifiable from these readings{kept.get(name, '')}" for name in unknown]
+    kept = set(result.not_identified) & MixtureParameters.model_fields.keys()
+    changed = {name: getattr(sensor.reading_model, name) for name in kept}
+    notes = []
+    if not np.array_equal(whole, reading_cm):
+        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
+    notes.append(fit_note if good is None else good.note)
+    notes += _notes(result, moved, len(points), raised, kept)
     if correlation is not None:
         changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
         notes.append(correlation.note)
     found = Mixture(
         parameters=tuple(
-            _parameter(name, result, sensor.reading_model, name in bound)
+            _parameter(name, result, sensor.reading_model, name in (*result.at_bound, *raised))
             for name in result.estimates
-            if name not in unknown
+            if name not in result.not_identified
         ),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
@@ -113,6 +97,30 @@ def fit_mixture(
         set_ups=moved,
     )
     return found, fitted.model_copy(update=changed)
+
+
+def _notes(
+    result: FitResult, moved: Sequence[PlacementError], set_ups: int, raised: Collection[str], kept: Collection[str]
+) -> Iterator[str]:
+    """What to know of set-ups that were moved, and of parameters at a bound or not identified."""
+    if moved:
+        farthest_cm = max(abs(each.error_cm) for each in moved)
+        yield (
+            f"{len(moved)} of {set_ups} set-ups are fitted about the mean of their own hits, up to "
+            f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "
+            "reference was off by"
+        )
+    for name in result.estimates:
+        if name in raised:
+            yield (
+                f"{name}: hardly seen in these readings; the model has its floor of {MIN_WEIGHT:g}, since it may still "
+                "come in flight"
+            )
+        elif name in result.at_bound:
+            yield f"{name}: at its bound; the value may lie beyond it"
+    for name in result.not_identified:
+        starting = "; the starting model's value is kept" if name in kept else ""
+        yield f"{name}: not identifiable from these readings{starting}"
 
 
 def _readings(

@@ -19,22 +19,19 @@ from scipy.special import logit
 
 from msp_lab.characterise.estimates import detectable, holm, student
 from msp_lab.characterise.experiments import QUESTIONS
-from msp_lab.characterise.findings import NAMES, FactorEffect, Metric, Question, Verdict
+from msp_lab.characterise.findings import NAMES, VERDICTS, FactorEffect, Metric, Question
 from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 from msp_range.arrays import Array
 
 LEVEL = 0.05
 """Family-wise false-positive rate over all questions (Holm)."""
-BIAS_BOUND_CM = 1.0
-"""A smaller change of the mean error does not matter [cm]: the step of a sensor that reports whole centimetres. A
-larger bound calls more influences irrelevant."""
-SPREAD_BOUND = 1.5
-"""Nor does a spread that changes by a smaller factor: a filter's output changes by less than its own error."""
-ODDS_BOUND = 2.0
-"""Nor odds of a missed reading or an outlier that change by a smaller factor ..."""
+BOUNDS: dict[Metric, float] = {"bias": 1.0, "spread": 1.5, "missed": 2.0, "outliers": 2.0}
+"""A smaller change does not matter: of the mean error [cm], the step of a sensor that reports whole centimetres; a
+smaller factor of the spread, by which a filter's output changes by less than its own error; a smaller factor of the
+odds of a missed reading or an outlier. Larger bounds call more influences irrelevant."""
 SHARE_BOUND = 0.01
-"""... or by less than this share of all readings: one second in 100 at any rate."""
+"""Nor do missed readings or outliers that change by less than this share of all readings: one second in 100."""
 STEP_SPREAD_CM = 1.0 / math.sqrt(12.0)
 """Spread of the rounding to whole centimetres; a smaller one counts as this."""
 FEW_RANGES = 4
@@ -50,14 +47,6 @@ UNVARIED = {"vibration": ("0 Hz", ""), "external_interference": ("quiet",)}
 """Levels of an experiment at which nothing is varied, and with which the others are compared."""
 CROSSTALK = {"crosstalk_simultaneous": "simultaneous", "crosstalk_sequential": "sequential"}
 """Experiments with two sensors, each with its own question -> name of their level."""
-
-
-BOUNDS: dict[Metric, float] = {
-    "bias": BIAS_BOUND_CM,
-    "spread": SPREAD_BOUND,
-    "missed": ODDS_BOUND,
-    "outliers": ODDS_BOUND,
-}
 
 
 class _Test(NamedTuple):
@@ -121,9 +110,6 @@ def _compared(name: str, everything: Sequence[PointResult]) -> Iterable[Question
                 reference=called,
                 sensor=sensor,
                 pairs=len(ranges),
-                effects=(),
-                verdict="cannot tell",
-                answer="",
                 points=tuple(varied),
                 reference_points=tuple(p for p in reference if p.place_cm in ranges),
             )
@@ -156,21 +142,13 @@ def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
 
 
 def _test(metric: Metric, question: Question) -> _Test | None:
-    if metric == "bias":
-        return _paired(question, lambda p: None if p.error is None else p.error.value)
-    if metric == "spread":
-        return _paired(question, _log_spread)
-    return _odds(metric, question)
+    return _odds(metric, question) if metric in ("missed", "outliers") else _paired(metric, question)
 
 
-def _log_spread(point: PointResult) -> float | None:
-    return None if point.spread is None else math.log(math.hypot(point.spread.value, STEP_SPREAD_CM))
-
-
-def _paired(question: Question, value: Callable[[PointResult], float | None]) -> _Test | None:
+def _paired(metric: Metric, question: Question) -> _Test | None:
     """Mean difference at equal ranges. Its error is the scatter from range to range or, with few of them, that of
     set-ups at one range, of both sides alike: the set-ups of the reference have it too."""
-    varied, reference = _by_range(question.points, value), _by_range(question.reference_points, value)
+    varied, reference = _by_range(question.points, metric), _by_range(question.reference_points, metric)
     common = sorted(varied.keys() & reference.keys())
     if not common:
         return None
@@ -191,12 +169,14 @@ def _paired(question: Question, value: Callable[[PointResult], float | None]) ->
     return _Test(mean, error, freedom, count, "points", 2.0 * float(stats.t.sf(abs(mean) / error, freedom)))
 
 
-def _by_range(points: Sequence[PointResult], value: Callable[[PointResult], float | None]) -> dict[float, list[float]]:
+def _by_range(points: Sequence[PointResult], metric: Metric) -> dict[float, list[float]]:
+    """Mean errors, or logarithms of spreads, of the points at each range."""
     found = defaultdict(list)
     for point in points:
-        known = value(point)
-        if known is not None:
-            found[point.place_cm].append(known)
+        if metric == "bias" and point.error is not None:
+            found[point.place_cm].append(point.error.value)
+        elif metric == "spread" and point.spread is not None:
+            found[point.place_cm].append(math.log(math.hypot(point.spread.value, STEP_SPREAD_CM)))
     return found
 
 
@@ -280,24 +260,22 @@ def _exp(value: float) -> float:
 
 
 def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
-    by: dict[Verdict, list[FactorEffect]] = {"matters": [], "does not matter": [], "cannot tell": []}
-    for each in effects:
-        by[each.verdict].append(each)
-    verdict: Verdict = "matters" if by["matters"] else "cannot tell" if by["cannot tell"] else "does not matter"
+    verdict = next(each for each in VERDICTS if any(effect.verdict == each for effect in effects))
+    decisive = [each for each in effects if each.verdict == verdict]
     who = f" for {question.sensor}" if question.sensor else ""
     answer = f"{question.compared}{who}: {verdict}"
     if verdict == "matters":
-        answer += f": {'; '.join(map(_size, by['matters']))}"
+        answer += f": {'; '.join(map(_size, decisive))}"
     elif verdict == "does not matter":
         answer += (
-            f" beyond {BIAS_BOUND_CM:g} cm of bias, a factor {SPREAD_BOUND:g} of spread and {ODDS_BOUND:g} of the odds "
-            f"(or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
+            f" beyond {BOUNDS['bias']:g} cm of bias, a factor {BOUNDS['spread']:g} of spread and {BOUNDS['missed']:g} "
+            f"of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
         )
         seen = [_size(each) for each in effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
         answer += f"; within that there is {'; '.join(seen)}" if seen else ""
     else:
-        answer += f": {'; '.join(map(_doubt, by['cannot tell']))}"
-        settled = ", ".join(each.metric for each in by["does not matter"])
+        answer += f": {'; '.join(map(_doubt, decisive))}"
+        settled = ", ".join(each.metric for each in effects if each.verdict == "does not matter")
         answer += f"; {settled}: does not matter" if settled else ""
     return replace(question, effects=tuple(effects), verdict=verdict, answer=answer)
 

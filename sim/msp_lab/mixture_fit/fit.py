@@ -41,34 +41,28 @@ def fit_readings(
     grid: ReadingGrid,
     *,
     growth: bool = False,
-    reference_std_cm: ArrayLike | None = None,
+    reference_std_cm: ArrayLike = 0.0,
 ) -> FitResult:
     """Fit the base mixture to readings.
 
     Parameters
     ----------
-    reading_cm
-        Readings and codes as the sensor reported them [cm], (n,).
-    expected_cm
-        Mean reading of a hit [cm], (n,): the true range, or `Calibration.forward` of it. Infinite if there is no
-        echo.
+    reading_cm, expected_cm
+        Readings and codes as the sensor reported them [cm], (n,), and the mean reading of a hit [cm], (n,): the true
+        range, or `Calibration.forward` of it. Infinite if there is no echo.
     grid
         The possible readings.
     growth
         Test whether spread and missed echoes depend on range, and select by BIC. This assumes independent readings;
         otherwise it selects too much.
     reference_std_cm
-        Standard deviation of each expected range's own normal error [cm], (n,); None: they are exact. It widens the
-        hits and is no part of sigma.
-
-    Returns
-    -------
-    FitResult
+        Standard deviation of each expected range's own normal error [cm], a number or (n,). It widens the hits and is
+        no part of sigma.
 
     Raises
     ------
     FitError
-        There are too few readings, or readings or ranges are implausible.
+        There are too few readings, or they or their ranges are implausible.
 
     Examples
     --------
@@ -88,8 +82,9 @@ def fit_readings(
     moving = [name for name in NAMES[:6] if grid.saturates or name != "saturated"]
     mean_length_m = _mean_length_m(rows)
     best = rows.optimum(_start(rows.sample(START_ROWS), moving, mean_length_m), moving, SAMPLE_ROWS)
-    if growth:
-        best, moving = _with_growth(rows, best, moving)
+    if growth and (kept := _growth(rows, best, moving)):
+        start, moving = _growing(best.numbers, kept), [*moving, *kept]
+        best = rows.optimum(start, moving, SAMPLE_ROWS)
     if best.left_nats > MOST_LEFT_NATS:
         raise FitError(f"the fit of {reading.size} readings does not converge: {best.left_nats:.2g} nats are left")
     result = result_of(rows, best, moving, mean_length_m)
@@ -140,34 +135,33 @@ def _check(reading: Array, expected: Array, grid: ReadingGrid) -> None:
         )
 
 
-def _counted(grid: ReadingGrid, reading: Array, expected: Array, reference_std_cm: ArrayLike | None) -> Likelihood:
-    """The likelihood of the rows; equal ones are combined if there are few ranges."""
-    count, none = np.ones(reading.size), np.zeros(reading.size)
-    if reference_std_cm is not None and np.any(reference_std_cm):
-        return Likelihood(grid, reading, expected, count, np.asarray(reference_std_cm, dtype=np.float64) ** 2)
+def _counted(grid: ReadingGrid, reading: Array, expected: Array, reference_std_cm: ArrayLike) -> Likelihood:
+    """The likelihood of the rows; equal ones are combined if there are few ranges, and these are exact."""
+    reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
     some = expected[:: max(expected.size // 5_000, 1)]
-    if np.unique(some).size <= FEW_RANGES * some.size:
-        pairs, counts = np.unique(expected + 1j * reading, return_counts=True)
-        reading, expected, count, none = pairs.imag, pairs.real, counts.astype(np.float64), np.zeros(pairs.size)
-    return Likelihood(grid, reading, expected, count, none)
+    if reference_cm2.any() or np.unique(some).size > FEW_RANGES * some.size:
+        return Likelihood(grid, reading, expected, np.ones(reading.size), reference_cm2)
+    pairs, counts = np.unique(expected + 1j * reading, return_counts=True)
+    return Likelihood(grid, pairs.imag, pairs.real, counts.astype(np.float64), np.zeros(pairs.size))
 
 
-def _with_growth(rows: Likelihood, base: Optimum, moving: list[str]) -> tuple[Optimum, list[str]]:
-    """Add each dependence on range that by itself gains what BIC requires."""
+def _growth(rows: Likelihood, base: Optimum, moving: list[str]) -> list[str]:
+    """Names of the dependences on range of which each by itself gains what BIC requires."""
     finite = rows.expected_cm[rows.expected_cm < NO_ECHO_CENTRE]
     if np.ptp(finite) < SHORTEST_SPAN * finite.max():
-        return base, moving
+        return []
     kept = []
-    for name in ("sigma_growth_2", "missed_growth"):
-        if name == "sigma_growth_2" or "log_odds_missed" in base.inside:
-            start = base.numbers._replace(sigma_growth_2=SMALL_GROWTH if name == "sigma_growth_2" else 0.0)
-            _, value, _ = rows.maximum(start, bounds_of(start, [*moving, name]))
-            if value - base.value > 0.5 * math.log(rows.readings):
-                kept.append(name)
-    if not kept:
-        return base, moving
-    start = base.numbers._replace(sigma_growth_2=SMALL_GROWTH if "sigma_growth_2" in kept else 0.0)
-    return rows.optimum(start, [*moving, *kept], SAMPLE_ROWS), [*moving, *kept]
+    for name in ("sigma_growth_2", *(["missed_growth"] if "log_odds_missed" in base.inside else [])):
+        start = _growing(base.numbers, [name])
+        _, value, _ = rows.maximum(start, bounds_of(start, [*moving, name]))
+        if value - base.value > 0.5 * math.log(rows.readings):
+            kept.append(name)
+    return kept
+
+
+def _growing(numbers: Numbers, names: Sequence[str]) -> Numbers:
+    """Where a fit with these dependences on range starts."""
+    return numbers._replace(sigma_growth_2=SMALL_GROWTH if "sigma_growth_2" in names else 0.0)
 
 
 def _mean_length_m(rows: Likelihood) -> float:
