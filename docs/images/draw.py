@@ -100,59 +100,37 @@ def _draw_vehicle(axes: Axes) -> None:
     axes.text(0.36, HEIGHT_M + 0.03, "pallet with 4 sensors", va="center", color=INK)
 
 
-def draw_flight(path: Path) -> None:
-    """The flight of ``make demo``."""
-    _fly("configs/scenarios/demo.yaml", path)
+def made_by(picture: str, *commands: str) -> Callable[[Path], None]:
+    """What draws a picture that the product's own commands leave in a folder, which stands for OUT in them."""
+
+    def draw(path: Path) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            for command in commands:
+                program, *arguments = command.replace("OUT", folder).split()
+                subprocess.run([BIN / program, *arguments], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+            shutil.copy(f"{folder}/{picture}", path)
+
+    return draw
 
 
-def draw_boxes(path: Path) -> None:
-    """A flight over boxes."""
-    _fly("configs/scenarios/boxes.yaml", path)
-
-
-def _fly(scenario: str, path: Path) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        _run("msp-sim", "fly", scenario, "--out", f"{folder}/flight")
-        shutil.copy(f"{folder}/flight/flight.png", path)
-
-
-def draw_gap(path: Path) -> None:
-    """Readings against the model, before and after the effects that the demonstration hides were added."""
-    with tempfile.TemporaryDirectory() as folder:
-        _run("msp-lab", "demo", "--out", f"{folder}/demo")
-        shutil.copy(f"{folder}/demo/gap/residuals.png", path)
-
-
-def draw_characterised(path: Path) -> None:
-    """A picture of the page that `msp-lab characterise` makes of the report's campaign on the simulator."""
-    with tempfile.TemporaryDirectory() as folder:
-        campaign = "configs/campaigns/table_4_1.yaml"
-        _run("msp-lab", "collect", campaign, "--simulate", "--out", f"{folder}/campaign")
-        report = ("--out", f"{folder}/model.yaml", "--report", f"{folder}/report")
-        _run("msp-lab", "characterise", f"{folder}/campaign/readings.csv", *report)
-        shutil.copy(f"{folder}/report/{path.name}", path)
-
-
-def draw_filters(path: Path) -> None:
-    """Figure 5.15 of the filter study: the Kalman filters and the changepoint filter."""
-    with tempfile.TemporaryDirectory() as folder:
-        _run("msp-lab", "filters", "--out", f"{folder}/study")
-        shutil.copy(f"{folder}/study/figure_5_15.png", path)
-
-
-def _run(command: str, *arguments: str) -> None:
-    subprocess.run([BIN / command, *arguments], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-
+CAMPAIGN = (
+    "msp-lab collect configs/campaigns/table_4_1.yaml --simulate --out OUT/campaign",
+    "msp-lab characterise OUT/campaign/readings.csv --out OUT/model.yaml --report OUT/report",
+)
+"""The report's campaign on the simulator, and the page that `msp-lab characterise` makes of it."""
 
 PICTURES: dict[str, Callable[[Path], None]] = {
     "pallet": draw_pallet,
     "wiring": draw_wiring,
-    "flight": draw_flight,
-    "boxes": draw_boxes,
-    "gap": draw_gap,
-    "field_of_view_100cm": draw_characterised,
-    "questions": draw_characterised,
-    "kalman_and_changepoint": draw_filters,
+    # The flight of ``make demo``.
+    "flight": made_by("flight/flight.png", "msp-sim fly configs/scenarios/demo.yaml --out OUT/flight"),
+    "boxes": made_by("flight/flight.png", "msp-sim fly configs/scenarios/boxes.yaml --out OUT/flight"),
+    # Readings against the model, before and after the effects that the demonstration hides were added.
+    "gap": made_by("demo/gap/residuals.png", "msp-lab demo --out OUT/demo"),
+    "field_of_view_100cm": made_by("report/field_of_view_100cm.png", *CAMPAIGN),
+    "questions": made_by("report/questions.png", *CAMPAIGN),
+    # The Kalman filters and the changepoint filter in the filter study.
+    "kalman_and_changepoint": made_by("study/figure_5_15.png", "msp-lab filters --out OUT/study"),
 }
 
 if __name__ == "__main__":

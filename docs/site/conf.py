@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 
 from msp_range import __version__
@@ -49,19 +50,13 @@ def contents(app: Any, page: str, source: list[str]) -> None:
 def visit_math(writer: Any, node: Any) -> None:
     """A formula in a line of text, as MathML: every browser draws it, without a script from the network."""
     writer.body.append(tex2mathml(node.astext()))
-    raise _skip()
+    raise SkipNode
 
 
 def visit_math_block(writer: Any, node: Any) -> None:
     """A formula on a line of its own."""
     writer.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
-    raise _skip()
-
-
-def _skip() -> Exception:
-    from docutils.nodes import SkipNode
-
-    return SkipNode()
+    raise SkipNode
 
 
 def setup(app: Any) -> None:

@@ -35,7 +35,8 @@ def pages() -> dict[str, str]:
     """Every page's text by its name."""
     commands = {f"cli-{app.info.name}": _commands(app) for app in (msp_range, msp_sim, msp_lab)}
     files = {f"file-{name}": _file(*each) for name, each in FILES.items()}
-    return {**commands, **files, "form-csv": _csv(), "form-mcap": _mcap(), "effects": _effects()}
+    tables = {"form-csv": _csv(), "form-mcap": _mcap(), "effects": _effects()}
+    return {name: "\n\n".join(parts) + "\n" for name, parts in {**commands, **files, **tables}.items()}
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -51,7 +52,7 @@ def _text(words: str) -> str:
 # Commands
 
 
-def _commands(app: typer.Typer) -> str:
+def _commands(app: typer.Typer) -> list[str]:
     program: Any = typer.main.get_command(app)
     name = app.info.name
     context = program.context_class(program, info_name=name)
@@ -66,13 +67,13 @@ def _commands(app: typer.Typer) -> str:
         records = [each.get_help_record(of_command) for each in command.get_params(of_command)]
         rows = [(f"`{record[0]}`", _text(record[1])) for record in records if record is not None]
         parts.append(_table(("argument or option", "meaning"), rows))
-    return "\n\n".join(parts) + "\n"
+    return parts
 
 
 # Files
 
 
-def _file(title: str, section: type[Section], sentence: str) -> str:
+def _file(title: str, section: type[Section], sentence: str) -> list[str]:
     schema = section.model_json_schema()
     sections = {section.__name__: schema, **schema.get("$defs", {})}
     parts = [f"# {title}", sentence]
@@ -87,7 +88,7 @@ def _file(title: str, section: type[Section], sentence: str) -> str:
             for key, what in each["properties"].items()
         ]
         parts.append(_table(("key", "value", "default", "meaning"), rows) if rows else "It has no keys.")
-    return "\n\n".join(parts) + "\n"
+    return parts
 
 
 def _default(what: Mapping[str, Any], is_needed: bool) -> str:
@@ -127,7 +128,7 @@ def _limits(what: Mapping[str, Any]) -> Iterator[str]:
 # Tables and recordings
 
 
-def _csv() -> str:
+def _csv() -> list[str]:
     groups = {
         "Readings": (BASE_COLUMNS, "Every table has `reading_cm`; the others where they are known."),
         "Context": (CONTEXT_COLUMNS, "What effects depend on. Any other column is context of your own."),
@@ -137,10 +138,10 @@ def _csv() -> str:
     for title, (columns, sentence) in groups.items():
         rows = [(f"`{name}`", _text(meaning)) for name, meaning in columns.items()]
         parts += [f"## {title}", sentence, _table(("column", "content"), rows)]
-    return "\n\n".join(parts) + "\n"
+    return parts
 
 
-def _mcap() -> str:
+def _mcap() -> list[str]:
     topics = [f"{each}<sensor>" for each in (RANGE_PREFIX, TRUTH_PREFIX)]
     topics += [each for each in TOPICS if not each.endswith("/")]
     parts = [
@@ -155,13 +156,13 @@ def _mcap() -> str:
         ]
         title = _text(topic)
         parts += [f"## {title}", _text(schema["description"]), _table(("key", "type", "content"), rows)]
-    return "\n\n".join(parts) + "\n"
+    return parts
 
 
 # Effects
 
 
-def _effects() -> str:
+def _effects() -> list[str]:
     parts = [
         "# Effects",
         "What a sensor model file may name under `effects:`, as `msp-lab effects` prints it: physical causes with "
@@ -193,7 +194,7 @@ def _effects() -> str:
         ]
         if rows:
             parts.append(_table(("parameter", "unit", "bounds", "no effect at", "default", "meaning"), rows))
-    return "\n\n".join(parts) + "\n"
+    return parts
 
 
 def _number(value: float | None) -> str:
