@@ -282,7 +282,7 @@ class RangeFinder(ABC):
         for fault in self.faults:
             if fault.kind not in _RANGED or not self._fault_strikes(fault, now_s):
                 continue
-            ranged_cm = _RANGED[fault.kind](fault, now_s, self._chance, self.minimum_cm)
+            ranged_cm = _ranged_cm(fault, now_s, self._chance, self.minimum_cm)
             if fault.kind not in _ERRORS:
                 nearest_cm = reading_cm if fault.kind in _IN_THE_BEAM else self.no_echo_cm
                 reading_cm = min(nearest_cm, self._within_limits(ranged_cm))
@@ -313,25 +313,28 @@ _CORRUPTIONS: dict[str, Callable[[int, Fault], int]] = {
 }
 
 
-def _object_cm(fault: Fault, now_s: float, chance: random.Random, minimum_cm: int) -> float:
-    swing_cm = fault.swing_cm * math.sin(2 * math.pi * now_s / fault.swing_period_s)
-    return fault.object_cm + swing_cm + chance.gauss(0.0, fault.jitter_cm)
-
-
-def _dust_cm(fault: Fault, now_s: float, chance: random.Random, minimum_cm: int) -> float:
-    return chance.uniform(minimum_cm, max(fault.dust_cm, minimum_cm))
-
-
-_RANGED: dict[str, Callable[[Fault, float, random.Random, int], float]] = {
-    "noisy": lambda fault, now_s, chance, minimum_cm: chance.gauss(0.0, fault.spread_cm),
-    "offset": lambda fault, now_s, chance, minimum_cm: fault.offset_cm,
-    "drift": lambda fault, now_s, chance, minimum_cm: fault.rate_cm_s * (now_s - fault.start_s),
-    "fixed_object": _object_cm,
-    "dust": _dust_cm,
-    "no_echo": lambda fault, now_s, chance, minimum_cm: math.inf,
-    "constant": lambda fault, now_s, chance, minimum_cm: fault.constant_cm,
-}
-"""What a fault ranges instead [cm], or for `_ERRORS` what it adds to a range."""
 _ERRORS = ("noisy", "offset", "drift")
+"""Faults that add an error to a range."""
 _IN_THE_BEAM = ("fixed_object", "dust")
 """Faults that put something into the beam: the sensor reads the nearest."""
+_RANGED = (*_ERRORS, *_IN_THE_BEAM, "no_echo", "constant")
+"""Faults that change what is ranged."""
+
+
+def _ranged_cm(fault: Fault, now_s: float, chance: random.Random, minimum_cm: int) -> float:
+    """What one of the faults `_RANGED` ranges instead [cm], or for `_ERRORS` what it adds to a range."""
+    match fault.kind:
+        case "noisy":
+            return chance.gauss(0.0, fault.spread_cm)
+        case "offset":
+            return fault.offset_cm
+        case "drift":
+            return fault.rate_cm_s * (now_s - fault.start_s)
+        case "fixed_object":
+            swing_cm = fault.swing_cm * math.sin(2 * math.pi * now_s / fault.swing_period_s)
+            return fault.object_cm + swing_cm + chance.gauss(0.0, fault.jitter_cm)
+        case "dust":
+            return chance.uniform(minimum_cm, max(fault.dust_cm, minimum_cm))
+        case "constant":
+            return fault.constant_cm
+    return math.inf

@@ -107,12 +107,24 @@ class EmulatedFlight:
         around = Surroundings(self.world, sensed_pose, self._log.record_truth)
         bus = emulated_bus(self._airframe, self._models, around, self.now_s, seed, faults)
         thermometer = LoopReader(lambda source: self._displayed_c() / source.scale)
-        options |= {"recorder": self._recorder, "thermometer": thermometer}
-        self.bridge = Bridge(self._airframe, bus, self.clock, transport, **options)
+        self.bridge = Bridge(
+            self._airframe,
+            bus,
+            self.clock,
+            transport,
+            recorder=self._recorder,
+            thermometer=thermometer,
+            report=self._record_text,
+            **options,
+        )
 
     def now_s(self) -> float:
         """Time of the flight [s]."""
         return self.clock.now() - self._start_s
+
+    def height_m(self) -> float:
+        """Present vertical distance from the vehicle's reference point to the surface below [m]."""
+        return self.world.height_m(self._pose(self.now_s()))
 
     def _record_text(self, severity: Severity, text: str) -> None:
         self._log.record_text(self.now_s(), severity, text)
@@ -193,17 +205,11 @@ class Simulation(EmulatedFlight):
         )
         transport = link(self._autopilot) if link is not None else self._autopilot
         self.transport = LoggingTransport(transport, clock)
-        self._make_bridge(
-            self.transport,
-            for_sensors,
-            scenario.device_faults(),
-            self.vehicle.pose,
-            report=self._record_text,
-        )
+        self._make_bridge(self.transport, for_sensors, scenario.device_faults(), self.vehicle.pose)
 
     def height_m(self) -> float:
         """Present vertical distance from where the fused stream measures to the surface below [m]."""
-        return self.world.height_m(self.vehicle.pose(self.now_s())) - self._airframe.reference_down_m
+        return super().height_m() - self._airframe.reference_down_m
 
     def fly(self) -> Generator[list[Step], None, None]:
         """Fly to the end, yielding after each step of the bridge; `flight` is complete when the iterator ends."""

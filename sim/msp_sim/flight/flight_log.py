@@ -4,6 +4,7 @@ Pings and the bridge's steps enter; a `FlightResult` leaves, from which table, p
 """
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -72,15 +73,22 @@ class FlightResult:
     sensors."""
     texts: list[tuple[float, str, str]]
     """Health messages: time [s], severity, text."""
-    rejected: dict[str, dict[str, int]] = field(default_factory=dict)
     sent: dict[str, int] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
-    """Rejected readings by sensor and reason; numbers of messages by type."""
+    """Numbers of messages by type."""
     autopilot_received: dict[str, int] = field(default_factory=dict)
     frames_sha256: str = ""
     """Hash of all bytes sent, in order."""
     duration_s: float = 0.0
     """Time flown [s]."""
+
+    @property
+    def rejected(self) -> dict[str, Counter[str]]:
+        """Number of readings that the bridge did not use, by sensor and reason."""
+        return {
+            name: Counter(why for why in track.why if why is not None and why not in USED)
+            for name, track in self.tracks.items()
+        }
 
 
 class FlightLog:
@@ -175,7 +183,6 @@ class FlightLog:
     def finish(self, duration_s: float, bridge: Bridge) -> None:
         """Complete `flight` with the bridge's counters."""
         self.flight.duration_s = duration_s
-        self.flight.rejected = {name: counts.rejected for name, counts in bridge.counts().items()}
         self.flight.sent = dict(bridge.link.sent)
         self.flight.dropped = dict(bridge.link.dropped)
 

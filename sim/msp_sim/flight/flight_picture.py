@@ -29,8 +29,8 @@ def draw(flight: FlightResult, path: Path, title: str) -> None:
     tracks = {name: _Arrays(track) for name, track in flight.tracks.items()}
     fused = _Arrays(flight.fused)
     is_truth_known = any(np.isfinite(track.truth_m).any() for track in (*tracks.values(), fused))
-    whys = [why for track in flight.tracks.values() for why in track.why]
-    reasons = [why for why, _ in Counter(why for why in whys if why not in USED).most_common() if why]
+    rejected: Counter[str] = sum(flight.rejected.values(), Counter())
+    reasons = [reason for reason, _ in rejected.most_common()]
     ratios = [3.0, *([0.25 * len(tracks) + 0.1] if reasons else []), *([2.0] if is_truth_known else [])]
     figure = new_figure(1.5 + 1.25 * sum(ratios), 9.6)
     top, *below = panels = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
@@ -109,8 +109,9 @@ def _draw_errors(axes: Axes, tracks: Mapping[str, _Arrays], fused: _Arrays) -> N
 
 def _what_happened(flight: FlightResult) -> str:
     """The flight in a few words: how many readings were used, silences, and reports to the pilot."""
-    whys = [why for track in flight.tracks.values() for why in track.why]
-    parts = [f"{sum(why in USED for why in whys)} of {len(whys)} readings used"]
+    readings = sum(len(track.why) for track in flight.tracks.values())
+    used = readings - sum(each.total() for each in flight.rejected.values())
+    parts = [f"{used} of {readings} readings used"]
     gaps_s = np.diff(flight.fused.time_s)
     silent_s = float(np.sum(gaps_s[gaps_s > GAP_S]))
     if silent_s:

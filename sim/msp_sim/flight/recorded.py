@@ -11,7 +11,7 @@ from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, MARK_TOPIC, RANGE_PREFIX, SENT_TOPIC, TRUTH_PREFIX
-from msp_sim.flight.flight_log import USED, FlightResult, SensorTrack
+from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 
 def recorded_flight(path: Path) -> FlightResult:
@@ -53,7 +53,4 @@ def recorded_flight(path: Path) -> FlightResult:
             texts.append((time_s - (time_s if start_s is None else start_s), severity, str(message["text"])))
     if not tracks:
         raise RecordingError(f"{path}: holds no readings; expected what msp-range run or msp-sim fly recorded")
-    rejected: dict[str, dict[str, int]] = {
-        name: Counter(why for why in track.why if why is not None and why not in USED) for name, track in tracks.items()
-    }
-    return FlightResult(dict(tracks), fused, texts, rejected, sent=dict(sent), duration_s=last_s)
+    return FlightResult(dict(tracks), fused, texts, sent=dict(sent), duration_s=last_s)

@@ -87,7 +87,9 @@ class Sampled:
         self.vary: VarySection = scenario.vary or _default(scenario)
         self._source = source
         self._plain = scenario.model_dump(exclude={"airframe", "vary"})
-        self._places = {path: self._checked(path, each) for path, each in self.vary.parameters.items()}
+        self._places: dict[str, list[Place]] = {}
+        for path, each in self.vary.parameters.items():
+            self._find_places(path, each)
         self._kinds = _kinds_by_sensor(scenario, self.vary.faults.kinds) if self.vary.faults is not None else {}
         if self.vary.faults is not None and not self._kinds:
             raise ConfigError(f"{source}: vary.faults.kinds: no sensor of the airframe can show any of them")
@@ -118,8 +120,8 @@ class Sampled:
             return SampledFlight(scenario, flight_seed, values, tuple(faults), refused)
         raise ConfigError(f"{self._source}: vary: none of {MOST_DRAWS} draws can be flown; the last one: {reason}")
 
-    def _checked(self, path: str, distribution: Distribution) -> list[Place]:
-        """The places of a parameter, which are there and can have the values of its distribution."""
+    def _find_places(self, path: str, distribution: Distribution) -> None:
+        """Find the places of a parameter, and check that they can have the values of its distribution."""
         key = f"{self._source}: vary.parameters: {path}"
         try:
             found = places(self._plain, path)
@@ -132,11 +134,10 @@ class Sampled:
                 own = value_at(self._plain, place)
                 if isinstance(own, bool) or not isinstance(own, int | float):
                     raise ConfigError(f"{key}: found {own!r} in the scenario; expected a number that a factor changes")
-        self._places = {path: found}
+        self._places[path] = found
         for end in distribution.ends:
             with suppress(ImpossibleFlight):
                 self._scenario(self._with(self._plain, path, end), f"{self._source}: vary.parameters")
-        return found
 
     def _with(self, plain: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         """Plain values with a draw of a parameter."""

@@ -178,11 +178,10 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
-        names = [sensor.name for sensor in self.airframe.sensors]
         kinds = {sensor.name: emulated_kind(sensor.sensor_model.driver) for sensor in self.airframe.sensors}
         for i, fault in enumerate(self.faults):
-            if fault.sensor not in names:
-                raise ValueError(f"faults[{i}].sensor: found {fault.sensor!r}; expected one of {', '.join(names)}")
+            if fault.sensor not in kinds:
+                raise ValueError(f"faults[{i}].sensor: found {fault.sensor!r}; expected one of {', '.join(kinds)}")
             try:
                 kinds[fault.sensor].check_fault(fault.on_device())
             except ValueError as error:

@@ -14,7 +14,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import config_path
 from msp_sim.flight.flight import Simulation
-from msp_sim.flight.flight_log import FlightResult, SensorTrack
+from msp_sim.flight.flight_log import SensorTrack
 from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.summary import summarise
 
@@ -70,7 +70,7 @@ def simulate_flight(
     loaded = load_scenario(config_path(scenario, "scenarios"))
     sensor_model = None if model is None else load_sensor_model(model)
     with threadpool_limits(limits=1):
-        flight = fly_through(loaded, seed, sensor_model, recording)
+        flight = fly_through(loaded, seed, sensor_model, recording).flight
     return SimulatedFlight(summarise(flight, loaded.name, seed), _readings(flight.tracks), _track(flight.fused))
 
 
@@ -82,8 +82,8 @@ def recorder_of(path: Path | str, scenario: Scenario, clock: Clock, seed: int, *
 
 def fly_through(
     scenario: Scenario, seed: int, model: SensorModel | None = None, recording: Path | str | None = None
-) -> FlightResult:
-    """Fly a scenario to its end in virtual time, and record it if a file is named.
+) -> Simulation:
+    """Fly a scenario to its end in virtual time, and record it if a file is named; return the finished flight.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def fly_through(
             pass
     if recorder is not None:
         recorder.close()
-    return simulation.flight
+    return simulation
 
 
 def _readings(tracks: dict[str, SensorTrack]) -> dict[str, Column]:

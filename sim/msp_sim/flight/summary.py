@@ -45,7 +45,7 @@ def summarise(flight: FlightResult, scenario: str, seed: int | None) -> dict[str
         "sensors": {
             name: {
                 "readings": len(track.time_s),
-                "rejected": dict(sorted(rejected.get(name, {}).items())),
+                "rejected": dict(sorted(rejected[name].items())),
                 "error_before": error_of(track.truth_m, track.raw_m, track.why),
                 "error_after": error_of(track.truth_m, track.filtered_m, track.why),
             }

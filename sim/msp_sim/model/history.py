@@ -45,7 +45,6 @@ class History:
     @classmethod
     def of(cls, columns: Mapping[str, Any], size: int, correlation: float, spacing_s: float) -> "History":
         """The history of n readings from their columns ``run``, ``sensor`` and ``time_s``, as far as recorded."""
-        keys = np.zeros(size, dtype=object)
         words = [np.asarray(columns[name]).astype(str) for name in ("run", "sensor") if name in columns]
         keys = np.array(["/".join(each) for each in zip(*words, strict=True)]) if words else np.full(size, "")
         names, series = np.unique(keys, return_inverse=True)

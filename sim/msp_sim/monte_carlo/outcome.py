@@ -16,7 +16,6 @@ from numpy.random import SeedSequence, default_rng
 
 from msp_range.arrays import Array
 from msp_range.assembly import fused_stream, polling_groups, polling_interval_s, single_streams, windows_of
-from msp_range.clock import VirtualClock
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import QUALITY_INVALID
@@ -25,10 +24,10 @@ from msp_range.recording.csv_form import column_of
 from msp_sim.device.emulated import Surroundings, ping_contexts
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
-from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult
 from msp_sim.flight.sampled import Sampled, SampledFlight
 from msp_sim.flight.scenario import Scenario
+from msp_sim.flight.simulate import fly_through
 from msp_sim.flight.summary import error_numbers
 from msp_sim.model.derived import sample_in_order
 from msp_sim.model.model import Model
@@ -102,10 +101,8 @@ def fly_sample(flights: Flights, index: int) -> Numbers:
         The numbers `FLOWN`, and what `about` gives.
     """
     sample = flights.sample(index)
-    simulation = Simulation(sample.scenario, VirtualClock(), sample.seed, model=flights.model)
-    for _ in simulation.fly():
-        pass
     scenario = sample.scenario
+    simulation = fly_through(scenario, sample.seed, flights.model)
     return about(sample) | judged(
         simulation.flight, simulation.received, scenario.airframe, scenario.autopilot, scenario.duration_s
     )

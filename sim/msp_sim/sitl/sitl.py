@@ -249,15 +249,10 @@ class Sitl(EmulatedFlight):
             SeedSequence(seed),
             scene.faults,
             self._known_pose,
-            report=self._record_text,
             on_message=lambda now_s, message: self.vehicle.on_message(now_s - self._start_s, message),
             wanted=dict.fromkeys((TRUTH[airframe.link.autopilot], *ESTIMATE), POSE_RATE_HZ),
             signing=signing_of(airframe.link.signing_key, clock),
         )
-
-    def height_m(self) -> float:
-        """Present vertical distance from the vehicle's reference point to the surface below [m]."""
-        return self.world.height_m(self.vehicle.pose(self.now_s()))
 
     def is_autopilot_connected(self) -> bool:
         """Whether heartbeats of an autopilot are being received."""
