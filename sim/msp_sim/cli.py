@@ -141,20 +141,12 @@ def monte_carlo(
     """
     require("sim", "msp-sim monte-carlo", but=DRAWING)
     from msp_sim.effects.own import add_own_effects
-    from msp_sim.monte_carlo.command import fly_monte_carlo
+    from msp_sim.monte_carlo.command import FlightOptions, fly_monte_carlo
+    from msp_sim.workers import workers
 
     add_own_effects(effects or ())
-    fly_monte_carlo(
-        scenario_file,
-        flights,
-        seed,
-        out,
-        jobs=jobs,
-        scheduler=scheduler,
-        model=model,
-        model_only=model_only,
-        effects=effects or (),
-    )
+    options = FlightOptions(scenario_file, seed, model, effects or ())
+    fly_monte_carlo(options, flights, out, model_only, workers(jobs, scheduler, "msp-sim monte-carlo"))
 
 
 @app.command()

@@ -13,8 +13,9 @@ from msp_sim.flight import results
 from msp_sim.flight.flying import fly_scenario, planned_flight
 from msp_sim.flight.results import Results
 from msp_sim.monte_carlo import command
-from msp_sim.monte_carlo.command import fly_monte_carlo
+from msp_sim.monte_carlo.command import FlightOptions, fly_monte_carlo
 from msp_sim.monte_carlo.outcome import Flights, draw_sample, fly_sample
+from msp_sim.workers import workers
 
 AIRFRAME = Path(__file__).parents[2] / "configs" / "quad_pallet.yaml"
 FILES = ("flights.csv", "summary.json", "flights.png")
@@ -60,11 +61,16 @@ def bad_flight(flights: Flights, index: int) -> dict[str, Any]:
     return fly_sample(flights, index)
 
 
+def fly(scenario: Path, flights: int, seed: int, out: Path, *, model_only: bool = False, jobs: int = 1) -> None:
+    options = FlightOptions(scenario, seed, None, ())
+    fly_monte_carlo(options, flights, out, model_only, workers(jobs, None, "msp-sim monte-carlo"))
+
+
 @pytest.mark.usefixtures("no_picture")
 def test_a_flight_of_the_table_is_flown_again_to_the_byte(
     scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fly_monte_carlo(scenario, 3, 5, tmp_path / "out")
+    fly(scenario, 3, 5, tmp_path / "out")
     shown = capsys.readouterr().out
     assert max(map(len, shown.split("fly the worst")[0].splitlines())) <= 80
     rows = table(tmp_path / "out")
@@ -90,7 +96,7 @@ def test_flights_in_the_folder_are_not_flown_again_and_bad_ones_are_named(
 ) -> None:
     monkeypatch.setattr(command, "fly_sample", bad_flight)
     with pytest.raises(typer.Exit) as ended:
-        fly_monte_carlo(scenario, 3, 1, tmp_path / "out")
+        fly(scenario, 3, 1, tmp_path / "out")
     assert ended.value.exit_code == 4
     assert "flight 2: ZeroDivisionError: a defect" in capsys.readouterr().out
     assert [row["flight"] for row in table(tmp_path / "out")] == ["0", "1"]
@@ -101,17 +107,17 @@ def test_flights_in_the_folder_are_not_flown_again_and_bad_ones_are_named(
         return fly_sample(flights, index)
 
     monkeypatch.setattr(command, "fly_sample", noted)
-    fly_monte_carlo(scenario, 3, 1, tmp_path / "out")
+    fly(scenario, 3, 1, tmp_path / "out")
     assert flown == [2]
     monkeypatch.setattr(command, "fly_sample", fly_sample)
-    fly_monte_carlo(scenario, 3, 1, tmp_path / "once")
+    fly(scenario, 3, 1, tmp_path / "once")
     for name in FILES[:2]:
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "once" / name).read_bytes()
 
 
 @pytest.mark.usefixtures("no_picture")
 def test_readings_of_the_model_alone(scenario: Path, tmp_path: Path) -> None:
-    fly_monte_carlo(scenario, 4, 1, tmp_path / "out", model_only=True)
+    fly(scenario, 4, 1, tmp_path / "out", model_only=True)
     rows = table(tmp_path / "out")
     assert all(0.0 <= float(row["wrong_share"]) < 0.2 for row in rows)
     # Sound is slower in cold air, which no bridge corrects here: by 5 % of a metre at -10 deg C.
@@ -145,6 +151,6 @@ def test_the_model_alone_draws_as_the_emulated_sensors_do(scenario: Path) -> Non
 @pytest.mark.slow
 def test_the_same_bytes_whatever_the_number_of_jobs(scenario: Path, tmp_path: Path) -> None:
     for jobs in (1, 3):
-        fly_monte_carlo(scenario, 10, 3, tmp_path / str(jobs), jobs=jobs)
+        fly(scenario, 10, 3, tmp_path / str(jobs), jobs=jobs)
     for name in FILES:
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "3" / name).read_bytes()

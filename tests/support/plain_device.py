@@ -20,6 +20,9 @@ class PlainDevice:
         Only "locked_up" has an effect: a device other than a range finder can hold the bus.
     """
 
+    also_at: int | None = None
+    busy_until_s = float("-inf")
+
     def __init__(self, address: int, answer: bytes = b"", faults: Sequence[Fault] = ()) -> None:
         self.address = address
         self.faults = tuple(faults)

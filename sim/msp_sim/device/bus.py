@@ -21,7 +21,13 @@ class Device(Protocol):
     """Anything with an address on the bus."""
 
     address: int
+    also_at: int | None
+    """A second address, of kinds that have one while it is changed."""
     faults: tuple[Fault, ...]
+
+    @property
+    def busy_until_s(self) -> float:
+        """Until when it answers no read [s]."""
 
     def write(self, data: bytes) -> None:
         """Take ``data``; raises NotAcknowledged where it does not answer."""
@@ -66,7 +72,6 @@ class EmulatedBus:
         self._lock_ups = [fault for device in devices for fault in device.faults if fault.kind == "locked_up"]
         self._reports_busy = reports_busy and not any(device.faults for device in devices)
         self._closed = False
-        self._have_second_addresses = any(hasattr(device, "also_at") for device in devices)
 
     def write(self, address: int, data: bytes) -> None:
         """Send ``data`` to every device at ``address``."""
@@ -100,7 +105,7 @@ class EmulatedBus:
         """For how long no device at ``address`` will answer a read [s]; 0: not reported."""
         if not self._reports_busy:
             return 0.0
-        until_s = min([getattr(device, "busy_until_s", -math.inf) for device in self._at(address)], default=-math.inf)
+        until_s = min([device.busy_until_s for device in self._at(address)], default=-math.inf)
         return max(until_s - self._now() - ROUNDING_S, 0.0)
 
     def reopen(self) -> None:
@@ -114,10 +119,7 @@ class EmulatedBus:
         self._closed = True
 
     def _at(self, address: int) -> list[Device]:
-        """Devices that answer at an address; some kinds have a second one while it is changed (``also_at``)."""
-        if not self._have_second_addresses:
-            return [each for each in self._devices if each.address == address]
-        return [each for each in self._devices if address in (each.address, getattr(each, "also_at", None))]
+        return [each for each in self._devices if address in (each.address, each.also_at)]
 
     def _check_lines(self, verb: str, address: int) -> None:
         if self._closed:

@@ -167,6 +167,8 @@ class RangeFinder(ABC):
     no_echo_codes: frozenset[int] = frozenset()
     """Readings that may as well say that there was no echo [cm]: errors of the ranging leave them alone."""
     fault_kinds = frozenset(FAULT_KINDS)
+    also_at: int | None = None
+    """Its second address, if it has one."""
 
     def __init__(
         self,

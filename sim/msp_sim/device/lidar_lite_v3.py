@@ -46,7 +46,6 @@ class EmulatedLidarLiteV3(RangeFinder):
     # It does not stretch the clock, so that is not read too early; and eight bits are nobody's type for 40 m.
     fault_kinds = frozenset(FAULT_KINDS) - {"clock_fault", "saturated"}
     serial = 0x3080
-    also_at: int | None = None
     _powered = False
 
     def power_cycle(self) -> None:

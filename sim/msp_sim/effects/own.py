@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from functools import cache
+from importlib.metadata import EntryPoint
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -35,11 +36,8 @@ def find_effect(name: str) -> Effect | None:
     ConfigError
         The package with the effect cannot be used.
     """
-    if name not in CATALOGUE:
-        entry = installed(GROUP).get(name)
-        if entry is None:
-            return None
-        _add(load_entry(entry, "effect", Effect), entry.value)
+    if name not in CATALOGUE and (entry := installed(GROUP).get(name)) is not None:
+        _add_installed(entry)
     return CATALOGUE.get(name)
 
 
@@ -52,7 +50,7 @@ def add_own_effects(files: Sequence[Path]) -> None:
         A package or a file cannot be used, or an effect has the name of another one.
     """
     for entry in installed(GROUP).values():
-        _add(load_entry(entry, "effect", Effect), entry.value)
+        _add_installed(entry)
     for path in files:
         for effect in effects_of_file(path):
             _add(effect, str(path))
@@ -95,6 +93,10 @@ def _run(path: Path) -> ModuleType:
         place = f"{path}:{line}" if line is not None else str(path)
         raise ConfigError(f"{place}: {type(error).__name__}: {error}") from None
     return module
+
+
+def _add_installed(entry: EntryPoint) -> None:
+    _add(load_entry(entry, "effect", Effect), entry.value)
 
 
 def _add(effect: Effect, source: str) -> None:

@@ -29,9 +29,6 @@ from msp_sim.flight.scenario import Scenario, load_scenario
 from msp_sim.flight.simulate import recorder_of
 from msp_sim.flight.summary import summarise
 
-REFRESH_S = 0.1
-"""Wall time between two updates of the display [s]; smaller costs processor time."""
-
 
 @dataclass(frozen=True)
 class PlannedFlight:
@@ -143,7 +140,7 @@ def _fly_shown(simulation: Simulation, shown: show.FlightDisplay, watch: Watch |
                 system.sleep_until(started_s + simulation.now_s() / speed)
             if out_to.is_terminal:
                 if system.now() >= next_refresh_s:
-                    next_refresh_s = system.now() + REFRESH_S
+                    next_refresh_s = system.now() + show.REFRESH_S
                     live.refresh()
             elif steps and (line := shown.line()) is not None:
                 print(line)

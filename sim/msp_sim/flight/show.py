@@ -11,6 +11,8 @@ from msp_range.terminal import plain_table
 from msp_sim.flight.flight import Simulation
 
 BAR_CELLS = 44
+REFRESH_S = 0.1
+"""Wall time between two updates of a display on a terminal [s]; smaller costs processor time."""
 LINE_PERIOD_S = 10.0
 """Flown time between two lines if the output is not a terminal [s]."""
 

@@ -59,6 +59,11 @@ def _draw(model: Model, given: Columns, seed: int) -> Array:
     return model.sample(given, np.random.default_rng(seed))
 
 
+def _rows(columns: Columns, rows: Any) -> Columns:
+    """Some rows of a table, by a slice or by their places, which may repeat."""
+    return {name: column[rows] for name, column in columns.items()}
+
+
 def _description(trial: Trial) -> str | None:
     return next(_description_faults(trial.effect), None)
 
@@ -90,7 +95,7 @@ def _description_faults(effect: Effect) -> Iterator[str]:
 
 def _runs(trial: Trial) -> str | None:
     channels = trial.channels()
-    trial.on(trial.base).rows(trial.contexts(100))
+    trial.model.rows(trial.contexts(100))
     if channels - {*trial.effect.channels}:
         return f"it changes {', '.join(sorted(channels))}, but says {', '.join(trial.effect.channels)}"
     return None
@@ -131,15 +136,15 @@ def _requires_context(trial: Trial) -> str | None:
 
 def _sums(trial: Trial) -> str | None:
     rows, every = 24, codes(trial.base.sensor)
-    each = {column: np.repeat(values, every.size) for column, values in trial.contexts(rows, 5).items()}
-    p = np.exp(trial.on(trial.base).log_prob(np.tile(every, rows), each)).reshape(rows, every.size)
+    each = _rows(trial.contexts(rows, 5), np.repeat(np.arange(rows), every.size))
+    p = np.exp(trial.model.log_prob(np.tile(every, rows), each)).reshape(rows, every.size)
     off = np.abs(p.sum(axis=1) - 1.0).max()
     return None if off < 1e-9 else f"the probabilities of all codes sum to 1 {off:+.2g} in some context"
 
 
 def _slopes(trial: Trial) -> str | None:
     n = 2000
-    rows = trial.on(trial.base).rows(trial.contexts(n, 4))
+    rows = trial.model.rows(trial.contexts(n, 4))
     rng = np.random.default_rng(6)
     reading_cm = np.where(rng.random(n) < 0.7, rows.sample(RandomStreams(rng)), rng.choice(codes(trial.base.sensor), n))
     reading_cm[:10] += 0.5 * trial.base.sensor.resolution_cm
@@ -164,7 +169,7 @@ def _slopes(trial: Trial) -> str | None:
 def _draws(trial: Trial) -> str | None:
     """The randomised probability integral transform is uniform over contexts of all kinds."""
     given = trial.contexts(40_000)
-    p_value = uniformity(trial.on(trial.base), given)
+    p_value = uniformity(trial.model, given)
     return None if p_value > UNLIKELY else f"readings drawn in 40,000 contexts do not follow it (p = {p_value:.1g})"
 
 
@@ -181,16 +186,15 @@ def uniformity(model: Model, given: Columns) -> float:
 
 def _draws_of_one(trial: Trial) -> str | None:
     """Chi-square, code by code, in four contexts in which the effect acts."""
-    model, n, every = trial.on(trial.base), 20_000, codes(trial.base.sensor)
+    model, n, every = trial.model, 20_000, codes(trial.base.sensor)
     few = trial.contexts(500, 8)
     before_cm = few["previous_reading_cm"].astype(float)
     acting = np.flatnonzero(model.log_prob(before_cm, few) != trial.base.log_prob(before_cm, few))[:4]
     for row in acting:
-        given = {column: np.repeat(values[row], n) for column, values in few.items()}
+        given = _rows(few, np.repeat(row, n))
         given["run"] = np.arange(n).astype(str) if trial.effect.per is None else given["run"]
         readings_cm = _draw(model, given, int(row))
-        one = {column: np.repeat(values[row], every.size) for column, values in few.items()}
-        expected = n * np.exp(model.log_prob(every, one))
+        expected = n * np.exp(model.log_prob(every, _rows(few, np.repeat(row, every.size))))
         observed = np.bincount(np.searchsorted(every, readings_cm), minlength=every.size)
         where = ", ".join(f"{column} {few[column][row]}" for column in sorted(trial.effect.columns))
         if observed[expected == 0.0].any():
@@ -210,12 +214,12 @@ def _grouped(observed: Column, expected: Column) -> tuple[Column, Column]:
 
 
 def _one_at_a_time(trial: Trial) -> str | None:
-    model, few, n = trial.on(trial.base), trial.contexts(150), 150
+    model, few, n = trial.model, trial.contexts(150), 150
     sampler, streams = Sampler(model, np.random.default_rng(7)), RandomStreams(np.random.default_rng(7))
     for i in range(n):
         one = {column: values[i].item() for column, values in few.items()}
         unknown_as_none = {key: None if value != value else value for key, value in one.items()}
-        many = model.sample({column: values[i : i + 1] for column, values in few.items()}, streams)
+        many = model.sample(_rows(few, slice(i, i + 1)), streams)
         alone = sampler.sample_one(unknown_as_none)
         if alone != many[0]:
             return f"reading {i + 1} drawn alone is {alone}, and {many[0]:.0f} drawn with others"
@@ -224,13 +228,11 @@ def _one_at_a_time(trial: Trial) -> str | None:
 
 def _alone(trial: Trial) -> str | None:
     """Probabilities of parts of a table equal those of the whole table."""
-    model, given, n = trial.on(trial.base), trial.contexts(600), 600
+    model, given, n = trial.model, trial.contexts(600), 600
     readings_cm = _draw(model, given, 4)
     together = model.log_prob(readings_cm, given)
     parts = [slice(i, i + 60) for i in range(0, n, 60)]
-    apart = [
-        model.log_prob(readings_cm[part], {name: column[part] for name, column in given.items()}) for part in parts
-    ]
+    apart = [model.log_prob(readings_cm[part], _rows(given, part)) for part in parts]
     differ = int((np.concatenate(apart) != together).sum())
     return f"{differ} of {n} probabilities depend on the other readings of the table" if differ else None
 

@@ -9,7 +9,8 @@ import numpy as np
 from msp_range.arrays import Column
 from msp_range.reading_model.rows import MIN_PROBABILITY
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect, Scene
+from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Effect, Scene
+from msp_sim.effects.curve import FIELDS
 from msp_sim.model.model import Model, Term
 
 Columns: TypeAlias = dict[str, Column]
@@ -21,16 +22,12 @@ VISIBLE_NATS = 1e-3
 of 40,000 readings random variation alone gives about 1e-5."""
 WORDS = {"sensor": "left", "run": "3", "target": "grass"}
 """The sensor, run or target to which an effect of one of them is applied."""
-_CHANGES: dict[str, Channel] = {
-    "bias_cm": "bias",
-    "log_spread": "spread",
+_CHANGES = {field: channel for channel, field in FIELDS.items()} | {
     "run_offset_cm": "spread",
-    "log_odds_short": "short",
-    "log_odds_missed": "missed",
-    "log_odds_random": "random",
     "component": "component",
     "fault": "code",
 }
+"""Channel that a field of a `Contribution` changes."""
 
 
 class Trial:
@@ -56,6 +53,11 @@ class Trial:
             if self.gain(term) > VISIBLE_NATS:
                 break
         return term
+
+    @cached_property
+    def model(self) -> Model:
+        """The base model with the strong effect."""
+        return self.on(self.base)
 
     def at(self, values: Mapping[str, float]) -> Term:
         """The effect with these values, applied to one sensor, run or target if it is per one of them."""

@@ -6,8 +6,9 @@ The command's options enter; a folder with a table, a summary and a picture, and
 import hashlib
 import json
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,31 +24,40 @@ from msp_sim.flight.scenario import load_scenario
 from msp_sim.monte_carlo.outcome import DRAWN, FLOWN, Flights, draw_sample, fly_sample
 from msp_sim.monte_carlo.store import FLIGHTS, NUMBER, PICTURE, SUMMARY, FlightStore
 from msp_sim.monte_carlo.summary import QUANTILES, Distribution, Share, Summary, summarise
-from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint, workers
+from msp_sim.workers import EXIT_SOME_FAILED, Workers, fingerprint
 
-COMMAND = "msp-sim monte-carlo"
 WIDTH = 80
 """Width of the summary [characters], also without a terminal: it fits into every terminal and mail."""
 SHOWN_FAILURES = 5
 """Flights that could not be flown, of which the reason is printed; summary.json has all."""
 
 
+@dataclass(frozen=True)
+class FlightOptions:
+    """The options that ``msp-sim monte-carlo`` shares with ``msp-sim fly``."""
+
+    scenario_file: Path
+    seed: int
+    model: Path | None
+    effects: Sequence[Path]
+
+    @property
+    def again(self) -> str:
+        """The command that flies one flight again, without the flight's number."""
+        words = ["msp-sim", "fly", str(self.scenario_file), "--seed", str(self.seed)]
+        words += ["--model", str(self.model)] if self.model is not None else []
+        for path in self.effects:
+            words += ["--effects", str(path)]
+        return shlex.join([*words, "--sample"])
+
+
 def fly_monte_carlo(
-    scenario_file: Path,
-    flights: int,
-    seed: int,
-    out: Path,
-    *,
-    jobs: int = 1,
-    scheduler: str | None = None,
-    model: Path | None = None,
-    model_only: bool = False,
-    effects: Sequence[Path] = (),
+    options: FlightOptions, flights: int, out: Path, model_only: bool, cluster: AbstractContextManager[Workers]
 ) -> None:
-    """Fly many samples of a scenario; the parameters are the options of the command."""
-    path = config_path(scenario_file, "scenarios")
+    """Fly many samples of a scenario; the parameters are the options of the command, and where it computes."""
+    path, seed = config_path(options.scenario_file, "scenarios"), options.seed
     sampled = Sampled(load_scenario(path), str(path))
-    sensor_model = load_sensor_model(model) if model is not None else None
+    sensor_model = load_sensor_model(options.model) if options.model is not None else None
     settings = {
         "scenario": sampled.scenario.name,
         "files": _sha256(sampled, sensor_model),
@@ -63,8 +73,8 @@ def fly_monte_carlo(
         print(f"{out}: {len(store.rows)} flights are here already; {len(wanted)} are to be flown")
     failed: dict[int, str] = {}
     try:
-        with workers(jobs, scheduler, COMMAND) as where:
-            shared = Flights(sampled, seed, sensor_model, tuple(path.resolve() for path in effects))
+        with cluster as where:
+            shared = Flights(sampled, seed, sensor_model, tuple(path.resolve() for path in options.effects))
             for outcome in where.map(draw_sample if model_only else fly_sample, wanted, shared, what="flights"):
                 if outcome.value is None:
                     failed[wanted[outcome.index]] = outcome.error or ""
@@ -77,9 +87,10 @@ def fly_monte_carlo(
         store.close()
     rows = [row for row in store.rows if row[NUMBER] < flights]
     summary = summarise(rows, failed)
-    again = _again(scenario_file, seed, model, effects)
-    _write(out, summary, settings, again)
-    _print(summary, sampled, again, where)
+    content = {**settings, **asdict(summary)}
+    content["worst"] = [{**row, "fly_again": f"{options.again} {row[NUMBER]}"} for row in summary.worst]
+    (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    _print(summary, options.again, where)
     print(f"every flight: {out / FLIGHTS}")
     print(f"     numbers: {out / SUMMARY}")
     if rows and (absent := missing("sim")) is None:
@@ -105,21 +116,6 @@ def _sha256(sampled: Sampled, model: Any) -> str:
     return hashlib.sha256("\n".join(what).encode()).hexdigest()
 
 
-def _again(scenario: Path, seed: int, model: Path | None, effects: Sequence[Path]) -> str:
-    """The command that flies one flight again, without the flight's number."""
-    words = ["msp-sim", "fly", str(scenario), "--seed", str(seed)]
-    words += ["--model", str(model)] if model is not None else []
-    for path in effects:
-        words += ["--effects", str(path)]
-    return shlex.join([*words, "--sample"])
-
-
-def _write(out: Path, summary: Summary, settings: Mapping[str, Any], again: str) -> None:
-    content = {**settings, **asdict(summary)}
-    content["worst"] = [{**row, "fly_again": f"{again} {row[NUMBER]}"} for row in summary.worst]
-    (out / SUMMARY).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-
-
 def _print_variation(sampled: Sampled) -> None:
     """Print what varies if the scenario file does not say it, as it would be written there."""
     print("The scenario has no section 'vary'; this one is used:\n")
@@ -128,7 +124,7 @@ def _print_variation(sampled: Sampled) -> None:
     print("".join(f"    {line}\n" for line in text.splitlines()))
 
 
-def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> None:
+def _print(summary: Summary, again: str, where: Workers) -> None:
     """Print the summary, within 80 columns."""
     found = console()
     shown = found if found.is_terminal and found.width <= WIDTH else PlainConsole(width=WIDTH)
@@ -142,11 +138,8 @@ def _print(summary: Summary, sampled: Sampled, again: str, where: Workers) -> No
         shown.print(plain_table(header, [_distribution(each) for each in summary.distributions]))
     if summary.worst:
         columns = [name for name in summary.worst[0] if name in _WORST_COLUMNS]
-        header = [
-            "worst",
-            *(_WORST_COLUMNS[name] for name in columns),
-            "faults" if "faults" in summary.worst[0] else "",
-        ]
+        faults = "faults" if "faults" in summary.worst[0] else ""
+        header = ["worst", *(_WORST_COLUMNS[name] for name in columns), faults]
         rows = [
             (str(row[NUMBER]), *(_shown(row[name]) for name in columns), row.get("faults", "")) for row in summary.worst
         ]

@@ -156,11 +156,10 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure: as PNG, and next to it in the chosen format; or in the format that the file's name has."""
     files = files_of(figure)
     named = path.suffix.removeprefix(".").lower()
-    if named in FORMATS and named != "png":
-        path.write_bytes(files.get(named) or _file(figure, named))
-        return
+    if named in ("svg", "pdf"):
+        files = {named: _file(figure, named)}
     for name, content in files.items():
-        (path if name == "png" else path.with_suffix(f".{name}")).write_bytes(content)
+        (path if name in ("png", named) else path.with_suffix(f".{name}")).write_bytes(content)
 
 
 def _file(figure: Figure, name: str) -> bytes:

@@ -21,8 +21,6 @@ from msp_sim.sitl.sitl import Scene, Sitl, landed_clearance_m, start_line, statu
 from msp_sim.world.surfaces import GroundSection
 from msp_sim.world.world import AirSection, World
 
-REFRESH_S = 0.1
-"""Wall time between two updates of the status line on a terminal [s]."""
 LOG_PERIOD_S = 5.0
 """Wall time between two status lines if the output is not a terminal [s]."""
 
@@ -93,6 +91,7 @@ def _fly_shown(simulation: Sitl, duration_s: float | None, stopped: Sequence[int
     """Fly for a time or to a signal, with a status line on a terminal, and lines of what changes."""
     out_to = console()
     with out_to.status("") if out_to.is_terminal else nullcontext() as status:
+        period_s = LOG_PERIOD_S if status is None else show.REFRESH_S
         next_status_s = 0.0
         source: str | None = None
         start: str | None = None
@@ -110,9 +109,8 @@ def _fly_shown(simulation: Sitl, duration_s: float | None, stopped: Sequence[int
                 out_to.print(start, soft_wrap=True)
             if simulation.now_s() < next_status_s:
                 continue
-            if status is not None:
-                next_status_s = simulation.now_s() + REFRESH_S
-                status.update(status_line(simulation))
-            else:
-                next_status_s = simulation.now_s() + LOG_PERIOD_S
+            next_status_s = simulation.now_s() + period_s
+            if status is None:
                 out_to.print(status_line(simulation), soft_wrap=True)
+            else:
+                status.update(status_line(simulation))

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,6 +25,11 @@ from tests.support.plain_device import PlainDevice
 
 AFTER_ANY_RANGING_S = 0.07
 FOR_EVER = float("inf")
+
+
+def lasting(kind: str, **values: Any) -> Fault:
+    """A fault that lasts for ever."""
+    return Fault(kind, 0.0, FOR_EVER, **values)
 
 
 class Bench:
@@ -169,12 +175,12 @@ def test_a_corrupted_answer_is_seen_only_while_the_fault_lasts(kind: str, readin
 
 
 def test_faults_of_the_answer_add_up_in_their_order() -> None:
-    faults = [Fault("lost_high_byte", 0.0, FOR_EVER), Fault("clock_fault", 0.0, FOR_EVER)]
+    faults = [lasting("lost_high_byte"), lasting("clock_fault")]
     assert Bench([765], faults).range() == 0x80FD
 
 
 def test_the_impossible_word_is_a_choice() -> None:
-    assert Bench([258], [Fault("impossible", 0.0, FOR_EVER, word=0)]).range() == 0
+    assert Bench([258], [lasting("impossible", word=0)]).range() == 0
 
 
 def test_silent_and_then_well_again() -> None:
@@ -190,7 +196,7 @@ def test_silent_and_then_well_again() -> None:
 
 
 def test_missed_read_happens_once_a_ranging() -> None:
-    bench = Bench([258, 300], [Fault("missed_read", 0.0, FOR_EVER)])
+    bench = Bench([258, 300], [lasting("missed_read")])
     for reading_cm in (258, 300):
         bench.ping()
         assert [bench.acknowledges(), bench.acknowledges()] == [False, True]
@@ -198,7 +204,7 @@ def test_missed_read_happens_once_a_ranging() -> None:
 
 
 def test_a_ranging_sensor_does_not_use_up_its_missed_read() -> None:
-    bench = Bench([258], [Fault("missed_read", 0.0, FOR_EVER)])
+    bench = Bench([258], [lasting("missed_read")])
     bench.sonar.write(RANGE_COMMAND)
     assert not bench.acknowledges()
     bench.time_s = AFTER_ANY_RANGING_S
@@ -212,7 +218,7 @@ def test_stuck_repeats_the_last_reading_and_the_world_is_asked_all_the_same() ->
 
 
 def test_stuck_from_the_start_holds_the_first_reading() -> None:
-    bench = Bench([100, 200], [Fault("stuck", 0.0, FOR_EVER)])
+    bench = Bench([100, 200], [lasting("stuck")])
     assert [bench.range() for _ in range(2)] == [100, 100]
 
 
@@ -244,18 +250,18 @@ def test_a_missed_echo_takes_the_whole_cycle() -> None:
     [(258, -80, 178), (258, 40.4, 298), (40, -80, 20), (765, 9, 765), (765, -80, 765)],
 )
 def test_an_offset_stays_within_what_the_sensor_can_answer(reading_cm: int, offset_cm: float, word: int) -> None:
-    assert Bench([reading_cm], [Fault("offset", 0.0, FOR_EVER, offset_cm=offset_cm)]).range() == word
+    assert Bench([reading_cm], [lasting("offset", offset_cm=offset_cm)]).range() == word
 
 
 @pytest.mark.parametrize(("kind", "word"), [("offset", 255), ("noisy", 255), ("no_echo", 765)])
 def test_a_reading_that_may_be_no_echo_has_no_error_on_top(kind: str, word: int) -> None:
     """Two sensors without an echo, both off by 34 cm, would agree on 2.21 m."""
-    assert Bench([255], [Fault(kind, 0.0, FOR_EVER, offset_cm=-34.0)]).range() == word
+    assert Bench([255], [lasting(kind, offset_cm=-34.0)]).range() == word
 
 
 def test_noise_has_its_spread_and_leaves_no_echo_alone() -> None:
     count, spread_cm = 400, 50.0
-    bench = Bench([400] * count + [765], [Fault("noisy", 0.0, FOR_EVER, spread_cm=spread_cm)])
+    bench = Bench([400] * count + [765], [lasting("noisy", spread_cm=spread_cm)])
     errors_cm = [bench.range() - 400 for _ in range(count)]
     assert abs(sum(errors_cm) / count) < 4 * spread_cm / count**0.5
     assert statistics.pstdev(errors_cm) == pytest.approx(spread_cm, rel=0.15)
@@ -280,7 +286,7 @@ def test_the_answer_of_the_ping_before() -> None:
 
 
 def test_an_answer_of_the_ping_before_needs_one() -> None:
-    bench = Bench([100, 200, 300], [Fault("previous_ping", 0.0, FOR_EVER), Fault("power_cycle", 1.0, 1.0)])
+    bench = Bench([100, 200, 300], [lasting("previous_ping"), Fault("power_cycle", 1.0, 1.0)])
     assert [bench.range(), bench.range()] == [100, 100]
     bench.time_s = 2.0
     assert bench.range() == 300
@@ -288,17 +294,17 @@ def test_an_answer_of_the_ping_before_needs_one() -> None:
 
 def test_a_fixed_object_hides_what_is_behind_it() -> None:
     """The nearest echo counts, no echo is none from the object, and the object is never nearer than the minimum."""
-    fault = Fault("fixed_object", 0.0, FOR_EVER, object_cm=40.0, jitter_cm=0.0)
+    fault = lasting("fixed_object", object_cm=40.0, jitter_cm=0.0)
     bench = Bench([25, 39, 41, 500, 765], [fault])
     assert [bench.range() for _ in range(5)] == [25, 39, 40, 40, 40]
-    nearer = Fault("fixed_object", 0.0, FOR_EVER, object_cm=12.0, jitter_cm=0.0)
+    nearer = lasting("fixed_object", object_cm=12.0, jitter_cm=0.0)
     assert Bench([500], [nearer]).range() == 20
 
 
 def test_a_fixed_object_swings_and_jitters() -> None:
     """Over whole periods a sine of 6 cm has a deviation of 6 / sqrt(2) cm; jitter adds its own square."""
     count = 400
-    fault = Fault("fixed_object", 0.0, FOR_EVER, object_cm=50.0, jitter_cm=3.0, swing_cm=6.0, swing_period_s=2.8)
+    fault = lasting("fixed_object", object_cm=50.0, jitter_cm=3.0, swing_cm=6.0, swing_period_s=2.8)
     bench = Bench([300] * count, [fault])
     seen_cm = [bench.range() for _ in range(count)]
     assert statistics.mean(seen_cm) == pytest.approx(50.0, abs=4 * 5.2 / count**0.5)
@@ -308,7 +314,7 @@ def test_a_fixed_object_swings_and_jitters() -> None:
 
 def test_dust_is_anywhere_above_the_ground() -> None:
     count = 400
-    bench = Bench([765] * count + [60] * count, [Fault("dust", 0.0, FOR_EVER, dust_cm=120.0)])
+    bench = Bench([765] * count + [60] * count, [lasting("dust", dust_cm=120.0)])
     seen_cm = [bench.range() for _ in range(count)]
     assert statistics.mean(seen_cm) == pytest.approx(70.0, abs=4 * 28.9 / count**0.5)
     assert (min(seen_cm) < 25, max(seen_cm) > 115, max(seen_cm) <= 120) == (True, True, True)
@@ -325,7 +331,7 @@ def test_probability(kind: str) -> None:
 
     def shows(seed: int) -> list[bool]:
         readings_cm = [100 + i for i in range(count)]
-        bench = Bench(readings_cm, [Fault(kind, 0.0, FOR_EVER, probability)], seed)
+        bench = Bench(readings_cm, [lasting(kind, probability=probability)], seed)
         shown = []
         for reading_cm in readings_cm:
             if kind == "silent":

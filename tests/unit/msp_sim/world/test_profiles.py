@@ -34,6 +34,18 @@ def flat(time_s: float) -> float:
     return 0.0
 
 
+def step(to_m: float) -> StepSegment:
+    return StepSegment(kind="step", to_m=to_m)
+
+
+def hold(duration_s: float) -> HoldSegment:
+    return HoldSegment(kind="hold", duration_s=duration_s)
+
+
+def climb(to_m: float, **limits: float) -> ClimbSegment:
+    return ClimbSegment(kind="climb", to_m=to_m, **limits)
+
+
 def fly(*segments: Segment, surface_m: Callable[[float], float] = flat, seed: int = 0) -> Course:
     height = Height(surface_m, np.random.default_rng(seed))
     for segment in segments:
@@ -55,10 +67,10 @@ def stepped_slope(time_s: float) -> float:
 @pytest.mark.parametrize(
     ("segments", "fastest_m_s", "hardest_m_s2"),
     [
-        ([ClimbSegment(kind="climb", to_m=6.0, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
-        ([ClimbSegment(kind="climb", to_m=0.2, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
+        ([climb(6.0, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
+        ([climb(0.2, speed_m_s=1.5, acceleration_m_s2=0.8)], 1.5, 0.8),
         (
-            [StepSegment(kind="step", to_m=4.0), LandSegment(kind="land", speed_m_s=0.5, acceleration_m_s2=1.0)],
+            [step(4.0), LandSegment(kind="land", speed_m_s=0.5, acceleration_m_s2=1.0)],
             0.5,
             1.0,
         ),
@@ -66,7 +78,7 @@ def stepped_slope(time_s: float) -> float:
         ([SinusoidSegment(kind="sinusoid", swing_m=1.2, period_s=3.0, cycles=2)], 1.2566, 2.6319),
         ([TerrainSegment(kind="terrain", height_m=2.0, duration_s=30, speed_m_s=1.5, acceleration_m_s2=2.0)], 1.5, 2.0),
         (
-            [ClimbSegment(kind="climb", to_m=2.0), HoldSegment(kind="hold", duration_s=2), LandSegment(kind="land")],
+            [climb(2.0), hold(2), LandSegment(kind="land")],
             1.0,
             1.0,
         ),
@@ -87,7 +99,7 @@ def test_what_a_vehicle_flies_is_continuous_and_bounded(
 
 
 def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should() -> None:
-    course = fly(ClimbSegment(kind="climb", to_m=6.0, speed_m_s=1.2, acceleration_m_s2=0.9))
+    course = fly(climb(6.0, speed_m_s=1.2, acceleration_m_s2=0.9))
     # Speeding up and slowing down each take 1.5 v / a, at the mean speed v / 2.
     assert course.end_s == pytest.approx(6.0 / 1.2 + 1.5 * 1.2 / 0.9)
     assert course.at(course.end_s / 2) == pytest.approx((3.0, 1.2, 0.0))
@@ -95,18 +107,14 @@ def test_a_climb_takes_the_time_of_its_three_parts_and_ends_where_it_should() ->
 
 
 def test_acceleration_is_the_derivative_of_speed() -> None:
-    course = fly(
-        ClimbSegment(kind="climb", to_m=6.0), SinusoidSegment(kind="sinusoid", swing_m=-1.0, period_s=4.0, cycles=1)
-    )
+    course = fly(climb(6.0), SinusoidSegment(kind="sinusoid", swing_m=-1.0, period_s=4.0, cycles=1))
     for time_s in (0.3, 1.2, 4.0, 7.0, 9.0, 10.0):
         numeric_m_s2 = (course.at(time_s + 1e-5)[1] - course.at(time_s - 1e-5)[1]) / 2e-5
         assert course.at(time_s)[2] == pytest.approx(numeric_m_s2, abs=1e-6)
 
 
 def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle() -> None:
-    course = fly(
-        StepSegment(kind="step", to_m=2.0), SinusoidSegment(kind="sinusoid", swing_m=1.5, period_s=4.0, cycles=3)
-    )
+    course = fly(step(2.0), SinusoidSegment(kind="sinusoid", swing_m=1.5, period_s=4.0, cycles=3))
     assert course.end_s == pytest.approx(12.0)
     for cycle in range(3):
         heights_m = [course.at(4.0 * cycle + quarter)[0] for quarter in (0.0, 1.0, 2.0, 3.0)]
@@ -115,10 +123,10 @@ def test_a_sinusoid_goes_once_to_the_other_end_and_back_each_cycle() -> None:
 
 def test_steps_are_sharp_and_ramps_straight() -> None:
     course = fly(
-        StepSegment(kind="step", to_m=2.75),
-        HoldSegment(kind="hold", duration_s=5),
-        StepSegment(kind="step", to_m=2.25),
-        HoldSegment(kind="hold", duration_s=5),
+        step(2.75),
+        hold(5),
+        step(2.25),
+        hold(5),
         RampSegment(kind="ramp", to_m=3.25, duration_s=4),
     )
     assert course.at(4.999) == (2.75, 0.0, 0.0)
@@ -128,13 +136,13 @@ def test_steps_are_sharp_and_ramps_straight() -> None:
 
 
 def test_a_landing_ends_on_what_is_below() -> None:
-    course = fly(StepSegment(kind="step", to_m=3.0), LandSegment(kind="land"), surface_m=lambda time_s: 0.4)
+    course = fly(step(3.0), LandSegment(kind="land"), surface_m=lambda time_s: 0.4)
     assert course.end_m == 0.4
 
 
 def test_terrain_following_keeps_its_height_and_finds_it_again_after_a_step() -> None:
     course = fly(
-        ClimbSegment(kind="climb", to_m=2.0),
+        climb(2.0),
         TerrainSegment(kind="terrain", height_m=2.0, duration_s=40),
         surface_m=stepped_slope,
     )
@@ -162,7 +170,7 @@ def stretches(course: Course) -> list[tuple[int, float, float]]:
 
 
 def test_the_random_profile_is_drawn_as_it_says() -> None:
-    course = fly(StepSegment(kind="step", to_m=3.0), RandomSegment(kind="random", duration_s=2400))
+    course = fly(step(3.0), RandomSegment(kind="random", duration_s=2400))
     parts = stretches(course)[:-1]  # the last one is cut
     assert len(parts) == pytest.approx(2000, rel=0.05)
     samples = np.array([part[0] for part in parts])
@@ -178,7 +186,7 @@ def test_the_random_profile_is_drawn_as_it_says() -> None:
 
 
 def test_the_random_profile_stops_in_time_and_stays_within_its_levels() -> None:
-    course = fly(StepSegment(kind="step", to_m=3.0), RandomSegment(kind="random", duration_s=20, low_m=2.3, high_m=3.6))
+    course = fly(step(3.0), RandomSegment(kind="random", duration_s=20, low_m=2.3, high_m=3.6))
     assert course.end_s == pytest.approx(20.0)
     _, heights_m, _ = sampled(course, 0.01)
     assert heights_m.min() >= 2.3
@@ -222,7 +230,7 @@ def test_a_leg_too_short_for_its_speed_reaches_what_it_can() -> None:
 
 
 def vehicle(seed: int = 0, altitude_m: float = 3.0, **flight: Any) -> Vehicle:
-    segments = (StepSegment(kind="step", to_m=altitude_m), HoldSegment(kind="hold", duration_s=600))
+    segments = (step(altitude_m), hold(600))
     return Vehicle(FlightSection(altitude=segments, **flight), lambda north_m, east_m: 0.0, np.random.default_rng(seed))
 
 
@@ -265,7 +273,7 @@ def test_sway_has_its_size_and_follows_its_seed() -> None:
 def test_heave_has_its_size_and_its_velocity_is_that_of_the_position() -> None:
     """Also while it grows with the height, in the first half metre of a climb."""
     flight = FlightSection(
-        altitude=(ClimbSegment(kind="climb", to_m=3.0, speed_m_s=0.2), HoldSegment(kind="hold", duration_s=600)),
+        altitude=(climb(3.0, speed_m_s=0.2), hold(600)),
         heave=Heave(rms_m=0.1, period_s=3.0),
     )
     flying = Vehicle(flight, lambda north_m, east_m: 0.0, np.random.default_rng(3))
@@ -296,7 +304,7 @@ def test_a_vehicle_that_stands_does_not_sway() -> None:
 
 def test_a_vehicle_starts_on_the_surface_and_its_velocity_is_that_of_its_position() -> None:
     flight = FlightSection(
-        altitude=(ClimbSegment(kind="climb", to_m=4.0), HoldSegment(kind="hold", duration_s=30)),
+        altitude=(climb(4.0), hold(30)),
         track=TrackSection(start_m=(5.0, 2.0), legs=(Leg(duration_s=30, speed_m_s=1.0, heading_deg=-40),)),
         standing_height_m=0.2,
     )
