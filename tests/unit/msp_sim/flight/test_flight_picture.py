@@ -27,6 +27,12 @@ def test_edges_are_spans() -> None:
     assert [(round(a, 1), round(b, 1)) for a, b in _edges(_Arrays(fused))] == [(1.0, 1.9), (6.0, 6.1)]
 
 
+def test_what_was_not_used_is_counted_by_its_reason() -> None:
+    left = track([0.0, 1.0, 2.0, 3.0], [None, "outlier", "outlier", "at_minimum"])
+    flight = FlightResult({"left": left, "right": SensorTrack()}, SensorTrack(), [])
+    assert flight.rejected == {"left": {"outlier": 2}, "right": {}}
+
+
 @pytest.mark.slow
 def test_the_title_tells_what_happened(tmp_path: Path) -> None:
     left = track([0.0, 1.0, 2.0, 3.0], [None, "outlier", "suspect", "at_minimum"])
