@@ -8,6 +8,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from evaluation import CONFIGS
 from evaluation.benchmarks.figure import Figures, Goal, at_least, at_most, figure
@@ -72,7 +73,7 @@ def heights() -> Figures:
 
 def objects() -> Figures:
     """Objects of 30 cm and more under one corner, and none over flat ground."""
-    draw = np.random.default_rng(21)
+    draw = default_rng(21)
     found = sum(_is_found(draw) for _ in range(OBJECTS)) / OBJECTS
     false = 0
     for _ in range(FLAT_S // 200):
@@ -89,7 +90,7 @@ def objects() -> Figures:
     ]
 
 
-def _is_found(draw: np.random.Generator) -> bool:
+def _is_found(draw: Generator) -> bool:
     height_m = draw.uniform(1.0, 4.0)
     object_m, comes_s = draw.uniform(0.3, min(1.2, height_m - 0.4)), draw.uniform(4.0, 5.0)
     hover, corner = Hover(height_m, draw), NAMES[draw.integers(4)]

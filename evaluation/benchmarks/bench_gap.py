@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from numpy.random import default_rng
 
 from evaluation import CONFIGS
 from evaluation.benchmarks.figure import Figures, at_most, figure, under
@@ -58,7 +59,7 @@ def run() -> Figures:
 
 def flights(rows: int, seed: int) -> Columns:
     """Context columns of flights of 500 readings, all that the form knows."""
-    rng = np.random.default_rng([seed, rows])
+    rng = default_rng([seed, rows])
     columns = contexts(rng, rows // 500, 500)
     n = columns["time_s"].size
     columns |= {
@@ -78,7 +79,7 @@ def measured(rows: int, seed: int) -> Columns:
     """The same with readings of a sensor whose range is off and which its rotors disturb."""
     columns = flights(rows, seed)
     model = load_model(SENSOR).adding("range_scale", scale_pct=0.3).adding("rotor_noise", growth=0.4)
-    columns["reading_cm"] = model.sample(columns, np.random.default_rng([seed, rows, 1]))
+    columns["reading_cm"] = model.sample(columns, default_rng([seed, rows, 1]))
     return columns
 
 
@@ -102,7 +103,7 @@ def screen_s(rows: int) -> float:
     columns = measured(rows, 1)
     reading_cm = np.asarray(columns.pop("reading_cm"), dtype=float)
     unit = numbered(np.asarray(columns["run"]))
-    problem = Problem.of(load_model(SENSOR), columns, reading_cm, unit, np.random.default_rng(1))
+    problem = Problem.of(load_model(SENSOR), columns, reading_cm, unit, default_rng(1))
     state = first_state(problem)
     started_s = time.perf_counter()
     screened(problem, state)

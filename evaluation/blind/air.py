@@ -1,9 +1,9 @@
 """Air: how fast sound crosses it and how much of it is left. Temperatures [deg C] enter, m/s and dB/m leave."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from evaluation.blind.sound import Array
 
 GAS_CONSTANT = 8.314462618
 STANDARD_PRESSURE_PA = 101_325.0
@@ -61,7 +61,7 @@ def boxed_slowness_s_m(box_c: ArrayLike, room_c: ArrayLike, range_m: ArrayLike, 
             depth = start + 0.5 * (place + 1.0) * (end - start)
             temperature = room + (box - room) / (1.0 + np.exp(np.clip((depth - box_m) / blur_m, -60.0, 60.0)))
             total = total + 0.5 * weight * (end - start) / speed_m_s(temperature)
-    return np.asarray(total / length)
+    return total / length
 
 
 def absorption_db_m(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, frequency_hz: float = 42_000.0) -> Array:

@@ -4,17 +4,18 @@ A seed enters, columns in the CSV form leave: what a person would have measured 
 a millimetre and rooms whose air is never quite the same.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from evaluation.blind import air
+from evaluation.blind.flight import Columns
 from evaluation.blind.ping import REFLECTION_DB, Ping, tone_crossing_s
 from evaluation.blind.receiver import Receiver
-
-Columns = dict[str, NDArray[np.generic]]
+from evaluation.blind.sound import Array
 
 ROOM_C, HOT_C, COLD_C = 21.1, 46.1, 8.3
 """70, 115 and 47 F."""
@@ -174,7 +175,7 @@ def campaign(
         In the CSV form; `condition`, `sensor`, `run` and `target` are words. A run is one sensor in one condition at
         one level, its ranges one after the other.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rng = default_rng(np.random.SeedSequence(seed))
     points = table_4_1() if points is None else points
     counts = [point.readings or readings for point in points]
     row = np.repeat(np.arange(len(points)), counts)
@@ -184,8 +185,8 @@ def campaign(
     return columns
 
 
-def _columns(points: Sequence[Point], row: NDArray[np.intp], rng: np.random.Generator) -> Columns:
-    def number(values: Iterable[float]) -> NDArray[np.float64]:
+def _columns(points: Sequence[Point], row: NDArray[np.intp], rng: Generator) -> Columns:
+    def number(values: Iterable[float]) -> Array:
         return np.array(list(values), dtype=float)[row]
 
     def word(values: Iterable[str]) -> NDArray[np.str_]:
@@ -215,7 +216,7 @@ def _columns(points: Sequence[Point], row: NDArray[np.intp], rng: np.random.Gene
     return columns
 
 
-def _time_s(run: NDArray[np.str_]) -> NDArray[np.float64]:
+def _time_s(run: NDArray[np.str_]) -> Array:
     """A reading each 100 ms in every run."""
     time_s = np.zeros(run.size)
     for each in np.unique(run):
@@ -227,11 +228,11 @@ def _time_s(run: NDArray[np.str_]) -> NDArray[np.float64]:
 def _read(
     points: Sequence[Point],
     row: NDArray[np.intp],
-    columns: Mapping[str, NDArray[np.generic]],
+    columns: Columns,
     receiver: Receiver,
     surroundings: Surroundings,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
+    rng: Generator,
+) -> Array:
     stands_cm = np.array([p.range_cm for p in points]) + surroundings.tape_cm * rng.standard_normal(len(points))
     ping = Ping(receiver, stands_cm[row] / 100.0)
     room_c = np.array([p.far_c if p.far_c == p.far_c else p.air_c for p in points])
@@ -248,12 +249,12 @@ def _read(
     ping.fade *= np.sqrt(rough / 2.0 + 0.5)
     _surround(ping, surroundings, rng)
     _vibrate(ping, np.array([p.vibration_hz for p in points])[row], rng)
-    _neighbour(ping, np.asarray(columns["neighbour_lag_ms"], dtype=float) / 1000.0)
+    _neighbour(ping, columns["neighbour_lag_ms"] / 1000.0)
     _transmitter(ping, columns, rng)
     return ping.listen(rng)
 
 
-def _surround(ping: Ping, surroundings: Surroundings, rng: np.random.Generator) -> None:
+def _surround(ping: Ping, surroundings: Surroundings, rng: Generator) -> None:
     ping.misfire[:] = surroundings.misfire
     ping.click_hz[:] = surroundings.click_hz
     ping.passers_per_m[:] = surroundings.passers_per_m
@@ -262,24 +263,24 @@ def _surround(ping: Ping, surroundings: Surroundings, rng: np.random.Generator) 
     ping.locked_s = np.where(rng.random(ping.range_m.size) < surroundings.lock_up, recovers_s, np.nan)
 
 
-def _vibrate(ping: Ping, vibration_hz: NDArray[np.float64], rng: np.random.Generator) -> None:
+def _vibrate(ping: Ping, vibration_hz: Array, rng: Generator) -> None:
     """The housing moves by 0.2 mm, and its mount hums: at harmonics of 60 Hz, none of them near 42 kHz."""
     phase = rng.uniform(0.0, 2.0 * np.pi, vibration_hz.size)
-    ping.range_m = ping.range_m + np.where(vibration_hz > 0.0, 2e-4 * np.sin(phase), 0.0)
+    ping.range_m += np.where(vibration_hz > 0.0, 2e-4 * np.sin(phase), 0.0)
     ping.noise_pa = ping.noise_pa * np.where(vibration_hz > 0.0, 1.1, 1.0)
 
 
-def _neighbour(ping: Ping, lag_s: NDArray[np.float64]) -> None:
+def _neighbour(ping: Ping, lag_s: Array) -> None:
     """The other sensor's ping, mirrored half-way between the two, is early by its lead."""
     way_m = np.hypot(2.0 * ping.range_m, APART_M)
     aside = np.arctan2(APART_M, 2.0 * ping.range_m)
     pressure = ping.level_at_pa(way_m) * ping.beam(aside) ** 2
     near = lag_s < 0.05  # later, the room has gone quiet
     amplitude = np.where(near, pressure, 0.0)
-    ping.others.append((amplitude[:, None].astype(complex), (way_m * ping.slowness() - np.nan_to_num(lag_s))[:, None]))
+    ping.add_sound(amplitude, way_m * ping.slowness() - np.nan_to_num(lag_s))
 
 
-def _transmitter(ping: Ping, columns: Mapping[str, NDArray[np.generic]], rng: np.random.Generator) -> None:
+def _transmitter(ping: Ping, columns: Columns, rng: Generator) -> None:
     level, duty, distance_cm, khz = (
         np.asarray(columns[f"external_{name}"], dtype=float)
         for name in ("level_db", "duty", "distance_cm", "frequency_khz")
@@ -316,7 +317,7 @@ def over_ranges(
     surroundings, receiver, rough_air
         Room, sensor, and how much stronger the eddies are than on a quiet day.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    rng = default_rng(np.random.SeedSequence(seed))
     true_cm = rng.uniform(low_cm, high_cm, count)
     ping = Ping(receiver or Receiver(), (true_cm + surroundings.tape_cm * rng.standard_normal(count)) / 100.0)
     ping.eddies_k *= rough_air

@@ -6,9 +6,10 @@ wind, tilt with throttle, vibration with throttle, humidity against temperature,
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -17,7 +18,7 @@ from evaluation.blind.ping import REFLECTION_DB, Ping
 from evaluation.blind.receiver import NEAREST_CM, NO_ECHO_CM, Receiver
 from evaluation.blind.sound import Array
 
-Columns = dict[str, NDArray[np.generic]]
+Columns = dict[str, NDArray[Any]]
 Regime = Literal["iid", "ar1", "run_offsets", "whole_centimetres", "drifting", "heavy_outliers"]
 REGIMES: tuple[Regime, ...] = ("iid", "ar1", "run_offsets", "whole_centimetres", "drifting", "heavy_outliers")
 
@@ -33,6 +34,8 @@ STRONG = Receiver(
 
 SENSORS = ("front", "rear")
 TARGETS = ("asphalt", "concrete", "grass")
+AIR = ("air_temperature_c", "target_temperature_c", "humidity_pct")
+"""Contexts that the speed of sound depends on: at both ends of the path, and how humid it is there."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +92,9 @@ class Flight:
     codes: list[Callable[[Array], Array]] = field(default_factory=list)
     """What happens to readings between the sensor and the file, in order."""
 
-    def number(self, name: str) -> Array:
-        """A column of numbers."""
-        return np.asarray(self.columns[name], dtype=float)
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """A column of its contexts."""
+        return self.columns[name]
 
     @property
     def rows(self) -> int:
@@ -99,7 +102,46 @@ class Flight:
         return len(self.ping.range_m)
 
 
-def contexts(rng: np.random.Generator, runs: int, rows: int, regime: Regime = "iid", step_s: float = 0.5) -> Columns:
+def run_numbers(columns: Columns) -> NDArray[np.intp]:
+    """The run of each row, as a number."""
+    return np.unique(columns["run"], return_inverse=True)[1]
+
+
+class _Runs:
+    """Times of the readings of runs, and random courses through them."""
+
+    def __init__(self, rng: Generator, runs: int, rows: int, step_s: float) -> None:
+        self._rng, self.count = rng, runs
+        self.run = np.repeat(np.arange(runs), rows)
+        self.time_s = np.tile(np.arange(rows) * step_s, runs)
+        self.span_s = rows * step_s
+        self.drift = 2.0 * self.time_s / self.span_s - 1.0
+
+    def each(self, values: Array) -> Array:
+        """A value of each run, at each of its readings."""
+        return values[self.run]
+
+    def normal(self, mean: float, deviation: float) -> Array:
+        """A normal one of each run."""
+        return self.each(self._rng.normal(mean, deviation, self.count))
+
+    def uniform(self, low: float, high: float) -> Array:
+        """An even one of each run."""
+        return self.each(self._rng.uniform(low, high, self.count))
+
+    def wander(self, period_s: float, tones: int = 4) -> tuple[Array, Array]:
+        """A smooth unit-variance wander in each run, and its rate of change."""
+        value, rate = np.zeros(self.run.size), np.zeros(self.run.size)
+        for _ in range(tones):
+            omega = self.each(2.0 * np.pi / (period_s * self._rng.uniform(0.5, 2.0, self.count)))
+            phase = self.uniform(0.0, 2.0 * np.pi)
+            value += np.sin(omega * self.time_s + phase)
+            rate += omega * np.cos(omega * self.time_s + phase)
+        scale = np.sqrt(2.0 / tones)
+        return value * scale, rate * scale
+
+
+def contexts(rng: Generator, runs: int, rows: int, regime: Regime = "iid", step_s: float = 0.5) -> Columns:
     """Context columns of flights.
 
     Parameters
@@ -113,88 +155,64 @@ def contexts(rng: np.random.Generator, runs: int, rows: int, regime: Regime = "i
     step_s
         Between two readings.
     """
-    n = runs * rows
-    run = np.repeat(np.arange(runs), rows)
-    t = np.tile(np.arange(rows) * step_s, runs)
-    span_s = rows * step_s
-    base = Habits()
-
-    def per_run(values: Array) -> Array:
-        return values[run]
-
-    def wander(period_s: float, tones: int = 4) -> tuple[Array, Array]:
-        """A smooth unit-variance wander in each run, and its rate of change."""
-        value, rate = np.zeros(n), np.zeros(n)
-        for _ in range(tones):
-            omega = per_run(2.0 * np.pi / (period_s * rng.uniform(0.5, 2.0, runs)))
-            phase = per_run(rng.uniform(0.0, 2.0 * np.pi, runs))
-            value += np.sin(omega * t + phase)
-            rate += omega * np.cos(omega * t + phase)
-        scale = np.sqrt(2.0 / tones)
-        return value * scale, rate * scale
-
-    height, climb = wander(14.0)
-    drift = 2.0 * t / span_s - 1.0
-    slope = 2.0 / span_s
-    if regime == "drifting":
-        sign = per_run(rng.choice((-1.0, 1.0), runs))
-        height, climb = 0.6 * height + 1.2 * sign * drift, 0.6 * climb + 1.2 * sign * slope
-    middle = 0.5 * (base.low_cm + base.high_cm) + per_run(rng.normal(0.0, 25.0, runs))
-    # Folded smoothly into the limits, with the rate of change that goes with it.
-    reach = 0.5 * (base.high_cm - base.low_cm)
-    u = (middle + 105.0 * height - 0.5 * (base.low_cm + base.high_cm)) / reach
-    true_cm = 0.5 * (base.low_cm + base.high_cm) + reach * np.tanh(u)
-    rate_cm_s = 105.0 * climb / np.cosh(u) ** 2
-
-    wind, _ = wander(20.0)
-    gust, _ = wander(5.0)
-    load = per_run(rng.normal(0.0, 0.04, runs))
+    of = _Runs(rng, runs, rows, step_s)
+    n, low_cm, high_cm = runs * rows, Habits.low_cm, Habits.high_cm
+    true_cm, rate_cm_s = _ranges(of, rng, regime, low_cm, high_cm)
+    wind, _ = of.wander(20.0)
+    gust, _ = of.wander(5.0)
+    load = of.normal(0.0, 0.04)
     throttle = np.clip(0.5 + load + 0.06 * wind + 0.05 * gust + 0.03 * rng.standard_normal(n), 0.05, 0.95)
-    pitch, _ = wander(7.0)
-    incidence = 3.5 * pitch + 1.5 * wind
+    pitch, _ = of.wander(7.0)
     vibration = 30.0 + 70.0 * throttle + 6.0 * rng.standard_normal(n)
-    started_s = per_run(rng.uniform(0.0, 1200.0, runs))
-    day_c = per_run(rng.normal(17.0, 8.0, runs))
-    warm, _ = wander(60.0)
-    temperature = day_c + 0.6 * warm + 1.5 * (1.0 - np.exp(-(started_s + t) / 600.0))
-    ground = temperature + per_run(rng.normal(3.0, 5.0, runs)) + 0.5 * rng.standard_normal(n)
-    humidity = 60.0 - 1.2 * (day_c - 17.0) + per_run(rng.normal(0.0, 15.0, runs)) + 2.0 * warm
+    uptime_s = of.uniform(0.0, 1200.0) + of.time_s
+    day_c = of.normal(17.0, 8.0)
+    warm, _ = of.wander(60.0)
+    temperature = day_c + 0.6 * warm + 1.5 * (1.0 - np.exp(-uptime_s / 600.0))
+    ground = temperature + of.normal(3.0, 5.0) + 0.5 * rng.standard_normal(n)
+    humidity = 60.0 - 1.2 * (day_c - 17.0) + of.normal(0.0, 15.0) + 2.0 * warm
     if regime == "drifting":
-        temperature += 4.0 * drift
-        humidity -= 10.0 * drift
-    segment = np.minimum((t / span_s * 3).astype(int), 2)
-    over = rng.integers(0, len(TARGETS), (runs, 3))[run, segment]
+        temperature += 4.0 * of.drift
+        humidity -= 10.0 * of.drift
+    segment = np.minimum((of.time_s / of.span_s * 3).astype(int), 2)
+    over = rng.integers(0, len(TARGETS), (runs, 3))[of.run, segment]
     slot = rng.integers(0, 4, n)
     return {
-        "time_s": t,
+        "time_s": of.time_s,
         "sensor": np.array(SENSORS)[rng.integers(0, 2, n)],
-        "run": np.char.add("flight", np.char.zfill(run.astype(str), 3)),
+        "run": np.char.add("flight", np.char.zfill(of.run.astype(str), 3)),
         "true_range_cm": true_cm,
         "air_temperature_c": temperature,
         "target_temperature_c": ground,
         "humidity_pct": np.clip(humidity, 5.0, 99.0),
-        "incidence_deg": incidence,
+        "incidence_deg": 3.5 * pitch + 1.5 * wind,
         "range_rate_cm_s": rate_cm_s,
         "throttle": throttle,
         "vibration_hz": vibration,
-        "uptime_s": started_s + t,
+        "uptime_s": uptime_s,
         "target": np.array(TARGETS)[over],
         "neighbour_lag_ms": np.choose(slot, (2.0, 4.0, 30.0, 60.0)) + rng.uniform(0.0, 1.0, n),
-        "neighbour_range_cm": np.clip(true_cm + 12.0 * rng.standard_normal(n), base.low_cm, base.high_cm),
+        "neighbour_range_cm": np.clip(true_cm + 12.0 * rng.standard_normal(n), low_cm, high_cm),
     }
 
 
-def fly(columns: Columns, ways: Habits, rng: np.random.Generator) -> Flight:
+def _ranges(of: _Runs, rng: Generator, regime: Regime, low_cm: float, high_cm: float) -> tuple[Array, Array]:
+    """Ranges [cm], folded smoothly into the limits, with the rate of change that goes with it [cm/s]."""
+    height, climb = of.wander(14.0)
+    if regime == "drifting":
+        sign = of.each(rng.choice((-1.0, 1.0), of.count))
+        height, climb = 0.6 * height + 1.2 * sign * of.drift, 0.6 * climb + 1.2 * sign * (2.0 / of.span_s)
+    middle_cm, reach_cm = 0.5 * (low_cm + high_cm), 0.5 * (high_cm - low_cm)
+    u = (middle_cm + of.normal(0.0, 25.0) + 105.0 * height - middle_cm) / reach_cm
+    return middle_cm + reach_cm * np.tanh(u), 105.0 * climb / np.cosh(u) ** 2
+
+
+def fly(columns: Columns, ways: Habits, rng: Generator) -> Flight:
     """Stage the pings of flights with nothing hidden: a sensor that knows its air, over ground that mirrors."""
-
-    def number(name: str) -> Array:
-        return np.asarray(columns[name], dtype=float)
-
-    true_cm = number("true_range_cm")
+    true_cm = columns["true_range_cm"]
     n = true_cm.size
-    near_c, far_c, humidity = number("air_temperature_c"), number("target_temperature_c"), number("humidity_pct")
+    near_c, far_c, humidity = (columns[each] for each in AIR)
     slowness = air.mean_slowness_s_m(near_c, far_c, humidity)
-    run = np.unique(np.asarray(columns["run"]), return_inverse=True)[1]
+    run = run_numbers(columns)
     scatter = rng.standard_t(ways.tail_dof, n) / np.sqrt(ways.tail_dof / (ways.tail_dof - 2.0))
     if ways.memory > 0.0:
         scatter = _remember(scatter, run, ways.memory)
@@ -202,16 +220,15 @@ def fly(columns: Columns, ways: Habits, rng: np.random.Generator) -> Flight:
     ping = Ping(ways.receiver, (true_cm + ways.reference_cm * scatter + offset) / 100.0)
     ping.fade *= 0.5
     ping.temperature_c, ping.humidity_pct, ping.slowness_s_m = 0.5 * (near_c + far_c), humidity, slowness
-    ping.off_axis_rad = np.radians(number("incidence_deg"))
+    ping.off_axis_rad = np.radians(columns["incidence_deg"])
     ping.eddies_k[:] = ways.eddies_k
     ping.misfire[:] = ways.misfire
     ping.saturated = ways.saturated
-    words = np.asarray(columns["target"])
     # Grass is mown short and counts as asphalt here: its coherent echo is an effect of its own.
     for word in TARGETS:
-        ping.reflection_db[words == word] = REFLECTION_DB["asphalt" if word == "grass" else word]
-    behind = np.clip((np.abs(number("incidence_deg")) - ways.shroud_deg) / 0.05, -1.0, 1.0)
-    ping.reflection_db = ping.reflection_db - 40.0 * (1.0 + behind)
+        ping.reflection_db[columns["target"] == word] = REFLECTION_DB["asphalt" if word == "grass" else word]
+    behind = np.clip((np.abs(columns["incidence_deg"]) - ways.shroud_deg) / 0.05, -1.0, 1.0)
+    ping.reflection_db -= 40.0 * (1.0 + behind)
     obstructed = rng.random(n) < ways.obstruct
     # Depth of a Weibull distribution of shape 1.1, given that it is before the ground.
     before = -np.expm1(-((np.maximum(true_cm - NEAREST_CM, 1.0) / 100.0 / ways.obstruct_m) ** 1.1))
@@ -222,7 +239,7 @@ def fly(columns: Columns, ways: Habits, rng: np.random.Generator) -> Flight:
     return Flight(columns, ping, ways, slowness.copy())
 
 
-def land(flight: Flight, rng: np.random.Generator) -> Array:
+def land(flight: Flight, rng: Generator) -> Array:
     """Readings of staged flights [cm]."""
     flight.ping.tick_s = 0.02 * flight.believed_s_m * flight.clock
     reading_cm = flight.ping.listen(rng)

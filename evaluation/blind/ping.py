@@ -7,7 +7,8 @@ source of sound), and `listen` finds what is heard first.
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 
 from evaluation.blind import air, sound
 from evaluation.blind.receiver import NO_ECHO_CM, SHORT_NO_ECHO_CM, Receiver
@@ -112,13 +113,17 @@ class Ping:
         """Rms pressure of the own ping after a way on the axis."""
         way = np.asarray(way_m, dtype=float)
         loss = air.absorption_db_m(self.temperature_c, self.humidity_pct, self.receiver.frequency_hz) * way
-        return np.asarray(sound.pascal(self.receiver.level_db - loss) / way)
+        return sound.pascal(self.receiver.level_db - loss) / way
 
     def beam(self, off_axis_rad: ArrayLike) -> Array:
         """Pressure off the axis, relative to on it, for one way."""
         return sound.piston(off_axis_rad, self.receiver.piston_m, self.wavelength_m())
 
-    def echo(self, rng: np.random.Generator) -> tuple[Complex, Array]:
+    def add_sound(self, pressure_pa: Array, arrival_s: Array) -> None:
+        """One more sound for each ping, with its first edge."""
+        self.others.append((pressure_pa[:, None].astype(complex), arrival_s[:, None]))
+
+    def echo(self, rng: Generator) -> tuple[Complex, Array]:
         """Pressures and first edges of the target's echo."""
         pressure = self.level_at_pa(2.0 * self.range_m) * self.beam(self.off_axis_rad) ** 2
         pressure *= 10.0 ** (self.reflection_db / 20.0) * np.exp(self.fade * rng.standard_normal(len(self.range_m)))
@@ -133,7 +138,7 @@ class Ping:
         )
         return pressure[:, None] * shares, first_s + 2.0 * ways_m * slowness[:, None]
 
-    def heard_s(self, rng: np.random.Generator) -> Array:
+    def heard_s(self, rng: Generator) -> Array:
         """When the threshold is first crossed [s]; infinite where it is not."""
         n, receiver = len(self.range_m), self.receiver
         # A stream for each source of randomness, so that one more echo leaves the rest as it was.
@@ -154,7 +159,7 @@ class Ping:
             np.minimum(first, crossing_s, out=first)
         return np.where(np.isnan(self.locked_s), first, self.locked_s)
 
-    def listen(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def listen(self, rng: Generator) -> Array:
         """Readings [cm], shape (n,)."""
         hearing, reporting = rng.spawn(2)
         reading_cm = self.receiver.count_cm(self.heard_s(hearing), self.tick_s)
@@ -169,7 +174,7 @@ def tone_crossing_s(
     frequency_hz: Array,
     duty: Array,
     period_s: float,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> Array:
     """When a foreign tone, on for a share of each period and in no step with the pings, first crosses the threshold.
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from evaluation.blind.sound import Array, burst, pascal
@@ -70,7 +71,7 @@ class Receiver:
         return time_s.astype(np.float32), factor.T.astype(np.float32)
 
     def crossing_s(
-        self, amplitude_pa: NDArray[np.complexfloating], arrival_s: Array, noise_pa: Array, rng: np.random.Generator
+        self, amplitude_pa: NDArray[np.complexfloating], arrival_s: Array, noise_pa: Array, rng: Generator
     ) -> Array:
         """When the envelope of one echo, made of several arrivals close together, first crosses the threshold.
 
@@ -114,7 +115,7 @@ class Receiver:
         delay_s: Array,
         threshold: Array,
         noise: Array,
-        rng: np.random.Generator,
+        rng: Generator,
     ) -> Array:
         time_s, factor = self._samples
         # Quadratures have the rms of the whole, and the envelope is sqrt(2) times its rms: both over the threshold.
@@ -140,7 +141,7 @@ class Receiver:
         found = time_s[first].astype(float) - back * STEP_S
         return np.where(above[rows, first], found, np.inf)
 
-    def false_alarm_s(self, noise_pa: Array, rng: np.random.Generator) -> Array:
+    def false_alarm_s(self, noise_pa: Array, rng: Generator) -> Array:
         """When noise alone first crosses the threshold, by Rice's rate sqrt(-R''(0) / 2 pi) rho exp(-rho^2 / 2).
 
         R is the noise's correlation, here (1 + t / rise) exp(-t / rise), so that -R''(0) is 1 / rise^2.
@@ -162,10 +163,10 @@ class Receiver:
         tick = np.asarray(self.tick_s if tick_s is None else tick_s, dtype=float)
         count = (crossing_s - self.late_s) / tick
         whole = np.rint(np.minimum(count, NO_ECHO_CM))
-        return np.asarray(np.maximum(whole, NEAREST_CM))
+        return np.maximum(whole, NEAREST_CM)
 
 
-def first_event_s(rate_hz: Array, time_s: Array, rng: np.random.Generator) -> Array:
+def first_event_s(rate_hz: Array, time_s: Array, rng: Generator) -> Array:
     """Draw the first event of Poisson processes with rates along a common grid of times; infinite where there is none.
 
     Parameters

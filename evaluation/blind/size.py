@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import default_rng
 
 from evaluation.blind.flight import Columns, Flight, Habits, fly, land
 from evaluation.blind.mechanisms import MECHANISMS, Act
@@ -22,6 +22,9 @@ HIT_CM = 8.0
 PLACE_CM = 3.0
 
 REPLICATES = 32
+
+COUNTED = 0.5
+"""Share of the rows on which effects are chosen and fitted."""
 
 Hidden = Sequence[tuple[str, float]]
 """Names of mechanisms with their sizes."""
@@ -36,11 +39,11 @@ def stage(columns: Columns, ways: Habits, hidden: Hidden, seed: np.random.SeedSe
     for (name, size), stream in zip(hidden, own[::2], strict=True):
         prepare = MECHANISMS[name].prepare
         if prepare is not None:
-            prepare(columns, size, np.random.default_rng(stream))
-    flight = fly(columns, ways, np.random.default_rng(base))
+            prepare(columns, size, default_rng(stream))
+    flight = fly(columns, ways, default_rng(base))
     for (name, size), stream in zip(hidden, own[1::2], strict=True):
-        MECHANISMS[name].act(flight, size, np.random.default_rng(stream))
-    return flight, land(flight, np.random.default_rng(hearing))
+        MECHANISMS[name].act(flight, size, default_rng(stream))
+    return flight, land(flight, default_rng(hearing))
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,11 @@ def fly_plain(
     mechanism = MECHANISMS[name]
     columns = dict(columns)
     if mechanism.prepare is not None:
-        mechanism.prepare(columns, size, np.random.default_rng(5))
-    if before is not None and all(_same(column, before.columns[key]) for key, column in columns.items()):
+        mechanism.prepare(columns, size, default_rng(5))
+    if before is not None and all(
+        np.array_equal(column, before.columns[key], equal_nan=column.dtype.kind == "f")
+        for key, column in columns.items()
+    ):
         return before
     return Plain(columns, *_fly_once(_repeat(columns, replicates), ways, mechanism.without, size, (seed, 99)))
 
@@ -72,7 +78,7 @@ class Size:
     bias: float
     spread: float
     classes: float
-    runs: float = 0.0
+    runs: float
 
     @property
     def total(self) -> float:
@@ -80,16 +86,7 @@ class Size:
         return float(np.sqrt(self.bias**2 + self.spread**2 + self.classes**2 + self.runs**2))
 
 
-def measure(
-    columns: Columns,
-    ways: Habits,
-    name: str,
-    size: float,
-    seed: int,
-    counted: float = 0.5,
-    replicates: int = REPLICATES,
-    plain: Plain | None = None,
-) -> Size:
+def measure(columns: Columns, ways: Habits, name: str, size: float, seed: int, plain: Plain | None = None) -> Size:
     """Size of one mechanism in standard errors.
 
     Parameters
@@ -102,57 +99,37 @@ def measure(
         The mechanism, and its size in its own unit.
     seed
         Of the replicates.
-    counted
-        Share of the rows on which effects are chosen and fitted.
-    replicates
-        Flights with and without.
     plain
-        Those without, of `fly_plain`, if they have been flown.
+        Flights without it, of `fly_plain`, if they have been flown.
     """
     mechanism = MECHANISMS[name]
-    before = plain or fly_plain(columns, ways, name, size, seed, replicates)
-    flight, without = before.flight, before.reading_cm
-    _, changed = _fly_once(_repeat(before.columns, replicates), ways, mechanism.act, size, (seed, 99))
-    true_cm = flight.number("true_range_cm")
-    shape = (replicates, len(true_cm) // replicates)
-    errors = [(reading - true_cm).reshape(shape) for reading in (without, changed)]
+    plain = plain or fly_plain(columns, ways, name, size, seed, REPLICATES)
+    replicates = plain.flight.rows // len(plain.columns["run"])
+    _, changed = _fly_once(_repeat(plain.columns, replicates), ways, mechanism.act, size, (seed, 99))
+    shape = (replicates, -1)
+    true_cm = plain.flight["true_range_cm"].reshape(shape)
+    readings = [reading.reshape(shape) for reading in (plain.reading_cm, changed)]
+    errors = [reading - true_cm for reading in readings]
     # A missed echo that reads 255 may be near the range at random.
-    words = [reading.reshape(shape) for reading in (without, changed)]
-    hits = [(np.abs(error) < HIT_CM) & (word != 255.0) for error, word in zip(errors, words, strict=True)]
+    hits = [(np.abs(error) < HIT_CM) & (reading != 255.0) for error, reading in zip(errors, readings, strict=True)]
     sigma2 = float(errors[0][hits[0]].var())
     both = hits[0] & hits[1]
-    one, other = (_means(error, both) for error in errors)
-    bias2 = _cross(one, other) / sigma2 * both.mean()
+    bias2 = _cross(*(_means(error, both) for error in errors)) / sigma2 * both.mean()
     variances = [_variances(error, both) for error in errors]
     # Of the flights with it: a spread is known the worse the larger it is.
-    spread2 = _cross(variances[0], variances[1]) / (2.0 * float(variances[1].mean()) ** 2) * both.mean()
-    place_cm = mechanism.place_cm(flight).reshape(shape) if mechanism.place_cm else None
-    classes2 = 0.0
-    for (one, in_base), (other, _) in zip(
-        _classes(without, errors[0], place_cm), _classes(changed, errors[1], place_cm), strict=True
-    ):
-        pooled = max(0.5 * (one.mean() + other.mean()), 1.0 / one.size)
-        deviation: float | Array = float(np.sqrt(pooled * (1.0 - pooled)))
-        if not in_base:
-            # Rare in the base, so that a row's own share decides; drawn towards that of all rows.
-            row = (one.sum(axis=0) + other.sum(axis=0) + 8.0 * pooled) / (2.0 * replicates + 8.0)
-            deviation = np.sqrt(np.maximum(row, pooled) * (1.0 - np.minimum(row, 0.95)))
-        classes2 += _cross(_means(one, None) / deviation, _means(other, None) / deviation, in_base)
-    runs = 0.0
+    spread2 = _cross(*variances) / (2.0 * float(variances[1].mean()) ** 2) * both.mean()
+    place_cm = mechanism.place_cm(plain.flight).reshape(shape) if mechanism.place_cm else None
+    classes2 = _classes2(*(_classes(*each, place_cm) for each in zip(readings, errors, strict=True)))
+    runs2 = 0.0
     if name == "remounted":
-        run = np.unique(np.asarray(before.columns["run"]))
-        a_run = shape[1] / run.size
-        ratio = size**2 * a_run * both.mean() / sigma2
+        runs = np.unique(plain.columns["run"]).size
+        ratio = size**2 * (true_cm.shape[1] / runs) * both.mean() / sigma2
         # Of the variance of the runs' means, by what the likelihood gains: its standard error grows with it.
-        runs = np.sqrt(counted * run.size * (ratio - np.log1p(ratio)))
-        bias2 = 0.0
-    bias, spread, classes = (float(np.sqrt(max(counted * each, 0.0))) for each in (bias2, spread2, classes2))
-    return Size(bias, spread, classes, float(runs))
+        bias2, runs2 = 0.0, runs * (ratio - np.log1p(ratio))
+    return Size(*(float(np.sqrt(max(COUNTED * each, 0.0))) for each in (bias2, spread2, classes2, runs2)))
 
 
-def size_for(
-    columns: Columns, ways: Habits, name: str, wanted: float, seed: int, counted: float = 0.5
-) -> tuple[float, float]:
+def size_for(columns: Columns, ways: Habits, name: str, wanted: float, seed: int) -> tuple[float, float]:
     """Size in the mechanism's own unit at which it has the wanted number of standard errors, and what it then has.
 
     It stops at the largest size that is physical.
@@ -163,7 +140,7 @@ def size_for(
     plain: Plain | None = None
     for _ in range(8):
         plain = fly_plain(columns, ways, name, size, seed, REPLICATES, plain)
-        has = measure(columns, ways, name, size, seed, counted, REPLICATES, plain).total
+        has = measure(columns, ways, name, size, seed, plain).total
         found.append((size, has))
         if abs(has / wanted - 1.0) < 0.05 or (size >= mechanism.most and has < wanted):
             break
@@ -186,14 +163,10 @@ def _fly_once(
     columns: Columns, ways: Habits, act: Act | None, size: float, seed: tuple[int, ...]
 ) -> tuple[Flight, Array]:
     base, own, hearing = np.random.SeedSequence(seed).spawn(3)
-    flight = fly(columns, ways, np.random.default_rng(base))
+    flight = fly(columns, ways, default_rng(base))
     if act is not None:
-        act(flight, size, np.random.default_rng(own))
-    return flight, land(flight, np.random.default_rng(hearing))
-
-
-def _same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
-    return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+        act(flight, size, default_rng(own))
+    return flight, land(flight, default_rng(hearing))
 
 
 def _repeat(columns: Columns, replicates: int) -> Columns:
@@ -203,26 +176,39 @@ def _repeat(columns: Columns, replicates: int) -> Columns:
     return many
 
 
-def _means(values: Array, counts: Array | None) -> Array:
+def _classes2(plain: list[tuple[Array, bool]], changed: list[tuple[Array, bool]]) -> float:
+    """Squared standard errors of the change of all classes' shares."""
+    total = 0.0
+    for (one, in_base), (other, _) in zip(plain, changed, strict=True):
+        pooled = max(0.5 * (one.mean() + other.mean()), 1.0 / one.size)
+        deviation: float | Array = float(np.sqrt(pooled * (1.0 - pooled)))
+        if not in_base:
+            # Rare in the base, so that a row's own share decides; drawn towards that of all rows.
+            row = (one.sum(axis=0) + other.sum(axis=0) + 8.0 * pooled) / (2.0 * len(one) + 8.0)
+            deviation = np.sqrt(np.maximum(row, pooled) * (1.0 - np.minimum(row, 0.95)))
+        total += _cross(_means(one) / deviation, _means(other) / deviation, about_mean=in_base)
+    return total
+
+
+def _means(values: Array, counts: Array | None = None) -> Array:
     """Mean of each row over each half of the replicates, shape (2, rows); of what counts."""
-    halves = np.split(values.astype(float), 2)
-    if counts is None:
-        return np.stack([half.mean(axis=0) for half in halves])
-    weights = np.split(counts, 2)
-    totals = [(half * weight).sum(axis=0) for half, weight in zip(halves, weights, strict=True)]
-    return np.stack([each / np.maximum(w.sum(axis=0), 1) for each, w in zip(totals, weights, strict=True)])
+    weights = np.ones(values.shape) if counts is None else counts
+    total = _by_halves(values * weights)
+    return total / np.maximum(_by_halves(weights), 1)
+
+
+def _by_halves(values: Array) -> Array:
+    """Sum of each row over each half of the replicates, shape (2, rows)."""
+    return np.stack([half.sum(axis=0) for half in np.split(values, 2)])
 
 
 def _variances(values: Array, counts: Array) -> Array:
     """Variance of each row over each half of the replicates, shape (2, rows)."""
-    out = []
-    for half, weight, mean in zip(np.split(values, 2), np.split(counts, 2), _means(values, counts), strict=True):
-        squares = (weight * (half - mean) ** 2).sum(axis=0)
-        out.append(squares / np.maximum(weight.sum(axis=0) - 1, 1))
-    return np.stack(out)
+    mean = np.repeat(_means(values, counts), len(values) // 2, axis=0)
+    return _by_halves(counts * (values - mean) ** 2) / np.maximum(_by_halves(counts) - 1, 1)
 
 
-def _cross(one: Array, other: Array, about_mean: bool = True) -> float:
+def _cross(one: Array, other: Array, *, about_mean: bool = True) -> float:
     """Sum over rows of the squared change; the halves' changes are multiplied, which leaves out the noise.
 
     A change that is the same in all rows is one of the base's parameters, and does not count.
@@ -235,14 +221,12 @@ def _cross(one: Array, other: Array, about_mean: bool = True) -> float:
 
 def _classes(reading_cm: Array, error_cm: Array, place_cm: Array | None) -> list[tuple[Array, bool]]:
     """Readings of each class, and whether the base has a parameter for its share."""
-    reading = reading_cm.reshape(error_cm.shape)
-    hit = np.abs(error_cm) < HIT_CM
-    rest = ~hit & (reading < 765.0)
-    classes = [(reading == 765.0, True), (reading > 765.0, False)]
+    rest = (np.abs(error_cm) >= HIT_CM) & (reading_cm < 765.0)
+    classes = [(reading_cm == 765.0, True), (reading_cm > 765.0, False)]
     for there, in_base in (
-        (np.abs(reading - (0.0 if place_cm is None else place_cm)) < PLACE_CM, False),
-        (reading == 255.0, True),
-        (reading == 20.0, False),
+        (np.abs(reading_cm - (0.0 if place_cm is None else place_cm)) < PLACE_CM, False),
+        (reading_cm == 255.0, True),
+        (reading_cm == 20.0, False),
         (error_cm < 0.0, True),
         (error_cm > 0.0, True),
     ):

@@ -3,11 +3,13 @@
 Angles, sizes and times enter, complex amplitudes relative to those of an endless mirror leave.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import fresnel, j1
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 Complex = NDArray[np.complex128]
 
 HEARING_PA = 20e-6
@@ -15,14 +17,14 @@ HEARING_PA = 20e-6
 
 def pascal(level_db: ArrayLike) -> Array:
     """Rms pressure of a sound pressure level re 20 uPa."""
-    return np.asarray(HEARING_PA * 10.0 ** (np.asarray(level_db, dtype=float) / 20.0))
+    return HEARING_PA * 10.0 ** (np.asarray(level_db, dtype=float) / 20.0)
 
 
 def piston(angle_rad: ArrayLike, diameter_m: float, wavelength_m: ArrayLike) -> Array:
     """Pressure off the axis of a flat circular piston in a baffle, 1 on the axis; 2 J1(x) / x."""
     x = np.pi * diameter_m / np.asarray(wavelength_m, dtype=float) * np.sin(np.abs(np.asarray(angle_rad, dtype=float)))
     x = np.maximum(x, 1e-9)
-    return np.asarray(np.abs(2.0 * j1(x) / x))
+    return np.abs(2.0 * j1(x) / x)
 
 
 def burst(delay: NDArray[np.floating], rise_s: float, length_s: float) -> NDArray[np.floating]:
@@ -42,7 +44,7 @@ def burst(delay: NDArray[np.floating], rise_s: float, length_s: float) -> NDArra
 
 def _step(x: NDArray[np.floating]) -> NDArray[np.floating]:
     x = np.maximum(x, 0.0)
-    return np.asarray(1.0 - (1.0 + x) * np.exp(-x))
+    return 1.0 - (1.0 + x) * np.exp(-x)
 
 
 def edge(distance: ArrayLike) -> Complex:
@@ -55,7 +57,7 @@ def edge(distance: ArrayLike) -> Complex:
     """
     u = np.asarray(distance, dtype=float)
     sine, cosine = fresnel(u)
-    return np.asarray(0.5 * (np.sqrt(2.0) * np.exp(-0.25j * np.pi) * (cosine + 1j * sine) - np.sign(u)))
+    return 0.5 * (np.sqrt(2.0) * np.exp(-0.25j * np.pi) * (cosine + 1j * sine) - np.sign(u))
 
 
 def plate(

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
-from evaluation.blind.flight import REGIMES, Columns, Regime, contexts, fly, habits, land
+from evaluation.blind.flight import REGIMES, Columns, Regime, contexts, fly, habits, land, run_numbers
 from evaluation.blind.mechanisms import KNOWN, UNKNOWN
 from evaluation.blind.size import Hidden, size_for, stage
 from evaluation.blind.sound import Array
@@ -74,7 +75,7 @@ def draw_cases(
     kind, regime, standard_errors
         All of one kind, in one regime, of one size; drawn unless given.
     """
-    rng = np.random.default_rng((seed, 0))
+    rng = default_rng((seed, 0))
     cases = []
     for number in range(count):
         drawn: Kind = kind or rng.choice(list(SHARES), p=list(SHARES.values()))
@@ -144,29 +145,29 @@ def draw_plan(seed: int, plan: Sequence[str]) -> list[Case]:
     return [case for _, case in sorted(placed, key=lambda each: (each[0], each[1].number))]
 
 
-def _constant_air(columns: Columns, rng: np.random.Generator) -> None:
+def _constant_air(columns: Columns, rng: Generator) -> None:
     celsius = float(rng.choice((4.0, 8.0, 31.0, 35.0)))
     for name in ("air_temperature_c", "target_temperature_c"):
         columns[name] = np.round(celsius + 0.05 * rng.standard_normal(columns[name].size), 1)
     columns["humidity_pct"] = np.full(columns["humidity_pct"].size, 50.0)
 
 
-def _usual(columns: Columns, rng: np.random.Generator) -> None:
+def _usual(columns: Columns, rng: Generator) -> None:
     """Nothing special: the two look alike whatever happens."""
 
 
-def _one_height(columns: Columns, rng: np.random.Generator) -> None:
+def _one_height(columns: Columns, rng: Generator) -> None:
     columns["true_range_cm"] = 220.0 + 2.0 * rng.standard_normal(columns["true_range_cm"].size)
 
 
-def _rotors_on_or_off(columns: Columns, rng: np.random.Generator) -> None:
-    run = np.unique(np.asarray(columns["run"]), return_inverse=True)[1]
+def _rotors_on_or_off(columns: Columns, rng: Generator) -> None:
+    run = run_numbers(columns)
     on = (rng.random(run.max() + 1) < 0.5)[run]
     columns["throttle"] = np.where(on, 0.55, 0.0)
     columns["vibration_hz"] = np.where(on, 68.0, 0.0)
 
 
-Twist = Callable[[Columns, np.random.Generator], None]
+Twist = Callable[[Columns, Generator], None]
 CONFOUNDED: dict[str, tuple[tuple[str, ...], Twist]] = {
     "air of one temperature": (("air_not_compensated", "slow_clock"), _constant_air),
     "usual flights": (("wrong_thermometer", "slow_clock"), _usual),
@@ -180,10 +181,10 @@ def fly_case(case: Case) -> tuple[Columns, Array, list[dict[str, object]]]:
     """Contexts, readings, and what was hidden with its size."""
     seeds = np.random.SeedSequence((case.seed, 1, case.number))
     context_seed, twist_seed, hiding = seeds.spawn(3)
-    columns = contexts(np.random.default_rng(context_seed), RUNS, ROWS, case.regime)
+    columns = contexts(default_rng(context_seed), RUNS, ROWS, case.regime)
     ways = habits(case.regime)
     if case.twist:
-        CONFOUNDED[case.twist][1](columns, np.random.default_rng(twist_seed))
+        CONFOUNDED[case.twist][1](columns, default_rng(twist_seed))
     hidden: Hidden = []
     sizes: list[dict[str, object]] = []
     for name, wanted in case.hidden:
@@ -199,7 +200,7 @@ def fly_base(seed: int, regime: Regime) -> tuple[Columns, Array]:
 
     A height is a run. Only what a bench knows is in the columns.
     """
-    rng = np.random.default_rng((seed, 2, REGIMES.index(regime)))
+    rng = default_rng((seed, 2, REGIMES.index(regime)))
     # Not on whole centimetres: where the noise is small, rounding would hide the scale at every one of them.
     heights_cm = np.arange(50.0, 371.0, 4.7)
     lifted = contexts(rng, heights_cm.size, BASE_READINGS, regime, step_s=0.1)
@@ -215,7 +216,7 @@ def fly_base(seed: int, regime: Regime) -> tuple[Columns, Array]:
     return joined, np.concatenate(readings)
 
 
-def _turned(rng: np.random.Generator) -> Columns:
+def _turned(rng: Generator) -> Columns:
     """Contexts of a stepper motor's turn before a wall at four ranges, in a room."""
     angles = np.arange(-11, 12) * 1.8
     ranges = np.array([50.0, 100.0, 150.0, 200.0])
@@ -225,7 +226,7 @@ def _turned(rng: np.random.Generator) -> Columns:
     columns = contexts(rng, 1, n, "iid")
     for name in columns:
         if columns[name].dtype.kind == "f":
-            columns[name] = np.full(n, float(np.median(np.asarray(columns[name], dtype=float))))
+            columns[name] = np.full(n, float(np.median(columns[name])))
     columns |= {
         "time_s": 0.1 * np.arange(n),
         "sensor": np.full(n, "front"),

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.random import default_rng
 
 from evaluation.blind.flight import REGIMES
 from evaluation.blind.run import Campaign
@@ -45,7 +46,7 @@ def ask(
     model = load_model(table.parents[1] / "bases" / f"{(table / 'base').read_text(encoding='utf-8')}.yaml")
     data = read_csv(table / "measured.csv")
     runs = np.unique(data["run"])
-    training = np.random.default_rng((seed, int(table.name))).permutation(runs)[: runs.size // 2]
+    training = default_rng((seed, int(table.name))).permutation(runs)[: runs.size // 2]
     chosen = data.select(np.isin(data["run"], training))
     contexts = {name: column for name, column in chosen.columns.items() if name != "reading_cm"}
 
@@ -59,7 +60,7 @@ def ask(
             names, seconds = timed(partial(NAMERS[name], scores))
             reported[name] = {"names": sorted(names), "seconds": round(library_s + seconds, 2)}
     if not set(detectors) <= reported.keys():
-        rng = np.random.default_rng((seed, int(table.name), 1))
+        rng = default_rng((seed, int(table.name), 1))
         compared = compare(model, contexts, chosen["reading_cm"], rng)
         for name in detectors:
             p_value, seconds = timed(partial(DETECTORS[name], compared, rng))

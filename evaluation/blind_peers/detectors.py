@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 from scipy.stats import ks_2samp
@@ -68,10 +69,10 @@ class Compared:
         return one, other
 
 
-Detector: TypeAlias = Callable[[Compared, np.random.Generator], float]
+Detector: TypeAlias = Callable[[Compared, Generator], float]
 
 
-def compare(model: Model, contexts: Mapping[str, Any], reading_cm: Array, rng: np.random.Generator) -> Compared:
+def compare(model: Model, contexts: Mapping[str, Any], reading_cm: Array, rng: Generator) -> Compared:
     """Simulate a table at its own contexts."""
     true_cm = np.asarray(contexts["true_range_cm"], dtype=float)
     simulated_cm = np.array([model.sample(contexts, rng) for _ in range(1 + TWINS)])
@@ -95,19 +96,19 @@ def compare(model: Model, contexts: Mapping[str, Any], reading_cm: Array, rng: n
     return Compared(reading_cm, true_cm, simulated_cm, sigma_cm, np.column_stack(columns), tuple(slices), run)
 
 
-def ks_by_slice(data: Compared, rng: np.random.Generator) -> float:
+def ks_by_slice(data: Compared, rng: Generator) -> float:
     """Kolmogorov and Smirnov in each slice, against all simulations; the smallest p times the number of slices."""
     measured_cm, simulated_cm = data.reading_cm - data.true_cm, data.simulated_cm - data.true_cm
     found = [ks_2samp(measured_cm[rows], simulated_cm[:, rows].ravel(), method="asymp").pvalue for rows in data.slices]
     return min(1.0, float(np.min(found)) * len(found))
 
 
-def energy_distance(data: Compared, rng: np.random.Generator) -> float:
+def energy_distance(data: Compared, rng: Generator) -> float:
     """Energy distance of the errors alone, with pairs swapped."""
     return with_pairs_swapped(*data.errors(), rng)[1]
 
 
-def pted_pairs_swapped(data: Compared, rng: np.random.Generator) -> float:
+def pted_pairs_swapped(data: Compared, rng: Generator) -> float:
     """PTED's statistic, the energy distance of errors and contexts together, with pairs swapped.
 
     PTED itself permutes all readings and knows no pairs, so its statistic is worked out here.
@@ -115,14 +116,14 @@ def pted_pairs_swapped(data: Compared, rng: np.random.Generator) -> float:
     return with_pairs_swapped(*data.points(), rng)[1]
 
 
-def pted_as_it_comes(data: Compared, rng: np.random.Generator) -> float:
+def pted_as_it_comes(data: Compared, rng: Generator) -> float:
     """PTED with its own permutations of all readings, two-tailed, which is its default."""
     from pted import pted
 
     return float(pted(*data.points(), permutations=SWAPS, rng=rng))
 
 
-def classifier(data: Compared, rng: np.random.Generator) -> float:
+def classifier(data: Compared, rng: Generator) -> float:
     """Gradient-boosted trees that tell measured from simulated, taught on half of the runs and scored on the others.
 
     The statistic is the mean difference in log odds within pairs; its null is that of pairs swapped. Halves that teach
@@ -154,7 +155,7 @@ DETECTORS: Mapping[str, Detector] = {
 }
 
 
-def with_pairs_swapped(measured: Array, simulated: Array, rng: np.random.Generator) -> tuple[float, float]:
+def with_pairs_swapped(measured: Array, simulated: Array, rng: Generator) -> tuple[float, float]:
     """Energy distance, with all pairs counted, and its p-value.
 
     Labels are +1 and -1 and swap within pairs; the distance is -s D s / n^2.

@@ -19,7 +19,7 @@ from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import WORD_COLUMNS, Effect, Parameter
 from msp_sim.model.model import Model
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 LEAST = 1e-12
 """Probability of a reading that the model cannot give."""
 LEAST_WEIGHT = 1e-6

@@ -187,4 +187,4 @@ class _Search:
 
     def _slope(self, likelier: Array) -> Array:
         inside = np.where(likelier < self.most, 1.0 / np.maximum(likelier, LEAST), 0.0)
-        return np.asarray(np.where(likelier > LEAST, inside, (2.0 - likelier / LEAST) / LEAST))
+        return np.where(likelier > LEAST, inside, (2.0 - likelier / LEAST) / LEAST)

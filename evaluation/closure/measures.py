@@ -86,7 +86,7 @@ def _folds(table: Table, seed: int) -> FloatArray:
     if names.size < FOLDS:
         run = np.arange(run.size) * 6 * FOLDS // run.size
     order = np.random.default_rng(seed).permutation(run.max() + 1)
-    return np.asarray(order[run] % FOLDS)
+    return order[run] % FOLDS
 
 
 def ks_by_slice(measured: Table, simulated: Table) -> float:

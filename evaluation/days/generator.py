@@ -7,17 +7,17 @@ is minutes long and still, so that it shows the white part alone. An effect has 
 generalised least squares with that noise, next to an offset and a scale. No number here comes from another generator.
 """
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
-from evaluation.second_hand.generator import Case
+from evaluation.second_hand.generator import Case, rng_of
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 Columns = dict[str, NDArray[Any]]
 
 STANDARD_ERRORS = 10.0
@@ -39,7 +39,7 @@ class Noise:
         """Of the readings of one run, (n, n) [cm^2]."""
         apart_s = np.abs(np.subtract.outer(time_s, time_s))
         lasting = self.lasting_cm**2 * np.exp(-apart_s / self.lasts_s)
-        return np.asarray(lasting + self.of_runs_cm**2 + self.white_cm**2 * np.eye(time_s.size))
+        return lasting + self.of_runs_cm**2 + self.white_cm**2 * np.eye(time_s.size)
 
 
 @dataclass(frozen=True)
@@ -82,19 +82,19 @@ def _scale(table: Table) -> Array:
 def _temperature(table: Table) -> Array:
     """Of what is left of a bare sensor's error, by the calibration temperature in ``sensor.yaml``, 22.5 C."""
     air_c = table.columns["air_temperature_c"]
-    return np.asarray(table.true_cm * (np.sqrt(295.65 / (273.15 + air_c)) - 1.0))
+    return table.true_cm * (np.sqrt(295.65 / (273.15 + air_c)) - 1.0)
 
 
 def _day(table: Table) -> Array:
-    return np.asarray(np.cos(2.0 * np.pi * (table.time_s / DAY_S - 0.6)))
+    return np.cos(2.0 * np.pi * (table.time_s / DAY_S - 0.6))
 
 
 def _supply(table: Table) -> Array:
-    return np.asarray(table.columns["supply_v"] - 5.0)
+    return table.columns["supply_v"] - 5.0
 
 
 def _warm_up(table: Table) -> Array:
-    return np.asarray(np.exp(-table.columns["uptime_s"] / 900.0))
+    return np.exp(-table.columns["uptime_s"] / 900.0)
 
 
 def _grass(table: Table) -> Array:
@@ -134,7 +134,7 @@ def case(kind: str, seed: int) -> Case:
     if kind not in KINDS:
         raise ValueError(f"kind {kind!r}: expected one of {', '.join(KINDS)}")
     family, _, title = kind.partition(":")
-    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+    rng = rng_of(kind, seed)
     while True:
         table = _slow(rng) if family == "slow" else _flights(rng)
         hidden = next((each for each in (SLOW if family == "slow" else WORDS) if each.title == title), None)
@@ -184,11 +184,11 @@ def _standard_error(table: Table, moves_cm: Array) -> float:
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))
 
 
-def _drawn(rng: np.random.Generator, noise: Noise, time_s: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(noise.covariance(time_s)) @ rng.standard_normal(time_s.size))
+def _drawn(rng: Generator, noise: Noise, time_s: Array) -> Array:
+    return np.linalg.cholesky(noise.covariance(time_s)) @ rng.standard_normal(time_s.size)
 
 
-def _read(rng: np.random.Generator, seen_cm: Array) -> Array:
+def _read(rng: Generator, seen_cm: Array) -> Array:
     """Whole centimetres, one in a hundred without an echo and one in two hundred too short."""
     which = rng.random(seen_cm.size)
     short = rng.uniform(20.0, seen_cm)
@@ -196,7 +196,7 @@ def _read(rng: np.random.Generator, seen_cm: Array) -> Array:
     return np.where(which > 0.99, MISSED_CM, np.maximum(np.round(seen_cm), 20.0))
 
 
-def _slow(rng: np.random.Generator) -> Table:
+def _slow(rng: Generator) -> Table:
     days, every_s = int(rng.integers(6, 15)), float(rng.choice([120.0, 180.0, 300.0]))
     hours = float(rng.uniform(8.0, 20.0))
     of_day = int(hours * 3600.0 / every_s)
@@ -228,7 +228,7 @@ def _slow(rng: np.random.Generator) -> Table:
     return _joined(columns, noise)
 
 
-def _flights(rng: np.random.Generator) -> Table:
+def _flights(rng: Generator) -> Table:
     flights, rows = int(rng.integers(8, 21)), int(rng.integers(150, 400))
     noise = Noise(
         white_cm=rng.uniform(0.5, 1.2),
@@ -263,7 +263,7 @@ def _joined(columns: list[Columns], noise: Noise) -> Table:
     return Table({**joined, "sensor": np.full(run.size, "down")}, run, noise)
 
 
-def _bench(rng: np.random.Generator, noise: Noise) -> Columns:
+def _bench(rng: Generator, noise: Noise) -> Columns:
     """Forty ranges of fifty readings each."""
     true_cm = np.repeat(np.linspace(50.0, 500.0, 40), 50)
     return {

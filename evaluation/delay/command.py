@@ -5,16 +5,14 @@ For instance ``--kinds late=20 early=10 with=16 none=20 --seed 1 --out build/del
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from evaluation.delay.generator import KINDS, case
-from evaluation.runner import Row, publish, run_cases
-from evaluation.second_hand.command import kind_options, wanted
-from evaluation.second_hand.score import matched
+from evaluation.runner import Row, publish
+from evaluation.second_hand.command import kind_options, run_kinds
+from evaluation.second_hand.score import in_words, matched, names_of
 from evaluation.second_hand.workflow import run_case
 
 LATENCY = {"latency"}
@@ -27,16 +25,14 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def main(given: argparse.Namespace) -> None:
     """Make what is not there yet, and print the table."""
-    results = run_cases(wanted(given, KINDS), make_result, given.jobs, given.out / "cases.jsonl")
+    results = run_kinds(given, make_result, KINDS)
     publish(f"{table(results)}\n\n{lines(results)}", given.out)
 
 
 def make_result(kind: str, seed: int, final: bool = False) -> Row:
     """Make a case and run the workflow on it: what was hidden, what the workflow found, and how that compares."""
     made = case(kind, seed, final)
-    with TemporaryDirectory() as folder:
-        found = run_case(made, Path(folder))
-    return {"truth": made.truth, "found": found}
+    return {"truth": made.truth, "found": run_case(made)}
 
 
 def scored(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
@@ -49,7 +45,7 @@ def scored(truth: dict[str, Any], found: dict[str, Any]) -> dict[str, Any]:
         ``curves``: curves, of which nothing was hidden; ``off_ms`` and ``covered``: error of the delay, and whether its
         interval holds the truth, None where it was not named.
     """
-    named = [{each["name"], *(other for other in each["alternatives"])} for each in found["effects"]]
+    named = names_of(found)
     delays = [each["parameters"]["delay_ms"] for each in found["effects"] if each["name"] == "latency"]
     others = [set(each["names"]) for each in truth["effects"]]
     wanted = [*others, *([LATENCY] if truth["delay_ms"] else [])]
@@ -103,16 +99,12 @@ def lines(results: Sequence[Row]) -> str:
         log = ", ".join(
             f"{name} {truth[name]:.3g}" for name in ("spacing_s", "edges", "pauses", "repeated", "noise_cm")
         )
-        reported = [" or ".join([each["name"], *each["alternatives"]]) for each in found["effects"]]
-        reported += [
-            f"{each['parameters']['delay_ms']['value']:.1f} ms"
-            for each in found["effects"]
-            if each["name"] == "latency"
-        ]
-        reported += [f"curve of {each['channel']} over {' '.join(each['variables'])}" for each in found["curves"]]
+        delays = [each["parameters"]["delay_ms"] for each in found["effects"] if each["name"] == "latency"]
+        words = in_words(found)
+        words[len(found["effects"]) : len(found["effects"])] = [f"{each['value']:.1f} ms" for each in delays]
         text.append(
             f"{truth['kind']} {truth['seed']}: {hidden}; {log}; correlation {truth['correlation']:.2f}; found "
-            f"{'; '.join([*reported, *([found['crash']] if found['crash'] else [])]) or 'nothing'}; "
+            f"{'; '.join([*words, *filter(None, [found['crash']])]) or 'nothing'}; "
             f"{found['verdict']}, {found['seconds']:.0f} s"
         )
     return "\n".join(text)

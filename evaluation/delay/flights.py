@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from evaluation.second_hand.rows import Floats, Rows
@@ -47,7 +48,7 @@ class Log:
     names_rate: bool
 
 
-def draw_log(rng: np.random.Generator, rows: int) -> Log:
+def draw_log(rng: Generator, rows: int) -> Log:
     """Draw what the log of a table is like: half of them have each fault."""
 
     def some(low: float, high: float) -> float:
@@ -58,7 +59,7 @@ def draw_log(rng: np.random.Generator, rows: int) -> Log:
     )
 
 
-def draw_flights(rng: np.random.Generator, log: Log) -> Rows:
+def draw_flights(rng: Generator, log: Log) -> Rows:
     """Draw the runs of a table, with the reference as it is in truth."""
     runs = int(rng.integers(6, 21))
     spacing_s = float(rng.choice([0.02, 0.05, 0.1, 0.1, 0.15]))
@@ -92,7 +93,7 @@ def late(rows: Rows, delay_s: float) -> Rows:
     return replace(rows, true_cm=rows.range_before(delay_s))
 
 
-def logged(rng: np.random.Generator, rows: Rows, log: Log) -> dict[str, NDArray[Any]]:
+def logged(rng: Generator, rows: Rows, log: Log) -> dict[str, NDArray[Any]]:
     """The columns of the log but for the readings: stamps as they repeat, and the reference with its noise."""
     again = (rng.random(len(rows)) < log.repeated) & (rows.previous() >= 0)
     stamps = np.where(again, rows.time_s[rows.previous()], rows.time_s)
@@ -108,14 +109,14 @@ def logged(rng: np.random.Generator, rows: Rows, log: Log) -> dict[str, NDArray[
     return columns | {name: column for name, column in rows.contexts.items() if name not in left_out}
 
 
-def _times(rng: np.random.Generator, count: int, spacing_s: float, jitter: float, pauses: float) -> Floats:
+def _times(rng: Generator, count: int, spacing_s: float, jitter: float, pauses: float) -> Floats:
     steps_s = spacing_s * (1.0 + jitter * rng.standard_normal(count).clip(-3, 3))
     starts = rng.random(count) < pauses * spacing_s / 60.0
     steps_s[starts] += rng.uniform(2.0, 20.0, int(starts.sum()))
     return np.asarray(np.round(np.cumsum(steps_s), 4), dtype=np.float64)
 
 
-def _path(rng: np.random.Generator, last_s: float) -> Callable[[Floats], Floats]:
+def _path(rng: Generator, last_s: float) -> Callable[[Floats], Floats]:
     """Range [cm] over time [s]: climbs and descents with rounded or sharp turns, and a bobbing on top."""
     legs_s, time_s = [], -LONGEST_S
     while time_s < last_s + LONGEST_S:
@@ -134,12 +135,12 @@ def _path(rng: np.random.Generator, last_s: float) -> Callable[[Floats], Floats]
     def path(time_s: Floats) -> Floats:
         # A mean over a window rounds the corners.
         way = np.mean([np.interp(time_s + each, knots_s, levels) for each in around_s], axis=0)
-        return np.asarray(way + swing_cm * np.sin(2 * np.pi * time_s / period_s + phase))
+        return way + swing_cm * np.sin(2 * np.pi * time_s / period_s + phase)
 
     return path
 
 
-def _edges(rng: np.random.Generator, last_s: float, per_minute: float) -> tuple[Floats, Floats]:
+def _edges(rng: Generator, last_s: float, per_minute: float) -> tuple[Floats, Floats]:
     """Times [s] and heights [cm] of the ground from each of them on."""
     at_s = np.sort(rng.uniform(0.0, last_s, int(rng.poisson(per_minute * last_s / 60.0))))
     heights = np.where(np.arange(at_s.size) % 2 == 0, rng.uniform(10.0, 80.0, at_s.size), 0.0)
@@ -150,12 +151,12 @@ def _over(path: Callable[[Floats], Floats], edges: tuple[Floats, Floats]) -> Cal
     at_s, heights = edges
 
     def over(time_s: Floats) -> Floats:
-        return np.asarray(np.maximum(path(time_s) - heights[np.searchsorted(at_s, time_s)], LOWEST_CM))
+        return np.maximum(path(time_s) - heights[np.searchsorted(at_s, time_s)], LOWEST_CM)
 
     return over
 
 
-def _contexts(rng: np.random.Generator, time_s: Floats, path: Callable[[Floats], Floats]) -> dict[str, Floats]:
+def _contexts(rng: Generator, time_s: Floats, path: Callable[[Floats], Floats]) -> dict[str, Floats]:
     speed = (path(time_s + 0.01) - path(time_s - 0.01)) / 0.02
     knots_s = np.arange(0.0, time_s[-1] + 6.0, 3.0)
     slow = np.interp(time_s, knots_s, rng.standard_normal(knots_s.size))

@@ -5,16 +5,14 @@
 hidden), ``long`` (late, with more readings than the workflow searches).
 """
 
-import zlib
-
-import numpy as np
+from numpy.random import Generator
 
 from evaluation.delay.flights import Log, draw_flights, draw_log, late, logged
 from evaluation.second_hand.base import Base, draw_base
 from evaluation.second_hand.density import base_law
 from evaluation.second_hand.effect import Effect, law_with
 from evaluation.second_hand.flights import draw_bench
-from evaluation.second_hand.generator import FINAL_SEED, Case, Columns, SeedError
+from evaluation.second_hand.generator import Case, Columns, check_seed, rng_of
 from evaluation.second_hand.physics import KNOWN
 from evaluation.second_hand.rows import Rows
 from evaluation.second_hand.sample import draw
@@ -47,9 +45,8 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
     SeedError
         The seed is one of those kept for a final run, and this is none.
     """
-    if seed >= FINAL_SEED and not final:
-        raise SeedError(f"seed {seed}: seeds from {FINAL_SEED} on are kept for a final run (--final)")
-    rng = np.random.default_rng([seed, zlib.crc32(f"delay {kind}".encode())])
+    check_seed(seed, final)
+    rng = rng_of(f"delay {kind}", seed)
     base, log = draw_base(rng), draw_log(rng, ROWS.get(kind, USUAL_ROWS))
     rows = draw_flights(rng, log)
     delay_s = round(float(rng.uniform(*DELAYS_S.get(kind, (0.05, 0.5)))), 4)
@@ -58,13 +55,13 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
     if kind == "with":
         title = list(SECOND)[seed % len(SECOND)]
         effects = [next(each for each in KNOWN if each.title == title).draw(rng, seen)]
-    sizes = [SECOND[each.title] for each in effects]
+    sizes = [SECOND[each.kind.title] for each in effects]
     reading_cm = draw(seen, base, law_with(seen, base, effects, sizes), rng).reading_cm
     return Case(
         bench=_bench(rng, rows, base),
         runs=logged(rng, rows, log) | {"reading_cm": reading_cm},
         truth=_truth(kind, seed, rows, log, base, delay_s)
-        | {"effects": [{"title": each.title, "names": sorted(each.names)} for each in effects]},
+        | {"effects": [{"title": each.kind.title, "names": sorted(each.kind.names)} for each in effects]},
     )
 
 
@@ -85,13 +82,6 @@ def _truth(kind: str, seed: int, rows: Rows, log: Log, base: Base, delay_s: floa
     }
 
 
-def _bench(rng: np.random.Generator, rows: Rows, base: Base) -> Columns:
+def _bench(rng: Generator, rows: Rows, base: Base) -> Columns:
     bench = draw_bench(rng, rows)
-    return {
-        "time_s": np.round(bench.time_s, 4),
-        "sensor": np.full(len(bench), "down"),
-        "run": np.array([f"bench{number + 1:02d}" for number in bench.run]),
-        "reading_cm": draw(bench, base, base_law(bench, base), rng).reading_cm,
-        "true_range_cm": np.round(bench.true_cm, 2),
-        **bench.contexts,
-    }
+    return bench.columns(draw(bench, base, base_law(bench, base), rng).reading_cm, "bench{:02d}")

@@ -9,11 +9,12 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from tests.support.measured import sensor
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 Columns = dict[str, Any]
 RUNS, ROWS = 10, 120
 """Of the old readings."""
@@ -27,7 +28,7 @@ FALSE_CM = 2.0
 
 def sound_m_s(celsius: Floats | float) -> Floats:
     """Speed of sound in dry air [m/s]."""
-    return np.asarray(331.3 * np.sqrt(1.0 + np.asarray(celsius) / ZERO_K))
+    return 331.3 * np.sqrt(1.0 + np.asarray(celsius) / ZERO_K)
 
 
 @dataclass(frozen=True)
@@ -56,23 +57,23 @@ class Hidden:
 
 def _air(columns: Columns, share: float) -> Floats:
     ratio = sound_m_s(CALIBRATED_C) / sound_m_s(columns["air_temperature_c"])
-    return np.asarray(share * columns["true_range_cm"] * (ratio - 1.0))
+    return share * columns["true_range_cm"] * (ratio - 1.0)
 
 
 def _wrong_thermometer(columns: Columns, off_c: float) -> Floats:
     shown = columns["air_temperature_c"]
-    return np.asarray(columns["true_range_cm"] * (sound_m_s(shown) / sound_m_s(shown - off_c) - 1.0))
+    return columns["true_range_cm"] * (sound_m_s(shown) / sound_m_s(shown - off_c) - 1.0)
 
 
 def _colder_far_end(columns: Columns, share: float) -> Floats:
     near, far = sound_m_s(columns["air_temperature_c"]), sound_m_s(columns["target_temperature_c"])
     slowness = sound_m_s(CALIBRATED_C) * (2.0 / (near + far) - 1.0 / near)
-    return np.asarray(share * columns["true_range_cm"] * slowness)
+    return share * columns["true_range_cm"] * slowness
 
 
 def _moves_meanwhile(columns: Columns, share: float) -> Floats:
     one_way_s = columns["true_range_cm"] / (100.0 * sound_m_s(columns["air_temperature_c"]))
-    return np.asarray(share * columns["range_rate_cm_s"] * one_way_s)
+    return share * columns["range_rate_cm_s"] * one_way_s
 
 
 def _neighbours_echo(columns: Columns, share: float) -> tuple[Floats, Floats]:
@@ -107,46 +108,46 @@ NEIGHBOUR = Hidden("crosstalk", 0.1, 0.3, false=_neighbours_echo)
 STRUT = Hidden("clutter", 0.1, 0.3, false=_fixed_object)
 
 
-def _nothing_varies_much(columns: Columns, rng: np.random.Generator) -> None:
+def _nothing_varies_much(columns: Columns, rng: Generator) -> None:
     """One day: the air has one temperature."""
     columns["air_temperature_c"] = np.full(RUNS * ROWS, float(rng.choice((3.0, 6.0, 34.0, 38.0))))
 
 
-def _usual_days(columns: Columns, rng: np.random.Generator) -> None:
+def _usual_days(columns: Columns, rng: Generator) -> None:
     """Days from cold to warm."""
     columns["air_temperature_c"] = np.repeat(rng.normal(16.0, 8.0, RUNS), ROWS)
 
 
-def _ground_as_warm(columns: Columns, rng: np.random.Generator) -> None:
+def _ground_as_warm(columns: Columns, rng: Generator) -> None:
     """The far end is as much off what the sensor assumes as the near end, as over dark ground."""
     near = np.repeat(rng.normal(CALIBRATED_C, 8.0, RUNS), ROWS)
     columns["air_temperature_c"], columns["target_temperature_c"] = near, near + 1.0 * (near - CALIBRATED_C)
 
 
-def _one_height(columns: Columns, rng: np.random.Generator) -> None:
+def _one_height(columns: Columns, rng: Generator) -> None:
     """Up and down by little, at one height."""
     columns["true_range_cm"] = 220.0 + 4.0 * rng.standard_normal(RUNS * ROWS)
 
 
-def _throttle_with_tilt(columns: Columns, rng: np.random.Generator) -> None:
+def _throttle_with_tilt(columns: Columns, rng: Generator) -> None:
     """Fast flight: the throttle is proportional to the tilt, as both are to the speed."""
     speed = rng.uniform(0.0, 1.0, RUNS * ROWS)
     columns["throttle"], columns["incidence_deg"] = speed, 10.0 * speed
 
 
-def _shaken_where_turned(columns: Columns, rng: np.random.Generator) -> None:
+def _shaken_where_turned(columns: Columns, rng: Generator) -> None:
     """The motor that turns the sensor shakes it."""
     turned = rng.random(RUNS * ROWS) < 0.5
     columns["incidence_deg"] = np.where(turned, 10.0, 0.0)
     columns["vibration_hz"] = np.where(turned, 60.0, 0.0)
 
 
-def _steady_throttle(columns: Columns, rng: np.random.Generator) -> None:
+def _steady_throttle(columns: Columns, rng: Generator) -> None:
     """A hover: the throttle hardly changes."""
     columns["throttle"] = 0.5 + 0.005 * rng.standard_normal(RUNS * ROWS)
 
 
-def _hover_with_neighbour(columns: Columns, rng: np.random.Generator) -> None:
+def _hover_with_neighbour(columns: Columns, rng: Generator) -> None:
     """A hover at one height, each ping after one of the neighbour."""
     columns["true_range_cm"] = HEIGHT_CM + 0.8 * rng.standard_normal(RUNS * ROWS)
     columns["neighbour_range_cm"] = columns["true_range_cm"].copy()
@@ -169,7 +170,7 @@ class Pair:
 
     title: str
     effects: tuple[Hidden, Hidden]
-    twist: Callable[[Columns, np.random.Generator], None]
+    twist: Callable[[Columns, Generator], None]
     between: Mapping[str, tuple[float, ...]]
     within: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
@@ -217,7 +218,7 @@ PAIRS = (
 
 def draw_case(seed: int, number: int) -> tuple[Pair, Hidden, float, Columns]:
     """A pair, which of the two is hidden and how large, and the old readings. The numbers go round the pairs."""
-    rng = np.random.default_rng([seed, number])
+    rng = default_rng([seed, number])
     pair = PAIRS[number % len(PAIRS)]
     hidden = pair.effects[int(rng.integers(2))]
     size = float(rng.uniform(hidden.least, hidden.most))
@@ -250,7 +251,7 @@ def with_readings(columns: Mapping[str, Any], hidden: Hidden, size: float, seed:
     placed_cm
         Standard deviation of an error of the true range that is common to a run: the placement of a target.
     """
-    chance, rng = Random(seed), np.random.default_rng(seed)
+    chance, rng = Random(seed), default_rng(seed)
     known = dict(columns)
     known.setdefault("throttle", np.zeros(np.size(columns["true_range_cm"])))
     known.setdefault("vibration_hz", np.zeros(np.size(columns["true_range_cm"])))

@@ -4,7 +4,7 @@ Lines of flights.jsonl enter; tables leave, as lists of cells with the headings 
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import stdev
@@ -49,111 +49,110 @@ class Sum:
     @property
     def wrong_s(self) -> float:
         """Time with wrong distances [s]."""
-        return float(sum(event[FOR_S] for event in self.events("wrong")))
+        return _lasting_s(self.events("wrong"))
 
     @property
-    def unreported_wrong_s(self) -> float:
-        """Time with wrong distances that were not reported [s]."""
-        return float(sum(event[FOR_S] for event in self.events("wrong") if event[REPORTED] is None))
-
-    @property
-    def flights_unreported(self) -> int:
-        """Flights with a wrong distance that was not reported."""
-        wrong = [line["verdict"]["wrong"] for line in self.lines]
-        return sum(any(event[REPORTED] is None for event in events) for events in wrong)
+    def reported(self) -> str:
+        """Wrong distances that were reported, of all of them."""
+        events = self.events("wrong")
+        return f"{len(events) - len(_unreported(events))} of {len(events)}"
 
     @property
     def decidable(self) -> str:
         """Wrong distances without a report that the observer could have reported in time, of all of them."""
-        decided = [is_decidable(line, i) for line in self.lines for i in _unreported(line)]
+        decided = [is_decidable(line, i) for line in self.lines for i in _unreported(line["verdict"]["wrong"])]
         return f"{sum(decided)} of {len(decided)}" if decided else ""
 
     @property
-    def silent_s(self) -> float:
-        """Time of the silences [s]."""
-        return float(sum(event[FOR_S] for event in self.events("silences")))
+    def unreported_silences(self) -> str:
+        """Silences that were not reported, of all of them."""
+        events = self.events("silences")
+        return f"{len(_unreported(events))} of {len(events)}"
 
     @property
-    def false_warnings(self) -> int | None:
-        """Warnings in flights in which nothing is wrong; None: there is no such flight."""
-        healthy = [line for line in self.lines if line["healthy"]]
-        return sum(len(line["verdict"]["warnings"]) for line in healthy) if healthy else None
-
-    @property
-    def reported(self) -> int:
-        """Wrong distances that were reported."""
-        return sum(event[REPORTED] is not None for event in self.events("wrong"))
-
-    @property
-    def unreported(self) -> int:
-        """Silences that were not reported."""
-        return sum(event[REPORTED] is None for event in self.events("silences"))
+    def false_objects(self) -> int:
+        """Texts on objects that were not there."""
+        return len(self.events("false_objects"))
 
     def share(self, part: str, whole: str) -> float | None:
         """One sum over another [%]; None: there was no time."""
         total = self.total(whole)
         return 100.0 * self.total(part) / total if total else None
 
-    def share_with_error(self, part: str, whole: str) -> str:
+    def percent(self, part: str, whole: str) -> str:
+        """The same in words; empty: there was no time."""
+        share = self.share(part, whole)
+        return "" if share is None else f"{share:.1f}"
+
+    def percent_with_error(self, part: str, whole: str) -> str:
         """A share [%] and its standard error: flights differ, the moments of a flight do not."""
         verdicts = [line["verdict"] for line in self.lines]
         shares = [100.0 * each[part] / each[whole] for each in verdicts if each[whole] > 0.0]
         error = f" ± {stdev(shares) / math.sqrt(len(shares)):.1f}" if len(shares) > 1 else ""
-        return _percent(self.share(part, whole)) + error
+        return self.percent(part, whole) + error
 
-    @property
-    def false_objects(self) -> int:
-        """Texts on objects that were not there."""
-        return sum(len(line["verdict"]["false_objects"]) for line in self.lines)
+    def cells(self) -> dict[str, str]:
+        """Heading -> figure, of the columns of all tables."""
+        wrong, silences, verdicts = self.events("wrong"), self.events("silences"), [e["verdict"] for e in self.lines]
+        unreported = [_unreported(each["wrong"]) for each in verdicts]
+        warnings = [len(line["verdict"]["warnings"]) for line in self.lines if line["healthy"]]
+        return {
+            "flights": str(len(self.lines)),
+            "flights wrong and unreported": str(sum(map(bool, unreported))),
+            "wrong distances": str(len(wrong)),
+            "longest, s": f"{max((event[FOR_S] for event in wrong), default=0.0):.1f}",
+            "together, s": f"{self.wrong_s:.1f}",
+            "wrong, s": f"{self.wrong_s:.1f}",
+            "reported": self.reported if wrong else "",
+            "unreported, s": f"{_lasting_s([wrong[i] for i in _unreported(wrong)]):.1f}",
+            "decidable": self.decidable,
+            "wrong 'above max.'": str(round(self.total("above_wrong"))),
+            "within 3 s.d., %": self.percent("honest_in_range_s", "in_range_s"),
+            "valid within 3 s.d., %": self.percent("honest_s", "valid_s"),
+            "while faulty, %": self.percent("faulty_honest_s", "faulty_in_range_s"),
+            "within 1.96 s.d., %": self.percent("covered_s", "valid_s"),
+            "silent, s": f"{_lasting_s(silences):.1f}",
+            "longest silence, s": f"{max(each['longest_gap_s'] for each in verdicts):.1f}",
+            "unreported silences": self.unreported_silences,
+            "false objects": str(self.false_objects),
+            "false objects in 1000 s": f"{1000.0 * self.false_objects / self.total('flown_s'):.1f}",
+            "false warnings": str(sum(warnings)) if warnings else "",
+        }
 
 
-_COLUMNS: dict[str, Callable[[Sum], str]] = {
-    "flights": lambda some: str(len(some.lines)),
-    "wrong distances": lambda some: str(len(some.events("wrong"))),
-    "longest, s": lambda some: f"{max((event[FOR_S] for event in some.events('wrong')), default=0.0):.1f}",
-    "together, s": lambda some: f"{some.wrong_s:.1f}",
-    "reported": lambda some: f"{some.reported} of {len(some.events('wrong'))}" if some.events("wrong") else "",
-    "wrong 'above max.'": lambda some: str(round(some.total("above_wrong"))),
-    "within 3 s.d., %": lambda some: _percent(some.share("honest_in_range_s", "in_range_s")),
-    "while faulty, %": lambda some: _percent(some.share("faulty_honest_s", "faulty_in_range_s")),
-    "within 1.96 s.d., %": lambda some: _percent(some.share("covered_s", "valid_s")),
-    "longest silence, s": lambda some: f"{max(line['verdict']['longest_gap_s'] for line in some.lines):.1f}",
-    "unreported silences": lambda some: f"{some.unreported} of {len(some.events('silences'))}",
-    "false objects in 1000 s": lambda some: f"{1000.0 * some.false_objects / some.total('flown_s'):.1f}",
+_COLUMNS = {
+    each: each
+    for each in (
+        *("flights", "wrong distances", "longest, s", "together, s", "reported", "wrong 'above max.'"),
+        *("within 3 s.d., %", "while faulty, %", "within 1.96 s.d., %", "longest silence, s", "unreported silences"),
+        "false objects in 1000 s",
+    )
 }
+_HOSTILE_COLUMNS = {
+    each: each
+    for each in (
+        *("flights", "flights wrong and unreported", "wrong distances", "reported", "wrong, s", "unreported, s"),
+        *("decidable", "longest, s", "silent, s", "longest silence, s", "unreported silences", "within 3 s.d., %"),
+        *("false objects", "false warnings"),
+    )
+} | {"within 3 s.d., %": "valid within 3 s.d., %"}
+"""Headings of a table -> cells of a `Sum`."""
 
 
-_HOSTILE_COLUMNS: dict[str, Callable[[Sum], str]] = {
-    "flights": lambda some: str(len(some.lines)),
-    "flights wrong and unreported": lambda some: str(some.flights_unreported),
-    "wrong distances": lambda some: str(len(some.events("wrong"))),
-    "reported": lambda some: f"{some.reported} of {len(some.events('wrong'))}" if some.events("wrong") else "",
-    "wrong, s": lambda some: f"{some.wrong_s:.1f}",
-    "unreported, s": lambda some: f"{some.unreported_wrong_s:.1f}",
-    "decidable": lambda some: some.decidable,
-    "longest, s": lambda some: f"{max((event[FOR_S] for event in some.events('wrong')), default=0.0):.1f}",
-    "silent, s": lambda some: f"{some.silent_s:.1f}",
-    "longest silence, s": lambda some: f"{max(line['verdict']['longest_gap_s'] for line in some.lines):.1f}",
-    "unreported silences": lambda some: f"{some.unreported} of {len(some.events('silences'))}",
-    "within 3 s.d., %": lambda some: _percent(some.share("honest_s", "valid_s")),
-    "false objects": lambda some: str(some.false_objects),
-    "false warnings": lambda some: "" if some.false_warnings is None else str(some.false_warnings),
-}
+def _lasting_s(events: Sequence[Sequence[Any]]) -> float:
+    """How long events last together [s]."""
+    return float(sum(event[FOR_S] for event in events))
 
 
-def _unreported(line: Line) -> list[int]:
-    """Which wrong distances of a flight were not reported."""
-    return [i for i, event in enumerate(line["verdict"]["wrong"]) if event[REPORTED] is None]
+def _unreported(events: Sequence[Sequence[Any]]) -> list[int]:
+    """Which events were not reported."""
+    return [i for i, event in enumerate(events) if event[REPORTED] is None]
 
 
 def is_decidable(line: Line, i: int) -> bool:
     """Whether the observer knew in time that a distance was wrong; see `evaluation.faults.observer`."""
     decided_s = line.get("decidable_s") or []
     return i < len(decided_s) and decided_s[i] is not None and decided_s[i] <= REPORT_WRONG_S
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{share:.1f}"
 
 
 def shown(cells: Cells) -> Table:
@@ -201,12 +200,10 @@ def _in(lines: Iterable[Line], key: str, value: str) -> list[Line]:
     return [line for line in lines if line[key] == value]
 
 
-def _table(heading: str, columns: dict[str, Callable[[Sum], str]], parts: Sequence[tuple[str, list[Line]]]) -> Cells:
+def _table(heading: str, columns: dict[str, str], parts: Sequence[tuple[str, list[Line]]]) -> Cells:
     """A row for each part that has flights."""
-    return [
-        [heading, *columns],
-        *([name, *(cell(Sum(some)) for cell in columns.values())] for name, some in parts if some),
-    ]
+    rows = [(name, Sum(some).cells()) for name, some in parts if some]
+    return [[heading, *columns], *([name, *(cells[each] for each in columns.values())] for name, cells in rows)]
 
 
 def coverage_table(lines: Sequence[Line]) -> Cells:
@@ -266,39 +263,37 @@ def goals_table(lines: Sequence[Line]) -> Cells:
     some = _of(lines, "three or four")
     if some.lines:
         shares = [100.0 * some.wrong_s / some.total(whole) for whole in ("faulty_s", "judged_s")]
-        reported = f"{some.reported} of {len(some.events('wrong'))} reported"
-        reached = f"{shares[0]:.1f} % while faulty ({shares[1]:.1f} % of the flights), {reported}"
+        reached = f"{shares[0]:.1f} % while faulty ({shares[1]:.1f} % of the flights), {some.reported} reported"
         table.append(["wrong distances on three and four: time, reported within 2 s", "at most 1 %, all", reached])
     for group, goal in (("no fault", 99.5), ("one", 98.0), ("two", 90.0)):
         some = _of(lines, group)
         if some.lines:
-            reached = f"{_percent(some.share('honest_in_range_s', 'in_range_s'))} %"
+            reached = f"{some.percent('honest_in_range_s', 'in_range_s')} %"
             if group != "no fault":
-                faulty = _percent(some.share("faulty_honest_s", "faulty_in_range_s"))
+                faulty = some.percent("faulty_honest_s", "faulty_in_range_s")
                 reached = f"{faulty} % while faulty ({reached} of the flights)"
             table.append([f"valid and within three stated deviations: {group}", f"{goal:g} %", reached])
     # A wrong air temperature is in all readings alike, so no quality can show it.
     some = Sum([line for line in lines if line["group"] not in ("temperature", "thermometer")])
     if some.total("sure_s"):
         reached = f"{some.share('sure_honest_s', 'sure_s'):.2f} %, and it is stated for "
-        reached += f"{_percent(some.share('sure_honest_s', 'honest_s'))} % of what is within them"
+        reached += f"{some.percent('sure_honest_s', 'honest_s')} % of what is within them"
         beyond_s = some.total("valid_s") - some.total("honest_s")
         if beyond_s > 0.0:
             share = (some.total("sure_s") - some.total("sure_honest_s")) / beyond_s
-            reached += f" and for {_percent(100.0 * share)} % of the {beyond_s:.1f} s that are not"
+            reached += f" and for {100.0 * share:.1f} % of the {beyond_s:.1f} s that are not"
         table.append(["a quality of 90 or more is within three stated deviations", "99.5 %", reached])
     some = _of(lines, "temperature")
     if some.lines:
         sources = [[line for line in some.lines if line["facts"]["source"] == source] for source in SOURCES]
         each = ", ".join(
-            f"{name} {Sum(of).share_with_error('covered_s', 'valid_s')}"
+            f"{name} {Sum(of).percent_with_error('covered_s', 'valid_s')}"
             for name, of in zip(SOURCES, sources, strict=True)
             if of
         )
-        reached = f"{_percent(some.share('covered_s', 'valid_s'))} % ({each})"
+        reached = f"{some.percent('covered_s', 'valid_s')} % ({each})"
         table.append(["stated 95 % interval contains the truth, -20 to 45 C", "90 to 99 %", reached])
-    reached = f"{Sum(lines).unreported} of {len(Sum(lines).events('silences'))}"
-    table.append(["unreported silences, all flights", "0", reached])
+    table.append(["unreported silences, all flights", "0", Sum(lines).unreported_silences])
     some = _of(lines, "hover")
     if some.lines:
         reached = f"{some.false_objects} in {some.total('flown_s'):,.0f} s"
@@ -313,28 +308,6 @@ def _of(lines: Iterable[Line], *groups: str) -> Sum:
     return Sum([line for line in lines if line["group"] in groups])
 
 
-_ERRORS: dict[str, Callable[[Line], tuple[float, str]]] = {
-    "wrong distance": lambda line: _worst_wrong(line),
-    "wrong 'above the maximum'": lambda line: (
-        line["verdict"]["above_wrong_s"],
-        f"{line['verdict']['above_wrong']} messages, {line['verdict']['above_wrong_s']:.1f} s",
-    ),
-    "unreported silence": lambda line: _worst_event(
-        [event for event in line["verdict"]["silences"] if event[REPORTED] is None]
-    ),
-    "not valid or not within 3 s.d.": lambda line: (
-        line["verdict"]["in_range_s"] - line["verdict"]["honest_in_range_s"],
-        f"{line['verdict']['in_range_s'] - line['verdict']['honest_in_range_s']:.1f} of "
-        f"{line['verdict']['in_range_s']:.1f} s",
-    ),
-    "false objects": lambda line: (
-        len(line["verdict"]["false_objects"]),
-        str(len(line["verdict"]["false_objects"])),
-    ),
-    "crash": lambda line: (float(bool(line["crashed"])), str(line["crashed"])),
-}
-
-
 def _worst_event(events: Sequence[Sequence[Any]]) -> tuple[float, str]:
     if not events:
         return 0.0, ""
@@ -343,22 +316,34 @@ def _worst_event(events: Sequence[Sequence[Any]]) -> tuple[float, str]:
     return worst[FOR_S], f"{worst[FOR_S]:.1f} s{off} from {worst[FROM_S]:.1f} s"
 
 
-def _worst_wrong(line: Line) -> tuple[float, str]:
-    """As `_worst_event`; one without a report that the observer could not have reported either is marked."""
-    size, words = _worst_event(line["verdict"]["wrong"])
-    unknowable = [i for i in _unreported(line) if line["verdict"]["wrong"][i][FOR_S] == size]
-    if any(not is_decidable(line, i) for i in unknowable) and line["group"] in FAMILIES:
+def _errors(line: Line) -> dict[str, tuple[float, str]]:
+    """How bad a flight is by each kind of error, as a number and in words."""
+    verdict = line["verdict"]
+    wrong, silences, false_objects = verdict["wrong"], verdict["silences"], len(verdict["false_objects"])
+    size, words = _worst_event(wrong)
+    unreported = [i for i in _unreported(wrong) if wrong[i][FOR_S] == size]
+    if any(not is_decidable(line, i) for i in unreported) and line["group"] in FAMILIES:
         words += ", undecidable"
-    return size, words
+    beyond_s = verdict["in_range_s"] - verdict["honest_in_range_s"]
+    above_s = verdict["above_wrong_s"]
+    return {
+        "wrong distance": (size, words),
+        "wrong 'above the maximum'": (above_s, f"{verdict['above_wrong']} messages, {above_s:.1f} s"),
+        "unreported silence": _worst_event([silences[i] for i in _unreported(silences)]),
+        "not valid or not within 3 s.d.": (beyond_s, f"{beyond_s:.1f} of {verdict['in_range_s']:.1f} s"),
+        "false objects": (false_objects, str(false_objects)),
+        "crash": (float(bool(line["crashed"])), str(line["crashed"])),
+    }
 
 
 def worst_table(lines: Sequence[Line]) -> Cells:
     """The worst flights for each kind of error, each of another row."""
     table = [["error", "flight", "group", "how bad", "faults"]]
-    for error, measure in _ERRORS.items():
+    measured = [(line, _errors(line)) for line in lines]
+    for error in measured[0][1] if measured else ():
         rows: set[str] = set()
-        for line in sorted(lines, key=lambda line: measure(line)[0], reverse=True):
-            size, words = measure(line)
+        for line, errors in sorted(measured, key=lambda each: each[1][error][0], reverse=True):
+            size, words = errors[error]
             if size <= 0 or len(rows) == WORST:
                 break
             if line["row"] not in rows:

@@ -7,21 +7,22 @@ mounted too high or too low; ``plain:NUMBER``, one vehicle of which a number of 
 between sensors from what is usual.
 """
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from evaluation.fleet.likelihood import likelihood_root
 from evaluation.second_hand.base import Base, draw_base
-from evaluation.second_hand.density import Law, base_law
-from evaluation.second_hand.effect import Effect, Kind, law_with
-from evaluation.second_hand.flights import CONTEXTS, Design, draw_bench, draw_flights
+from evaluation.second_hand.density import base_law
+from evaluation.second_hand.effect import Apply, Effect, Kind, law_with, moves
+from evaluation.second_hand.flights import CONTEXTS, Design, draw_bench, draw_flights, shown_contexts
+from evaluation.second_hand.generator import rng_of
 from evaluation.second_hand.physics import KNOWN
-from evaluation.second_hand.rows import Rows
+from evaluation.second_hand.rows import Floats, Rows
 from evaluation.second_hand.sample import draw
 from evaluation.second_hand.size import sizes_of, standard_errors
 
@@ -93,7 +94,7 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
             f"kind {kind!r}: expected null, change:offset, plain:NUMBER of {', '.join(SPREADS)}, or odd:EFFECT or "
             f"shared:EFFECT of {', '.join(KINDS)}"
         )
-    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+    rng = rng_of(kind, seed)
     for _ in range(DRAWS):
         drawn = _drawn(kind, rng, vehicles)
         if drawn is not None:
@@ -101,7 +102,7 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
     raise RuntimeError(f"{kind} {seed}: no possible size in {DRAWS} fleets")
 
 
-def _drawn(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet | None:
+def _drawn(kind: str, rng: Generator, vehicles: int) -> Fleet | None:
     """A fleet, or None where its effect has no possible size."""
     family, _, title = kind.partition(":")
     common = draw_base(rng)
@@ -127,8 +128,8 @@ def _drawn(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet | None:
                 sizes: list[float] | None = []
                 break
             # The same generator for each: an effect's own numbers are those of the fleet.
-            effects = [hidden.draw(np.random.default_rng(fixed), rows)]
-            names = effects[0].names
+            effects = [hidden.draw(default_rng(fixed), rows)]
+            names = hidden.names
             sizes = (
                 [size] if family == "shared" and size is not None else _sizes(rows, bench_rows, base, effects, fixed)
             )
@@ -147,19 +148,22 @@ def _drawn(kind: str, rng: np.random.Generator, vehicles: int) -> Fleet | None:
             Vehicle(
                 f"V{number + 1:02d}",
                 _columns(
-                    rows, draw(rows, base, law_with(rows, base, effects, sizes), rng).reading_cm, columns, "flight"
+                    rows, draw(rows, base, law_with(rows, base, effects, sizes), rng).reading_cm, columns, "flight{}"
                 ),
                 title if has_it else "",
                 sizes[0] if sizes else 0.0,
             )
         )
     bench = _columns(
-        bench_rows, draw(bench_rows, common, base_law(bench_rows, common), rng).reading_cm, frozenset(CONTEXTS), "bench"
+        bench_rows,
+        draw(bench_rows, common, base_law(bench_rows, common), rng).reading_cm,
+        frozenset(CONTEXTS),
+        "bench{}",
     )
     return Fleet(tuple(made), bench, names, frozenset(f"V{number + 1:02d}" for number in odd))
 
 
-def _of_unit(common: Base, rng: np.random.Generator, odd: str = "") -> Base:
+def _of_unit(common: Base, rng: Generator, odd: str = "") -> Base:
     """The numbers of one sensor of the make; one of them is far from what is usual, if any."""
     scatter = dict(zip(SPREADS, rng.standard_normal(len(SPREADS)), strict=True))
     if odd:
@@ -177,12 +181,12 @@ def _of_unit(common: Base, rng: np.random.Generator, odd: str = "") -> Base:
 
 
 def _sizes(rows: Rows, bench: Rows, base: Base, effects: Sequence[Effect], seed: int) -> list[float] | None:
-    if effects[0].title == "offset":
+    if effects[0].kind.title == "offset":
         # An offset is a number of every sensor: of vehicles too it is known only within their scatter.
         error = standard_errors(
             rows, replace(base, offset_cm=0.0), effects, [1.0], seed, tables=1, known=_known_offset()
         )
-        between = 0.0 if effects[0].between_runs else OFFSET_CM
+        between = 0.0 if effects[0].kind.between_runs else OFFSET_CM
         return [STANDARD_ERRORS * float(np.hypot(error[0], between))]
     return sizes_of(rows, bench, base, effects, STANDARD_ERRORS, seed)
 
@@ -197,31 +201,15 @@ def _known_offset() -> NDArray[np.float64]:
 def _offset_kind(changes: bool) -> Kind:
     """An offset, in all sessions or from one of them on."""
 
-    def make(rng: np.random.Generator, rows: Rows) -> Effect:
+    def change(rng: Generator, rows: Rows) -> tuple[Apply, dict[str, float]]:
         runs = int(rows.run.max()) + 1
         first = int(rng.integers(2, 5)) if changes else 0
         sign = 1.0 if rng.random() < 0.5 else -1.0
         later = rows.run >= min(first, runs - 2)
+        return moves(lambda size: sign * size * later), {}
 
-        def apply(rows: Rows, law: Law, size: float) -> None:
-            law.centre_cm = law.centre_cm + sign * size * later[: len(rows)]
-
-        return Effect("offset", apply, 30.0, 0.5, frozenset({"offset"}), between_runs=changes)
-
-    return Kind("offset", Design(), make)
+    return Kind("offset", Design(), change, 30.0, 0.5, frozenset({"offset"}), between_runs=changes)
 
 
-def _columns(rows: Rows, reading_cm: NDArray[np.float64], shown: frozenset[str], prefix: str) -> Columns:
-    contexts = {
-        name: column
-        for name, column in rows.contexts.items()
-        if name in shown or (name.startswith("neighbour") and "neighbour" in shown)
-    }
-    return {
-        "time_s": np.round(rows.time_s, 4),
-        "sensor": np.array(["down"])[np.zeros(len(rows), dtype=int)],
-        "run": np.array([f"{prefix}{number + 1}" for number in rows.run]),
-        "reading_cm": reading_cm,
-        "true_range_cm": np.round(rows.true_cm, 2),
-        **contexts,
-    }
+def _columns(rows: Rows, reading_cm: Floats, shown: frozenset[str], run: str) -> Columns:
+    return replace(rows, contexts=shown_contexts(rows.contexts, shown)).columns(reading_cm, run)

@@ -27,7 +27,7 @@ def likelihood_root(rows: Rows, base: Base, effects: Sequence[Effect], sizes: Se
 
     Numbers of the base that are the same as an effect are held: the bench and the other vehicles know them.
     """
-    held = {name for each in effects for name in each.same_as}
+    held = {name for each in effects for name in each.kind.same_as}
     free = [k for k, name in enumerate(NUISANCE) if name not in held]
     drawn = draw(rows, base, law_with(rows, base, effects, sizes), np.random.default_rng(seed))
 

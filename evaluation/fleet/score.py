@@ -12,7 +12,7 @@ from typing import Any
 
 from evaluation.fleet.generator import Fleet
 from evaluation.product import command
-from evaluation.second_hand.workflow import DATE, SENSOR
+from evaluation.second_hand.workflow import characterise
 from evaluation.shares import wilson
 
 
@@ -61,8 +61,7 @@ def run(kind: str, seed: int, fleet: Fleet, folder: Path) -> Outcome:
             name = f"{vehicle.name}/{session}"
             write_tables(dataset, name, {"down": table})
             record_runs(dataset, [name], {"file": f"{name}.csv"})
-    crash = command("msp-lab", "characterise", bench, "--sensor", SENSOR, "--out", model, "--date", DATE)
-    crash = crash or command("msp-lab", "fleet", dataset, "--model", model, "--out", out)
+    crash = characterise(bench, model) or command("msp-lab", "fleet", dataset, "--model", model, "--out", out)
     family = kind.partition(":")[0]
     if crash:
         return Outcome(kind, seed, len(fleet.odd), 0, (), (), False if family == "shared" else None, crash)

@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from evaluation.others.flights import SENSORS, fly, write_airframe, write_scenario
 from evaluation.others.size import MECHANISMS, NullFlights, size_for
@@ -63,7 +64,7 @@ class Case:
 
 def run_case(folder: Path, seed: int, number: int, standard_errors: float, null: bool) -> Row:
     """Hide an effect, fly, and compare."""
-    rng = np.random.default_rng([seed, number, int(null)])
+    rng = default_rng([seed, number, int(null)])
     sensor = SENSORS[int(rng.integers(len(SENSORS)))]
     work = folder / f"{'null' if null else 'case'}-{seed}-{number:03d}"
     shutil.rmtree(work, ignore_errors=True)
@@ -100,7 +101,7 @@ def run_case(folder: Path, seed: int, number: int, standard_errors: float, null:
 
 
 def _hidden(
-    work: Path, scenarios: Sequence[Path], sensor: str, number: int, standard_errors: float, rng: np.random.Generator
+    work: Path, scenarios: Sequence[Path], sensor: str, number: int, standard_errors: float, rng: Generator
 ) -> tuple[str, dict[str, float]]:
     """An effect of this size, by turns; one that cannot have it leaves its turn to the next."""
     null = [fly(each, int(rng.integers(2**31))) for each in scenarios]

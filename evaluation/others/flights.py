@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
+from numpy.random import Generator
 
 from msp_range.clock import VirtualClock
 from msp_range.recording.writer import Recorder
@@ -37,7 +37,7 @@ def write_airframe(folder: Path, sensor: str | None, effect: Mapping[str, Any] |
     return path
 
 
-def write_scenario(path: Path, airframe: Path, rng: np.random.Generator) -> Path:
+def write_scenario(path: Path, airframe: Path, rng: Generator) -> Path:
     """A random flight."""
     altitude: list[dict[str, Any]] = [{"kind": "climb", "to_m": _number(rng, 1.2, 2.5), "speed_m_s": 1.5}]
     for _ in range(4):
@@ -98,5 +98,5 @@ def fly(scenario_file: Path, seed: int) -> Path:
     return path
 
 
-def _number(rng: np.random.Generator, low: float, high: float) -> float:
+def _number(rng: Generator, low: float, high: float) -> float:
     return round(float(rng.uniform(low, high)), 4)

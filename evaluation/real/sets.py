@@ -162,7 +162,7 @@ def prepare_terrain(own_columns: bool) -> Callable[[Path, Path], list[Path]]:
 
 def smooth_rate(z: FloatArray, t: FloatArray) -> FloatArray:
     """Rate of the truth [cm/s], smoothed over five rows."""
-    return np.asarray(np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t))
+    return np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
 
 
 _MAPS = CONFIGS / "maps"

@@ -4,9 +4,7 @@ For instance ``--kinds null:0.5=50 one:10=100 --seed 1000 --out build/second``.
 """
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from collections.abc import Callable, Sequence
 
 from evaluation.runner import Row, campaign_options, publish, run_cases
 from evaluation.second_hand.generator import FINAL_SEED, NULLS, case
@@ -30,8 +28,8 @@ def kind_options(parser: argparse.ArgumentParser, kinds: Sequence[str], cases: i
     parser.add_argument("--final", action="store_true", help=f"allow seeds from {FINAL_SEED} on")
 
 
-def wanted(given: argparse.Namespace, kinds: Sequence[str] = ()) -> dict[str, tuple[str, int, bool]]:
-    """The cases that the options ask for: kind, seed, and whether final seeds are allowed.
+def run_kinds(given: argparse.Namespace, make: Callable[..., Row], kinds: Sequence[str] = ()) -> list[Row]:
+    """Make the rows that the options ask for and that are not there yet: by kind, seed, and whether it may be final.
 
     Raises
     ------
@@ -45,18 +43,18 @@ def wanted(given: argparse.Namespace, kinds: Sequence[str] = ()) -> dict[str, tu
     cases = [(kind, given.seed + i) for kind, _, count in named for i in range(int(count or given.cases))]
     if max(seed for _, seed in cases) >= FINAL_SEED and not given.final:
         raise argparse.ArgumentTypeError(f"seeds from {FINAL_SEED} on are kept for a final run (--final)")
-    return {f"{kind} {seed}": (kind, seed, given.final) for kind, seed in cases}
+    wanted = {f"{kind} {seed}": (kind, seed, given.final) for kind, seed in cases}
+    return run_cases(wanted, make, given.jobs, given.out / "cases.jsonl")
 
 
 def main(given: argparse.Namespace) -> None:
     """Make what is not there yet, and print the table."""
-    results = run_cases(wanted(given), make_result, given.jobs, given.out / "cases.jsonl")
+    results = run_kinds(given, make_result)
     publish(f"{table(results)}\n\n{failures(results)}", given.out)
 
 
 def make_result(kind: str, seed: int, final: bool = False) -> Row:
     """Make a case and run the workflow on it: what was hidden, what the workflow found, and the outcome."""
     made = case(kind, seed, final)
-    with TemporaryDirectory() as folder:
-        found = run_case(made, Path(folder))
+    found = run_case(made)
     return {"outcome": outcome(made.truth, found), "truth": made.truth, "found": found}

@@ -91,7 +91,7 @@ def steps_between(rows: Rows, base: Base, earlier: NDArray[np.int64], position: 
     safe = np.maximum(earlier, 0)
     if base.correlation_time == "reading":
         return np.asarray(np.maximum(position - position[safe], 0), dtype=float)
-    return np.asarray(np.maximum((rows.time_s - rows.time_s[safe]) / rows.spacing_s, 0.0))
+    return np.maximum((rows.time_s - rows.time_s[safe]) / rows.spacing_s, 0.0)
 
 
 def t_unit(degrees: float) -> float:
@@ -118,7 +118,7 @@ def _between(low: Floats, high: Floats) -> Floats:
     """Normal probability between two scores, exact in both tails."""
     flip = low > 0
     a, b = np.where(flip, -high, low), np.where(flip, -low, high)
-    return np.asarray(special.ndtr(b) - special.ndtr(a))
+    return special.ndtr(b) - special.ndtr(a)
 
 
 def _normal_cell(k: Floats, place: Floats, scatter: Floats | float) -> Floats:
@@ -141,7 +141,7 @@ def log_probability(rows: Rows, base: Base, law: Law, drawn: Drawn) -> Floats:
     deviation = np.sqrt(1 - link**2)
 
     def hit_below(edge: Floats) -> Floats:
-        return np.asarray((normal_score((edge - law.centre_cm) / law.sigma_cm, base.degrees) - mean) / deviation)
+        return (normal_score((edge - law.centre_cm) / law.sigma_cm, base.degrees) - mean) / deviation
 
     def hit_cell(low: Floats, high: Floats) -> Floats:
         return _between(hit_below(low), hit_below(high))
@@ -177,7 +177,7 @@ def log_probability(rows: Rows, base: Base, law: Law, drawn: Drawn) -> Floats:
         has_previous = np.isfinite(drawn.previous_cm)
         share = np.where(has_previous, law.repeated, 0.0)
         fresh = (1 - share) * fresh + share * (k == drawn.previous_cm)
-    return np.asarray(np.log(np.maximum(fresh, SMALLEST)))
+    return np.log(np.maximum(fresh, SMALLEST))
 
 
 def short_cell(k: Floats, true_cm: Floats, rate_per_m: float) -> Floats:

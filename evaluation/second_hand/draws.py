@@ -6,13 +6,11 @@ For instance ``--kinds null:0.5=20 one:10=20 --seed 1 --draws 5 --out build/draw
 import argparse
 from collections import defaultdict
 from collections.abc import Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from evaluation.runner import Row, campaign_options, publish, run_cases
 from evaluation.second_hand.generator import FINAL_SEED, case
-from evaluation.second_hand.score import matched
+from evaluation.second_hand.score import matched, names_of
 from evaluation.second_hand.workflow import run_case
 
 KINDS = ("null:0.5=20", "null:0.8=20", "one:6=20", "one:10=20", "one:20=20")
@@ -62,14 +60,13 @@ def table(rows: Sequence[Row]) -> str:
 
 def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
     """Whether two draws name as many effects, each with a name that the other has too, and the same curves."""
-    first, second = ([{each["name"], *each["alternatives"]} for each in found["effects"]] for found in (one, other))
+    first, second = names_of(one), names_of(other)
     curves = [sorted((each["channel"], *each["variables"]) for each in found["curves"]) for found in (one, other)]
     return len(first) == len(second) == matched(first, second) and curves[0] == curves[1]
 
 
 def _find(kind: str, seed: int, draw: int) -> Row:
-    with TemporaryDirectory() as folder:
-        return {"kind": kind, "seed": seed} | run_case(case(kind, seed), Path(folder), draw)
+    return {"kind": kind, "seed": seed} | run_case(case(kind, seed), draw)
 
 
 def _said(found: dict[str, Any]) -> str:

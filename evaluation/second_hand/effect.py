@@ -3,24 +3,31 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
+from numpy.random import Generator
 
 from evaluation.second_hand.base import Base
 from evaluation.second_hand.density import Law, base_law
 from evaluation.second_hand.flights import Design
-from evaluation.second_hand.rows import Rows
+from evaluation.second_hand.rows import Floats, Rows
+
+Apply = Callable[[Law, float], None]
+"""Changes a `Law` by an effect of this size; at 0 it changes nothing."""
+OUTLIERS = ("short", "missed", "random")
+"""Channels of the log odds, in the order of a `Law`."""
 
 
 @dataclass(frozen=True)
-class Effect:
-    """One hidden effect.
+class Kind:
+    """An effect before it is drawn.
 
     Attributes
     ----------
     title
         Its name here.
-    apply
-        Changes a `Law` by an effect of this size; at 0 it changes nothing.
+    design
+        What it asks of the runs.
+    change
+        Draws its numbers from random ones and the runs: what it does, and those that are for the record.
     limit
         Largest size that is physically possible.
     start
@@ -35,12 +42,11 @@ class Effect:
         It varies (nearly) between runs only.
     last
         Applied after the effects on the place of a hit.
-    details
-        Further numbers, for the record.
     """
 
     title: str
-    apply: Callable[[Rows, Law, float], None]
+    design: Design
+    change: Callable[[Generator, Rows], tuple[Apply, dict[str, float]]]
     limit: float
     start: float
     names: frozenset[str] = frozenset()
@@ -49,21 +55,51 @@ class Effect:
     same_as: tuple[str, ...] = ()
     between_runs: bool = False
     last: bool = False
-    details: tuple[tuple[str, float], ...] = ()
+
+    def draw(self, rng: Generator, rows: Rows) -> "Effect":
+        """Draw one for these runs."""
+        return Effect(self, *self.change(rng, rows))
 
 
 @dataclass(frozen=True)
-class Kind:
-    """How an effect is drawn: what it asks of the runs, and its numbers from random ones and the runs."""
+class Effect:
+    """One hidden effect: of which kind, what it does, and its further numbers for the record."""
 
-    title: str
-    design: Design
-    draw: Callable[[np.random.Generator, Rows], Effect]
+    kind: Kind
+    apply: Apply
+    details: dict[str, float]
+
+
+def moves(by_cm: Callable[[float], Floats]) -> Apply:
+    """Move the hits."""
+
+    def apply(law: Law, size: float) -> None:
+        law.centre_cm += by_cm(size)
+
+    return apply
+
+
+def widens(factor: Callable[[float], Floats]) -> Apply:
+    """Widen the hits."""
+
+    def apply(law: Law, size: float) -> None:
+        law.sigma_cm *= factor(size)
+
+    return apply
+
+
+def favours(channel: str, log_odds: Callable[[float], Floats]) -> Apply:
+    """Make one kind of outlier likelier."""
+
+    def apply(law: Law, size: float) -> None:
+        law.odds[OUTLIERS.index(channel)] += log_odds(size)
+
+    return apply
 
 
 def law_with(rows: Rows, base: Base, effects: Sequence[Effect], sizes: Sequence[float]) -> Law:
     """The distribution of the readings with these effects."""
     law = base_law(rows, base)
-    for effect, size in sorted(zip(effects, sizes, strict=True), key=lambda pair: pair[0].last):
-        effect.apply(rows, law, size)
+    for effect, size in sorted(zip(effects, sizes, strict=True), key=lambda pair: pair[0].kind.last):
+        effect.apply(law, size)
     return law

@@ -1,10 +1,11 @@
 """Runs of a vehicle: ranges of ramps, sinusoids and steps, contexts that drift, pings with jitter and dropouts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from evaluation.second_hand.rows import Floats, Rows
@@ -64,7 +65,7 @@ CONTEXT_SHARE = 0.6
 """Probability of a context that no effect asks for: most tables have columns that do nothing."""
 
 
-def draw_flights(rng: np.random.Generator, design: Design) -> Rows:
+def draw_flights(rng: Generator, design: Design) -> Rows:
     """Draw the runs of a table: 6 to 20 of 100 to 600 rows."""
     runs = int(rng.integers(12 if design.many_runs else 6, 21))
     sensors = design.sensors or (2 if rng.random() < 0.25 else 1)
@@ -84,11 +85,7 @@ def draw_flights(rng: np.random.Generator, design: Design) -> Rows:
         profiles.append((profile, time))
     run_of = np.concatenate([part[0] for part in parts])
     sensor_of = np.concatenate([part[1] for part in parts])
-    contexts_of: dict[str, NDArray[Any]] = {
-        name: np.concatenate([part[3][name] for part in parts])
-        for name in parts[0][3]
-        if name in shown or (name.startswith("neighbour") and "neighbour" in shown)
-    }
+    contexts_of = {name: np.concatenate([part[3][name] for part in parts]) for name in parts[0][3]}
 
     def range_before(delay_s: float) -> Floats:
         return np.concatenate([profile(time - delay_s) for profile, time in profiles])
@@ -100,12 +97,17 @@ def draw_flights(rng: np.random.Generator, design: Design) -> Rows:
         time_s=np.concatenate([part[2] for part in parts]),
         true_cm=range_before(0.0),
         range_before=range_before,
-        contexts=contexts_of,
+        contexts=shown_contexts(contexts_of, shown),
         spacing_s=spacing * sensors,
     )
 
 
-def draw_bench(rng: np.random.Generator, flights: Rows) -> Rows:
+def shown_contexts(contexts: Mapping[str, NDArray[Any]], shown: Collection[str]) -> dict[str, NDArray[Any]]:
+    """Columns of these of `CONTEXTS`."""
+    return {name: each for name, each in contexts.items() if {name, name.partition("_")[0]} & set(shown)}
+
+
+def draw_bench(rng: Generator, flights: Rows) -> Rows:
     """The same sensors, still before a wall at 48 ranges, 50 readings each per sensor, in four sessions."""
     spacing_s, sensors = flights.spacing_s, int(flights.sensor.max()) + 1
     ranges, repeats, sessions = 48, 50, 4
@@ -141,14 +143,14 @@ def draw_bench(rng: np.random.Generator, flights: Rows) -> Rows:
     )
 
 
-def _ping_times(rng: np.random.Generator, count: int, spacing_s: float, jitter: float) -> Floats:
+def _ping_times(rng: Generator, count: int, spacing_s: float, jitter: float) -> Floats:
     steps = spacing_s * (1 + jitter * rng.standard_normal(count).clip(-3, 3))
     lost = rng.random(count) < 0.01
     steps[lost] += spacing_s * rng.integers(1, 20, lost.sum())
     return np.asarray(np.round(np.cumsum(steps), 4), dtype=np.float64)
 
 
-def _wander(rng: np.random.Generator, time: Floats, period_s: float) -> Floats:
+def _wander(rng: Generator, time: Floats, period_s: float) -> Floats:
     """A smooth random function of time of about unit size."""
     knots = np.arange(0, time[-1] + 2 * period_s, period_s)
     values = rng.standard_normal(len(knots))
@@ -156,7 +158,7 @@ def _wander(rng: np.random.Generator, time: Floats, period_s: float) -> Floats:
 
 
 def _profile(
-    rng: np.random.Generator, last_s: float, low: bool, ground_steps: bool
+    rng: Generator, last_s: float, low: bool, ground_steps: bool
 ) -> tuple[Callable[[Floats], Floats], Callable[[Floats], Floats]]:
     """True range [cm] over time [s], and its rate [cm/s] without the steps of the ground."""
     levels = int(rng.integers(4, 9))
@@ -177,21 +179,21 @@ def _profile(
         plain = np.interp(time, times, heights)
         # The swaying dies out near the ground, so that no range is below 20 cm.
         room = np.clip((plain - 22) / 40, 0, 1)
-        return np.asarray(plain + room * amplitude * np.sin(2 * np.pi * time / period + phase))
+        return plain + room * amplitude * np.sin(2 * np.pi * time / period + phase)
 
     def profile(time: Floats) -> Floats:
         z = smooth(time)
         inside = np.searchsorted(box_edges, time) % 2 == 1
-        return np.asarray(z - np.where(inside & (z > box_height + 60), box_height, 0.0))
+        return z - np.where(inside & (z > box_height + 60), box_height, 0.0)
 
     def rate(time: Floats) -> Floats:
-        return np.asarray((smooth(time + 0.01) - smooth(time - 0.01)) / 0.02)
+        return (smooth(time + 0.01) - smooth(time - 0.01)) / 0.02
 
     return profile, rate
 
 
 def _contexts(
-    rng: np.random.Generator,
+    rng: Generator,
     time: Floats,
     profile: Callable[[Floats], Floats],
     rate: Callable[[Floats], Floats],

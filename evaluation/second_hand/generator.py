@@ -15,10 +15,11 @@ from operator import or_
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator, default_rng
 from numpy.typing import NDArray
 
 from evaluation.second_hand.base import Base, draw_base
-from evaluation.second_hand.density import base_law
+from evaluation.second_hand.density import Law, base_law
 from evaluation.second_hand.effect import Effect, Kind, law_with
 from evaluation.second_hand.flights import Design, draw_bench, draw_flights
 from evaluation.second_hand.physics import KNOWN
@@ -69,6 +70,17 @@ class SeedError(ValueError):
     """The seed is kept for a final run."""
 
 
+def check_seed(seed: int, final: bool) -> None:
+    """Refuse seeds that are kept for a final run, unless this is one."""
+    if seed >= FINAL_SEED and not final:
+        raise SeedError(f"seed {seed}: seeds from {FINAL_SEED} on are kept for a final run (--final)")
+
+
+def rng_of(kind: str, seed: int) -> Generator:
+    """The source of randomness of a case."""
+    return default_rng([seed, zlib.crc32(kind.encode())])
+
+
 def case(kind: str, seed: int, final: bool = False) -> Case:
     """Make a case.
 
@@ -79,13 +91,12 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
     ValueError
         There is no such kind.
     """
-    if seed >= FINAL_SEED and not final:
-        raise SeedError(f"seed {seed}: seeds from {FINAL_SEED} on are kept for a final run (--final)")
+    check_seed(seed, final)
     family, _, rest = kind.partition(":")
     number, _, correlation = rest.partition("@")
     if not re.fullmatch(rf"null:(drift|{NUMBER})|({'|'.join(COUNTS)}):{NUMBER}(@{NUMBER})?", kind):
         raise ValueError(f"kind {kind!r}: expected null:R, null:drift, or {', '.join(COUNTS)} with :Z or :Z@R")
-    rng = np.random.default_rng([seed, zlib.crc32(kind.encode())])
+    rng = rng_of(kind, seed)
     if family == "null":
         drift = number == "drift"
         base = draw_base(rng, rng.choice([0.0, 0.3]) if drift else float(number), drift)
@@ -98,7 +109,7 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
 def _hidden(
     kind: str,
     seed: int,
-    rng: np.random.Generator,
+    rng: Generator,
     table: tuple[Kind, ...],
     count: int,
     asked: float,
@@ -128,7 +139,7 @@ def _same_thing(picked: list[Kind]) -> bool:
     return any(len(titles & pair) > 1 for pair in ({"scale", "thermometer_bias"}, {"slant_axis", "slant_beam_edge"}))
 
 
-def _finish(kind: str, seed: int, rng: np.random.Generator, hidden: Hidden) -> Case:
+def _finish(kind: str, seed: int, rng: Generator, hidden: Hidden) -> Case:
     rows, bench, base = hidden.rows, hidden.bench, hidden.base
     truth = {
         "kind": kind,
@@ -141,32 +152,26 @@ def _finish(kind: str, seed: int, rng: np.random.Generator, hidden: Hidden) -> C
         "base": {name: value if isinstance(value, str) else float(value) for name, value in asdict(base).items()},
         "effects": [
             {
-                "title": effect.title,
-                "names": sorted(effect.names),
-                "channel": effect.channel,
-                "variable": effect.variable,
+                "title": effect.kind.title,
+                "names": sorted(effect.kind.names),
+                "channel": effect.kind.channel,
+                "variable": effect.kind.variable,
                 "size": size,
-                "between_runs": effect.between_runs,
-                **{name: float(value) for name, value in effect.details},
+                "between_runs": effect.kind.between_runs,
+                **{name: float(value) for name, value in effect.details.items()},
             }
             for effect, size in zip(hidden.effects, hidden.sizes, strict=True)
         ],
     }
     law = law_with(rows, base, hidden.effects, hidden.sizes)
     return Case(
-        bench=_columns(bench, draw(bench, base, base_law(bench, base), rng).reading_cm, rng, "bench"),
-        runs=_columns(rows, draw(rows, base, law, rng).reading_cm, rng, "run"),
+        bench=_columns(bench, base, base_law(bench, base), rng, "bench{:02d}"),
+        runs=_columns(rows, base, law, rng, "run{:02d}"),
         truth=truth,
     )
 
 
-def _columns(rows: Rows, reading_cm: NDArray[np.float64], rng: np.random.Generator, prefix: str) -> Columns:
-    reading = np.where(rng.random(len(rows)) < NO_ANSWER_SHARE, np.nan, reading_cm)
-    return {
-        "time_s": np.round(rows.time_s, 4),
-        "sensor": np.array(SENSORS)[rows.sensor],
-        "run": np.array([f"{prefix}{number + 1:02d}" for number in rows.run]),
-        "reading_cm": reading,
-        "true_range_cm": np.round(rows.true_cm, 2),
-        **rows.contexts,
-    }
+def _columns(rows: Rows, base: Base, law: Law, rng: Generator, run: str) -> Columns:
+    reading_cm = draw(rows, base, law, rng).reading_cm
+    answered_cm = np.where(rng.random(len(rows)) < NO_ANSWER_SHARE, np.nan, reading_cm)
+    return rows.columns(answered_cm, run, SENSORS)

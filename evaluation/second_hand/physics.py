@@ -1,15 +1,15 @@
 """Effects that are in the product's catalogue, from the physics of ultrasonic range finders alone."""
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
+from numpy.random import Generator
 
 from evaluation.second_hand.base import MINIMUM_CM
 from evaluation.second_hand.density import Component, Law
-from evaluation.second_hand.effect import Effect, Kind
+from evaluation.second_hand.effect import Apply, Kind, favours, moves, widens
 from evaluation.second_hand.flights import Design
 from evaluation.second_hand.rows import Floats, Rows
+
+Drawn = tuple[Apply, dict[str, float]]
 
 CALIBRATED_AT_C = 22.5
 """Air temperature for which the sensor converts time into range (58 us/cm)."""
@@ -31,234 +31,183 @@ def vapour_fraction(temperature_c: Floats, humidity_pct: Floats) -> Floats:
     return humidity_pct / 100 * saturation / 1013.25
 
 
-def _air_not_corrected(rng: np.random.Generator, rows: Rows) -> Effect:
-    temperature = rows.contexts["air_temperature_c"]
-
-    def apply(rows: Rows, law: Law, share: float) -> None:
-        law.centre_cm = law.centre_cm + share * rows.true_cm * (
-            sound_speed(CALIBRATED_AT_C) / sound_speed(temperature) - 1
-        )
-
-    return Effect("air_not_corrected", apply, 1.2, 0.2, frozenset({"air_temperature"}), between_runs=True)
+def _air_not_corrected(rng: Generator, rows: Rows) -> Drawn:
+    longer = sound_speed(CALIBRATED_AT_C) / sound_speed(rows.contexts["air_temperature_c"]) - 1
+    return moves(lambda share: share * rows.true_cm * longer), {}
 
 
-def _thermometer_bias(rng: np.random.Generator, rows: Rows) -> Effect:
+def _thermometer_bias(rng: Generator, rows: Rows) -> Drawn:
     shown, sign = rows.contexts["air_temperature_c"], rng.choice([-1, 1])
-
-    def apply(rows: Rows, law: Law, bias: float) -> None:
-        law.centre_cm = law.centre_cm + rows.true_cm * (sound_speed(shown) / sound_speed(shown - sign * bias) - 1)
-
-    names = frozenset({"thermometer_offset", "range_scale"})
-    return Effect("thermometer_bias", apply, 30.0, 3.0, names, same_as=("scale",))
+    return moves(lambda bias: rows.true_cm * (sound_speed(shown) / sound_speed(shown - sign * bias) - 1)), {}
 
 
-def _scale(rng: np.random.Generator, rows: Rows) -> Effect:
+def _scale(rng: Generator, rows: Rows) -> Drawn:
     sign = rng.choice([-1, 1])
-
-    def apply(rows: Rows, law: Law, pct: float) -> None:
-        law.centre_cm = law.centre_cm + sign * pct / 100 * rows.true_cm
-
-    return Effect("scale", apply, 8.0, 0.5, frozenset({"range_scale", "thermometer_offset"}), same_as=("scale",))
+    return moves(lambda pct: sign * pct / 100 * rows.true_cm), {}
 
 
-def _sensor_offset(rng: np.random.Generator, rows: Rows) -> Effect:
+def _sensor_offset(rng: Generator, rows: Rows) -> Drawn:
     which, sign = int(rng.integers(2)), rng.choice([-1, 1])
-
-    def apply(rows: Rows, law: Law, offset_cm: float) -> None:
-        law.centre_cm = law.centre_cm + sign * offset_cm * (rows.sensor == which)
-
-    return Effect("sensor_offset", apply, 30.0, 0.5, frozenset({"mounting_offset"}))
+    return moves(lambda offset_cm: sign * offset_cm * (rows.sensor == which)), {}
 
 
-def _run_offset(rng: np.random.Generator, rows: Rows) -> Effect:
+def _run_offset(rng: Generator, rows: Rows) -> Drawn:
     which, sign = int(rng.integers(rows.run.max() + 1)), rng.choice([-1, 1])
-
-    def apply(rows: Rows, law: Law, offset_cm: float) -> None:
-        law.centre_cm = law.centre_cm + sign * offset_cm * (rows.run == which)
-
-    return Effect("run_offset", apply, 30.0, 1.0, frozenset({"session_offset"}), between_runs=True)
+    return moves(lambda offset_cm: sign * offset_cm * (rows.run == which)), {}
 
 
-def _latency(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, delay_s: float) -> None:
+def _latency(rng: Generator, rows: Rows) -> Drawn:
+    def apply(law: Law, delay_s: float) -> None:
         law.centre_cm = law.centre_cm + rows.range_before(delay_s) - rows.true_cm
 
-    return Effect("latency", apply, 0.8, 0.03, frozenset({"latency"}))
+    return apply, {}
 
 
-def _stale(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, share: float) -> None:
+def _stale(rng: Generator, rows: Rows) -> Drawn:
+    def apply(law: Law, share: float) -> None:
         law.repeated = share
 
-    return Effect("stale", apply, 0.7, 0.05, frozenset({"stale"}), channel="component", last=True)
+    return apply, {}
 
 
-def _slant(along_axis: bool) -> Callable[[np.random.Generator, Rows], Effect]:
-    def draw(rng: np.random.Generator, rows: Rows) -> Effect:
-        beam_deg = 0.0 if along_axis else rng.uniform(3, 9)
-        angle = np.radians(np.maximum(np.abs(rows.contexts["incidence_deg"]) - beam_deg, 0.0))
-
-        def apply(rows: Rows, law: Law, share: float) -> None:
-            law.centre_cm = law.centre_cm + share * rows.true_cm * (1 / np.cos(angle) - 1)
-
-        title = "slant_axis" if along_axis else "slant_beam_edge"
-        names = {"slant_range"} if along_axis else {"nearest_point", "slant_range"}
-        return Effect(title, apply, 1.2, 0.2, frozenset(names), details=(("beam_deg", beam_deg),))
-
-    return draw
+def _slant_axis(rng: Generator, rows: Rows) -> Drawn:
+    return _slant(rows, 0.0)
 
 
-def _sensitivity_loss(rng: np.random.Generator, rows: Rows) -> Effect:
+def _slant_beam_edge(rng: Generator, rows: Rows) -> Drawn:
+    return _slant(rows, rng.uniform(3, 9))
+
+
+def _slant(rows: Rows, beam_deg: float) -> Drawn:
+    angle = np.radians(np.maximum(np.abs(rows.contexts["incidence_deg"]) - beam_deg, 0.0))
+    return moves(lambda share: share * rows.true_cm * (1 / np.cos(angle) - 1)), {"beam_deg": beam_deg}
+
+
+def _sensitivity_loss(rng: Generator, rows: Rows) -> Drawn:
     start_m = rng.uniform(1.0, 2.0)
-
-    def apply(rows: Rows, law: Law, per_m: float) -> None:
-        law.odds[1] += per_m * np.maximum(rows.true_cm / 100 - start_m, 0)
-
-    return Effect(
-        "sensitivity_loss", apply, 4.0, 0.5, frozenset({"missed_with_range"}), channel="missed",
-        details=(("start_m", start_m),),
-    )  # fmt: skip
+    beyond_m = np.maximum(rows.true_cm / 100 - start_m, 0)
+    return favours("missed", lambda per_m: per_m * beyond_m), {"start_m": start_m}
 
 
-def _propeller_spread(rng: np.random.Generator, rows: Rows) -> Effect:
+def _propeller_spread(rng: Generator, rows: Rows) -> Drawn:
     power = rng.choice([1.0, 2.0])
-
-    def apply(rows: Rows, law: Law, log_ratio: float) -> None:
-        law.sigma_cm = law.sigma_cm * (1 + np.expm1(log_ratio) * rows.contexts["throttle"] ** power)
-
-    return Effect(
-        "propeller_spread", apply, 2.5, 0.7, frozenset({"rotor_noise"}), channel="spread", details=(("power", power),)
-    )
+    strength = rows.contexts["throttle"] ** power
+    return widens(lambda log_ratio: 1 + np.expm1(log_ratio) * strength), {"power": power}
 
 
-def _propeller_short(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, odds: float) -> None:
-        law.odds[0] += odds * rows.contexts["throttle"]
-
-    return Effect("propeller_short", apply, 8.0, 2.0, frozenset({"prop_wash"}), channel="short")
+def _propeller_short(rng: Generator, rows: Rows) -> Drawn:
+    return favours("short", lambda odds: odds * rows.contexts["throttle"]), {}
 
 
-def _crosstalk(rng: np.random.Generator, rows: Rows) -> Effect:
+def _crosstalk(rng: Generator, rows: Rows) -> Drawn:
     scatter = rng.uniform(1.0, 3.0)
     lag_s = rows.contexts["neighbour_lag_ms"] / 1000
     # The neighbour's echo comes back after its own way; the sensor counts from its own ping.
     place = rows.contexts["neighbour_range_cm"] - 100 * sound_speed(CALIBRATED_AT_C) * lag_s / 2
     audible = (place > MINIMUM_CM + 5) & (place < rows.true_cm - 5)
 
-    def apply(rows: Rows, law: Law, share: float) -> None:
-        law.components.append(Component(share * audible.astype(float), place, scatter))
+    def apply(law: Law, share: float) -> None:
+        law.components.append(Component(share * audible, place, scatter))
 
-    return Effect("crosstalk", apply, 0.8, 0.05, frozenset({"crosstalk"}), channel="component", last=True)
+    return apply, {}
 
 
-def _multipath(rng: np.random.Generator, rows: Rows) -> Effect:
+def _multipath(rng: Generator, rows: Rows) -> Drawn:
     scatter = rng.uniform(1.5, 4.0)
 
-    def apply(rows: Rows, law: Law, share: float) -> None:
+    def apply(law: Law, share: float) -> None:
         place = 2 * law.centre_cm
-        law.components.append(Component(share * (place < 740).astype(float), place, scatter))
+        law.components.append(Component(share * (place < 740), place, scatter))
 
-    return Effect("multipath", apply, 0.5, 0.03, frozenset({"multipath"}), channel="component", last=True)
+    return apply, {}
 
 
-def _ring_down(rng: np.random.Generator, rows: Rows) -> Effect:
+def _ring_down(rng: Generator, rows: Rows) -> Drawn:
     depth_cm = rng.uniform(28, 50)
-    inside = rows.true_cm < depth_cm
 
-    def apply(rows: Rows, law: Law, share: float) -> None:
-        law.components.append(Component(share * inside.astype(float), np.full(len(rows), float(MINIMUM_CM))))
+    def apply(law: Law, share: float) -> None:
+        law.components.append(Component(share * (rows.true_cm < depth_cm), np.full(len(rows), float(MINIMUM_CM))))
 
-    return Effect(
-        "ring_down", apply, 0.98, 0.3, frozenset({"dead_zone_minimum"}), channel="component", last=True,
-        details=(("depth_cm", depth_cm),),
-    )  # fmt: skip
+    return apply, {"depth_cm": depth_cm}
 
 
-def _coarse(rng: np.random.Generator, rows: Rows) -> Effect:
+def _coarse_rounding(rng: Generator, rows: Rows) -> Drawn:
     step_cm = float(rng.choice([2.54, 4.0, 5.0, 10.0]))
 
-    def apply(rows: Rows, law: Law, share: float) -> None:
+    def apply(law: Law, share: float) -> None:
         law.coarse, law.coarse_step_cm = share, step_cm
 
-    names = frozenset({"coarse_rounding"})
-    return Effect(
-        "coarse_rounding", apply, 0.98, 0.1, names, channel="code", last=True, details=(("step_cm", step_cm),)
-    )
+    return apply, {"step_cm": step_cm}
 
 
-def _cycle_slip(rng: np.random.Generator, rows: Rows) -> Effect:
+def _cycle_slip(rng: Generator, rows: Rows) -> Drawn:
     periods = int(rng.integers(1, 13))
 
-    def apply(rows: Rows, law: Law, share: float) -> None:
+    def apply(law: Law, share: float) -> None:
         law.components.append(Component(np.full(len(rows), share), rows.true_cm, slip_cm=periods * HALF_PERIOD_CM))
 
-    return Effect(
-        "cycle_slip", apply, 0.5, 0.05, frozenset({"cycle_slip"}), channel="component", last=True,
-        details=(("periods", periods),),
-    )  # fmt: skip
+    return apply, {"periods": periods}
 
 
-def _humidity(rng: np.random.Generator, rows: Rows) -> Effect:
+def _humidity(rng: Generator, rows: Rows) -> Drawn:
     vapour = vapour_fraction(rows.contexts["air_temperature_c"], rows.contexts["humidity_pct"])
-
-    def apply(rows: Rows, law: Law, share: float) -> None:
-        law.centre_cm = law.centre_cm + share * rows.true_cm * (1 / (1 + 0.16 * vapour) - 1)
-
-    return Effect("humidity", apply, 1.5, 0.5, frozenset({"humidity"}), between_runs=True)
+    return moves(lambda share: share * rows.true_cm * (1 / (1 + 0.16 * vapour) - 1)), {}
 
 
-def _spread_with_range(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, log_ratio: float) -> None:
-        law.sigma_cm = law.sigma_cm * (1 + np.expm1(log_ratio) * rows.true_cm / SPREAD_RATIO_AT_CM)
-
-    names = frozenset({"spread_with_range"})
-    return Effect("spread_with_range", apply, 2.5, 0.3, names, channel="spread", same_as=("growth_per_m",))
+def _spread_with_range(rng: Generator, rows: Rows) -> Drawn:
+    return widens(lambda log_ratio: 1 + np.expm1(log_ratio) * rows.true_cm / SPREAD_RATIO_AT_CM), {}
 
 
-def _misses_when_tilted(rng: np.random.Generator, rows: Rows) -> Effect:
+def _misses_when_tilted(rng: Generator, rows: Rows) -> Drawn:
     tilt = np.abs(rows.contexts["incidence_deg"])
     edge_deg = float(np.quantile(tilt, rng.uniform(0.6, 0.9)))
-
-    def apply(rows: Rows, law: Law, odds: float) -> None:
-        law.odds[1] += odds * (tilt > edge_deg)
-
-    return Effect(
-        "misses_when_tilted", apply, 6.0, 1.0, frozenset({"beyond_field_of_view"}), channel="missed",
-        variable="incidence_deg", details=(("edge_deg", edge_deg),),
-    )  # fmt: skip
+    return favours("missed", lambda odds: odds * (tilt > edge_deg)), {"edge_deg": edge_deg}
 
 
-def _vibration(rng: np.random.Generator, rows: Rows) -> Effect:
-    def apply(rows: Rows, law: Law, log_ratio: float) -> None:
-        law.sigma_cm = law.sigma_cm * np.where(rows.contexts["vibration_hz"] > 0, np.exp(log_ratio), 1.0)
-
-    return Effect("vibration", apply, 2.5, 0.3, frozenset({"vibration"}), channel="spread")
+def _vibration(rng: Generator, rows: Rows) -> Drawn:
+    is_shaken = rows.contexts["vibration_hz"] > 0
+    return widens(lambda log_ratio: np.where(is_shaken, np.exp(log_ratio), 1.0)), {}
 
 
-def _columns(*names: str) -> Design:
-    return Design(frozenset(names))
+def _names(*names: str) -> frozenset[str]:
+    return frozenset(names)
 
+
+_ANY, _LOW = Design(), Design(low=True)
+_AIR, _TILT, _THROTTLE, _SHAKEN, _NEIGHBOUR = (
+    Design(_names(each)) for each in ("air_temperature_c", "incidence_deg", "throttle", "vibration_hz", "neighbour")
+)
+_DAYS = Design(_names("air_temperature_c"), many_runs=True)
+_DAMP_DAYS = Design(_names("air_temperature_c", "humidity_pct"), many_runs=True)
+_SMOOTH = Design(_names("range_rate_cm_s"), smooth=True)
+_SCALES, _COMPONENT = _names("range_scale", "thermometer_offset"), "component"
 
 KNOWN = (
-    Kind("air_not_corrected", replace(_columns("air_temperature_c"), many_runs=True), _air_not_corrected),
-    Kind("thermometer_bias", _columns("air_temperature_c"), _thermometer_bias),
-    Kind("scale", Design(), _scale),
-    Kind("sensor_offset", Design(sensors=2), _sensor_offset),
-    Kind("run_offset", Design(many_runs=True), _run_offset),
-    Kind("latency", replace(_columns("range_rate_cm_s"), smooth=True), _latency),
-    Kind("stale", Design(), _stale),
-    Kind("slant_axis", _columns("incidence_deg"), _slant(True)),
-    Kind("slant_beam_edge", _columns("incidence_deg"), _slant(False)),
-    Kind("sensitivity_loss", Design(), _sensitivity_loss),
-    Kind("propeller_spread", _columns("throttle"), _propeller_spread),
-    Kind("propeller_short", _columns("throttle"), _propeller_short),
-    Kind("crosstalk", _columns("neighbour"), _crosstalk),
-    Kind("multipath", Design(), _multipath),
-    Kind("ring_down", Design(low=True), _ring_down),
-    Kind("coarse_rounding", Design(), _coarse),
-    Kind("cycle_slip", Design(), _cycle_slip),
-    Kind("humidity", replace(_columns("air_temperature_c", "humidity_pct"), many_runs=True), _humidity),
-    Kind("spread_with_range", Design(), _spread_with_range),
-    Kind("misses_when_tilted", _columns("incidence_deg"), _misses_when_tilted),
-    Kind("vibration", _columns("vibration_hz"), _vibration),
-)
+    Kind("air_not_corrected", _DAYS, _air_not_corrected, 1.2, 0.2, _names("air_temperature"), between_runs=True),
+    Kind("thermometer_bias", _AIR, _thermometer_bias, 30.0, 3.0, _SCALES, same_as=("scale",)),
+    Kind("scale", _ANY, _scale, 8.0, 0.5, _SCALES, same_as=("scale",)),
+    Kind("sensor_offset", Design(sensors=2), _sensor_offset, 30.0, 0.5, _names("mounting_offset")),
+    Kind("run_offset", Design(many_runs=True), _run_offset, 30.0, 1.0, _names("session_offset"), between_runs=True),
+    Kind("latency", _SMOOTH, _latency, 0.8, 0.03, _names("latency")),
+    Kind("stale", _ANY, _stale, 0.7, 0.05, _names("stale"), _COMPONENT, last=True),
+    Kind("slant_axis", _TILT, _slant_axis, 1.2, 0.2, _names("slant_range")),
+    Kind("slant_beam_edge", _TILT, _slant_beam_edge, 1.2, 0.2, _names("nearest_point", "slant_range")),
+    Kind("sensitivity_loss", _ANY, _sensitivity_loss, 4.0, 0.5, _names("missed_with_range"), "missed"),
+    Kind("propeller_spread", _THROTTLE, _propeller_spread, 2.5, 0.7, _names("rotor_noise"), "spread"),
+    Kind("propeller_short", _THROTTLE, _propeller_short, 8.0, 2.0, _names("prop_wash"), "short"),
+    Kind("crosstalk", _NEIGHBOUR, _crosstalk, 0.8, 0.05, _names("crosstalk"), _COMPONENT, last=True),
+    Kind("multipath", _ANY, _multipath, 0.5, 0.03, _names("multipath"), _COMPONENT, last=True),
+    Kind("ring_down", _LOW, _ring_down, 0.98, 0.3, _names("dead_zone_minimum"), _COMPONENT, last=True),
+    Kind("coarse_rounding", _ANY, _coarse_rounding, 0.98, 0.1, _names("coarse_rounding"), "code", last=True),
+    Kind("cycle_slip", _ANY, _cycle_slip, 0.5, 0.05, _names("cycle_slip"), _COMPONENT, last=True),
+    Kind("humidity", _DAMP_DAYS, _humidity, 1.5, 0.5, _names("humidity"), between_runs=True),
+    Kind(
+        "spread_with_range", _ANY, _spread_with_range, 2.5, 0.3, _names("spread_with_range"), "spread",
+        same_as=("growth_per_m",),
+    ),
+    Kind(
+        "misses_when_tilted", _TILT, _misses_when_tilted, 6.0, 1.0, _names("beyond_field_of_view"), "missed",
+        "incidence_deg",
+    ),
+    Kind("vibration", _SHAKEN, _vibration, 2.5, 0.3, _names("vibration"), "spread"),
+)  # fmt: skip

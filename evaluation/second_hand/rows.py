@@ -1,13 +1,13 @@
 """When and where readings are taken: times, true ranges and contexts, before any reading is drawn."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,17 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def columns(self, reading_cm: Floats, run: str, sensors: Sequence[str] = ("down",)) -> dict[str, NDArray[Any]]:
+        """The table in the CSV form; a run is the words of ``run`` with its number, from 1 on."""
+        return {
+            "time_s": np.round(self.time_s, 4),
+            "sensor": np.array(sensors)[self.sensor],
+            "run": np.array([run.format(number + 1) for number in self.run]),
+            "reading_cm": reading_cm,
+            "true_range_cm": np.round(self.true_cm, 2),
+            **self.contexts,
+        }
 
     def previous(self) -> NDArray[np.int64]:
         """Index of the row before in the same block; -1 where it is the first."""

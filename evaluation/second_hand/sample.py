@@ -1,6 +1,7 @@
 """Draws readings from a `Law`."""
 
 import numpy as np
+from numpy.random import Generator
 from scipy import special
 
 from evaluation.second_hand.base import MAXIMUM_CM, MINIMUM_CM, SATURATED_CM, Base
@@ -10,7 +11,7 @@ from evaluation.second_hand.rows import Floats, Rows
 HIT, SHORT, MISSED, RANDOM = range(4)
 
 
-def draw(rows: Rows, base: Base, law: Law, rng: np.random.Generator) -> Drawn:
+def draw(rows: Rows, base: Base, law: Law, rng: Generator) -> Drawn:
     """Draw one reading per row."""
     count = len(rows)
     before = rows.previous()
@@ -54,7 +55,7 @@ def _positions(rows: Rows) -> np.ndarray:
     return position
 
 
-def _correlated(rows: Rows, base: Base, steps: Floats, before: np.ndarray, rng: np.random.Generator) -> Floats:
+def _correlated(rows: Rows, base: Base, steps: Floats, before: np.ndarray, rng: Generator) -> Floats:
     """Normal scores with a first-order autoregression in each block, and a slow wander on top where there is one."""
     scores = _autoregression(np.power(base.correlation, steps), before, rng)
     if base.wander:
@@ -64,7 +65,7 @@ def _correlated(rows: Rows, base: Base, steps: Floats, before: np.ndarray, rng: 
     return scores
 
 
-def _autoregression(link: Floats, before: np.ndarray, rng: np.random.Generator) -> Floats:
+def _autoregression(link: Floats, before: np.ndarray, rng: Generator) -> Floats:
     scores = rng.standard_normal(len(link))
     for index, earlier in enumerate(before.tolist()):
         if earlier >= 0:
@@ -75,20 +76,20 @@ def _autoregression(link: Floats, before: np.ndarray, rng: np.random.Generator) 
 
 def _student(scores: Floats, degrees: float) -> Floats:
     tail = special.stdtrit(degrees, special.ndtr(-np.abs(scores)))
-    return np.asarray(-np.sign(scores) * tail * t_unit(degrees))
+    return -np.sign(scores) * tail * t_unit(degrees)
 
 
-def _kinds(law: Law, rng: np.random.Generator) -> np.ndarray:
+def _kinds(law: Law, rng: Generator) -> np.ndarray:
     weights = np.concatenate([np.ones((1, law.odds.shape[1])), np.exp(law.odds)])
     edges = np.cumsum(weights / weights.sum(axis=0), axis=0)
-    return np.asarray(np.minimum((rng.random(law.odds.shape[1]) > edges).sum(axis=0), RANDOM))
+    return np.minimum((rng.random(law.odds.shape[1]) > edges).sum(axis=0), RANDOM)
 
 
-def _short(true_cm: Floats, base: Base, rng: np.random.Generator) -> Floats:
+def _short(true_cm: Floats, base: Base, rng: Generator) -> Floats:
     length = np.maximum(np.floor(true_cm) - MINIMUM_CM, 1.0)
     rate = base.short_rate_per_m / 100
     depth = -np.log1p(-rng.random(len(true_cm)) * (1 - np.exp(-rate * length))) / rate
-    return np.asarray(MINIMUM_CM + np.minimum(np.floor(depth), length - 1))
+    return MINIMUM_CM + np.minimum(np.floor(depth), length - 1)
 
 
 def _last(usable: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -36,7 +36,7 @@ def outcome(truth: dict[str, Any], found: dict[str, Any]) -> str:
     """
     if found["crash"]:
         return "crash"
-    named = [{effect["name"], *effect["alternatives"]} for effect in found["effects"]]
+    named = names_of(found)
     if not truth["effects"]:
         return "wrong name" if named else "clean" if not found["curves"] else "other curve"
     if truth["kind"].startswith("unknown"):
@@ -54,6 +54,24 @@ def outcome(truth: dict[str, Any], found: dict[str, Any]) -> str:
     if len(wanted) == 1 and equal & changed:
         return "calibrated"
     return "other curve" if found["curves"] else "nothing"
+
+
+def names_of(found: dict[str, Any]) -> list[set[str]]:
+    """The class of each named effect: its name, and those that the workflow cannot separate from it."""
+    return [{each["name"], *each["alternatives"]} for each in found["effects"]]
+
+
+def in_words(found: dict[str, Any]) -> list[str]:
+    """Named effects and curves, as words."""
+    return [" or ".join([each["name"], *each["alternatives"]]) for each in found["effects"]] + [
+        f"curve of {each['channel']} over {' '.join(each['variables'])}" for each in found["curves"]
+    ]
+
+
+def all_in_words(found: dict[str, Any]) -> str:
+    """All that the workflow found, or what ended it, as words."""
+    words = in_words(found) + [f"calibration: {each}" for each in found["calibration"]]
+    return "; ".join([*words, *filter(None, [found["crash"]])]) or "nothing"
 
 
 def matched(wanted: list[set[str]], named: list[set[str]]) -> int:
@@ -121,13 +139,9 @@ def failures(results: Iterable[dict[str, Any]]) -> str:
         if word in ("exact", "clean"):
             continue
         hidden = ", ".join(f"{effect['title']} {effect['size']:.3g}" for effect in truth["effects"]) or "nothing"
-        reported = [" or ".join([effect["name"], *effect["alternatives"]]) for effect in found["effects"]]
-        reported += [f"curve of {curve['channel']} over {' '.join(curve['variables'])}" for curve in found["curves"]]
-        reported += [f"calibration: {item}" for item in found["calibration"]]
-        reported += [found["crash"]] if found["crash"] else []
         base = f"correlation {truth['base']['correlation']:.2f}, {truth['runs']} runs"
         lines.append(
             f"{truth['kind']} {truth['seed']}: {word}; hidden {hidden}; "
-            f"{base}; found {'; '.join(reported) or 'nothing'}; {found['verdict']}"
+            f"{base}; found {all_in_words(found)}; {found['verdict']}"
         )
     return "\n".join(lines)

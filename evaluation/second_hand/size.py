@@ -46,7 +46,7 @@ def scores(rows: Rows, base: Base, effects: Sequence[Effect], sizes: Sequence[fl
 
     columns = []
     for index, (effect, size) in enumerate(zip(effects, sizes, strict=True)):
-        step = 0.01 * max(size, 0.1 * effect.start)
+        step = 0.01 * max(size, 0.1 * effect.kind.start)
         up, down = list(sizes), list(sizes)
         up[index], down[index] = size + step, size - step
         columns.append((value(base, up) - value(base, down)) / (2 * step))
@@ -96,7 +96,7 @@ def known_from_bench(bench: Rows, base: Base, effects: Sequence[Effect], seed: i
 
     Only the bench separates a scale that the sensor always had from one that it has in the runs.
     """
-    same = {name for effect in effects for name in effect.same_as}
+    same = {name for effect in effects for name in effect.kind.same_as}
     if not same:
         return np.zeros(len(NUISANCE))
     variances = _variances(information(bench, base, [], [], seed))
@@ -107,7 +107,7 @@ def _variances(matrix: Floats) -> Floats:
     """Diagonal of the inverse; very large of numbers that cannot be separated."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     inverse = np.linalg.inv(matrix / np.outer(scale, scale) + 1e-9 * np.eye(len(matrix)))
-    return np.asarray(np.diag(inverse) / scale**2)
+    return np.diag(inverse) / scale**2
 
 
 def sizes_of(
@@ -124,8 +124,8 @@ def sizes_of(
     seed
         Of the tables that the information is averaged over.
     """
-    sizes = np.array([effect.start for effect in effects])
-    limits = np.array([effect.limit for effect in effects])
+    sizes = np.array([effect.kind.start for effect in effects])
+    limits = np.array([effect.kind.limit for effect in effects])
     slope = np.ones(len(effects))
     known = known_from_bench(bench, base, effects, seed)
     before: tuple[Floats, Floats] | None = None

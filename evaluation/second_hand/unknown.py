@@ -3,80 +3,74 @@
 from collections.abc import Callable
 
 import numpy as np
+from numpy.random import Generator
 
-from evaluation.second_hand.density import Law
-from evaluation.second_hand.effect import Effect, Kind
+from evaluation.second_hand.effect import Apply, Kind, favours, moves, widens
 from evaluation.second_hand.flights import Design
 from evaluation.second_hand.rows import Floats, Rows
 
-Shape = Callable[[np.random.Generator, Rows], Floats]
+Shape = Callable[[Generator, Rows], Floats]
 
 
 def _kind(title: str, channel: str, variable: str, shape: Shape, smooth: bool = False) -> Kind:
     """An effect that adds ``size * shape`` to a channel: cm to a hit, a factor of e to sigma, log odds to a share."""
-    column = {"true_range_cm", "time_s"}.isdisjoint({variable})
-    design = Design(frozenset({variable}) if column else frozenset(), smooth=smooth)
+    design = Design(frozenset({variable} - {"true_range_cm", "time_s"}), smooth=smooth)
     limit, start = {"bias": (12.0, 0.3), "spread": (3.0, 0.2)}.get(channel, (5.0, 1.0))
 
-    def draw(rng: np.random.Generator, rows: Rows) -> Effect:
-        curve = shape(rng, rows) * (rng.choice([-1.0, 1.0]) if channel in ("bias", "spread") else 1.0)
+    def change(rng: Generator, rows: Rows) -> tuple[Apply, dict[str, float]]:
+        curve = shape(rng, rows)
+        if channel not in ("bias", "spread"):
+            return favours(channel, lambda size: size * curve), {}
+        curve = curve * rng.choice([-1.0, 1.0])
+        return moves(lambda size: size * curve) if channel == "bias" else widens(lambda size: np.exp(size * curve)), {}
 
-        def apply(rows: Rows, law: Law, size: float) -> None:
-            if channel == "bias":
-                law.centre_cm = law.centre_cm + size * curve
-            elif channel == "spread":
-                law.sigma_cm = law.sigma_cm * np.exp(size * curve)
-            else:
-                law.odds[("short", "missed", "random").index(channel)] += size * curve
-
-        return Effect(title, apply, limit, start, channel=channel, variable=variable)
-
-    return Kind(title, design, draw)
-
-
-def _unit(values: Floats) -> Floats:
-    """Values with mean 0 and standard deviation 1."""
-    return np.asarray((values - values.mean()) / max(float(values.std()), 1e-9))
+    return Kind(title, design, change, limit, start, channel=channel, variable=variable)
 
 
 def _linear(column: str) -> Shape:
-    return lambda rng, rows: _unit(rows.contexts[column])
+    """The column with mean 0 and standard deviation 1."""
+
+    def shape(rng: Generator, rows: Rows) -> Floats:
+        values: Floats = rows.contexts[column]
+        return (values - values.mean()) / max(float(values.std()), 1e-9)
+
+    return shape
 
 
-def _one_anchor(rng: np.random.Generator, rows: Rows) -> Floats:
+def _one_anchor(rng: Generator, rows: Rows) -> Floats:
     return np.asarray(rows.contexts["anchor"] == rng.choice(["a1", "a2", "a3", "a4"]), dtype=float)
 
 
-def _bump(rng: np.random.Generator, rows: Rows) -> Floats:
+def _bump(rng: Generator, rows: Rows) -> Floats:
     width, place = rng.uniform(1.0, 3.0), rng.uniform(-4, 4)
-    return np.asarray(np.exp(-(((rows.contexts["x_m"] - place) / width) ** 2)))
+    return np.exp(-(((rows.contexts["x_m"] - place) / width) ** 2))
 
 
 def _beyond(column: str, low: float, high: float) -> Shape:
-    def shape(rng: np.random.Generator, rows: Rows) -> Floats:
+    def shape(rng: Generator, rows: Rows) -> Floats:
         values = rows.contexts[column]
         return np.asarray(values > np.quantile(values, rng.uniform(low, high)), dtype=float)
 
     return shape
 
 
-def _ripple_over_range(rng: np.random.Generator, rows: Rows) -> Floats:
-    return np.asarray(np.sin(2 * np.pi * rows.true_cm / rng.uniform(10, 40) + rng.uniform(0, 2 * np.pi)))
+def _ripple_over_range(rng: Generator, rows: Rows) -> Floats:
+    return np.sin(2 * np.pi * rows.true_cm / rng.uniform(10, 40) + rng.uniform(0, 2 * np.pi))
 
 
-def _ripple_over_time(rng: np.random.Generator, rows: Rows) -> Floats:
-    return np.asarray(np.sin(2 * np.pi * rows.time_s / rng.uniform(1.5, 12) + rng.uniform(0, 2 * np.pi)))
+def _ripple_over_time(rng: Generator, rows: Rows) -> Floats:
+    return np.sin(2 * np.pi * rows.time_s / rng.uniform(1.5, 12) + rng.uniform(0, 2 * np.pi))
 
 
-def _drift(rng: np.random.Generator, rows: Rows) -> Floats:
-    return np.asarray(rows.time_s / rows.time_s.max())
+def _drift(rng: Generator, rows: Rows) -> Floats:
+    return rows.time_s / rows.time_s.max()
 
 
-def _speed(rng: np.random.Generator, rows: Rows) -> Floats:
-    return np.asarray(np.abs(rows.contexts["range_rate_cm_s"]) / 50)
+def _speed(rng: Generator, rows: Rows) -> Floats:
+    return np.abs(rows.contexts["range_rate_cm_s"]) / 50
 
 
-def _climbing(rng: np.random.Generator, rows: Rows) -> Floats:
+def _climbing(rng: Generator, rows: Rows) -> Floats:
     return (rows.contexts["range_rate_cm_s"] > 5).astype(float)
 
 

@@ -5,6 +5,7 @@ The only module here that knows of the product, and only by its commands and the
 
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from evaluation.product import command
@@ -27,15 +28,18 @@ NOTHING: dict[str, Any] = {
 """What is reported where a command crashed."""
 
 
-def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, Any]:
+def characterise(bench: Path, model: Path) -> str:
+    """Make the sensor's model of a bench table; what ended the command, empty where it succeeded."""
+    return command("msp-lab", "characterise", bench, "--sensor", SENSOR, "--out", model, "--date", DATE)
+
+
+def run_case(case: Case, splits: int | None = None) -> dict[str, Any]:
     """Run both commands on a case.
 
     Parameters
     ----------
     case
         Its tables.
-    folder
-        An empty folder for the tables and what is made of them.
     splits
         Random seed of `gap`, by which runs are split; None: its default.
 
@@ -49,14 +53,15 @@ def run_case(case: Case, folder: Path, splits: int | None = None) -> dict[str, A
     # Here, so that the generator can be used without the product.
     from msp_range.recording.csv_form import write_csv
 
-    bench, runs, model, out = (folder / name for name in ("bench.csv", "runs.csv", "model.yaml", "gap"))
-    write_csv(bench, case.bench)
-    write_csv(runs, case.runs)
     seed = () if splits is None else ("--seed", splits)
-    crash = command("msp-lab", "characterise", bench, "--sensor", SENSOR, "--out", model, "--date", DATE) or command(
-        "msp-lab", "gap", runs, "--model", model, "--out", out, "--until", "add", *seed
-    )
-    reported = dict(NOTHING) if crash else json.loads((out / "gap.json").read_text())
+    with TemporaryDirectory() as folder:
+        bench, runs, model, out = (Path(folder) / name for name in ("bench.csv", "runs.csv", "model.yaml", "gap"))
+        write_csv(bench, case.bench)
+        write_csv(runs, case.runs)
+        crash = characterise(bench, model) or command(
+            "msp-lab", "gap", runs, "--model", model, "--out", out, "--until", "add", *seed
+        )
+        reported = NOTHING if crash else json.loads((out / "gap.json").read_text())
     return {
         "verdict": reported["verdict"],
         "effects": [

@@ -8,6 +8,7 @@ import argparse
 from statistics import median
 
 import numpy as np
+from numpy.random import Generator, default_rng
 
 from evaluation.sensor_watch.drawn import Fault, Ground, draw, feed, watch_of
 
@@ -35,7 +36,7 @@ PIECE_H = 2.0
 """Hours drawn at a time, for memory."""
 
 
-def false_findings(draws: np.random.Generator, ground: Ground, hours: float) -> list[str]:
+def false_findings(draws: Generator, ground: Ground, hours: float) -> list[str]:
     """Texts of what is found of sensors in order."""
     watch = watch_of()
     texts = []
@@ -45,7 +46,7 @@ def false_findings(draws: np.random.Generator, ground: Ground, hours: float) -> 
     return texts
 
 
-def delays_s(draws: np.random.Generator, fault: Fault, flights: int) -> list[float]:
+def delays_s(draws: Generator, fault: Fault, flights: int) -> list[float]:
     """Times from the beginning of a fault to the first finding of its sensor [s]; infinity: none in five minutes."""
     found = []
     for _ in range(flights):
@@ -64,7 +65,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def main(given: argparse.Namespace) -> None:
     """Draw, watch and print."""
-    draws = np.random.default_rng(given.seed)
+    draws = default_rng(given.seed)
     print("| ground | hours | false findings |\n|---|---|---|")
     for name, ground in GROUNDS.items():
         hours = given.hours / len(GROUNDS)

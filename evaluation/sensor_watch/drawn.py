@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
@@ -93,9 +94,7 @@ class Drawn(NamedTuple):
     lean_rad: NDArray[Any]
 
 
-def draw(
-    draws: np.random.Generator, hours: float, ground: Ground, fault: Fault | None = None, start_s: float = 0.0
-) -> Drawn:
+def draw(draws: Generator, hours: float, ground: Ground, fault: Fault | None = None, start_s: float = 0.0) -> Drawn:
     """Draw a flight; a reading of no echo has a range of NaN."""
     n = round(hours * 3600.0 / SLOT_S)
     time_s = start_s + np.arange(n) * SLOT_S
@@ -126,10 +125,10 @@ def draw(
     return Drawn(time_s, sensor, range_m, height_m, np.gradient(height_m, SLOT_S), lean_rad)
 
 
-def _correlated(draws: np.random.Generator, n: int, correlation: float) -> NDArray[Any]:
+def _correlated(draws: Generator, n: int, correlation: float) -> NDArray[Any]:
     """Standard normal numbers whose neighbours have this correlation."""
     white = draws.standard_normal(n)
-    return np.asarray(lfilter([math.sqrt(1.0 - correlation**2)], [1.0, -correlation], white))
+    return lfilter([math.sqrt(1.0 - correlation**2)], [1.0, -correlation], white)
 
 
 def feed(watch: SensorWatch, drawn: Drawn) -> Iterator[tuple[float, SensorFinding]]:

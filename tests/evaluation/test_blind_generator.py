@@ -88,7 +88,7 @@ def test_flights_with_nothing_hidden_have_no_trend(regime: str) -> None:
     rng = np.random.default_rng(4)
     columns = contexts(rng, 80, 100, regime)  # type: ignore[arg-type]
     reading_cm = land(fly(columns, habits(regime), rng), rng)  # type: ignore[arg-type]
-    error = reading_cm - np.asarray(columns["true_range_cm"], dtype=float)
+    error = reading_cm - columns["true_range_cm"]
     hit = (np.abs(error) < 6.0) & (reading_cm != 255.0)
     error -= error[hit].mean()
     for name, column in columns.items():
@@ -108,7 +108,7 @@ def test_size_is_in_standard_errors() -> None:
 def test_size_of_a_spread_is_in_standard_errors() -> None:
     """The variance of a reading goes from v to v + d throttle^4; a variance's standard error is itself sqrt(2 / n)."""
     columns = contexts(np.random.default_rng(1), 40, 100)
-    added = (0.6 * (np.asarray(columns["throttle"], dtype=float) / 0.5) ** 2) ** 2
+    added = (0.6 * (columns["throttle"] / 0.5) ** 2) ** 2
     by_hand = added.std() / (0.78**2 + added.mean()) * np.sqrt(0.95 * 2000 / 2.0)
     size = measure(columns, habits("iid"), "wash_across_the_path", 0.6, 1)
     assert size.spread == pytest.approx(by_hand, rel=0.12)

@@ -121,11 +121,11 @@ def test_scores_at_the_truth_have_mean_zero_and_the_variance_of_the_information(
     base = replace(draw_base(rng, 0.5), wander=0.0)
     rows = draw_flights(rng, kind.design)
     effect = kind.draw(rng, rows)
-    law = law_with(rows, base, [effect], [effect.start])
+    law = law_with(rows, base, [effect], [effect.kind.start])
     totals, outer = [], np.zeros((len(NUISANCE) + 1, len(NUISANCE) + 1))
     for seed in range(15):
         drawn = draw(rows, base, law, np.random.default_rng(100 + seed))
-        each = scores(rows, base, [effect], [effect.start], drawn)
+        each = scores(rows, base, [effect], [effect.kind.start], drawn)
         totals.append(each.sum(axis=0))
         outer = outer + each.T @ each / 15
     scale = np.sqrt(np.diag(outer))
@@ -205,7 +205,7 @@ def test_effects_between_runs_come_with_many_runs() -> None:
     for kind in KNOWN:
         rng = np.random.default_rng(9)
         rows = draw_flights(rng, kind.design)
-        if kind.draw(rng, rows).between_runs:
+        if kind.between_runs:
             assert rows.run.max() + 1 >= 12, kind.title
 
 

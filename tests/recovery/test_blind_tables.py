@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from evaluation.blind.flight import Columns, Regime, contexts, habits
 from evaluation.blind.mechanisms import MECHANISMS
 from evaluation.blind.run import SENSOR, write
 from evaluation.blind.score import Outcome, accepted_names, judge
 from evaluation.blind.size import Hidden, stage
+from evaluation.blind.sound import Array
 from evaluation.blind.tables import CONFOUNDED, ROWS, RUNS, fly_base
 from msp_lab.gap.findings import FoundEffect, GapFindings
 from msp_lab.gap.findings_file import read_findings
@@ -35,7 +35,7 @@ class Flown:
     """Flights with something hidden, or nothing."""
 
     columns: Columns
-    reading_cm: NDArray[np.float64]
+    reading_cm: Array
     regime: Regime
     hidden: Hidden
 
