@@ -26,7 +26,7 @@ from msp_range.bridge import Bridge
 from msp_range.clock import SystemClock, VirtualClock
 from msp_range.config import load_airframe
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.transport import open_transport
+from msp_range.mavlink.transport import Transport, Wrapped, open_transport
 from msp_range.recording.writer import Recorder
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.device import DeviceTiming
@@ -89,19 +89,15 @@ def latency() -> Figures:
     ]
 
 
-class _Watched:
+class _Watched(Wrapped):
     """A transport that calls back at each DISTANCE_SENSOR that has been handed over."""
 
-    def __init__(self, transport: Any, sent: Callable[[], None]) -> None:
-        self._transport = transport
+    def __init__(self, transport: Transport, sent: Callable[[], None]) -> None:
+        super().__init__(transport)
         self._sent = sent
-        self.receive, self.close = transport.receive, transport.close
-        self.description, self.stats, self.last_error, self.connected = "watched", transport.stats, None, True
-        self.quiet_until_s = float("-inf")
-        self.files = ()
 
     def send(self, frame: bytes) -> bool:
-        taken: bool = self._transport.send(frame)
+        taken = super().send(frame)
         if int.from_bytes(frame[7:10], "little") == dialect.MAVLINK_MSG_ID_DISTANCE_SENSOR:
             self._sent()
         return taken

@@ -23,6 +23,7 @@ from random import Random
 from typing import NamedTuple
 
 from evaluation.memory import ALL_ADDRESSES, memory_mb
+from msp_range.input_file import CONTROL
 
 Check = Callable[[bytes], None]
 """Reads one input. The project's own errors are caught inside; whatever it raises is a failure."""
@@ -44,6 +45,14 @@ less than a leak of a byte for each byte read."""
 WARM_UP_CASES = 100
 """Cases before the memory is measured for the first time, and between two measurements: caches fill first. More hides
 slow leaks in short runs."""
+
+
+def check_message(text: str, folder: Path, longest: int) -> None:
+    """A message that a person can read: it names a file in the folder, is not endless, and prints as it is."""
+    assert text.strip(), "an empty message"
+    assert str(folder) in text, f"no file is named: {text[:500]}"
+    assert len(text) <= longest, f"a message of {len(text)} characters"
+    assert CONTROL.search(text) is None, f"a control character is printed: {text[:500]!r}"
 
 
 class FuzzResult(NamedTuple):

@@ -11,10 +11,8 @@ from typing import Any
 
 from evaluation.fuzz import base, csv_files, link, log_files, mcap_files, yaml_files
 
-FILES: dict[str, Any] = {"yaml": yaml_files, "csv": csv_files, "mcap": mcap_files, "logs": log_files}
-"""Areas that read files: name on the command line -> module with ``fuzz(seconds, seed)`` and ``prepare(folder)``."""
-AREAS: dict[str, Any] = {"link": link, **FILES}
-"""Name on the command line -> module with ``fuzz(seconds, seed)``."""
+AREAS: dict[str, Any] = {"link": link, "yaml": yaml_files, "csv": csv_files, "mcap": mcap_files, "logs": log_files}
+"""Name on the command line -> module with ``fuzz(seconds, seed)`` and ``prepare(folder)``."""
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +26,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 def main(given: argparse.Namespace) -> int:
     """Run the areas that the command line names; returns the exit code."""
     if given.saved:
-        if given.only not in FILES:
-            raise argparse.ArgumentTypeError(f"saved inputs need --only {', '.join(FILES)}")
+        if given.only is None:
+            raise argparse.ArgumentTypeError(f"saved inputs need --only {', '.join(AREAS)}")
         with tempfile.TemporaryDirectory() as folder:
             check = AREAS[given.only].prepare(Path(folder))
             for path in given.saved:

@@ -16,7 +16,6 @@ from msp_lab.gap.intake import read_readings
 from msp_lab.readings.column_map import load_map, read_mapped
 from msp_lab.readings.intake import load_readings, without_impossible
 from msp_range.config import load_airframe
-from msp_range.input_file import CONTROL
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.columns import CONTEXT_COLUMNS
 from msp_range.recording.csv_form import csv_rows, read_csv, write_csv
@@ -78,10 +77,7 @@ def prepare(folder: Path) -> base.Check:
         try:
             readers[kind.decode()](path)
         except (RecordingError, ConfigError) as error:
-            text = str(error)
-            assert str(folder) in text, f"no file is named: {text[:500]}"
-            assert len(text) <= LONGEST_MESSAGE, f"a message of {len(text)} characters"
-            assert CONTROL.search(text) is None, f"a control character is printed: {text[:500]!r}"
+            base.check_message(str(error), folder, LONGEST_MESSAGE)
 
     for kind in KINDS:
         check(kind.encode() + b"\n" + _text(kind, Random(1)).encode())

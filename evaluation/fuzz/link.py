@@ -1,24 +1,19 @@
 """Bytes that are no MAVLink, nearly MAVLink, or MAVLink with impossible content, at the bridge over each kind of link.
 
 The whole bridge works on emulated sensors in virtual time; what arrives comes through real sockets and a real
-pseudo-terminal. A finding is an exception, a step of the bridge that takes more than 2 s of processor time, memory that
-grows by more than 20 MB, and a bridge that no longer polls.
+pseudo-terminal. A bridge that no longer polls is a finding too.
 """
 
 import contextlib
-import gc
 import os
 import pty
 import socket
-import time
-import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
 from random import Random
 
-from evaluation.fuzz.base import FuzzResult
-from evaluation.memory import memory_mb
+from evaluation.fuzz import base
 from msp_range.bridge import Bridge
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
@@ -29,12 +24,6 @@ from msp_sim.device.mb1242 import EmulatedMB1242
 from tests.support.shipped import CONFIGS
 from tests.support.transports import free_port
 
-AREA = "link"
-SLOW_S = 2.0
-GROWTH_MB = 20.0
-WARM_UP_CASES = 300
-"""Cases before growth is measured: caches and the frames that the link keeps fill first."""
-MAX_FAILURES = 20
 FLOWN_S = 0.25
 """Virtual time after each case: two pings."""
 
@@ -44,47 +33,34 @@ LIKELY = ("HEARTBEAT", "ATTITUDE", "SYSTEM_TIME", "TIMESYNC", "PING", "COMMAND_L
 """What the bridge listens to; the others are drawn from all of the dialect."""
 
 
-def fuzz(seconds: float, seed: int, fewest: int = 1) -> FuzzResult:
-    """Let made-up bytes arrive until the time is over.
+def fuzz(seconds: float, seed: int) -> base.FuzzResult:
+    """Let made-up bytes arrive for so long [s]."""
+    return base.run("link", seconds, seed, _case, prepare)
 
-    Parameters
-    ----------
-    seconds
-        How long; at least one case over each kind of link.
-    seed
-        The same seed gives the same bytes.
-    fewest
-        So many cases at least, also where a busy computer takes longer for them.
-    """
-    rng = Random(seed)
-    failures: list[str] = []
-    slowest_s = 0.0
-    warm_mb = None
-    start_s = time.monotonic()
-    cases = 0
-    with contextlib.ExitStack() as stack:
-        flights = {
-            (kind, make): stack.enter_context(_flying(kind)) for kind in _FAR_ENDS for make in (made_up, never_ending)
-        }
-        while cases < fewest or time.monotonic() - start_s < seconds:
-            for (kind, make), flight in flights.items():
-                cases += 1
-                content = make(rng)
-                found, spent_s = flight.try_case(content, rng)
-                slowest_s = max(slowest_s, spent_s)
-                if spent_s > SLOW_S:
-                    found = found or f"a step took {spent_s:.1f} s"
-                if found is not None:
-                    failures.append(f"{AREA}, {kind}, seed {seed}, case {cases}: {found}; bytes: {content[:100].hex()}")
-                    flights[kind, make] = stack.enter_context(_flying(kind))
-                if cases == WARM_UP_CASES:
-                    warm_mb = _resident_mb()
-            if len(failures) >= MAX_FAILURES:
-                break
-    growth_mb = _resident_mb() - warm_mb if warm_mb is not None else 0.0
-    if growth_mb > GROWTH_MB:
-        failures.append(f"{AREA}: memory grew by {growth_mb:.1f} MB, expected at most {GROWTH_MB:.0f}")
-    return FuzzResult(AREA, cases, time.monotonic() - start_s, growth_mb, slowest_s, failures)
+
+def _case(rng: Random) -> bytes:
+    """Which kind of link, a seed of how the bytes are cut, and the bytes."""
+    kind = rng.randrange(len(_FAR_ENDS))
+    return bytes([kind]) + rng.randbytes(4) + rng.choice((made_up, never_ending))(rng)
+
+
+def prepare(folder: Path) -> base.Check:
+    """The check: let bytes arrive at a bridge that flies, and that has to poll on whatever they are."""
+    flights: dict[str, _Flight] = {}
+
+    def check(data: bytes) -> None:
+        kind = list(_FAR_ENDS)[data[0]]
+        flight = flights.pop(kind, None) or _Flight(kind)
+        try:
+            flight.receive(data[5:], Random(data[1:5]))
+        except BaseException:
+            flight.close()
+            raise
+        flights[kind] = flight
+
+    for number in range(len(_FAR_ENDS)):
+        check(bytes([number]) + bytes(4))
+    return check
 
 
 def made_up(rng: Random) -> bytes:
@@ -300,35 +276,19 @@ class _Flight:
         airframe = load_airframe(CONFIGS / "quad_pallet.yaml")
         self._bridge = Bridge(airframe, EmulatedBus(sonars, self._clock.now), self._clock, self._transport)
 
-    def try_case(self, content: bytes, rng: Random) -> tuple[str | None, float]:
-        """What went wrong, and the longest step [s of processor time]."""
+    def receive(self, content: bytes, rng: Random) -> None:
+        """Let bytes arrive, and fly on."""
         self._far_end.drain()
         self._far_end.send(content, rng)
-        longest_s = 0.0
         readings = 0
         end_s = self._clock.now() + FLOWN_S
         while self._clock.now() < end_s:
-            start_s = time.thread_time()
-            try:
-                readings += len(self._bridge.step())
-            except Exception as error:
-                place = traceback.extract_tb(error.__traceback__)[-1]
-                return f"{error!r} in {Path(place.filename).name}:{place.lineno} {place.name}", longest_s
-            longest_s = max(longest_s, time.thread_time() - start_s)
-        return None if readings else f"no reading in {FLOWN_S} s", longest_s
+            readings += len(self._bridge.step())
+        assert readings, f"no reading in {FLOWN_S} s"
 
     def close(self) -> None:
         self._transport.close()
         self._far_end.close()
-
-
-@contextlib.contextmanager
-def _flying(kind: str) -> Iterator[_Flight]:
-    flight = _Flight(kind)
-    try:
-        yield flight
-    finally:
-        flight.close()
 
 
 def _udp() -> socket.socket:
@@ -344,8 +304,3 @@ def _cut(content: bytes, rng: Random, longest: int) -> Iterator[bytes]:
         stop = start + rng.randrange(1, longest)
         yield content[start:stop]
         start = stop
-
-
-def _resident_mb() -> float:
-    gc.collect()
-    return memory_mb()

@@ -60,19 +60,12 @@ def prepare(folder: Path) -> base.Check:
         try:
             _READ[kind.decode()](path)
         except ConfigError as error:
-            _check_message(str(error), folder)
+            base.check_message(str(error), folder, LONGEST_MESSAGE)
 
     for kind, paths in _FILES.items():
         for path in paths():
             check(kind.encode() + b"\n" + path.read_bytes())
     return check
-
-
-def _check_message(text: str, folder: Path) -> None:
-    assert text.strip(), "an empty message"
-    assert str(folder) in text, f"no file is named: {text[:500]}"
-    assert len(text) <= LONGEST_MESSAGE, f"a message of {len(text)} characters"
-    assert CONTROL.search(text) is None, f"a control character is printed: {text[:500]!r}"
 
 
 def _check_airframe(path: Path) -> None:
@@ -81,7 +74,7 @@ def _check_airframe(path: Path) -> None:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
             cli.check(path)
     except typer.Exit:
-        _check_message(out.getvalue(), path.parent)
+        base.check_message(out.getvalue(), path.parent, LONGEST_MESSAGE)
     else:
         assert CONTROL.search(out.getvalue()) is None, "a control character is printed"
 

@@ -10,9 +10,19 @@ import os
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluation.real.columns import FloatArray, read_table, read_tilt, read_words
-from evaluation.real.regress import autocorrelation, hinges, print_bins, print_forms, regress, robust_sd, step_of_jumps
+from evaluation.real.regress import (
+    autocorrelation,
+    hinges,
+    print_bins,
+    print_forms,
+    print_jumps,
+    regress,
+    robust_sd,
+    smooth_rate,
+)
 
 
 def data_folder() -> Path:
@@ -49,8 +59,7 @@ def robot_hcsr04(data: Path) -> None:
             print_forms(line.rest, {"rate of the range [cm/s]": [rate]}, cluster)
         for low, high in ((10, 60), (60, 120), (120, 200), (200, 340)):
             both = hit[1:] & hit[:-1] & (z[1:] > low) & (z[1:] < high) & (np.abs(e[1:] + 2.6) < 3.0)
-            step, cosine, errors = step_of_jumps(np.diff(e)[both])
-            print(f"    jumps at {low}-{high} cm: steps of {step:.3f} cm (mean cosine {cosine:.2f}, z {errors:.0f})")
+            print_jumps(f"at {low}-{high} cm", np.diff(e)[both])
         for name, which in (("short", (e < -8.6) & (r > 1.1)), ("no echo (1 and 800 cm)", (r < 1.1) | (r > 799.0))):
             shares = [f"{100.0 * which[(z >= low) & (z < low + 50)].mean():.1f}" for low in range(0, 350, 50)]
             print(f"    {name}, % by 50 cm of range: {' '.join(shares)}")
@@ -80,7 +89,7 @@ def robot_mb1433(data: Path) -> None:
             print(
                 f"    {name}: least scatter {best:.2f} cm at an age of {1000.0 * delay_s:.0f} ms, {fits[0][0]:.2f} at 0"
             )
-        rate = np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
+        rate = smooth_rate(z, t)
         command = 100.0 * table["velocity_command"]
         if np.ptp(command) > 5.0:
             print(f"    true rate over commanded rate: {np.polyfit(command, rate, 1)[0]:.2f}")
@@ -109,7 +118,7 @@ def drone_ranger(data: Path) -> None:
         table = read_table(data / "util-uwb" / f"{file}.csv")
         t, z, r = table["t_s"], 100.0 * table["mocap_z_m"], 100.0 * table["range_m"]
         cosine = np.clip(table["cos_tilt"], -1.0, 1.0)
-        rate = np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
+        rate = smooth_rate(z, t)
         flying = z > 20.0
         e, cluster = (r - z)[flying], (t[flying] // 3.0).astype(int)
         print(f"  {file}: {flying.sum()} flying, {(~flying).sum()} on or near the ground, steps of 0.1 cm")
@@ -151,19 +160,7 @@ def ruler_hcsr04(data: Path) -> None:
     e = r - z
     hit = np.abs(e + 1.0) < 2.6
     print(f"  {z.size} readings in {np.unique(files).size} files, hits {hit.mean():.3f}")
-    print("    step of the readings against the air's temperature (a step of c 1 us / 2 means: already compensated):")
-    for name in (
-        "3_12MAR21/Results/3_ultraS_14cm_25ms.md",
-        "26FEB21/ultraS_14cm_25ms.md",
-        "3_03MAR21/ultraS_14cm_25ms_1.md",
-    ):
-        here = files == name
-        gaps = np.diff(np.unique(r[here]))
-        steps = np.arange(0.0168, 0.0180, 5e-7)
-        best = steps[np.argmax([np.abs(np.exp(2j * np.pi * gaps / step).mean()) for step in steps])]
-        air_c = np.nanmean(celsius[here])
-        sound = 20.05 * np.sqrt(273.15 + air_c)
-        print(f"      {name}: step {best:.5f} cm, so c = {2e4 * best:.1f} m/s; {air_c:.1f} C: {sound:.1f}")
+    _print_compensation(r, celsius, files)
     rows = hit & ~np.isnan(celsius)
     x, cluster = z[rows] / 100.0, np.unique(files[rows], return_inverse=True)[1]
     air = z[rows] * (np.sqrt(293.15 / (273.15 + celsius[rows])) - 1.0)
@@ -195,15 +192,30 @@ def ruler_hcsr04(data: Path) -> None:
     )
     print(f"    sd between files {means.std():.3f}; {expected:.3f} if set-ups of a file are independent")
     same = (setup[1:] == setup[:-1]) & hit[1:] & hit[:-1]
-    for name, jumps in (("readings of a set-up", np.diff(e)[same]),):
-        step, cosine, errors = step_of_jumps(jumps)
-        print(f"    jumps between {name}: steps of {step:.3f} cm (mean cosine {cosine:.2f}, z {errors:.0f})")
+    print_jumps("between readings of a set-up", np.diff(e)[same])
     counts = np.histogram(e[rows & (z <= 20)], np.arange(-1.75, 1.0, 0.125))[0]
     print(f"    residuals up to 20 cm, counts per 0.125 cm from -1.75: {counts.tolist()}")
     for low, high in ((0, 30), (30, 60), (60, 80), (80, 105), (105, 130), (130, 151)):
         here = (z >= low) & (z < high)
         out = {name: round(float((~hit)[here & (files == name)].mean()), 2) for name in np.unique(files[here & ~hit])}
         print(f"    {low}-{high} cm: not hit {(~hit)[here].mean():.3f}, by file {out}")
+
+
+def _print_compensation(r: FloatArray, celsius: FloatArray, files: NDArray[np.str_]) -> None:
+    """Whether readings are compensated for the temperature already."""
+    print("    step of the readings against the air's temperature (a step of c 1 us / 2 means: already compensated):")
+    for name in (
+        "3_12MAR21/Results/3_ultraS_14cm_25ms.md",
+        "26FEB21/ultraS_14cm_25ms.md",
+        "3_03MAR21/ultraS_14cm_25ms_1.md",
+    ):
+        here = files == name
+        gaps = np.diff(np.unique(r[here]))
+        steps = np.arange(0.0168, 0.0180, 5e-7)
+        best = steps[np.argmax([np.abs(np.exp(2j * np.pi * gaps / step).mean()) for step in steps])]
+        air_c = np.nanmean(celsius[here])
+        sound = 20.05 * np.sqrt(273.15 + air_c)
+        print(f"      {name}: step {best:.5f} cm, so c = {2e4 * best:.1f} m/s; {air_c:.1f} C: {sound:.1f}")
 
 
 def tilted_hcsr04(data: Path) -> None:

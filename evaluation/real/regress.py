@@ -3,12 +3,11 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.floating[Any]]
+from evaluation.real.columns import FloatArray
 
 
 @dataclass(frozen=True)
@@ -81,6 +80,11 @@ def autocorrelation(x: FloatArray, lags: Sequence[int] = (1, 2, 5, 10)) -> str:
     return ", ".join(f"{lag}: {np.mean(x[lag:] * x[:-lag]) / np.mean(x * x):.2f}" for lag in lags)
 
 
+def smooth_rate(z: FloatArray, t: FloatArray) -> FloatArray:
+    """Rate of the truth, smoothed over five rows."""
+    return np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
+
+
 def robust_sd(x: FloatArray) -> float:
     """Standard deviation by the median of absolute deviations."""
     return float(1.4826 * np.median(np.abs(x - np.median(x))))
@@ -96,11 +100,12 @@ def print_bins(name: str, x: FloatArray, y: FloatArray, edges: Sequence[float]) 
     print(f"    by {name}, median (robust sd): " + "; ".join(cells))
 
 
-def step_of_jumps(jumps_cm: FloatArray) -> tuple[float, float, float]:
-    """Step into which jumps between readings fall: best step [cm], mean cosine of the phase, and that in its errors."""
+def print_jumps(where: str, jumps_cm: FloatArray) -> None:
+    """Step into which jumps between readings fall: best step, mean cosine of the phase, and that in its errors."""
     jumps_cm = jumps_cm[(np.abs(jumps_cm) > 0.2) & (np.abs(jumps_cm) < 2.5)]
     steps = np.arange(0.3, 1.2, 0.005)
     phase = [np.cos(2.0 * np.pi * jumps_cm / step) for step in steps]
     best = int(np.argmax([each.mean() for each in phase]))
     error = phase[best].std() / np.sqrt(jumps_cm.size)
-    return float(steps[best]), float(phase[best].mean()), float(phase[best].mean() / error)
+    cosine = phase[best].mean()
+    print(f"    jumps {where}: steps of {steps[best]:.3f} cm (mean cosine {cosine:.2f}, z {cosine / error:.0f})")

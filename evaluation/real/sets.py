@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from evaluation import CONFIGS
 from evaluation.real.columns import FloatArray, read_table, read_tilt, read_words
+from evaluation.real.regress import smooth_rate
 
 OWN_MAPS = Path(__file__).parent / "maps"
 
@@ -158,11 +159,6 @@ def prepare_terrain(own_columns: bool) -> Callable[[Path, Path], list[Path]]:
         return [write_form(out / "log07.csv", columns)]
 
     return prepare
-
-
-def smooth_rate(z: FloatArray, t: FloatArray) -> FloatArray:
-    """Rate of the truth [cm/s], smoothed over five rows."""
-    return np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
 
 
 _MAPS = CONFIGS / "maps"

@@ -22,15 +22,23 @@ BOOT_S = -40.0
 DOWN, FORWARD = mavlink.MAV_SENSOR_ROTATION_PITCH_270, mavlink.MAV_SENSOR_ROTATION_NONE
 
 
-class StatedTruth:
-    """Ground at a height that a function of time gives, and objects where another says so."""
+OfTime = float | Callable[[float], float]
 
-    def __init__(self, *below_m: Callable[[float], float], uneven: Callable[[float], bool] = lambda time_s: False):
+
+def at(value: OfTime, time_s: float) -> float:
+    """A number, or what a function of time gives."""
+    return value(time_s) if callable(value) else value
+
+
+class StatedTruth:
+    """Grounds at heights, each a number or a function of time, and objects where another function says so."""
+
+    def __init__(self, *below_m: OfTime, uneven: Callable[[float], bool] = lambda time_s: False):
         self._below_m = below_m
         self.is_uneven = uneven
 
     def distances_m(self, time_s: float) -> list[float]:
-        return [each(time_s) for each in self._below_m]
+        return [at(each, time_s) for each in self._below_m]
 
     def motion(self, time_s: float) -> tuple[float, str]:
         return (0.0, "hover") if time_s < 5.0 else (0.1, "climb")
@@ -54,21 +62,21 @@ def heartbeat(time_s: float, status: int) -> Any:
     return time_s, mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, status, 3)
 
 
-def stream(current_cm: Callable[[float], int], to_s: float = 10.0, **more: Any) -> list[Any]:
+def stream(current_cm: OfTime = 200, to_s: float = 10.0, **more: Any) -> list[Any]:
     """Ten messages a second."""
-    return [distance(i / 10, current_cm(i / 10), **more) for i in range(1, round(10 * to_s))]
+    return [distance(i / 10, round(at(current_cm, i / 10)), **more) for i in range(1, round(10 * to_s))]
 
 
 def verdict_on(messages: Sequence[Any], truth: Any = None, end_s: float = 10.0, **conditions: Any) -> Verdict:
     given: dict[str, Any] = {"duration_s": end_s, "limit_s": 1.0, "nearest_m": 0.2, "farthest_m": 7.5}
     given["listens_s"] = [(0.0, end_s)]
     received = Received(sorted(messages, key=lambda each: each[0]), [BOOT_S])
-    stated: Any = truth or StatedTruth(lambda time_s: 2.0)
+    stated: Any = truth or StatedTruth(2.0)
     return judge(received, stated, Conditions(**(given | conditions)))
 
 
 def test_a_right_stream_is_right() -> None:
-    verdict = verdict_on(stream(lambda time_s: 203))
+    verdict = verdict_on(stream(203))
     assert (verdict.wrong, verdict.silences, verdict.above_wrong, verdict.false_objects) == ([], [], 0, [])
     # The first limit is not judged, and nothing is held in the last tenth.
     assert verdict.judged_s == pytest.approx(9.0)
@@ -107,26 +115,26 @@ def test_a_held_distance_becomes_wrong_when_the_vehicle_moves_on_and_ends_at_the
 
 @pytest.mark.parametrize(("quality", "orientation", "current_cm"), [(1, DOWN, 400), (90, FORWARD, 400), (90, DOWN, 19)])
 def test_what_is_no_valid_distance_down_is_never_a_wrong_one(quality: int, orientation: int, current_cm: int) -> None:
-    verdict = verdict_on(stream(lambda time_s: current_cm, quality=quality, orientation=orientation))
+    verdict = verdict_on(stream(current_cm, quality=quality, orientation=orientation))
     assert (verdict.wrong, verdict.valid_s) == ([], 0.0)
 
 
 def test_either_ground_is_right_where_there_are_two() -> None:
-    truth = StatedTruth(lambda time_s: 2.0, lambda time_s: 3.0)
+    truth = StatedTruth(2.0, 3.0)
     assert verdict_on(stream(lambda time_s: 300 if time_s < 5 else 200), truth).wrong == []
-    assert len(verdict_on(stream(lambda time_s: 400), truth).wrong) == 1
+    assert len(verdict_on(stream(400), truth).wrong) == 1
 
 
 def test_above_the_maximum_is_wrong_over_a_near_ground_and_usable_over_a_far_one() -> None:
-    near, far = StatedTruth(lambda time_s: 7.0), StatedTruth(lambda time_s: 7.3)
-    messages = stream(lambda time_s: 766, quality=1)
+    near, far = StatedTruth(7.0), StatedTruth(7.3)
+    messages = stream(766, quality=1)
     verdict = verdict_on(messages, near)
     assert (verdict.above_wrong, verdict.silences) == (99, [])
     assert verdict.above_wrong_s == pytest.approx(9.9)
     (event,) = verdict.wrong
     assert event[:3] == pytest.approx((0.1, 9.9, 0.65), abs=0.03)
     assert (verdict_on(messages, far).above_wrong, verdict_on(messages, far).silences) == (0, [])
-    either = StatedTruth(lambda time_s: 7.0, lambda time_s: 9.0)
+    either = StatedTruth(7.0, 9.0)
     assert verdict_on(messages, either).above_wrong == 0
 
 
@@ -155,7 +163,7 @@ def test_above_the_maximum_is_no_silence_although_the_vehicle_has_just_sunk_belo
 def test_stated_deviations(
     error_cm: int, std_cm: int, quality: int, valid_s: float, honest_s: float, covered_s: float
 ) -> None:
-    verdict = verdict_on(stream(lambda time_s: 200 + error_cm, std_cm=std_cm, quality=quality))
+    verdict = verdict_on(stream(200 + error_cm, std_cm=std_cm, quality=quality))
     assert (verdict.valid_s, verdict.honest_s, verdict.covered_s) == pytest.approx((valid_s, honest_s, covered_s))
 
 
@@ -166,7 +174,7 @@ def test_stated_deviations(
 def test_a_quality_of_ninety_is_counted_where_it_is_right_and_where_it_is_not(
     error_cm: int, quality: int, sure_s: float, sure_honest_s: float
 ) -> None:
-    verdict = verdict_on(stream(lambda time_s: 200 + error_cm, std_cm=2, quality=quality))
+    verdict = verdict_on(stream(200 + error_cm, std_cm=2, quality=quality))
     assert (verdict.sure_s, verdict.sure_honest_s) == pytest.approx((sure_s, sure_honest_s))
 
 
@@ -180,22 +188,26 @@ def test_the_time_with_a_fault_is_counted_by_itself() -> None:
 def test_a_deviation_is_that_of_the_echo_and_not_of_the_receipt() -> None:
     """At 3 m/s the vehicle moves 12 cm in the 40 ms between them."""
     truth = StatedTruth(lambda time_s: 1.0 + 3.0 * time_s)
-    at_echo = stream(lambda time_s: round(100 + 300 * (time_s - 0.04)), to_s=2.0)
-    at_receipt = stream(lambda time_s: round(100 + 300 * time_s), to_s=2.0)
+    at_echo = stream(lambda time_s: 100 + 300 * (time_s - 0.04), to_s=2.0)
+    at_receipt = stream(lambda time_s: 100 + 300 * time_s, to_s=2.0)
     assert verdict_on(at_echo, truth, end_s=2.0).covered_s == pytest.approx(1.0)
     assert verdict_on(at_receipt, truth, end_s=2.0).covered_s == 0.0
 
 
 def test_a_stamp_that_is_far_off_is_not_believed() -> None:
     truth = StatedTruth(lambda time_s: 1.0 + 3.0 * time_s)
-    messages = stream(lambda time_s: round(100 + 300 * time_s), to_s=2.0)
+    messages = stream(lambda time_s: 100 + 300 * time_s, to_s=2.0)
     for _, message in messages:
         message.time_boot_ms += 5000
     assert verdict_on(messages, truth, end_s=2.0).covered_s == pytest.approx(1.0)
 
 
-SILENT_FROM_S = 4.0
-SILENT = [each for each in stream(lambda time_s: 200) if each[0] <= SILENT_FROM_S or each[0] > 8.0]
+SILENT = [each for each in stream() if not 4.0 < each[0] <= 8.0]
+
+
+def off_from_5_s(time_s: float) -> float:
+    """A distance that is a metre too long from then on [cm]."""
+    return 300 if time_s >= 5.0 else 200
 
 
 @pytest.mark.parametrize(
@@ -234,12 +246,12 @@ def test_a_stream_that_never_starts_is_a_silence_from_the_start() -> None:
 
 
 def test_a_silence_at_the_end_counts_where_there_was_time_to_report_it() -> None:
-    assert verdict_on(stream(lambda time_s: 200, to_s=8.7)).silences == []
-    assert len(verdict_on(stream(lambda time_s: 200, to_s=8.4)).silences) == 1
+    assert verdict_on(stream(to_s=8.7)).silences == []
+    assert len(verdict_on(stream(to_s=8.4)).silences) == 1
 
 
 def test_a_wrong_distance_is_reported_within_two_seconds_or_not() -> None:
-    wrong = stream(lambda time_s: 300 if time_s >= 5.0 else 200)
+    wrong = stream(off_from_5_s)
     for time_s, reported in ((6.9, "text"), (7.1, None)):
         (event,) = verdict_on([*wrong, text(time_s, "Range: no air temperature, using 20 C")]).wrong
         assert event.reported == reported
@@ -277,7 +289,7 @@ def test_that_the_air_temperature_lags_reports_what_it_says_until_that_is_over(
     ],
 )
 def test_a_text_on_a_healthy_sensor_alone_reports_no_wrong_distance(words: str, reported: str | None) -> None:
-    wrong = stream(lambda time_s: 300 if time_s >= 5.0 else 200)
+    wrong = stream(off_from_5_s)
     faulty_from_s = {"front_left": 4.0, "front_left_2": 9.0, "rear_left": math.inf}
     (event,) = verdict_on([*wrong, text(6.0, words)], faulty_from_s=faulty_from_s).wrong
     assert event.reported == reported
@@ -288,15 +300,15 @@ HOSTILE = {"wrong_m": 0.2, "wrong_share": 0.05, "stamp_counts": True}
 
 @pytest.mark.parametrize(("true_cm", "error_cm", "wrong"), [(200, 19, 0), (200, 21, 1), (600, 29, 0), (600, -31, 1)])
 def test_a_hostile_flight_is_judged_by_20_cm_or_5_percent(true_cm: int, error_cm: int, wrong: int) -> None:
-    truth = StatedTruth(lambda time_s: true_cm / 100)
-    assert len(verdict_on(stream(lambda time_s: true_cm + error_cm), truth, **HOSTILE).wrong) == wrong
+    truth = StatedTruth(true_cm / 100)
+    assert len(verdict_on(stream(true_cm + error_cm), truth, **HOSTILE).wrong) == wrong
 
 
 @pytest.mark.parametrize(("age_s", "stamp_counts", "wrong"), [(0.14, True, 0), (0.14, False, 1), (0.30, True, 1)])
 def test_a_distance_may_be_as_old_as_its_time_stamp_says(age_s: float, stamp_counts: bool, wrong: int) -> None:
     """At 2.5 m/s, 0.14 s are 35 cm; a distance of 0.30 s ago that is said to be of 0.14 s ago is 40 cm off."""
     truth = StatedTruth(lambda time_s: 1.0 + 2.5 * time_s)
-    messages = stream(lambda time_s: round(100 + 250 * (time_s - age_s)), to_s=2.0)
+    messages = stream(lambda time_s: 100 + 250 * (time_s - age_s), to_s=2.0)
     for _, message in messages:
         message.time_boot_ms -= 100
     verdict = verdict_on(messages, truth, end_s=2.0, **HOSTILE | {"stamp_counts": stamp_counts})
@@ -304,34 +316,34 @@ def test_a_distance_may_be_as_old_as_its_time_stamp_says(age_s: float, stamp_cou
 
 
 def test_above_the_maximum_in_a_hostile_flight_is_wrong_5_percent_below() -> None:
-    messages = stream(lambda time_s: 766, quality=1)
-    assert verdict_on(messages, StatedTruth(lambda time_s: 7.2), **HOSTILE).above_wrong == 99
-    assert verdict_on(messages, StatedTruth(lambda time_s: 7.3), **HOSTILE).above_wrong == 0
+    messages = stream(766, quality=1)
+    assert verdict_on(messages, StatedTruth(7.2), **HOSTILE).above_wrong == 99
+    assert verdict_on(messages, StatedTruth(7.3), **HOSTILE).above_wrong == 0
 
 
 def test_warnings_count_but_for_those_on_an_object_that_is_there() -> None:
-    truth = StatedTruth(lambda time_s: 2.0, uneven=lambda time_s: time_s < 5.0)
+    truth = StatedTruth(2.0, uneven=lambda time_s: time_s < 5.0)
     texts = [text(time_s, "Range front_left: object below, 0.5 m high") for time_s in (4.0, 6.0)]
     info = text(7.0, "Range: all 4 sensors good", mavlink.MAV_SEVERITY_INFO)
     stuck = text(8.0, "Range front_left: stuck at one value")
-    verdict = verdict_on([*stream(lambda time_s: 200), *texts, info, stuck], truth)
+    verdict = verdict_on([*stream(), *texts, info, stuck], truth)
     assert [each.split(":")[0] for each in verdict.warnings] == ["6.0 s", "8.0 s"]
 
 
 def test_the_silence_of_an_edge_is_the_longest_that_reaches_into_it() -> None:
     """One ends 0.4 s after an edge, one lies between two edges, one begins 0.6 s before an edge."""
-    truth = StatedTruth(lambda time_s: 2.0, uneven=lambda time_s: 3.0 <= time_s < 5.0 or 7.0 <= time_s < 8.0)
+    truth = StatedTruth(2.0, uneven=lambda time_s: 3.0 <= time_s < 5.0 or 7.0 <= time_s < 8.0)
     silent_s = [(4.7, 5.4), (5.4, 6.3), (6.4, 7.4)]
-    sent = [each for each in stream(lambda time_s: 200) if not any(a + 0.05 < each[0] < b - 0.05 for a, b in silent_s)]
+    sent = [each for each in stream() if not any(a + 0.05 < each[0] < b - 0.05 for a, b in silent_s)]
     assert verdict_on(sent, truth).edges == [pytest.approx((3.0, 0.7)), pytest.approx((7.0, 1.0))]
 
 
 def test_objects_count_where_there_is_none() -> None:
-    truth = StatedTruth(lambda time_s: 2.0, uneven=lambda time_s: time_s < 5.0)
+    truth = StatedTruth(2.0, uneven=lambda time_s: time_s < 5.0)
     warning = mavlink.MAV_SEVERITY_WARNING
     texts = [text(time_s, "Range front_left: object of 0.5 m below", warning) for time_s in (4.0, 6.0)]
     over = text(7.0, "Range front_left: ground below, no object", mavlink.MAV_SEVERITY_INFO)
-    verdict = verdict_on([*stream(lambda time_s: 200), *texts, over], truth)
+    verdict = verdict_on([*stream(), *texts, over], truth)
     assert verdict.false_objects == ["6.0 s: Range front_left: object of 0.5 m below"]
 
 

@@ -12,7 +12,18 @@ from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
 from msp_range.fusion.modes import SensorMode, ground_prior, noise_density, object_prior
 from msp_range.fusion.vertical import VerticalMotion
 from msp_range.reading import Reading, Status
-from tests.unit.msp_range.fusion.test_fusion import CORNERS, DOWN, NAMES, SIGMA_M, SLOT_S, WINDOWS, four, reading, take
+from tests.unit.msp_range.fusion.test_fusion import (
+    CORNERS,
+    DOWN,
+    NAMES,
+    SIGMA_M,
+    SLOT_S,
+    WINDOWS,
+    accelerate,
+    four,
+    reading,
+    take,
+)
 
 
 def sent_m(range_m: Callable[[str, float], float], until_s: float = 20.0) -> dict[float, float]:
@@ -99,7 +110,7 @@ def test_two_readings_that_agree_are_a_first_ground_however_slow_the_polling_is(
 
 def test_a_sensor_with_more_noise_than_an_ultrasonic_one_has_one_ground() -> None:
     """A lidar at 30 m."""
-    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack(), WINDOWS, maximum_m=60.0)
+    fusion = four(names="a", maximum_m=60.0)
     draw = np.random.default_rng(2)
     sent = 0
     for i in range(300):
@@ -140,19 +151,15 @@ class Moving:
     ) -> None:
         self._climbs, self._climb_m = climbs, climb_m
         motion, draw = VerticalMotion(), np.random.default_rng(seed)
-        sensors = {name: DownwardSensor((*CORNERS[name], 0.0), DOWN, "slant") for name in names}
-        fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
+        fusion = four(motion=motion, names=names, maximum_m=7.65)
         self.sent: dict[float, float] = {}
         self.statuses: dict[float, Status] = {}
         self.doubts: dict[float, str | None] = {}
         pings: dict[str, Reading] = {}
         for i in range(200):
             time_s = i * SLOT_S
-            for k in range(4):
-                moment_s = time_s - 0.075 + 0.025 * k
-                up_m_s2 = self._at(moment_s)[1] + draw.normal(0.0, 0.3)
-                if moment_s > measured_from_s[0]:
-                    motion.on_acceleration(moment_s, up_m_s2)
+            if time_s > measured_from_s[0]:
+                accelerate(motion, time_s - 0.075, lambda moment_s: self._at(moment_s)[1], draw)
             by_pressure_m = 100.0 + self._at(time_s)[0] + draw.normal(0.0, 0.1)
             if time_s > measured_from_s[1]:
                 motion.on_pressure_height(time_s, by_pressure_m)
@@ -167,6 +174,14 @@ class Moving:
             self.doubts[time_s] = {each.key: each.text for each in fusion.conditions()}["doubt"]
             if out.fused is not None:
                 self.sent[time_s] = out.fused.range_m
+
+    def sent_s(self, from_s: float, to_s: float = math.inf) -> list[float]:
+        """When something was sent between two times [s]."""
+        return [time_s for time_s in self.sent if from_s < time_s < to_s]
+
+    def sent_m(self, from_s: float) -> list[float]:
+        """What was sent from a time on [m]."""
+        return [self.sent[time_s] for time_s in self.sent_s(from_s)]
 
     def _at(self, time_s: float) -> tuple[float, float]:
         """How far it has climbed [m], and its acceleration upwards [m/s^2]."""
@@ -194,9 +209,9 @@ def test_it_returns_where_the_vehicle_has_climbed_meanwhile(base_m: float) -> No
         return spoilt.uniform(0.2, 7.0) if 6.0 < time_s < 12.0 else base_m + height_m
 
     flight = Moving(range_m, climbs=(7.0, 9.0))
-    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.7}
-    assert len(after) > 65
-    assert all(abs(range_m - base_m - 2.0) < 0.15 for range_m in after.values())
+    after_m = flight.sent_m(12.7)
+    assert len(after_m) > 65
+    assert after_m == pytest.approx([base_m + 2.0] * len(after_m), abs=0.15)
 
 
 def test_it_returns_near_the_ground_where_the_vehicle_has_sunk_meanwhile() -> None:
@@ -207,17 +222,17 @@ def test_it_returns_near_the_ground_where_the_vehicle_has_sunk_meanwhile() -> No
         return spoilt.uniform(2.0, 7.0) if 6.0 < time_s < 12.0 else 2.5 + height_m
 
     flight = Moving(range_m, climbs=(7.0, 9.0), climb_m=-1.0)
-    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.7}
-    assert len(after) > 65
-    assert all(abs(range_m - 0.5) < 0.1 for range_m in after.values())
+    after_m = flight.sent_m(12.7)
+    assert len(after_m) > 65
+    assert after_m == pytest.approx([0.5] * len(after_m), abs=0.1)
 
 
 def test_a_ground_that_is_near_after_a_jump_is_sent_when_it_answers_to_a_climb() -> None:
     flight = Moving(lambda name, time_s, height_m: (4.0 if time_s < 6.0 else 0.5) + height_m, climbs=(10.0,))
-    assert not [time_s for time_s in flight.sent if 6.5 < time_s < 10.0]
-    after = {time_s: range_m for time_s, range_m in flight.sent.items() if time_s > 12.0}
-    assert len(after) > 70
-    assert all(abs(range_m - 1.5) < 0.15 for range_m in after.values())
+    assert not flight.sent_s(6.5, 10.0)
+    after_m = flight.sent_m(12.0)
+    assert len(after_m) > 70
+    assert after_m == pytest.approx([1.5] * len(after_m), abs=0.15)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -225,7 +240,7 @@ def test_a_ground_that_is_near_after_a_jump_is_sent_when_it_answers_to_a_climb()
 def test_what_does_not_answer_to_a_climb_is_part_of_the_vehicle(climb_m: float, seed: int) -> None:
     """Nor in a hard one, in which its readings would be taken for those of many surfaces."""
     flight = Moving(lambda name, time_s, height_m: 3.0 if time_s < 7.0 else 0.5, (10.0, 13.0), climb_m, seed)
-    assert not [time_s for time_s in flight.sent if time_s > 7.5]
+    assert not flight.sent_s(7.5)
     assert Status.FIXED in flight.statuses.values()
 
 
@@ -255,9 +270,9 @@ def test_an_edge_silences_three_sensors_of_four_for_no_second_turn(dead: str, dr
 def test_a_strap_that_the_ground_was_nearer_than_before_the_take_off_is_not_sent_for_long() -> None:
     """Up to 0.57 m the readings follow the climb, and then no more."""
     climbing = Moving(lambda name, time_s, height_m: min(0.2 + height_m, 0.57), [5.0, 9.0])
-    assert not [time_s for time_s in climbing.sent if time_s > 9.5]
+    assert not climbing.sent_s(9.5)
     at_rest = Moving(lambda name, time_s, height_m: 0.57)
-    assert len([time_s for time_s in at_rest.sent if time_s > 9.5]) > 90
+    assert len(at_rest.sent_s(9.5)) > 90
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -265,9 +280,9 @@ def test_a_strap_is_not_sent_where_the_vehicle_has_risen_before_its_acceleration
     """By 4 m by the barometer; a ground that is as near follows that, and is sent."""
     begins_s = (30.0, 1.0)
     strap = Moving(lambda name, time_s, height_m: 0.4, (2.0, 4.0), 2.0, seed, begins_s)
-    assert not [time_s for time_s in strap.sent if 5.0 < time_s < 15.0]
+    assert not strap.sent_s(5.0, 15.0)
     ground = Moving(lambda name, time_s, height_m: 0.3 + 0.1 * height_m, (2.0, 4.0), 0.5, seed, begins_s)
-    assert len([time_s for time_s in ground.sent if time_s > 5.0]) > 140
+    assert len(ground.sent_s(5.0)) > 140
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -298,7 +313,7 @@ def test_a_strap_that_swings_free_is_not_believed_again(seed: int) -> None:
     """It was found to be fixed, and then is where the ground is no more likely."""
     strap = Moving(lambda name, time_s, height_m: 0.4 if time_s < 9.0 else 0.55, [5.0], 1.0, seed, names="a")
     assert Status.FIXED in strap.statuses.values()
-    assert not [time_s for time_s in strap.sent if time_s > 7.5]
+    assert not strap.sent_s(7.5)
 
 
 @pytest.mark.parametrize("climb_m", [1.0, -1.0], ids=["climb", "descent"])
@@ -306,16 +321,16 @@ def test_answers_that_begin_to_come_late_in_a_steady_climb_are_not_sent(climb_m:
     """Each sensor gives its last answer once more, and edges do not end that; a kerb of that height is ground."""
     climbs, level_m = [4.0 + i for i in range(8)], 4.2 - 2.8 * climb_m
     late = Moving(lambda name, time_s, height_m: level_m + height_m, climbs, climb_m, late_from_s=7.95)
-    assert not [time_s for time_s in late.sent if 8.4 < time_s < 10.0]
+    assert not late.sent_s(8.4, 10.0)
     edge = Moving(
         lambda name, time_s, height_m: level_m + height_m - 0.6 * climb_m * ((time_s > 8.75) + (time_s > 9.35)),
         climbs,
         climb_m,
         late_from_s=7.95,
     )
-    assert not [time_s for time_s in edge.sent if 8.4 < time_s < 10.0]
+    assert not edge.sent_s(8.4, 10.0)
     kerb = Moving(lambda name, time_s, height_m: level_m + height_m - 0.4 * climb_m * (time_s > 7.95), climbs, climb_m)
-    assert len([time_s for time_s in kerb.sent if 8.4 < time_s < 10.0]) > 12
+    assert len(kerb.sent_s(8.4, 10.0)) > 12
 
 
 def test_answers_stay_late_on_a_ground_that_was_lost_meanwhile() -> None:
@@ -325,7 +340,7 @@ def test_answers_stay_late_on_a_ground_that_was_lost_meanwhile() -> None:
         return math.nan if 11.0 < time_s < 14.0 else 1.0 + height_m
 
     flight = Moving(range_m, [4.0, 8.0, 16.0], late_from_s=6.0)
-    assert not [time_s for time_s in flight.sent if 9.5 < time_s < 18.0]
+    assert not flight.sent_s(9.5, 18.0)
 
 
 CHANGED, UNANSWERED = "Range: sudden change, maybe an object or fault", "Range: readings do not follow the motion"
@@ -359,8 +374,8 @@ def test_two_sensors_that_drift_alike_are_a_slope_until_it_is_too_steep(seed: in
     steep_s = min(time_s for time_s, doubt in flight.doubts.items() if doubt)
     assert 2.0 + 0.35 / 0.075 < steep_s < 2.0 + 0.7 / 0.075
     assert flight.doubts[steep_s] == "Range: ground seems too steep, maybe a fault"
-    assert len([time_s for time_s in flight.sent if time_s < steep_s - 0.5]) > 0.95 * (steep_s - 0.5) / SLOT_S - 5
-    assert not [time_s for time_s in flight.sent if time_s > 2.0 + 0.75 / 0.075]
+    assert len(flight.sent_s(0.0, steep_s - 0.5)) > 0.95 * (steep_s - 0.5) / SLOT_S - 5
+    assert not flight.sent_s(2.0 + 0.75 / 0.075)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -378,7 +393,7 @@ def test_what_is_near_below_one_sensor_is_no_ground_while_others_see_parts_of_th
 
     strap = Moving(range_m, [3.0, 6.0, 9.0])
     assert Status.FIXED in strap.statuses.values()
-    assert not [time_s for time_s in strap.sent if time_s > 12.0]
+    assert not strap.sent_s(12.0)
 
 
 def test_a_fault_code_does_not_end_an_object() -> None:

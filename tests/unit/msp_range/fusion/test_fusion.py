@@ -23,10 +23,16 @@ WINDOWS = Windows()
 NEWEST_S, MEMORY_S, HELD_S = WINDOWS.newest_s, WINDOWS.memory_s, WINDOWS.held_s
 
 
-def four(below_m: float = 0.0, oblique: Oblique = "slant", attitude: AttitudeTrack | None = None) -> Fusion:
+def four(
+    oblique: Oblique = "slant",
+    attitude: AttitudeTrack | None = None,
+    motion: VerticalMotion | None = None,
+    names: str = NAMES,
+    maximum_m: float = 1000.0,
+) -> Fusion:
     """Sensors under the corners of a pallet, straight down."""
-    sensors = {name: DownwardSensor((x, y, below_m), DOWN, oblique) for name, (x, y) in CORNERS.items()}
-    return Fusion(sensors, attitude or AttitudeTrack(), WINDOWS, maximum_m=1000.0)
+    sensors = {name: DownwardSensor((*CORNERS[name], 0.0), DOWN, oblique) for name in names}
+    return Fusion(sensors, attitude or AttitudeTrack(), WINDOWS, motion, maximum_m=maximum_m)
 
 
 def reading(name: str, time_s: float, range_m: float | None, raw: int | None = None, suspect: bool = False) -> Reading:
@@ -57,6 +63,14 @@ def fly(
             seen_m += noise_m[i - start]
         out.append(take(fusion, reading(name, time_s, seen_m)))
     return out
+
+
+def accelerate(
+    motion: VerticalMotion, time_s: float, up_m_s2: Callable[[float], float], draw: np.random.Generator
+) -> None:
+    """Four accelerations in a slot, with the noise of an autopilot's."""
+    for moment_s in (time_s + 0.025 * k for k in range(4)):
+        motion.on_acceleration(moment_s, up_m_s2(moment_s) + draw.normal(0.0, 0.3))
 
 
 def noise(count: int, seed: int = 1) -> np.ndarray:
@@ -231,8 +245,7 @@ def test_a_canted_sensor_reads_the_slant_or_the_nearest_point(
         )
         for i, name in enumerate(NAMES)
     }
-    fused = fly(Fusion(sensors, AttitudeTrack(), WINDOWS), lambda name, time_s: 5.0, 40)[-1]
-    assert fused is not None
+    fused = known(fly(Fusion(sensors, AttitudeTrack(), WINDOWS), lambda name, time_s: 5.0, 40)[-1])
     cosine = math.cos(math.radians(tilt_deg))
     assert fused.range_m == pytest.approx(down(5.0, cosine) + 0.07, rel=1e-6)
     # Where it is unknown which, the truth may be half the difference away in every reading alike.
@@ -245,8 +258,7 @@ def test_a_first_ground_is_sent_while_more_than_half_of_those_that_were_read_agr
     fusion = four()
     assert take(fusion, reading("a", 0.0, 3.0)) is None
     fused = take(fusion, reading("b", 0.1, 3.02))
-    assert fused is not None
-    assert fused.range_m == pytest.approx(3.02, abs=0.01)
+    assert known(fused).range_m == pytest.approx(3.02, abs=0.01)
     fusion = four()
     out = fly(fusion, lambda name, time_s: 3.0 if name in "ab" else 5.0, 100)
     assert out[3:] == [None] * 97, "two against two"
@@ -263,14 +275,12 @@ def test_a_first_reading_that_does_not_agree_makes_the_others_wait_until_two_agr
 
 
 def test_one_sensor_alone_needs_three_readings_to_believe_a_step_and_knows_no_objects() -> None:
-    fusion = Fusion({"a": DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")}, AttitudeTrack(), WINDOWS)
+    fusion = four(names="a")
     ranges_m = [4.0] * 20 + [2.0] + [4.0] * 9 + [3.0] * 10
     out = [take(fusion, reading("a", i * SLOT_S, range_m)) for i, range_m in enumerate(ranges_m)]
     assert [i for i, each in enumerate(out) if each is None] == [0, 20, 30, 31]
-    assert out[29] is not None
-    assert out[29].range_m == pytest.approx(4.0, abs=0.01)
-    assert out[32] is not None
-    assert out[32].range_m == pytest.approx(3.0, abs=0.01)
+    assert known(out[29]).range_m == pytest.approx(4.0, abs=0.01)
+    assert known(out[32]).range_m == pytest.approx(3.0, abs=0.01)
     assert fusion.object_m("a") is None
 
 
@@ -368,8 +378,7 @@ def test_stuck_sensors_do_not_hold_the_ground_and_are_faults(stuck: str, speed_m
     """It would make an autopilot climb away; two of four that are stuck must not outvote the two that are not."""
     fusion, out = climbing(stuck, speed_m_s)
     end_m = 3.0 + speed_m_s * 7.9
-    assert out[-1] is not None
-    assert out[-1].range_m == pytest.approx(end_m, abs=0.06)
+    assert known(out[-1]).range_m == pytest.approx(end_m, abs=0.06)
     for name in NAMES:
         judged = fusion.update(reading(name, 8.0, 3.01, raw=301), 8.0).reading
         assert (judged.status is Status.STUCK) is (name in stuck)
@@ -382,7 +391,7 @@ def test_stuck_sensors_do_not_hold_the_ground_and_are_faults(stuck: str, speed_m
 
 def test_of_two_sensors_the_one_that_is_stuck_does_not_silence_the_other() -> None:
     """A second after the other one has begun to move away from it."""
-    fusion = Fusion({name: DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant") for name in "ab"}, AttitudeTrack(), WINDOWS)
+    fusion = four(names="ab")
     draw = np.random.default_rng(4)
     for i in range(160):
         t = min(max(i * SLOT_S - 8.0, 0.0), 2.0)
@@ -413,8 +422,7 @@ def test_sensors_at_their_minimum_on_the_ground_are_not_stuck() -> None:
         outcome = fusion.update(each, each.time_s)
         assert outcome.reading is each
         fused = outcome.fused
-    assert fused is not None
-    assert fused.range_m == pytest.approx(height_m, abs=0.05)
+    assert known(fused).range_m == pytest.approx(height_m, abs=0.05)
 
 
 # Attitude and slope.
@@ -468,8 +476,7 @@ def test_without_attitude_a_leaning_vehicle_sees_a_slope_and_the_same_distance()
     vehicle = Turned(lambda t: (0.0, 0.1, 0.0))
     fusion = four()
     fused = fly(fusion, vehicle.ranges(2.5, (0.0, 0.0)), 200)[-1]
-    assert fused is not None
-    assert fused.range_m == pytest.approx(2.5 / math.cos(0.1), abs=0.005)
+    assert known(fused).range_m == pytest.approx(2.5 / math.cos(0.1), abs=0.005)
 
 
 def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> None:
@@ -479,8 +486,7 @@ def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> No
     assert not track.update(Angles(1.1, math.nan, 0.0, 0.0))
     assert track.update(Angles(1.2, 0.0, 0.2, math.radians(10)))
     assert not track.update(Angles(1.2005, 0.0, 0.9, 0.0)), "the same buffer"
-    rotation = track.rotation_at(1.1)
-    assert rotation is not None
+    rotation = known(track.rotation_at(1.1))
     assert -rotation[2][0] == pytest.approx(math.sin(0.1))
     assert rotation[1][0] == pytest.approx(0.0, abs=1e-9), "north lies between 350 and 10 deg"
     assert track.rotation_at(1.2 + OLDEST_S - 0.01) is not None
@@ -536,41 +542,33 @@ def test_at_the_sensors_minimum_the_stated_deviation_covers_a_vehicle_on_the_gro
 
 def test_a_landing_that_bounces_is_no_part_of_the_vehicle() -> None:
     """At the minimum the range does not respond: the ground is that near or nearer."""
-    motion = VerticalMotion()
-    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
-    fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
-    draw = np.random.default_rng(1)
+    motion, draw = VerticalMotion(), np.random.default_rng(1)
+    fusion = four(motion=motion, maximum_m=7.65)
     for i in range(400):
         time_s = i * SLOT_S
-        for k in range(4):
-            moment_s = time_s + 0.025 * k
+        for moment_s in (time_s + 0.025 * k for k in range(4)):
             up_m_s2 = 2.0 * math.sin(2 * math.pi * 1.3 * moment_s) if 10.0 < moment_s < 20.0 else 0.0
             motion.on_acceleration(moment_s, up_m_s2 + draw.normal(0.0, 0.3))
             motion.on_pressure_height(moment_s, draw.normal(0.0, 0.15))
         at_minimum = Reading(time_s, NAMES[i % 4], Status.AT_MINIMUM, 0.20, SIGMA_M, 20)
-        out = fusion.update(at_minimum, time_s + 0.03)
-        assert i < 10 or out.fused is not None, time_s
+        fused = take(fusion, at_minimum)
+        assert i < 10 or fused is not None, time_s
 
 
 def test_what_is_fixed_to_the_vehicle_is_found_in_a_hard_climb() -> None:
     """Its range leaves the ground that the accelerometer predicts within a turn, and no reading is of it then."""
-    motion = VerticalMotion()
-    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
-    fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
-    draw = np.random.default_rng(1)
-    found_s = None
+    motion, draw = VerticalMotion(), np.random.default_rng(1)
+    fusion, found_s = four(motion=motion, maximum_m=7.65), []
+
+    def up_m_s2(moment_s: float) -> float:
+        return 3.75 if 10.0 < moment_s < 10.8 else -3.75 if 12.0 < moment_s < 12.8 else 0.0
+
     for i in range(160):
         time_s = i * SLOT_S
-        for k in range(4):
-            moment_s = time_s + 0.025 * k
-            up_m_s2 = 3.75 if 10.0 < moment_s < 10.8 else -3.75 if 12.0 < moment_s < 12.8 else 0.0
-            motion.on_acceleration(moment_s, up_m_s2 + draw.normal(0.0, 0.3))
-        seen = reading(NAMES[i % 4], time_s, 0.5 + draw.normal(scale=SIGMA_M))
-        out = fusion.update(seen, time_s + 0.03)
-        if out.reading.status is Status.FIXED:
-            found_s = found_s or time_s
-    assert found_s is not None
-    assert 10.0 < found_s < 12.0
+        accelerate(motion, time_s, up_m_s2, draw)
+        out = fusion.update(reading(NAMES[i % 4], time_s, 0.5 + draw.normal(scale=SIGMA_M)), time_s + 0.03)
+        found_s += [time_s] * (out.reading.status is Status.FIXED)
+    assert 10.0 < found_s[0] < 12.0
 
 
 def test_the_first_reading_of_a_flank_is_no_climb() -> None:
@@ -585,26 +583,16 @@ def test_the_first_reading_of_a_flank_is_no_climb() -> None:
 
 
 def test_answers_of_the_ping_before_are_not_sent_and_reported() -> None:
-    motion = VerticalMotion()
-    sensors = {name: DownwardSensor((x, y, 0.0), DOWN, "slant") for name, (x, y) in CORNERS.items()}
-    fusion = Fusion(sensors, AttitudeTrack(), WINDOWS, motion)
-    draw = np.random.default_rng(1)
-
-    def height_m(time_s: float) -> float:
-        """Up and down by 1 m."""
-        return 3.0 - math.cos(2 * math.pi * max(time_s - 5.0, 0.0) / 5.0)
-
-    late = []
+    """While the vehicle goes up and down by 1 m."""
+    motion, draw = VerticalMotion(), np.random.default_rng(1)
+    fusion, late = four(motion=motion, maximum_m=7.65), []
+    omega = 2 * math.pi / 5.0
     for i in range(200):
         time_s = i * SLOT_S
-        for k in range(4):
-            moment_s = time_s + 0.025 * k
-            up_m_s2 = (2 * math.pi / 5.0) ** 2 * math.cos(2 * math.pi * (moment_s - 5.0) / 5.0) if moment_s > 5 else 0.0
-            motion.on_acceleration(moment_s, up_m_s2 + draw.normal(0.0, 0.3))
-        range_m = height_m(time_s - 4 * SLOT_S) + draw.normal(scale=SIGMA_M)
+        accelerate(motion, time_s, lambda at_s: omega**2 * math.cos(omega * (at_s - 5.0)) * (at_s > 5.0), draw)
+        range_m = 3.0 - math.cos(omega * max(time_s - 4 * SLOT_S - 5.0, 0.0)) + draw.normal(scale=SIGMA_M)
         out = fusion.update(reading(NAMES[i % 4], time_s, range_m), time_s + 0.03)
         if fusion.conditions()[0].text is not None:
             late.append(time_s)
             assert out.fused is None
-    assert late
     assert min(late) > 5.0
