@@ -17,6 +17,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -55,6 +56,20 @@ flight: {{altitude: [{{kind: climb, to_m: 1.0}}, {{kind: land}}]}}
 faults: [{{sensor: rear_left, kind: silent, from_s: 0, to_s: 600}}]
 """
 """A scenario for `--ground`."""
+
+
+def heartbeat(base_mode: int) -> Any:
+    return mavlink.MAVLink_heartbeat_message(
+        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA, base_mode, 0, mavlink.MAV_STATE_ACTIVE, 3
+    )
+
+
+DISARMED, ARMED = heartbeat(0), heartbeat(mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+
+def sim_state(alt_m: float, **fields: float) -> Any:
+    values = dict.fromkeys(mavlink.MAVLink_sim_state_message.fieldnames, 0) | {"alt": alt_m} | fields
+    return mavlink.MAVLink_sim_state_message(**values)
 
 
 class PointMass:
@@ -154,25 +169,13 @@ class FakeAutopilot(threading.Thread):
 
     def _speak(self, now_s: float) -> None:
         if self._is_due(mavlink.MAVLINK_MSG_ID_HEARTBEAT, 1.0):
-            mode = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if self.is_armed() else 0
-            self._send(
-                mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_QUADROTOR,
-                    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
-                    mode,
-                    0,
-                    mavlink.MAV_STATE_ACTIVE,
-                    3,
-                )
-            )
+            self._send(ARMED if self.is_armed() else DISARMED)
         if self.is_silent():
             return
         boot_ms, height_m, climb_m_s = round(now_s * 1e3), self._mass.height_m, self._mass.climb_m_s
         if self.truth and self._is_asked(mavlink.MAVLINK_MSG_ID_SIM_STATE):
             # At 584 m above the sea, as ArduPilot's default place; only what the simulator uses is filled in.
-            fields: dict[str, float] = dict.fromkeys(mavlink.MAVLink_sim_state_message.fieldnames, 0)
-            fields |= {"alt": 584.0 + height_m, "vd": -climb_m_s, "lat_int": -353632610, "lon_int": 1491652300}
-            self._send(mavlink.MAVLink_sim_state_message(**fields))
+            self._send(sim_state(584.0 + height_m, vd=-climb_m_s, lat_int=-353632610, lon_int=1491652300))
         if self._is_asked(mavlink.MAVLINK_MSG_ID_ATTITUDE):
             self._send(mavlink.MAVLink_attitude_message(boot_ms, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
         if self._is_asked(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED):
@@ -300,6 +303,11 @@ BOTH = ("truth", "estimate")
 both = pytest.mark.parametrize("name", BOTH)
 
 
+def in_real_time(test: Callable[..., None]) -> Callable[..., None]:
+    """A test of the flights, which take a while."""
+    return pytest.mark.slow(pytest.mark.real_time(test))
+
+
 def heights_climbs_errors(autopilot: FakeAutopilot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each distance that was to come: the true height [m], the climb [m/s] and the error [m]."""
     assert autopilot.first_s is not None
@@ -321,8 +329,7 @@ def is_hover(heights_m: np.ndarray, climbs_m_s: np.ndarray, errors_m: np.ndarray
 
 
 @both
-@pytest.mark.slow
-@pytest.mark.real_time
+@in_real_time
 def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
     for _, message in autopilot.distances:
@@ -341,8 +348,7 @@ def test_distances_follow_the_height(flights: dict[str, Flown], name: str) -> No
 
 
 @both
-@pytest.mark.slow
-@pytest.mark.real_time
+@in_real_time
 def test_no_distance_is_made_up_when_no_poses_come(flights: dict[str, Flown], name: str) -> None:
     autopilot = flights[name].autopilot
     assert autopilot.first_s is not None
@@ -355,8 +361,7 @@ def test_no_distance_is_made_up_when_no_poses_come(flights: dict[str, Flown], na
 
 
 @both
-@pytest.mark.slow
-@pytest.mark.real_time
+@in_real_time
 def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str) -> None:
     flown = flights[name]
     for message in ("SIM_STATE", "ATTITUDE", "LOCAL_POSITION_NED"):
@@ -368,8 +373,7 @@ def test_it_asks_for_poses_and_ends_cleanly(flights: dict[str, Flown], name: str
     assert re.findall(r"DISTANCE_SENSOR +(\d+)", flown.printed)[0] == str(len(flown.autopilot.distances))
 
 
-@pytest.mark.slow
-@pytest.mark.real_time
+@in_real_time
 def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dict[str, Flown]) -> None:
     flown = flights["in flight"]
     autopilot = flown.autopilot
@@ -379,8 +383,7 @@ def test_started_in_flight_no_distance_goes_out_until_it_has_landed(flights: dic
     assert {round(message.current_distance, -1) for _, message in autopilot.distances} == {20}
 
 
-@pytest.mark.slow
-@pytest.mark.real_time
+@in_real_time
 def test_faults_of_the_scenario_are_flown(flights: dict[str, Flown]) -> None:
     printed = flights["in flight"].printed
     for name in ("front_left", "front_right", "rear_right"):
@@ -407,8 +410,7 @@ def test_the_status_line_has_what_a_sensor_that_is_only_fused_reads() -> None:
     assert status_line(sitl).endswith("fused -, good 2.01 m, missed no_echo, single 1.98 m")
 
 
-@pytest.mark.slow
-@pytest.mark.real_time
+@in_real_time
 def test_it_leaves_a_summary_a_picture_and_a_recording(flights: dict[str, Flown], out: Path) -> None:
     summary = json.loads((out / "summary.json").read_text())
     # 25 poses a second but in the silence.
@@ -427,29 +429,22 @@ def flat(north_m: float, east_m: float) -> float:
     return 0.0
 
 
+def receive(vehicle: AutopilotVehicle, time_s: float, *messages: Any) -> None:
+    """Let messages arrive at a time."""
+    for message in messages:
+        vehicle.on_message(time_s, message)
+
+
 def local_position(z_m: float, vz_m_s: float = 0.0) -> Any:
     return mavlink.MAVLink_local_position_ned_message(0, 0.0, 0.0, z_m, 0.0, 0.0, vz_m_s)
 
 
-def sim_state(alt_m: float, **fields: float) -> Any:
-    values = dict.fromkeys(mavlink.MAVLink_sim_state_message.fieldnames, 0) | {"alt": alt_m} | fields
-    return mavlink.MAVLink_sim_state_message(**values)
-
-
-def heartbeat(base_mode: int) -> Any:
-    return mavlink.MAVLink_heartbeat_message(
-        mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_PX4, base_mode, 0, mavlink.MAV_STATE_ACTIVE, 3
-    )
-
-
-DISARMED, ARMED = heartbeat(0), heartbeat(mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 LEVEL = mavlink.MAVLink_attitude_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_pose_moves_on_with_its_speed_but_not_into_the_ground() -> None:
     vehicle = AutopilotVehicle(flat, 0.25)
-    vehicle.on_message(1.0, LEVEL)
-    vehicle.on_message(1.0, local_position(-0.7))
+    receive(vehicle, 1.0, LEVEL, local_position(-0.7))
     assert vehicle.pose(1.0).position_ned_m[2] == pytest.approx(-0.25)
     vehicle.on_message(2.0, local_position(-2.7, vz_m_s=4.0))
     assert vehicle.pose(2.1).position_ned_m[2] == pytest.approx(-1.85)
@@ -466,11 +461,9 @@ def test_where_the_vehicle_is_is_known_from_fresh_poses_after_it_was_disarmed() 
     assert not vehicle.is_known(100.0)
     vehicle.on_message(100.0, local_position(0.0))
     assert vehicle.source is None, "a position without an attitude is no pose"
-    vehicle.on_message(100.0, LEVEL)
-    vehicle.on_message(100.0, local_position(0.0))
+    receive(vehicle, 100.0, LEVEL, local_position(0.0))
     assert not vehicle.is_known(100.0), "armed before its first pose: it may have climbed meanwhile"
-    vehicle.on_message(100.0, DISARMED)
-    vehicle.on_message(100.0, ARMED)
+    receive(vehicle, 100.0, DISARMED, ARMED)
     assert vehicle.is_known(100.0 + POSE_STALE_S)
     vehicle.on_message(101.1, local_position(0.0))
     assert not vehicle.is_known(101.1), "an old attitude is no pose either"
@@ -478,13 +471,10 @@ def test_where_the_vehicle_is_is_known_from_fresh_poses_after_it_was_disarmed() 
 
 def test_a_vehicle_that_was_never_received_disarmed_has_no_known_height() -> None:
     vehicle = AutopilotVehicle(flat, 0.25)
-    vehicle.on_message(0.0, ARMED)
-    vehicle.on_message(0.0, sim_state(590.0))
+    receive(vehicle, 0.0, ARMED, sim_state(590.0))
     assert not vehicle.is_known(0.0)
-    vehicle.on_message(9.0, sim_state(584.0))
-    vehicle.on_message(9.0, DISARMED)
-    vehicle.on_message(9.1, ARMED)
-    vehicle.on_message(9.1, sim_state(585.0))
+    receive(vehicle, 9.0, sim_state(584.0), DISARMED)
+    receive(vehicle, 9.1, ARMED, sim_state(585.0))
     assert vehicle.is_known(9.1)
     assert vehicle.pose(9.1).position_ned_m[2] == pytest.approx(-1.25)
 
@@ -492,24 +482,19 @@ def test_a_vehicle_that_was_never_received_disarmed_has_no_known_height() -> Non
 def test_a_disarmed_vehicle_stands_on_the_ground_whatever_its_estimate_does() -> None:
     """PX4's EKF2 may reset its height before the simulator's truth comes."""
     vehicle = AutopilotVehicle(lambda north_m, east_m: 0.1 * north_m, 0.25)
-    vehicle.on_message(0.0, DISARMED)
-    vehicle.on_message(0.0, LEVEL)
-    vehicle.on_message(0.0, local_position(0.0))
+    receive(vehicle, 0.0, DISARMED, LEVEL, local_position(0.0))
     vehicle.on_message(0.5, local_position(-1.3))
     vehicle.on_message(0.6, sim_state(584.0))
     vehicle.on_message(1.0, DISARMED)
     assert vehicle.pose(1.0).position_ned_m == pytest.approx((0.0, 0.0, -0.25))
-    vehicle.on_message(2.0, ARMED)
-    vehicle.on_message(2.0, sim_state(590.0))
+    receive(vehicle, 2.0, ARMED, sim_state(590.0))
     assert vehicle.pose(2.0).position_ned_m[2] == pytest.approx(-6.25)
 
 
 def test_truth_goes_on_where_the_estimate_was_and_then_counts_alone() -> None:
     vehicle = AutopilotVehicle(flat, 0.25)
-    vehicle.on_message(0.0, LEVEL)
-    vehicle.on_message(0.0, local_position(5.0))
-    vehicle.on_message(0.1, local_position(3.0))
-    vehicle.on_message(0.1, sim_state(584.0))
+    receive(vehicle, 0.0, LEVEL, local_position(5.0))
+    receive(vehicle, 0.1, local_position(3.0), sim_state(584.0))
     assert vehicle.pose(0.1).position_ned_m[2] == pytest.approx(-2.25)
     vehicle.on_message(0.2, local_position(-9.0))
     assert vehicle.source == "SIM_STATE"

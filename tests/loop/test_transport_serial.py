@@ -16,6 +16,7 @@ from tests.support.transports import (
     FRAME_BYTES,
     SendTimer,
     StepClock,
+    check_passes,
     frame_numbers,
     numbered_frame,
     opened,
@@ -180,8 +181,7 @@ def test_unplugged_and_plugged_in_again_under_the_same_name(device: Device) -> N
         assert link.last_error == f"serial:{device.path}:57600: there is no such port"
         device.plug_in()
         clock.now_s += 1.0
-        assert link.send(numbered_frame(100))
-        assert frame_numbers(device.read_exactly(FRAME_BYTES)) == [100]
+        check_passes(link, 100, device.read_exactly)
         os.write(device.master, numbered_frame(7))
         assert frame_numbers(received_by(link, FRAME_BYTES)) == [7]
         assert link.last_error is None
@@ -199,8 +199,7 @@ def test_unplugged_with_half_a_frame_written(device: Device) -> None:
         assert not link.connected
         device.plug_in()
         clock.now_s += 0.5
-        assert link.send(numbered_frame(2000))
-        assert frame_numbers(device.read_exactly(FRAME_BYTES)) == [2000]
+        check_passes(link, 2000, device.read_exactly)
         assert link.stats.sent_frames + link.stats.dropped_frames == 1001
 
 
@@ -268,8 +267,7 @@ def test_a_port_in_use_by_another_program_is_reported_and_opened_when_free(devic
         assert link.last_error == f"serial:{device.path}:57600: the port is in use by another program"
         os.close(other)
         clock.now_s += 0.5
-        assert link.send(numbered_frame(1))
-        assert frame_numbers(device.read_exactly(FRAME_BYTES)) == [1]
+        check_passes(link, 1, device.read_exactly)
 
 
 def test_a_file_that_is_no_terminal_is_reported(tmp_path: Path) -> None:

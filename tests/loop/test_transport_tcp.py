@@ -3,6 +3,7 @@
 import contextlib
 import socket
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -15,6 +16,7 @@ from tests.support.transports import (
     FRAME_BYTES,
     SendTimer,
     StepClock,
+    check_passes,
     frame_numbers,
     free_port,
     numbered_frame,
@@ -62,8 +64,7 @@ def test_tcpin_carries_frames_both_ways_with_every_client() -> None:
         ):
             assert link.receive() == b""
             assert link.connected
-            assert link.send(numbered_frame(1))
-            assert frame_numbers(read_exactly(first, FRAME_BYTES)) == [1]
+            check_passes(link, 1, partial(read_exactly, first))
             assert frame_numbers(read_exactly(second, FRAME_BYTES)) == [1]
             first.sendall(numbered_frame(2))
             second.sendall(numbered_frame(3))
@@ -121,8 +122,7 @@ def test_tcp_finds_a_server_that_comes_late_and_backs_off_until_then() -> None:
             until(is_connected(link))
             peer, _ = server.accept()
             with peer:
-                assert link.send(numbered_frame(200))
-                assert frame_numbers(read_exactly(peer, FRAME_BYTES)) == [200]
+                check_passes(link, 200, partial(read_exactly, peer))
         assert link.last_error is None
         assert link.stats.reconnects == 0
 
@@ -151,8 +151,7 @@ def test_tcp_returns_to_a_server_that_vanished(abruptly: bool) -> None:
             until(is_connected(link))
             peer, _ = server.accept()
             with peer:
-                assert link.send(numbered_frame(100))
-                assert frame_numbers(read_exactly(peer, FRAME_BYTES)) == [100]
+                check_passes(link, 100, partial(read_exactly, peer))
         assert link.stats.reconnects == 1
 
 
@@ -259,8 +258,7 @@ def test_a_server_that_takes_nothing_is_left_and_found_again() -> None:
         until(is_connected(link))
         peer, _ = server.accept()
         with peer:
-            assert link.send(numbered_frame(number + 1))
-            assert frame_numbers(read_exactly(peer, FRAME_BYTES)) == [number + 1]
+            check_passes(link, number + 1, partial(read_exactly, peer))
 
 
 def test_a_client_that_never_reads_costs_the_others_nothing() -> None:
@@ -409,8 +407,7 @@ def test_tcpin_waits_for_a_port_that_another_program_has() -> None:
         assert link.last_error is None
         with socket.create_connection(("127.0.0.1", port)) as client:
             link.receive()
-            assert link.send(numbered_frame(1))
-            assert frame_numbers(read_exactly(client, FRAME_BYTES)) == [1]
+            check_passes(link, 1, partial(read_exactly, client))
 
 
 def test_tcpin_listens_again_at_once_after_a_restart() -> None:
@@ -420,6 +417,5 @@ def test_tcpin_listens_again_at_once_after_a_restart() -> None:
             assert link.last_error is None
             client = socket.create_connection(("127.0.0.1", port))
             link.receive()
-            assert link.send(numbered_frame(number))
-            assert frame_numbers(read_exactly(client, FRAME_BYTES)) == [number]
+            check_passes(link, number, partial(read_exactly, client))
         client.close()

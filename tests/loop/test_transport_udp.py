@@ -16,6 +16,7 @@ from tests.support.transports import (
     FRAME_BYTES,
     SendTimer,
     StepClock,
+    check_passes,
     frame_numbers,
     free_port,
     numbered_frame,
@@ -78,8 +79,7 @@ def test_udpout_counts_refusals_and_loses_no_frame_to_an_old_one() -> None:
         assert not link.connected
         assert link.send(numbered_frame(100))  # its refusal is still waiting to be reported when the peer arrives
         with bound(port) as peer:
-            assert link.send(numbered_frame(101))
-            assert frame_numbers(datagrams(peer)) == [101]
+            check_passes(link, 101, lambda _: datagrams(peer))
             clock.now_s += 2.0
             assert link.connected
             assert link.stats.reconnects == 0
@@ -118,8 +118,7 @@ def test_udpout_opens_a_new_socket_after_an_error_that_is_no_refusal(
         Unplugged.unplugged = False
         assert not link.send(numbered_frame(1))
         clock.now_s += 0.5
-        assert link.send(numbered_frame(2))
-        assert frame_numbers(datagrams(peer)) == [2]
+        check_passes(link, 2, lambda _: datagrams(peer))
         assert link.stats.reconnects == 1
 
 

@@ -8,7 +8,7 @@ import resource
 import socket
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from pymavlink.dialects.v20 import common
 
@@ -78,6 +78,12 @@ def received_by(transport: Transport, count: int) -> bytes:
 
     until(enough)
     return bytes(received)
+
+
+def check_passes(link: Transport, number: int, read: Callable[[int], bytes]) -> None:
+    """A frame that is sent now arrives, and nothing else."""
+    assert link.send(numbered_frame(number))
+    assert frame_numbers(read(FRAME_BYTES)) == [number]
 
 
 def read_exactly(tcp: socket.socket, count: int) -> bytes:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from msp_range.mavlink.signing import (
 )
 from msp_range.params.keys import make
 from msp_range.yaml_file import ConfigError
+from tests.support.known import known
 from tests.support.mavlink_ends import Component, MemoryTransport
 from tests.support.parameter_autopilot import ParameterAutopilot
 from tests.support.shipped import CONFIGS
@@ -48,15 +50,20 @@ def peer(key: bytes = KEY, timestamp: int = NOW) -> Any:
     return mav
 
 
-def heartbeat(mav: Any) -> bytes:
-    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(mav)
+UNSIGNED = ardupilotmega.MAVLink(None, 1, 1)
+
+
+def heartbeat(mav: Any, mavlink1: bool = False) -> bytes:
+    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(mav, force_mavlink1=mavlink1)
     return frame
 
 
-def heartbeat_1(mav: Any) -> bytes:
-    """Of MAVLink 1."""
-    frame: bytes = ardupilotmega.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(mav, force_mavlink1=True)
-    return frame
+@pytest.fixture
+def key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A key, in the folder in which the signing time is kept."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    make(tmp_path / "key", PASSPHRASE)
+    return tmp_path / "key"
 
 
 def our_heartbeat(signing: Signing | None = None) -> bytes:
@@ -67,8 +74,25 @@ def our_heartbeat(signing: Signing | None = None) -> bytes:
     return frame
 
 
-def link_on(transport: MemoryTransport, clock: VirtualClock, **more: Any) -> Link:
-    return Link(transport, clock, component_id=191, on_message=lambda time_s, message: None, wanted={}, **more)
+class Linked:
+    """A link in memory; it signs unless the keeper of its key is None."""
+
+    def __init__(self, signs: bool = True, keep: Callable[[int], None] = lambda timestamp: None, **more: Any) -> None:
+        self.transport, self.clock = MemoryTransport(), VirtualClock(NOW_S)
+        signing = Signing(KEY, self.clock, keep=keep) if signs else None
+        self.link = Link(
+            self.transport, self.clock, component_id=191, on_message=lambda *_: None, wanted={}, signing=signing, **more
+        )
+
+    def receive(self, frame: bytes = b"") -> None:
+        """Let a frame arrive."""
+        self.transport.arrived += frame
+        self.link.service()
+
+    @property
+    def texts(self) -> list[str]:
+        """What it reports."""
+        return [each.text for each in self.link.conditions() if each.text]
 
 
 def received(frame: bytes) -> Any:
@@ -104,7 +128,7 @@ def test_what_is_not_signed_with_the_key_is_refused() -> None:
     assert not signing.accepts(received(our_heartbeat()))
     assert not signing.accepts(received(heartbeat(peer(b"x" * 32))))
     assert not signing.accepts(received(good[:-1] + bytes((good[-1] ^ 1,))))
-    assert not signing.accepts(received(heartbeat_1(ardupilotmega.MAVLink(None, 1, 1))))
+    assert not signing.accepts(received(heartbeat(UNSIGNED, mavlink1=True)))
     assert signing.verified == 0
 
 
@@ -113,20 +137,14 @@ def test_a_frame_of_mavlink_1_is_never_signed_whatever_its_sequence_number() -> 
     mav = ardupilotmega.MAVLink(None, 1, 1)
     for sequence in range(4):
         mav.seq = sequence
-        assert not received(heartbeat_1(mav)).is_signed
+        assert not received(heartbeat(mav, mavlink1=True)).is_signed
 
 
-def test_a_key_in_the_airframe_lets_nothing_in_that_is_not_signed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    make(tmp_path / "key", PASSPHRASE)
+def test_a_key_in_the_airframe_lets_nothing_in_that_is_not_signed(key: Path) -> None:
     unsigned = received(our_heartbeat())
     clock = VirtualClock(NOW_S)
-    strict, setting_up = (signing_of(str(tmp_path / "key"), clock, **each) for each in ({}, {"accepts_unsigned": True}))
-    assert strict is not None
+    strict, setting_up = (known(signing_of(str(key), clock, **each)) for each in ({}, {"accepts_unsigned": True}))
     assert not strict.accepts(unsigned)
-    assert setting_up is not None
     assert setting_up.accepts(unsigned)
     assert signing_of(None, clock) is None
 
@@ -151,23 +169,18 @@ def test_timestamps_follow_the_one_that_is_ahead() -> None:
     assert signing.timestamp() > NOW + 10 * UNITS_PER_S
 
 
-def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_timestamps_rise_over_restarts_of_a_computer_without_a_clock(key: Path) -> None:
     """Each run starts at 1970, as a Raspberry Pi without a network does, and is killed after some time."""
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "new"))
-    make(tmp_path / "key", PASSPHRASE)
     last = 0
     for run_s in (0.0, 5.0, 45.0, 200.0):
         clock = VirtualClock(0.0)
-        signing = signing_of(str(tmp_path / "key"), clock)
-        assert signing is not None
+        signing = known(signing_of(str(key), clock))
         first = signing.timestamp()
         assert first > last
         for step in range(1, 101):
             clock.sleep_until(run_s * step / 100)
             last = signing.timestamp()
-        until_kept(tmp_path / "new" / "signing-time", last)
+        until_kept(key.with_name("signing-time"), last)
     assert last < 4 * 2 * RESERVED_UNITS + 400 * UNITS_PER_S, "no farther ahead than the runs and their reserves"
 
 
@@ -199,43 +212,33 @@ def until_kept(path: Path, timestamp: int) -> None:
 
 
 @pytest.mark.parametrize("timestamp", [2**48 - 2, 2**47])
-def test_a_timestamp_that_no_clock_shows_does_not_end_signing(
-    timestamp: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_timestamp_that_no_clock_shows_does_not_end_signing(timestamp: int, key: Path) -> None:
     """The bridge followed it to the end of the six bytes, kept that, and could not start again."""
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    make(tmp_path / "key", PASSPHRASE)
     for _ in range(2):
-        signing = signing_of(str(tmp_path / "key"), VirtualClock(NOW_S))
-        assert signing is not None
+        signing = known(signing_of(str(key), VirtualClock(NOW_S)))
         assert not signing.accepts(received(heartbeat(peer(timestamp=timestamp))))
         last = signing.timestamp()
         assert NOW <= last < NOW + 3 * RESERVED_UNITS
         assert signing.accepts(received(heartbeat(peer(timestamp=last + 1))))
-        until_kept(tmp_path / "signing-time", last)
+        until_kept(key.with_name("signing-time"), last)
 
 
 @pytest.mark.parametrize("kept", ["", "x", "-5", str(2**48 - 2), str(2**90), "9" * 5000, b"\xff\xfe", None])
-def test_a_damaged_time_is_replaced_by_the_clocks(
-    kept: str | bytes | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-    make(tmp_path / "key", PASSPHRASE)
+def test_a_damaged_time_is_replaced_by_the_clocks(kept: str | bytes | None, key: Path) -> None:
     if kept is None:
-        os.mkfifo(tmp_path / "signing-time")
+        os.mkfifo(key.with_name("signing-time"))
     else:
-        (tmp_path / "signing-time").write_bytes(kept.encode() if isinstance(kept, str) else kept)
+        (key.with_name("signing-time")).write_bytes(kept.encode() if isinstance(kept, str) else kept)
     for utc_s, first in ((NOW_S, NOW), (0.0, 1)):
-        signing = signing_of(str(tmp_path / "key"), VirtualClock(utc_s))
-        assert signing is not None
+        signing = known(signing_of(str(key), VirtualClock(utc_s)))
         (message,) = peer(timestamp=0).parse_buffer(our_heartbeat(signing))
         assert message.get_type() == "HEARTBEAT"
         assert signing.timestamp() == first + 1
         for thread in threading.enumerate():
             if thread.name == "signing":  # which keeps the time
                 thread.join(LIMIT_S)
-        assert int((tmp_path / "signing-time").read_text()) > first
-        (tmp_path / "signing-time").write_text("damaged again")
+        assert int((key.with_name("signing-time")).read_text()) > first
+        (key.with_name("signing-time")).write_text("damaged again")
 
 
 def test_a_date_that_no_clock_shows_is_not_followed() -> None:
@@ -249,35 +252,29 @@ def test_a_disk_that_keeps_nothing_is_reported_and_no_reason_not_to_sign() -> No
     def keep(timestamp: int) -> None:
         raise OSError(28, os.strerror(28))
 
-    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = link_on(transport, clock, signing=Signing(KEY, clock, keep=keep))
-    link.service()
-    until(lambda: any(each.text and "signing time" in each.text for each in link.conditions()))
-    assert peer().parse_buffer(transport.frames[0])[0].get_type() == "HEARTBEAT"
+    linked = Linked(keep=keep)
+    linked.receive()
+    until(lambda: any("signing time" in each for each in linked.texts))
+    assert peer().parse_buffer(linked.transport.frames[0])[0].get_type() == "HEARTBEAT"
 
 
 def test_a_link_with_a_key_ignores_what_is_not_signed_and_says_so() -> None:
-    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = link_on(transport, clock, signing=Signing(KEY, clock))
-    transport.arrived += heartbeat(ardupilotmega.MAVLink(None, 1, 1))
-    link.service()
-    assert not link.autopilot_is_present
-    assert "Range: autopilot does not sign with this key" in [each.text for each in link.conditions()]
-    transport.arrived += heartbeat(peer())
-    link.service()
-    assert link.autopilot_is_present
-    assert "Range: autopilot signs, signing_key is missing" not in [each.text for each in link.conditions()]
-    assert all(received(frame).is_signed for frame in transport.frames)
+    linked = Linked()
+    linked.receive(heartbeat(UNSIGNED))
+    assert not linked.link.autopilot_is_present
+    assert "Range: autopilot does not sign with this key" in linked.texts
+    linked.receive(heartbeat(peer()))
+    assert linked.link.autopilot_is_present
+    assert "Range: autopilot signs, signing_key is missing" not in linked.texts
+    assert all(received(frame).is_signed for frame in linked.transport.frames)
 
 
 def test_a_program_with_the_bridges_ids_and_without_its_key_is_reported() -> None:
-    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = link_on(transport, clock, signing=Signing(KEY, clock))
+    linked = Linked()
     for _ in range(3):
-        transport.arrived += Component(1, 191).heartbeat()
-        link.service()
-        clock.sleep_until(clock.now() + 1.0)
-    assert "Range: another program sends as 1/191" in [each.text for each in link.conditions()]
+        linked.receive(Component(1, 191).heartbeat())
+        linked.clock.sleep_until(linked.clock.now() + 1.0)
+    assert "Range: another program sends as 1/191" in linked.texts
 
 
 @pytest.mark.parametrize(
@@ -287,23 +284,18 @@ def test_a_program_with_the_bridges_ids_and_without_its_key_is_reported() -> Non
 def test_a_running_bridge_says_what_to_do_about_an_autopilot_that_does_not_sign(
     autopilot: Autopilot, remedy: str
 ) -> None:
-    transport, clock = MemoryTransport(), VirtualClock(NOW_S)
-    link = link_on(transport, clock, autopilot=autopilot, signing=Signing(KEY, clock))
-    transport.arrived += heartbeat(ardupilotmega.MAVLink(None, 1, 1))
-    link.service()
-    (found,) = [each for each in link.conditions() if each.text and "does not sign" in each.text]
+    linked = Linked(autopilot=autopilot)
+    linked.receive(heartbeat(UNSIGNED))
+    (found,) = [each for each in linked.link.conditions() if each.text and "does not sign" in each.text]
     assert remedy in found.remedy
 
 
 def test_a_link_without_a_key_says_that_the_autopilot_has_one() -> None:
-    transport = MemoryTransport()
-    link = link_on(transport, VirtualClock(NOW_S))
-    transport.arrived += heartbeat(peer())
-    link.service()
-    assert link.autopilot_is_present
-    texts = [each.text for each in link.conditions() if each.text]
-    assert texts == ["Range: autopilot signs, signing_key is missing"]
-    assert len(texts[0]) <= 50
+    linked = Linked(signs=False)
+    linked.receive(heartbeat(peer()))
+    assert linked.link.autopilot_is_present
+    assert linked.texts == ["Range: autopilot signs, signing_key is missing"]
+    assert len(linked.texts[0]) <= 50
 
 
 def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
