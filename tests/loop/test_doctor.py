@@ -36,7 +36,7 @@ from tests.support.far_ends import (
 from tests.support.kernel_bus import Other, Sonar, kernel_bus
 from tests.support.parameter_autopilot import RANGE_FINDER, ParameterAutopilot
 from tests.support.service import LinkEnd, running_service
-from tests.support.shipped import ROOT
+from tests.support.shipped import write_airframe
 from tests.support.slow import slow_but
 
 THERE = 1e9
@@ -76,14 +76,7 @@ class Setup:
 
     def examine(self) -> list[Found]:
         """What doctor finds."""
-        text = (ROOT / f"configs/{self.airframe}.yaml").read_text()
-        for old, new in self.edits:
-            assert old in text
-            text = text.replace(old, new)
-        path = self.folder / "airframe.yaml"
-        path.write_text(
-            text.replace("sensors/mb1242.yaml", "mb1242").replace("sensors/lidar_lite_v3.yaml", "lidar_lite_v3")
-        )
+        path = write_airframe(self.folder, self.airframe, *self.edits)
         with self._link() as link, kernel_bus(self.devices, timeout_s=self.timeout_s) as testbed:
             return examined(testbed, self.computer, path, link)
 
@@ -571,8 +564,7 @@ def test_no_false_alarm(name: str, results: dict[str, "Future[list[Found]]"]) ->
 
 def test_a_running_bridge_is_left_alone(tmp_path: Path) -> None:
     setup = Setup(tmp_path)
-    path = tmp_path / "airframe.yaml"
-    path.write_text((ROOT / "configs/quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242"))
+    path = write_airframe(tmp_path, "quad_pallet")
     computer = setup.computer
     with kernel_bus(FOUR) as testbed, LinkEnd() as end, running_service(testbed, end.url, tmp_path) as service:
         end.run_until(lambda: any(each.system_status == MAV_STATE_CRITICAL for each in end.of("HEARTBEAT")))

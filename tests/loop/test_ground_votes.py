@@ -4,12 +4,12 @@ import math
 import random
 from collections import Counter
 from collections.abc import Callable, Mapping
-from itertools import pairwise
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import common
 
+from msp_range.config import Airframe
 from msp_range.mavlink.inertial import SCALE_HEIGHT_M
 from msp_sim.device.device import Fault
 from tests.support.bench import FUSED_ID, Bench, airframe, sensor
@@ -39,13 +39,17 @@ def with_barometer(bench: Bench, until_s: float, height_m: Callable[[float], flo
 # A reference point below the sensors.
 
 
+def measuring_from(below_m: float) -> Airframe:
+    """An airframe whose fused stream measures from a point so far below the sensors."""
+    return airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": below_m}})
+
+
 @pytest.mark.parametrize(("true_cm", "sent_cm"), [(5, 5), (15, 15), (60, 60), (500, 500)])
 def test_distances_below_the_sensors_minimum_are_sent_from_a_reference_point_below_them(
     true_cm: int, sent_cm: int
 ) -> None:
     """Sensors 30 cm above the landing gear's feet read 35 cm where the feet are 5 cm above the ground."""
-    vehicle = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": 0.30}})
-    bench = Bench(vehicle, true_cm + 30).fly(3.0)
+    bench = Bench(measuring_from(0.30), true_cm + 30).fly(3.0)
     assert set(bench.distances_cm()) == {sent_cm}
     message = bench.sent()[-1].message
     assert message.min_distance < sent_cm
@@ -54,7 +58,7 @@ def test_distances_below_the_sensors_minimum_are_sent_from_a_reference_point_bel
 
 @pytest.mark.parametrize(("below_m", "bounds_cm"), [(0.0, (19, 765)), (0.10, (9, 755)), (-0.25, (44, 790))])
 def test_bounds_are_counted_from_the_reference_point(below_m: float, bounds_cm: tuple[int, int]) -> None:
-    bench = Bench(airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": below_m}}), 20).fly(3.0)
+    bench = Bench(measuring_from(below_m), 20).fly(3.0)
     message = bench.sent()[-1].message
     assert (message.min_distance, message.max_distance) == bounds_cm
     # 20 is the shortest that a sensor reports, and inside the bounds.
@@ -62,10 +66,8 @@ def test_bounds_are_counted_from_the_reference_point(below_m: float, bounds_cm: 
 
 
 def test_above_the_maximum_is_counted_from_the_reference_point() -> None:
-    vehicle = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": 0.30}})
-    assert set(Bench(vehicle, 765).fly(5.0).distances_cm()) == {736}
-    higher = airframe(send={"fused": {"id": FUSED_ID, "reference_down_m": -0.25}})
-    assert set(Bench(higher, 760).fly(5.0).distances_cm()) == {785}
+    assert set(Bench(measuring_from(0.30), 765).fly(5.0).distances_cm()) == {736}
+    assert set(Bench(measuring_from(-0.25), 760).fly(5.0).distances_cm()) == {785}
 
 
 # Two against two.
@@ -124,11 +126,7 @@ def test_a_barometer_decides_between_two_pairs_once_the_vehicle_climbs(wrong: st
         return 600 if name in wrong else round(100 * height_m(time_s) + draw.gauss(0.0, 2.0))
 
     bench = with_barometer(Bench(airframe(), world), 20.0, height_m)
-    sent = [
-        (time_s, message.current_distance)
-        for time_s, message in bench.sent()
-        if message.id == FUSED_ID and time_s > FIRST_TURN_S
-    ]
+    sent = bench.timed_cm(from_s=FIRST_TURN_S)
     assert all(abs(distance_cm - 100 * height_m(time_s)) < 40 for time_s, distance_cm in sent)
     settled = [distance_cm for time_s, distance_cm in sent if time_s > 12.0]
     assert len(settled) > 70
@@ -151,13 +149,9 @@ def test_a_pair_keeps_its_vote_over_a_missed_reading_and_an_outlier(
 ) -> None:
     """All four saw the ground; from 5 s on two see something else. Readings of the other two are counted from there."""
     bench = pairs("abcd", from_s=5.0, spoilt=spoilt).fly(25.0)
-    sent = [
-        (time_s, message.current_distance)
-        for time_s, message in bench.sent()
-        if message.id == FUSED_ID and time_s > FIRST_TURN_S
-    ]
+    sent = bench.timed_cm(from_s=FIRST_TURN_S)
     assert all(abs(distance_cm - 300) < 15 for _, distance_cm in sent)
-    assert max(late - early for (early, _), (late, _) in pairwise(sent)) < longest_s
+    assert bench.longest_gap_s(FIRST_TURN_S) < longest_s
     assert SILENCE not in bench.reported()
 
 
@@ -174,7 +168,7 @@ def test_a_descent_that_one_of_four_sensors_sees_is_never_above_the_maximum(seei
         return 765 if name != seeing and time_s >= deaf_from_s else height_cm(time_s)
 
     bench = Bench(airframe(), world).fly(16.0)
-    sent = [(time_s, message.current_distance) for time_s, message in bench.sent()]
+    sent = bench.timed_cm()
     assert all(abs(distance_cm - height_cm(time_s)) < 12 for time_s, distance_cm in sent)
     assert len(bench.distances_cm(from_s=6.5, to_s=14.0)) > 15
     assert sent[-1][1] == pytest.approx(30, abs=2)
@@ -201,16 +195,14 @@ def test_a_restart_in_cruise_is_above_the_maximum_after_three_turns(dead: str) -
     assert min(read.values()) == 3
     assert set(read) == set(NAMES) - set(dead)
     assert max(read.values()) <= 4
-    times_s = [time_s for time_s, _ in bench.sent()]
-    assert max(late - early for early, late in pairwise(times_s)) < 0.35
+    assert bench.longest_gap_s() < 0.35
 
 
 def test_codes_of_all_sensors_do_not_keep_the_vehicle_above_the_maximum() -> None:
     """255 of all sensors is a fault of the bus; a quarter of the readings without an echo are that, too."""
     draw = random.Random(1)
     bench = Bench(airframe(), lambda name, time_s: 255 if time_s >= 30.0 or draw.random() < 0.25 else 765).fly(40.0)
-    times_s = [time_s for time_s, _ in bench.sent() if time_s < 30.0]
-    assert max(late - early for early, late in pairwise(times_s)) < 0.35
+    assert bench.longest_gap_s(to_s=30.0) < 0.35
     assert bench.sent()[-1].time_s < 31.0
     assert "Range: no distance to the ground" in bench.texts()
 
@@ -229,7 +221,7 @@ def test_a_descent_seen_by_two_of_eight_slow_sensors_is_no_longer_above_the_maxi
     vehicle = airframe([sensor(f"s{i}", i) for i in range(1, 9)], polling={"ping_interval_s": 0.45})
     readings = Bench(vehicle, lambda name, time_s: round(100 * height_m(time_s)) if height_m(time_s) < 7.4 else 765)
     bench = with_barometer(readings, 45.5, height_m)
-    sent = [(height_m(time_s), each.current_distance) for time_s, each in bench.sent()]
+    sent = [(height_m(time_s), sent_cm) for time_s, sent_cm in bench.timed_cm()]
     above_m = [true_m for true_m, sent_cm in sent if sent_cm == ABOVE_CM]
     assert len(above_m) > 60
     assert min(above_m) > 6.9
@@ -303,7 +295,7 @@ def test_a_climb_past_a_fault_code_of_all_sensors_gets_away_from_it(seed: int) -
         return min(round(100 * height_m(time_s) + draw.gauss(0.0, 1.5)), 255)
 
     bench = with_barometer(Bench(airframe(), read), 12.0, height_m)
-    sent = [(time_s, each.current_distance) for time_s, each in bench.sent() if each.current_distance < ABOVE_CM]
+    sent = [each for each in bench.timed_cm() if each[1] < ABOVE_CM]
     assert max(abs(sent_cm - 100 * height_m(time_s - 0.03)) for time_s, sent_cm in sent) < 30
     assert max(time_s for time_s, _ in sent) > 4.5
     assert SILENCE in bench.reported()

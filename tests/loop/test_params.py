@@ -15,7 +15,7 @@ from msp_range.config import load_airframe
 from msp_range.params.settings import Firmware, Vehicle, remarks, settings
 from tests.sitl import documented
 from tests.support.parameter_autopilot import ParameterAutopilot
-from tests.support.shipped import CONFIGS
+from tests.support.shipped import CONFIGS, write_airframe
 from tests.support.transports import free_port
 
 COMMAND = Path(sys.executable).with_name("msp-range")
@@ -106,9 +106,7 @@ def test_what_becomes_of_the_stream_is_named(firmware: Firmware, names: list[str
 
 
 def test_the_distance_on_the_ground_is_that_of_the_airframe_file(tmp_path: Path) -> None:
-    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
-    path = tmp_path / "airframe.yaml"
-    path.write_text(text.replace("send:\n", "send:\n  standing_m: 0.34\n"))
+    path = write_airframe(tmp_path, "loopback", ("send:\n", "send:\n  standing_m: 0.34\n"))
     for firmware, name, value in (
         (Firmware("ardupilot"), "RNGFND1_GNDCLR", 0.34),
         (Firmware("ardupilot", centimetres=True), "RNGFND1_GNDCLEAR", 34),
@@ -124,10 +122,7 @@ def test_the_distance_on_the_ground_is_that_of_the_airframe_file(tmp_path: Path)
 
 
 def test_for_a_bridge_that_sends_nothing_the_autopilot_waits_for_nothing(tmp_path: Path) -> None:
-    text = (CONFIGS / "quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
-    path = tmp_path / "airframe.yaml"
-    path.write_text(text.replace("send:\n", "send:\n  nothing: true\n"))
-    airframe = load_airframe(path)
+    airframe = load_airframe(write_airframe(tmp_path, "quad_pallet", ("send:\n", "send:\n  nothing: true\n")))
     for firmware, names in (
         (Firmware("ardupilot"), ["SERIAL2_PROTOCOL", "SERIAL2_BAUD"]),
         (Firmware("px4"), ["MAV_1_CONFIG", "MAV_1_MODE", "SER_TEL2_BAUD"]),
@@ -172,32 +167,28 @@ def test_the_file_is_read_by_pymavlink(tmp_path: Path) -> None:
 )
 def test_write_read_back_and_undo(fresh: dict[str, float], px4: bool, firmware: Firmware, tmp_path: Path) -> None:
     port = free_port(socket.SOCK_DGRAM)
-    airframe = tmp_path / "airframe.yaml"
-    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242")
-    airframe.write_text(text.replace("autopilot: ardupilot", f"autopilot: {firmware.autopilot}"))
-    link = ("--link", f"udpout:127.0.0.1:{port}")
+    airframe = write_airframe(tmp_path, "loopback", ("autopilot: ardupilot", f"autopilot: {firmware.autopilot}"))
+
+    def done(option: str, *arguments: str, answers: str = "", code: int = 0) -> "subprocess.CompletedProcess[str]":
+        link = ("--link", f"udpout:127.0.0.1:{port}")
+        ended = params(tmp_path, str(airframe), option, *arguments, *link, answers=answers * len(changed))
+        assert ended.returncode == code, ended.stderr
+        return ended
+
     wanted = of("loopback", firmware)
     changed = [name for name in wanted if wanted[name] != fresh[name]]
     with ParameterAutopilot(f"udpin:127.0.0.1:{port}", fresh, px4=px4) as autopilot:
         autopilot.lossy = 1
-        done = params(tmp_path, str(airframe), "--compare", *link)
-        assert done.returncode == 1, done.stderr
-        assert [line.split(":")[0] for line in done.stdout.splitlines()[1:]] == changed
+        compared = done("--compare", code=1).stdout
+        assert [line.split(":")[0] for line in compared.splitlines()[1:]] == changed
+        done("--write", answers="n\n")
         assert autopilot.set_names == []
-
-        done = params(tmp_path, str(airframe), "--write", *link, answers="n\n" * len(changed))
-        assert done.returncode == 0, done.stderr
-        assert autopilot.set_names == []
-
-        done = params(tmp_path, str(airframe), "--write", *link, answers="y\n" * len(changed))
-        assert done.returncode == 0, done.stderr
+        done("--write", answers="y\n")
         assert autopilot.set_names == changed
         assert autopilot.values == pytest.approx(wanted)
-        assert params(tmp_path, str(airframe), "--compare", *link).returncode == 0
-
+        done("--compare")
         (undo,) = tmp_path.glob("undo-*.parm")
-        done = params(tmp_path, str(airframe), "--restore", undo.name, *link, answers="y\n" * len(changed))
-        assert done.returncode == 0, done.stderr
+        done("--restore", undo.name, answers="y\n")
         assert autopilot.values == pytest.approx(fresh)
 
 

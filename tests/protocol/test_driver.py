@@ -1,6 +1,7 @@
 """The driver and the poller against a scripted bus: which transfers, when, and what becomes of each answer."""
 
 import errno
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from msp_range.reading import Status
 from msp_range.sensors.mb1242 import MB1242, encode
 from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
-from tests.support.scripted_bus import Expected, ScriptedBus, read, reopen, scripted_bus, write
+from tests.support.scripted_bus import Expected, read, reopen, scripted_bus, write
 
 RANGE = b"\x51"
 FRONT, REAR = 0x70, 0x71
@@ -26,13 +27,14 @@ def make_poller(bus: Bus, clock: VirtualClock, *addresses: int, together: bool =
     return Poller(bus, clock, RoundRobin(groups, 0.100, clock.now()))
 
 
-def poll(bus: ScriptedBus, clock: VirtualClock, *addresses: int, until_s: float) -> list[Ranging]:
-    """What ended before ``until_s``; nothing is done at ``until_s`` itself."""
-    poller = make_poller(bus, clock, *addresses)
-    ended = []
-    while poller.next_event_s < until_s - 1e-9:
-        clock.sleep_until(poller.next_event_s)
-        ended += poller.step()
+def poll(*script: Expected, until_s: float = 0.1, addresses: Sequence[int] = (FRONT,)) -> list[Ranging]:
+    """What ended before ``until_s`` on a bus with this script; nothing is done at ``until_s`` itself."""
+    clock, ended = VirtualClock(), []
+    with scripted_bus(clock, *script) as bus:
+        poller = make_poller(bus, clock, *addresses)
+        while poller.next_event_s < until_s - 1e-9:
+            clock.sleep_until(poller.next_event_s)
+            ended += poller.step()
     return ended
 
 
@@ -42,10 +44,8 @@ def busy(address: int, ping_s: float, tries: int, first: int = 0) -> list[Expect
 
 
 def test_one_ranging_is_one_command_and_plain_reads() -> None:
-    clock = VirtualClock()
     script = [write(FRONT, RANGE, at_s=0.0), *busy(FRONT, 0.0, 5), read(FRONT, encode(258), at_s=0.036)]
-    with scripted_bus(clock, *script) as bus:
-        (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
+    (ranging,) = poll(*script)
     reading = ranging.reading
     assert (reading.sensor, reading.status, reading.range_m, reading.raw) == ("at_70", Status.OK, 2.58, 258)
     assert reading.std_m == 0.02
@@ -64,15 +64,12 @@ def test_one_ranging_is_one_command_and_plain_reads() -> None:
     ],
 )
 def test_the_answer_ends_the_ranging_whatever_it_is(answer: bytes, status: Status) -> None:
-    clock = VirtualClock()
-    with scripted_bus(clock, write(FRONT, RANGE), read(FRONT, answer)) as bus:
-        (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
+    (ranging,) = poll(write(FRONT, RANGE), read(FRONT, answer))
     assert ranging.reading.status is status
     assert ranging.reading.raw == int.from_bytes(answer, "big")
 
 
 def test_two_sensors_take_turns_and_no_echo_is_timed_at_the_ping() -> None:
-    clock = VirtualClock()
     script = [
         write(FRONT, RANGE, at_s=0.0),
         *busy(FRONT, 0.0, 16),
@@ -83,15 +80,13 @@ def test_two_sensors_take_turns_and_no_echo_is_timed_at_the_ping() -> None:
         # It is not expected so soon after one that took 67 ms.
         read(FRONT, encode(100), at_s=0.240),
     ]
-    with scripted_bus(clock, *script) as bus:
-        nothing, near, _ = poll(bus, clock, FRONT, REAR, until_s=0.3)
+    nothing, near, _ = poll(*script, until_s=0.3, addresses=(FRONT, REAR))
     assert (nothing.reading.status, nothing.reading.time_s) == (Status.NO_ECHO, 0.0)
     assert nothing.reading.range_m is nothing.reading.std_m is None
     assert (near.reading.sensor, near.reading.time_s) == pytest.approx(("at_71", 0.1 + 0.0029))
 
 
 def test_a_failed_read_is_given_up_at_the_deadline_and_pinged_again() -> None:
-    clock = VirtualClock()
     script = [
         write(FRONT, RANGE, at_s=0.0),
         *busy(FRONT, 0.0, 20),
@@ -99,8 +94,7 @@ def test_a_failed_read_is_given_up_at_the_deadline_and_pinged_again() -> None:
         write(FRONT, RANGE, at_s=0.1),
         read(FRONT, encode(100), at_s=0.121),
     ]
-    with scripted_bus(clock, *script) as bus:
-        failed, good = poll(bus, clock, FRONT, until_s=0.2)
+    failed, good = poll(*script, until_s=0.2)
     assert (failed.reading.status, failed.reading.time_s, failed.reading.raw) == (Status.NO_ANSWER, 0.0, None)
     assert failed.error is not None
     assert failed.error.errno == NACK
@@ -108,7 +102,6 @@ def test_a_failed_read_is_given_up_at_the_deadline_and_pinged_again() -> None:
 
 
 def test_a_ping_that_is_not_acknowledged_is_a_reading_and_does_not_stop_the_round() -> None:
-    clock = VirtualClock()
     script = [
         write(FRONT, RANGE, errno=NACK, at_s=0.0),
         write(REAR, RANGE, at_s=0.1),
@@ -116,24 +109,20 @@ def test_a_ping_that_is_not_acknowledged_is_a_reading_and_does_not_stop_the_roun
         write(FRONT, RANGE, at_s=0.2),
         read(FRONT, encode(100)),
     ]
-    with scripted_bus(clock, *script) as bus:
-        failed, *good = poll(bus, clock, FRONT, REAR, until_s=0.3)
+    failed, *good = poll(*script, until_s=0.3, addresses=(FRONT, REAR))
     assert (failed.reading.status, failed.reading.sensor) == (Status.NO_ANSWER, "at_70")
     assert [each.reading.status for each in good] == [Status.OK, Status.OK]
 
 
 @pytest.mark.parametrize("not_there", [errno.EREMOTEIO, errno.ENXIO, errno.ENODEV, errno.EIO])
 def test_what_an_adapter_calls_not_acknowledged_makes_no_difference(not_there: int) -> None:
-    clock = VirtualClock()
     script = [write(FRONT, RANGE), read(FRONT, errno=not_there), read(FRONT, encode(100))]
-    with scripted_bus(clock, *script) as bus:
-        (ranging,) = poll(bus, clock, FRONT, until_s=0.1)
+    (ranging,) = poll(*script)
     assert ranging.reading.range_m == 1.0
 
 
 @pytest.mark.parametrize("lost", [errno.ETIMEDOUT, errno.ENOENT])
 def test_a_bus_that_locks_up_or_goes_is_reopened_once_a_second(lost: int) -> None:
-    clock = VirtualClock()
     script = [
         write(FRONT, RANGE, at_s=0.0),
         read(FRONT, errno=lost, at_s=FIRST_S),
@@ -143,22 +132,19 @@ def test_a_bus_that_locks_up_or_goes_is_reopened_once_a_second(lost: int) -> Non
         write(FRONT, RANGE, at_s=1.2),
         read(FRONT, encode(100)),
     ]
-    with scripted_bus(clock, *script) as bus:
-        *failed, good = poll(bus, clock, FRONT, until_s=1.3)
+    *failed, good = poll(*script, until_s=1.3)
     assert {each.reading.status for each in failed} == {Status.NO_ANSWER}
     assert {each.error.errno for each in failed if each.error} == {lost}
     assert good.reading.range_m == 1.0
 
 
 def test_where_reopening_fails_that_is_the_error() -> None:
-    clock = VirtualClock()
     script = [
         write(FRONT, RANGE, errno=errno.ENODEV),
         reopen(errno=errno.ENOENT),
         write(FRONT, RANGE, errno=errno.ENOENT),
     ]
-    with scripted_bus(clock, *script) as bus:
-        first, second = poll(bus, clock, FRONT, until_s=0.2)
+    first, second = poll(*script, until_s=0.2)
     for each in (first, second):
         assert each.error is not None
         assert each.error.errno == errno.ENOENT

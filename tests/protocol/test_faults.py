@@ -6,6 +6,7 @@ the truth can be sent; a fault begins at `FROM_S` and ends at `TO_S`.
 
 import random
 from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -28,6 +29,11 @@ def all_have(kind: str, from_s: float = FROM_S, to_s: float = TO_S, **more: floa
     return {name: [Fault(kind, from_s, to_s, **more)] for name in NAMES}  # type: ignore[arg-type]
 
 
+def meanwhile(reading_cm: int, usual_cm: int, to_s: float = TO_S) -> Callable[[str, float], int]:
+    """What the world gives all sensors: another range from `FROM_S` on."""
+    return lambda name, time_s: reading_cm if FROM_S <= time_s < to_s else usual_cm
+
+
 def recovers(bench: Bench, truth_cm: int, stream: int = FUSED_ID) -> None:
     """The truth is sent again two rounds after the end, ten times a second, and all sensors are reported good."""
     after = bench.distances_cm(stream, TO_S + 2 * ROUND_S, END_S)
@@ -48,10 +54,7 @@ FAULTS_OF_AN_ANSWER = [
 
 @pytest.mark.parametrize(("kind", "reading_cm", "reason", "text"), FAULTS_OF_AN_ANSWER)
 def test_a_fault_of_all_sensors_is_silence_and_is_reported(kind: str, reading_cm: int, reason: str, text: str) -> None:
-    def world(name: str, time_s: float) -> int:
-        return reading_cm if FROM_S <= time_s < TO_S else 500
-
-    bench = Bench(airframe(), world, faults=all_have(kind)).fly(END_S)
+    bench = Bench(airframe(), meanwhile(reading_cm, 500), faults=all_have(kind)).fly(END_S)
     assert set(bench.distances_cm()) == {500}
     assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
     assert sorted(bench.reported(FROM_S, TO_S)) == [*(f"Range {name}: {text}" for name in NAMES), SILENT]
@@ -98,11 +101,8 @@ def test_now_and_then_a_clock_fault_is_counted_and_never_sent() -> None:
 def test_a_missed_echo_that_reads_255_is_not_a_distance(
     kind: str, truth_cm: int, filters: list[dict[str, str]]
 ) -> None:
-    def world(name: str, time_s: float) -> int:
-        return 765 if FROM_S <= time_s < TO_S else truth_cm
-
     faults = all_have(kind, FROM_S, TO_S)
-    bench = Bench(airframe(filters=filters), world, faults=faults).fly(END_S)
+    bench = Bench(airframe(filters=filters), meanwhile(765, truth_cm), faults=faults).fly(END_S)
     assert set(bench.distances_cm()) == {truth_cm}
     assert bench.distances_cm(from_s=FROM_S + FUSED_MEMORY_S, to_s=TO_S) == []
     assert all(set(bench.rejected(name)) <= {"suspect", "unconfirmed"} for name in NAMES)
@@ -131,11 +131,8 @@ def test_range_modulo_256_of_one_sensor_does_not_move_the_fused_stream() -> None
 def test_range_modulo_256_once_is_held_back_in_a_single_stream(then_cm: int, reason: str) -> None:
     """Also that of a missed echo, which is suspect by itself."""
 
-    def world(name: str, time_s: float) -> int:
-        return then_cm if FROM_S <= time_s < FROM_S + 0.1 else 503
-
     faults = {"a": [Fault("lost_high_byte", FROM_S, FROM_S + 0.1)]}
-    bench = Bench(one_down(filters=KALMAN), world, faults=faults).fly(END_S)
+    bench = Bench(one_down(filters=KALMAN), meanwhile(then_cm, 503, FROM_S + 0.1), faults=faults).fly(END_S)
     assert set(bench.distances_cm(1)) == {503}
     assert bench.rejected("a") == {"unconfirmed": 1, reason: 1}
 
@@ -251,10 +248,7 @@ def test_short_readings_of_rotor_noise_do_not_move_the_fused_stream(share: float
 
 
 def test_no_echo_is_above_the_maximum_and_no_fault() -> None:
-    def world(name: str, time_s: float) -> int:
-        return 765 if FROM_S <= time_s < TO_S else 750
-
-    bench = Bench(airframe(), world).fly(END_S)
+    bench = Bench(airframe(), meanwhile(765, 750)).fly(END_S)
     assert set(bench.distances_cm(from_s=FROM_S + ROUND_S, to_s=TO_S)) == {766}
     assert set(bench.distances_cm()) == {750, 766}
     assert bench.reported(FROM_S) == []
@@ -265,10 +259,7 @@ def test_no_echo_is_above_the_maximum_and_no_fault() -> None:
 def test_no_echo_of_a_ground_that_was_near_is_silence_that_is_reported() -> None:
     """Nobody can be 6 m higher within a second, and nobody knows how much higher the vehicle is later."""
 
-    def world(name: str, time_s: float) -> int:
-        return 765 if FROM_S <= time_s < TO_S else 130
-
-    bench = Bench(airframe(), world).fly(END_S)
+    bench = Bench(airframe(), meanwhile(765, 130)).fly(END_S)
     assert set(bench.distances_cm(from_s=FROM_S + 0.3, to_s=FROM_S + 1.5)) == set()
     assert bench.reported(FROM_S, FROM_S + 2.0) == [SILENT]
     recovers(bench, 130)

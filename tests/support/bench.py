@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
@@ -177,11 +178,20 @@ class Bench:
 
     def distances_cm(self, stream: int = FUSED_ID, from_s: float = 0.0, to_s: float = 1e9) -> list[int]:
         """``current_distance`` of a stream's messages in a time."""
+        return [distance_cm for _, distance_cm in self.timed_cm(stream, from_s, to_s)]
+
+    def timed_cm(self, stream: int = FUSED_ID, from_s: float = 0.0, to_s: float = 1e9) -> list[tuple[float, int]]:
+        """The same with their times."""
         return [
-            message.current_distance
+            (time_s, message.current_distance)
             for time_s, message in self.sent()
             if message.id == stream and from_s <= time_s < to_s
         ]
+
+    def longest_gap_s(self, from_s: float = 0.0, to_s: float = 1e9) -> float:
+        """Between two messages of the fused stream in a time [s]."""
+        times_s = [time_s for time_s, _ in self.timed_cm(FUSED_ID, from_s, to_s)]
+        return max(late - early for early, late in pairwise(times_s))
 
     def texts(self) -> list[str]:
         """STATUSTEXT in order."""

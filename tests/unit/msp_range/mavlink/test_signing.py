@@ -32,7 +32,7 @@ from msp_range.yaml_file import ConfigError
 from tests.support.known import known
 from tests.support.mavlink_ends import Component, MemoryTransport
 from tests.support.parameter_autopilot import ParameterAutopilot
-from tests.support.shipped import CONFIGS
+from tests.support.shipped import CONFIGS, write_airframe
 from tests.support.transports import free_port
 from tests.support.waiting import LIMIT_S, until
 
@@ -324,9 +324,7 @@ def test_a_key_in_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
     for path, found in ((pipe, "a pipe"), (tmp_path, "a directory"), (Path("/dev/zero"), "a device")):
         with pytest.raises(ConfigError, match=f"{path}: found {found}, expected a file"):
             read_key(path)
-    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242", str(CONFIGS / "sensors/mb1242"))
-    airframe = tmp_path / "airframe.yaml"
-    airframe.write_text(text.replace("\nlink:\n", f"\nlink:\n  signing_key: {pipe}\n"))
+    airframe = write_airframe(tmp_path, "loopback", ("\nlink:\n", f"\nlink:\n  signing_key: {pipe}\n"))
     done = msp_range("run", airframe, tmp_path)
     assert done.returncode == 3
     assert f"{pipe}: found a pipe, expected a file" in done.stderr
@@ -336,10 +334,8 @@ def test_a_key_in_what_is_no_file_is_refused_at_once(tmp_path: Path) -> None:
 def test_the_command_says_that_px4_cannot_sign(tmp_path: Path) -> None:
     """It advised to clear the other key, which there is not."""
     port = free_port(socket.SOCK_DGRAM)
-    text = (CONFIGS / "loopback.yaml").read_text().replace("sensors/mb1242", str(CONFIGS / "sensors/mb1242"))
-    airframe = tmp_path / "airframe.yaml"
     link = f"\nlink:\n  signing_key: {tmp_path / 'key'}\n"
-    airframe.write_text(text.replace("\nlink:\n", link).replace("autopilot: ardupilot", "autopilot: px4"))
+    airframe = write_airframe(tmp_path, "loopback", ("\nlink:\n", link), ("autopilot: ardupilot", "autopilot: px4"))
     with ParameterAutopilot(f"udpin:127.0.0.1:{port}", px4=True):
         done = msp_range("sign", airframe, tmp_path, "--link", f"udpout:127.0.0.1:{port}")
     assert done.returncode == 3

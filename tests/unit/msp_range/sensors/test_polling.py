@@ -4,7 +4,7 @@ import errno
 import itertools
 import math
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -89,6 +89,19 @@ class Bench:
         self.clock.sleep_until(until_s)
         return ended
 
+    def set(self, names: Iterable[str], **attributes: Any) -> None:
+        """Give sonars other attributes."""
+        for name in names:
+            vars(self.sonars[name]).update(attributes)
+
+    def names(self) -> list[str]:
+        """Who pinged, one after the other."""
+        return [name for _, name in self.order()]
+
+    def times_s(self, from_s: float = 0.0) -> list[float]:
+        """When anybody pinged, from a time since the start on [s]."""
+        return [time_s for time_s, _ in self.order() if time_s >= from_s]
+
     def order(self) -> list[tuple[float, str]]:
         """All pings since the start: time [s] and sensor."""
         pings = [(time_s, name) for name, sonar in self.sonars.items() for time_s in sonar.pings_s]
@@ -103,14 +116,19 @@ class Bench:
         return [time_s for time_s, pinged in self.order() if pinged == name and time_s >= from_s]
 
 
+def check_steady(times_s: Sequence[float], interval_s: float) -> None:
+    """They are so far apart."""
+    gaps_s = [late - early for early, late in pairwise(times_s)]
+    assert gaps_s == pytest.approx([interval_s] * len(gaps_s))
+
+
 def test_four_sensors_in_turn_are_two_and_a_half_hertz_each_and_ten_together() -> None:
     bench = Bench(ROUND)
     rangings = bench.poll(20.0)
-    assert [name for _, name in bench.order()] == list(ROUND) * 50
+    assert bench.names() == list(ROUND) * 50
     assert len(rangings) == 200
     assert {name: len(sonar.pings_s) for name, sonar in bench.sonars.items()} == dict.fromkeys(ROUND, 50)
-    times_s = [time_s for time_s, _ in bench.order()]
-    assert all(late - early == pytest.approx(0.1) for early, late in pairwise(times_s))
+    check_steady(bench.times_s(), 0.1)
 
 
 def test_a_sensor_whose_reading_did_not_fit_has_another_turn_soon_and_not_for_ever() -> None:
@@ -230,10 +248,9 @@ def test_nobody_is_asked_after_the_deadline() -> None:
 
 def test_nobody_pings_while_another_one_ranges() -> None:
     bench = Bench("ab", 0.030)
-    for sonar in bench.sonars.values():
-        sonar.ready_s = 0.0600
+    bench.set("ab", ready_s=0.0600)
     bench.poll(1.0)
-    times_s = [time_s for time_s, _ in bench.order()]
+    times_s = bench.times_s()
     assert all(0.0600 - 1e-9 <= late - early <= 0.0621 for early, late in pairwise(times_s))
 
 
@@ -247,8 +264,8 @@ def test_an_interruption_does_not_make_up_for_lost_pings() -> None:
 
 def test_the_echo_came_after_half_the_time_of_flight() -> None:
     bench = Bench("ab")
-    bench.sonars["a"].range_m = lambda ping_s: 2.0
-    bench.sonars["b"].range_m = lambda ping_s: None
+    bench.set("a", range_m=lambda ping_s: 2.0)
+    bench.set("b", range_m=lambda ping_s: None)
     echo, none = bench.poll(0.2)
     assert echo.reading.time_s - echo.ping_s == pytest.approx(0.0058)
     assert none.reading.time_s == none.ping_s
@@ -261,8 +278,7 @@ def test_near_the_ground_pings_come_at_least_one_and_a_half_times_as_often() -> 
     rates_hz = []
     for near in (None, NEAR):
         bench = Bench(ROUND, near=near)
-        for sonar in bench.sonars.values():
-            sonar.range_m = lambda ping_s: 1.9
+        bench.set(ROUND, range_m=lambda ping_s: 1.9)
         rates_hz.append(len(bench.poll(60.0)) / 60.0)
     assert rates_hz[0] == pytest.approx(10.0, rel=0.01)
     assert rates_hz[1] >= 1.5 * rates_hz[0]
@@ -275,34 +291,28 @@ def test_one_sensor_that_sees_nothing_near_makes_all_wait(far: float | None) -> 
     bench.sonars["b"].range_m = lambda ping_s: 1.0
     bench.poll(1.0)
     # Both have to answer before anything is known of them.
-    times_s = [time_s for time_s, _ in bench.order()]
-    assert times_s[:4] == [0.0, 0.1, 0.15, 0.2]
-    assert all(late - early == pytest.approx(0.100) for early, late in pairwise(t for t in times_s if t > 0.5))
+    assert bench.times_s()[:4] == [0.0, 0.1, 0.15, 0.2]
+    check_steady(bench.times_s(0.51), 0.1)
 
 
 def test_a_sensor_that_falls_silent_makes_all_wait_until_it_is_dead() -> None:
     bench = Bench("ab", near=NEAR)
-    for sonar in bench.sonars.values():
-        sonar.range_m = lambda ping_s: 1.0
+    bench.set("ab", range_m=lambda ping_s: 1.0)
     bench.poll(0.5)
     bench.sonars["b"].is_absent = True
     bench.poll(4.5)
     first_s, _, third_s = bench.pings_s("b", 0.5)[:3]
-    intervals_s = [late - early for (early, _), (late, _) in pairwise(bench.order()) if first_s <= early < third_s]
-    assert intervals_s == pytest.approx([0.100] * len(intervals_s))
-    assert bench.intervals_s("a", third_s) == pytest.approx([0.050] * len(bench.intervals_s("a", third_s)))
+    check_steady([time_s for time_s in bench.times_s(first_s) if time_s <= third_s], 0.100)
+    check_steady(bench.pings_s("a", third_s), 0.050)
 
 
 def test_where_all_are_dead_nobody_is_near_the_ground() -> None:
     bench = Bench("ab", near=NEAR)
-    for sonar in bench.sonars.values():
-        sonar.range_m = lambda ping_s: 1.0
+    bench.set("ab", range_m=lambda ping_s: 1.0)
     bench.poll(0.5)
-    for sonar in bench.sonars.values():
-        sonar.is_absent = True
+    bench.set("ab", is_absent=True)
     bench.poll(5.0)
-    times_s = [time_s for time_s, _ in bench.order() if time_s > 1.2]
-    assert all(late - early == pytest.approx(0.100) for early, late in pairwise(times_s))
+    check_steady(bench.times_s(1.21), 0.1)
 
 
 # Dead sensors and their slots.
@@ -311,15 +321,13 @@ def test_where_all_are_dead_nobody_is_near_the_ground() -> None:
 @pytest.mark.parametrize("living", ["a", "b", "ad", "abd"])
 def test_sensors_that_are_gone_give_their_slots_to_the_living(living: str) -> None:
     bench = Bench(ROUND)
-    for name in set(ROUND) - set(living):
-        bench.sonars[name].is_absent = True
+    bench.set(set(ROUND) - set(living), is_absent=True)
     rangings = bench.poll(20.0)
     # The third fault in a row is a sensor's last before it gives its slot away.
     ended_s = [each.answered_s - bench.start_s for each in rangings if each.reading.status is Status.OK]
     assert len([each for each in ended_s if each > 1.2]) == pytest.approx(188, abs=1)
     for name in living:
-        intervals_s = bench.intervals_s(name, 1.2)
-        assert intervals_s == pytest.approx([0.1 * len(living)] * len(intervals_s))
+        check_steady(bench.pings_s(name, 1.2), 0.1 * len(living))
     for name in set(ROUND) - set(living):
         assert len(bench.pings_s(name, 1.2)) >= 7
         assert all(2.0 - 1e-9 <= each < 2.0 + 0.1 * len(ROUND) for each in bench.intervals_s(name, 1.2))
@@ -328,10 +336,9 @@ def test_sensors_that_are_gone_give_their_slots_to_the_living(living: str) -> No
 @pytest.mark.parametrize("status", [each for each in Status if each.is_fault and each is not Status.NO_ANSWER])
 def test_a_dead_sensor_that_makes_a_sound_has_a_slot_every_two_seconds(status: Status) -> None:
     bench = Bench(ROUND)
-    for name in "bcd":
-        bench.sonars[name].status = lambda: status
+    bench.set("bcd", status=lambda: status)
     bench.poll(20.0)
-    assert all(late - early == pytest.approx(0.1) for (early, _), (late, _) in pairwise(bench.order()))
+    check_steady(bench.times_s(), 0.1)
     assert len(bench.pings_s("a", 2.0)) == 180 - len([each for name in "bcd" for each in bench.pings_s(name, 2.0)])
     for name in "bcd":
         assert all(2.0 - 1e-9 <= each < 2.4 for each in bench.intervals_s(name, 1.2))
@@ -347,15 +354,13 @@ def test_a_sensor_that_answers_again_has_its_slot_back_and_others_are_tried_at_o
         # Their retries are a second apart.
         bench.poll(1.0)
     bench.poll(3.0)
-    for name in "bc":
-        bench.sonars[name].is_absent = False
+    bench.set("bc", is_absent=False)
     bench.poll(5.0)
     back_s = sorted(bench.pings_s(name, 5.0)[0] for name in "bc")
     assert back_s[0] < 5.0 + 1.5
     assert back_s[1] - back_s[0] <= 0.4
     for name in "abc":
-        intervals_s = bench.intervals_s(name, 7.5)
-        assert intervals_s == pytest.approx([0.3] * len(intervals_s))
+        check_steady(bench.pings_s(name, 7.5), 0.3)
     assert len(bench.intervals_s("a", 7.5)) >= 7
 
 
@@ -365,31 +370,28 @@ def test_a_sensor_that_fails_now_and_then_keeps_its_slot(fails: set[int]) -> Non
     count = itertools.count()
     bench.sonars["b"].status = lambda: Status.CLOCK_FAULT if next(count) % 3 in fails else Status.OK
     bench.poll(20.0)
-    assert [name for _, name in bench.order()] == [*ROUND] * 50
+    assert bench.names() == [*ROUND] * 50
 
 
 def test_where_all_are_dead_all_take_turns_and_one_that_is_back_brings_the_others() -> None:
     bench = Bench(ROUND)
     bench.poll(2.0)
-    for sonar in bench.sonars.values():
-        sonar.is_absent = True
+    bench.set(ROUND, is_absent=True)
     bench.poll(8.0)
-    assert [name for _, name in bench.order()] == [*ROUND] * 25
-    assert all(late - early == pytest.approx(0.1) for (early, _), (late, _) in pairwise(bench.order()))
+    assert bench.names() == [*ROUND] * 25
+    check_steady(bench.times_s(), 0.1)
     # In the middle of a round.
     bench.poll(0.2)
-    for sonar in bench.sonars.values():
-        sonar.is_absent = False
+    bench.set(ROUND, is_absent=False)
     bench.poll(3.0)
     assert all(bench.pings_s(name, 10.2)[0] <= 10.2 + 0.6 for name in ROUND)
-    assert [name for _, name in bench.order()[-16:]] in [[*ROUND[i:], *ROUND[:i]] * 4 for i in range(4)]
+    assert bench.names()[-16:] in [[*ROUND[i:], *ROUND[:i]] * 4 for i in range(4)]
 
 
 def test_dead_sensors_are_retried_one_after_the_other() -> None:
     """So far apart, all of them are always due, and each takes a slot."""
     bench = Bench(ROUND, 2.0)
-    for name in "bcd":
-        bench.sonars[name].status = lambda: Status.CLOCK_FAULT
+    bench.set("bcd", status=lambda: Status.CLOCK_FAULT)
     bench.poll(144.0)
     assert [len(bench.pings_s(name, 24.0)) for name in ROUND] == [30, 10, 10, 10]
 
@@ -422,7 +424,7 @@ def test_with_no_number_of_faults_that_makes_it_dead_a_sensor_keeps_its_slot() -
     bench = Bench(ROUND, dead_after=math.inf)
     bench.sonars["b"].is_absent = True
     bench.poll(4.0)
-    assert [name for _, name in bench.order()] == [*ROUND] * 10
+    assert bench.names() == [*ROUND] * 10
 
 
 @pytest.mark.parametrize("interval_s", [0.05, 0.1, 2.0])
@@ -445,9 +447,7 @@ def test_the_longest_time_between_pings_of_a_living_sensor(
     interval_s: float, groups: list[str], dead: str, slots: int, acknowledges: bool
 ) -> None:
     bench = Bench(groups, interval_s)
-    for name in dead:
-        bench.sonars[name].ready_s = math.inf
-        bench.sonars[name].is_absent = not acknowledges
+    bench.set(dead, ready_s=math.inf, is_absent=not acknowledges)
     settled_s = 3 * len(groups) * max(interval_s, DEADLINE_S)
     bench.poll(settled_s + 60.0 * max(interval_s, DEADLINE_S))
     all_dead = len(dead) == len(bench.sonars)
