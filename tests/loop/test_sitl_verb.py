@@ -305,7 +305,8 @@ both = pytest.mark.parametrize("name", BOTH)
 
 def in_real_time(test: Callable[..., None]) -> Callable[..., None]:
     """A test of the flights, which take a while."""
-    return pytest.mark.slow(pytest.mark.real_time(test))
+    slow: Callable[..., None] = pytest.mark.slow(pytest.mark.real_time(test))
+    return slow
 
 
 def heights_climbs_errors(autopilot: FakeAutopilot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -35,13 +35,36 @@ ranges_cm = st.integers(20, 700)
 flights = st.lists(st.tuples(steps_s, ranges_cm), min_size=1, max_size=30)
 
 
-def run(filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_cm: int = 0) -> list[Filtered]:
-    chain = Chain([ADAPTER.validate_python(each).make() for each in filters])
-    time_s, out = 0.0, []
+QUIET = SENSOR.model_copy(
+    update={
+        "reading_model": SENSOR.reading_model.model_copy(
+            update={"weights": Weights(hit=0.97, short=0.0, missed=0.02, random=0.01)}
+        )
+    }
+)
+"""A sensor whose outliers are as likely anywhere: where a scene is does not matter to the filter."""
+CHANGEPOINT = {"filter": "changepoint"}
+
+
+def run(
+    filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_cm: int = 0, start_s: float = 0.0
+) -> list[Filtered]:
+    chain = Chain([ADAPTER.validate_python(each).make(QUIET) for each in filters])
+    time_s, out = start_s, []
     for step_s, range_cm in flight:
         time_s += step_s
         out.append(chain.update(Reading(time_s, "a", Status.OK, (range_cm + offset_cm) / 100, STD_M)))
     return out
+
+
+def check_alike(
+    here: list[Filtered], there: list[Filtered], offset_m: float, tolerance_m: float, variance_rel: float = 0.3
+) -> None:
+    for one, other in zip(here, there, strict=True):
+        assert one.rejected == other.rejected
+        if one.estimate is not None and other.estimate is not None:
+            assert other.estimate.range_m - one.estimate.range_m == pytest.approx(offset_m, abs=tolerance_m)
+            assert other.estimate.variance_m2 == pytest.approx(one.estimate.variance_m2, rel=variance_rel)
 
 
 @pytest.mark.parametrize("filters", CHAINS, ids=lambda filters: "+".join(each["filter"] for each in filters) or "none")
@@ -49,11 +72,7 @@ def run(filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_c
 def test_a_shifted_scene_gives_a_shifted_estimate(
     filters: list[dict[str, Any]], flight: list[tuple[float, int]], offset_cm: int
 ) -> None:
-    for here, there in zip(run(filters, flight), run(filters, flight, offset_cm), strict=True):
-        assert here.rejected == there.rejected
-        if here.estimate is not None and there.estimate is not None:
-            assert there.estimate.range_m - here.estimate.range_m == pytest.approx(offset_cm / 100, abs=1e-7)
-            assert there.estimate.variance_m2 == pytest.approx(here.estimate.variance_m2, rel=1e-6)
+    check_alike(run(filters, flight), run(filters, flight, offset_cm), offset_cm / 100, 1e-7, 1e-6)
 
 
 @pytest.mark.parametrize("filters", CHAINS[:4], ids=lambda filters: "+".join(each["filter"] for each in filters) or "-")
@@ -66,36 +85,6 @@ def test_an_estimate_lies_among_the_readings(filters: list[dict[str, Any]], flig
             assert 0 < filtered.estimate.variance_m2 <= STD_M**2 * (1 + 1e-9)
 
 
-QUIET = SENSOR.model_copy(
-    update={
-        "reading_model": SENSOR.reading_model.model_copy(
-            update={"weights": Weights(hit=0.97, short=0.0, missed=0.02, random=0.01)}
-        )
-    }
-)
-"""A sensor whose outliers are as likely anywhere: where a scene is does not matter to the filter."""
-CHANGEPOINT = {"filter": "changepoint"}
-
-
-def run_at(
-    filters: list[dict[str, Any]], flight: list[tuple[float, int]], *, offset_cm: int = 0, start_s: float = 0.0
-) -> list[Filtered]:
-    chain = Chain([ADAPTER.validate_python(each).make(QUIET) for each in filters])
-    time_s, out = start_s, []
-    for step_s, range_cm in flight:
-        time_s += step_s
-        out.append(chain.update(Reading(time_s, "a", Status.OK, (range_cm + offset_cm) / 100, STD_M)))
-    return out
-
-
-def assert_alike(here: list[Filtered], there: list[Filtered], offset_m: float, tolerance_m: float) -> None:
-    for one, other in zip(here, there, strict=True):
-        assert one.rejected == other.rejected
-        if one.estimate is not None and other.estimate is not None:
-            assert other.estimate.range_m - one.estimate.range_m == pytest.approx(offset_m, abs=tolerance_m)
-            assert other.estimate.variance_m2 == pytest.approx(one.estimate.variance_m2, rel=0.3)
-
-
 # Enough for steps and slopes, and not so much that two runs are equally probable, when rounding would decide.
 walks = st.lists(st.tuples(st.sampled_from((0.1, 0.2, 0.4)), st.integers(-8, 8)), min_size=1, max_size=25).map(
     lambda steps: [(step_s, 300 + sum(by for _, by in steps[: index + 1])) for index, (step_s, _) in enumerate(steps)]
@@ -106,8 +95,8 @@ walks = st.lists(st.tuples(st.sampled_from((0.1, 0.2, 0.4)), st.integers(-8, 8))
 @given(flight=walks, offset_cm=st.integers(-60, 60))
 def test_a_shifted_scene_gives_a_shifted_changepoint_estimate(flight: list[tuple[float, int]], offset_cm: int) -> None:
     """Up to what the sensor's limits make of it: 'unlocated' is uniform between them."""
-    here, there = run_at([CHANGEPOINT], flight), run_at([CHANGEPOINT], flight, offset_cm=offset_cm)
-    assert_alike(here, there, offset_cm / 100, 2e-3)
+    here, there = run([CHANGEPOINT], flight), run([CHANGEPOINT], flight, offset_cm=offset_cm)
+    check_alike(here, there, offset_cm / 100, 2e-3)
 
 
 @pytest.mark.parametrize("filters", [*CHAINS, *ALONE], ids=lambda filters: "+".join(f["filter"] for f in filters))
@@ -116,7 +105,7 @@ def test_a_shifted_scene_gives_a_shifted_changepoint_estimate(flight: list[tuple
 def test_shifted_time_stamps_change_nothing(
     filters: list[dict[str, Any]], flight: list[tuple[float, int]], start_s: float
 ) -> None:
-    assert_alike(run_at(filters, flight), run_at(filters, flight, start_s=start_s), 0.0, 1e-4)
+    check_alike(run(filters, flight), run(filters, flight, start_s=start_s), 0.0, 1e-4)
 
 
 @pytest.mark.parametrize("parameters", [*(chain[0] for chain in (*CHAINS[1:3], *ALONE))], ids=str)

@@ -520,17 +520,6 @@ def test_readings_that_leave_the_ground_stop_the_stream() -> None:
     assert take(fusion, reading("b", 0.9, 1.10)) is None
 
 
-@pytest.mark.parametrize("range_m", [2.4, 3.6])
-def test_an_edge_below_the_front_pair_is_no_silence(range_m: float) -> None:
-    """Two sensors in a row see another level, then the other two the ground."""
-    fusion = four()
-    fly(fusion, lambda name, time_s: 3.0, 30)
-    for i, name in enumerate("abcd" * 3):
-        fused = take(fusion, reading(name, 3.0 + 0.1 * i, range_m if name in "ab" else 3.0))
-        assert fused is not None
-        assert fused.range_m == pytest.approx(3.0, abs=0.1)
-
-
 def test_at_the_sensors_minimum_the_stated_deviation_covers_a_vehicle_on_the_ground() -> None:
     """They report 20 cm at any less: the landing gear may hold them 5 cm above the ground."""
     fusion = four()

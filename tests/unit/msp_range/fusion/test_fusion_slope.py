@@ -61,6 +61,38 @@ class Errors(NamedTuple):
         return math.sqrt(float((self.off_m**2).mean()))
 
 
+class Swaying:
+    """A vehicle that climbs, sinks and sways, and the attitude, acceleration and pressure that it sends."""
+
+    def __init__(self, draw: np.random.Generator, track: AttitudeTrack, motion: VerticalMotion | None) -> None:
+        self._draw, self._track, self._motion = draw, track, motion
+        self._phase_s = draw.uniform(0, 20, 3)
+        self._rate = 2 * math.pi / draw.uniform(16, 24)
+        self._next_s = self._pressure_s = 0.0
+
+    def height_m(self, t: float) -> float:
+        middle_m, half_m = (HIGHEST_M + LOWEST_M) / 2, (HIGHEST_M - LOWEST_M) / 2
+        return middle_m - half_m * math.cos(self._rate * (t + self._phase_s[2]))
+
+    def angles(self, t: float) -> tuple[float, float, float]:
+        roll, pitch = SWAY_RAD * np.sin(2 * math.pi * (t + self._phase_s[:2]) / SWAY_S)
+        return float(roll), float(pitch), 0.4
+
+    def send(self, until_s: float) -> None:
+        """All messages until a time."""
+        while self._next_s <= until_s:
+            now_s = self._next_s
+            assert self._track.update(Angles(now_s, *self.angles(now_s)))
+            if self._motion is not None:
+                half_m = (HIGHEST_M - LOWEST_M) / 2
+                up_m_s2 = half_m * self._rate**2 * math.cos(self._rate * (now_s + self._phase_s[2]))
+                self._motion.on_acceleration(now_s, up_m_s2 + self._draw.normal(scale=0.15))
+                if self._pressure_s <= now_s:
+                    self._motion.on_pressure_height(now_s, 100 + self.height_m(now_s) + self._draw.normal(scale=0.15))
+                    self._pressure_s += PRESSURE_S
+            self._next_s += ATTITUDE_S
+
+
 def fly(
     layout: str,
     reads: tuple[Oblique, str],
@@ -71,43 +103,25 @@ def fly(
 ) -> Errors:
     """Climb and sink for 80 s with readings right to a centimetre; only the first ``echo_from`` sensors get an echo."""
     draw = np.random.default_rng(seed)
-    phase_s = draw.uniform(0, 20, 3)
-    rate, middle_m, half_m = 2 * math.pi / draw.uniform(16, 24), (HIGHEST_M + LOWEST_M) / 2, (HIGHEST_M - LOWEST_M) / 2
-
-    def height_m(t: float) -> float:
-        return middle_m - half_m * math.cos(rate * (t + phase_s[2]))
-
-    def angles(t: float) -> tuple[float, float, float]:
-        roll, pitch = SWAY_RAD * np.sin(2 * math.pi * (t + phase_s[:2]) / SWAY_S)
-        return float(roll), float(pitch), 0.4
-
     configured, truth = reads
     places = LAYOUTS[layout]
-    track, motion = AttitudeTrack(), VerticalMotion()
+    track, motion = AttitudeTrack(), VerticalMotion() if witnesses else None
+    vehicle = Swaying(draw, track, motion)
     fusion = Fusion(
         {str(i): DownwardSensor((x, y, 0.0), (0.0, 0.0, 1.0), configured) for i, (x, y) in enumerate(places)},
         track,
         Windows(len(places) * SLOT_S, SLOT_S),
-        motion if witnesses else None,
+        motion,
         maximum_m=8.0,
     )
     normal = np.array([*rise, 1.0])
-    next_s = pressure_s = 0.0
     errors, slope = [], 0.0
     for ping in range(800):
         t = ping * SLOT_S
-        while next_s <= t + 0.02:
-            assert track.update(Angles(next_s, *angles(next_s)))
-            if witnesses:
-                up_m_s2 = half_m * rate**2 * math.cos(rate * (next_s + phase_s[2]))
-                motion.on_acceleration(next_s, up_m_s2 + draw.normal(scale=0.15))
-                if pressure_s <= next_s:
-                    motion.on_pressure_height(next_s, 100 + height_m(next_s) + draw.normal(scale=0.15))
-                    pressure_s += PRESSURE_S
-            next_s += ATTITUDE_S
+        vehicle.send(t + 0.02)
         name = ping % len(places)
-        turned = Rotation.from_euler("ZYX", angles(t)[::-1]).as_matrix()
-        over_m = height_m(t) - normal @ turned @ [*places[name], 0.0]
+        turned = Rotation.from_euler("ZYX", vehicle.angles(t)[::-1]).as_matrix()
+        over_m = vehicle.height_m(t) - normal @ turned @ [*places[name], 0.0]
         axis = normal @ turned[:, 2]
         range_m = over_m / (axis if truth == "slant" else np.linalg.norm(normal)) + draw.normal(scale=NOISE_M)
         reading = Reading(t, str(name), Status.OK, range_m, STATED_M, round(1000 * range_m) + 7 * ping)
@@ -115,7 +129,7 @@ def fly(
             reading = Reading(t, str(name), Status.NO_ECHO, raw=765)
         fused = fusion.update(reading, t + 0.03).fused
         if fused is not None and t > SETTLED_S:
-            off_m = fused.range_m - height_m(t) / axis
+            off_m = fused.range_m - vehicle.height_m(t) / axis
             errors.append((off_m, off_m / math.sqrt(fused.variance_m2)))
             slope = max(slope, abs(fused.rise_north - rise[0]), abs(fused.rise_east - rise[1]))
     off_m, deviations = np.array(errors).T

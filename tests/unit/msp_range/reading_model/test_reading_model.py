@@ -18,30 +18,13 @@ RANGES_CM = [-3.0, 18.7, 20.0, 20.4, 21.3, 57.2, 254.6, 300.0, 762.9, 764.6, 765
 
 
 def model(
-    hit: float = 1.0,
-    short: float = 0.0,
-    missed: float = 0.0,
-    random: float = 0.0,
-    sigma_cm: float = 1.9,
-    short_rate_per_m: float = 0.7,
-    saturated_fraction: float = 0.0,
-    sigma_growth_cm_per_m: float = 0.0,
-    missed_growth_per_m: float = 0.0,
+    hit: float = 1.0, short: float = 0.0, missed: float = 0.0, random: float = 0.0, **parameters: float
 ) -> ReadingModel:
     """Reading model with an MB1242's limits."""
-    weights = Weights(hit=hit, short=short, missed=missed, random=random)
-    return ReadingModel(
-        MixtureParameters(
-            weights=weights,
-            sigma_cm=sigma_cm,
-            short_rate_per_m=short_rate_per_m,
-            saturated_fraction=saturated_fraction,
-            sigma_growth_cm_per_m=sigma_growth_cm_per_m,
-            missed_growth_per_m=missed_growth_per_m,
-        ),
-        minimum_cm=20,
-        maximum_cm=765,
-    )
+    usual = {"sigma_cm": 1.9, "short_rate_per_m": 0.7, "saturated_fraction": 0.0}
+    shares = Weights(hit=hit, short=short, missed=missed, random=random)
+    mixture = MixtureParameters.model_validate({"weights": shares} | usual | parameters)
+    return ReadingModel(mixture, minimum_cm=20, maximum_cm=765)
 
 
 ROUGH = model(0.45, 0.25, 0.15, 0.15, saturated_fraction=0.3)
@@ -72,22 +55,21 @@ weights = st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4).filter(lambda w:
 
 @given(
     weights=weights,
-    sigma_cm=st.floats(0.01, 100.0),
-    rate_per_m=st.floats(0.001, 1000.0),
-    saturated=st.floats(0.0, 1.0),
-    growths=st.tuples(st.floats(0.0, 100.0), st.floats(-100.0, 100.0)),
+    parameters=st.fixed_dictionaries(
+        {
+            "sigma_cm": st.floats(0.01, 100.0),
+            "short_rate_per_m": st.floats(0.001, 1000.0),
+            "saturated_fraction": st.floats(0.0, 1.0),
+            "sigma_growth_cm_per_m": st.floats(0.0, 100.0),
+            "missed_growth_per_m": st.floats(-100.0, 100.0),
+        }
+    ),
     true_range_cm=st.one_of(st.floats(-100.0, 2000.0), st.sampled_from(RANGES_CM)),
 )
 def test_the_probabilities_of_all_codes_sum_to_one(
-    weights: list[float],
-    sigma_cm: float,
-    rate_per_m: float,
-    saturated: float,
-    growths: tuple[float, float],
-    true_range_cm: float,
+    weights: list[float], parameters: dict[str, float], true_range_cm: float
 ) -> None:
-    shares = [weight / sum(weights) for weight in weights]
-    of = model(*(*shares, sigma_cm, rate_per_m, saturated, *growths))
+    of = model(*(weight / sum(weights) for weight in weights), **parameters)
     # A weight next to 0 that grows to the odds of 1 leaves eight digits.
     assert probabilities(of, true_range_cm).sum() == pytest.approx(1.0, abs=1e-7)
 
