@@ -5,7 +5,6 @@ their commands, in processes that have them loaded. Answers lie in a folder of t
 What is there is not made again, so that an interrupted campaign can be resumed.
 """
 
-import csv
 import json
 import shutil
 import sys
@@ -14,12 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from evaluation.blind.flight import Columns, Regime
 from evaluation.blind.mechanisms import MECHANISMS
 from evaluation.blind.sound import Array
 from evaluation.blind.tables import CONFOUNDED, Case, fly_base, fly_case
+from evaluation.csv_form import cells_of, write_form
 from evaluation.product import command
 from evaluation.runner import Row, run_cases
 
@@ -68,18 +66,7 @@ class Campaign:
 
 def write(path: Path, columns: Columns, reading_cm: Array) -> None:
     """A CSV file in the one form; an empty cell is unknown."""
-    names = [*columns, "reading_cm"]
-    cells = [
-        [("" if v != v else f"{v:.6g}") for v in column.tolist()] if column.dtype.kind == "f" else column.tolist()
-        for column in (*(np.asarray(each) for each in columns.values()), reading_cm)
-    ]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    begun = path.with_suffix(".part")
-    with begun.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        writer.writerows(zip(*cells, strict=True))
-    begun.replace(path)
+    write_form(path, {name: cells_of(each, 6) for name, each in {**columns, "reading_cm": reading_cm}.items()})
 
 
 def draw_base(campaign: Campaign, regime: Regime) -> None:

@@ -13,7 +13,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from evaluation.closure.measures import ks_by_slice, separability
-from evaluation.closure.table import Table, comparable, read_form, step_of, table_of, write_form
+from evaluation.closure.table import Table, comparable, step_of, table_of
+from evaluation.csv_form import read_form, write_form
 from evaluation.real.commands import run_command
 
 DRAWS = 3

@@ -1,8 +1,6 @@
 """Readings and contexts from the project's CSV form, for the measures of this package."""
 
-import csv
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,21 +41,6 @@ class Table:
         """The same, readings rounded to a step."""
         rounded = np.round(self.reading_cm / step_cm) * step_cm if step_cm > 0.0 else self.reading_cm
         return Table(rounded, self.contexts, self.run)
-
-
-def read_form(path: Path) -> dict[str, list[str]]:
-    """Cells by column."""
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
-    return {name: [row[k] for row in rows] for k, name in enumerate(header)}
-
-
-def write_form(path: Path, cells: dict[str, list[str]]) -> None:
-    """Write cells by column."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(cells)
-        writer.writerows(zip(*cells.values(), strict=True))
 
 
 def comparable(cells: dict[str, list[str]], run: str) -> dict[str, list[str]]:

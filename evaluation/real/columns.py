@@ -4,24 +4,23 @@ Nothing of the product is imported here, so that an error of its readers or of i
 """
 
 import csv
-import gzip
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.csv_form import read_form
+
 FloatArray = NDArray[np.floating[Any]]
 
 
 def read_table(path: Path) -> dict[str, FloatArray]:
     """Columns of numbers of a CSV file with a header; empty cells are NaN, columns of words are left out."""
-    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
     columns: dict[str, FloatArray] = {}
-    for k, name in enumerate(header):
+    for name, cells in read_form(path).items():
         try:
-            columns[name] = np.array([float(row[k]) if row[k] else np.nan for row in rows])
+            columns[name] = np.array([float(cell or "nan") for cell in cells])
         except ValueError:
             continue
     return columns
@@ -29,8 +28,7 @@ def read_table(path: Path) -> dict[str, FloatArray]:
 
 def read_words(path: Path, name: str) -> NDArray[np.str_]:
     """One column of words."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return np.array([row[name] for row in csv.DictReader(file)])
+    return np.array(read_form(path)[name])
 
 
 def read_tilt(path: Path) -> list[tuple[str, float, FloatArray, FloatArray]]:

@@ -1,6 +1,5 @@
 """The measured sets as the commands get them: files, sensor model, column map, and what is characterised first."""
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluation import CONFIGS
+from evaluation.csv_form import cells_of, write_form
 from evaluation.real.columns import FloatArray, read_table, read_tilt, read_words
 from evaluation.real.regress import smooth_rate
 
@@ -46,18 +46,10 @@ class MeasuredSet:
 Columns = dict[str, FloatArray | NDArray[np.str_]]
 
 
-def write_form(path: Path, columns: Columns) -> Path:
+def write(path: Path, columns: Columns) -> Path:
     """Write the project's CSV form, for one sensor; NaN is an empty cell."""
-    cells = [
-        column.tolist() if column.dtype.kind == "U" else ["" if np.isnan(x) else f"{x:.7g}" for x in column]
-        for column in columns.values()
-    ]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["sensor", *columns])
-        writer.writerows(["ranger", *row] for row in zip(*cells, strict=True))
-    return path
+    cells = {name: cells_of(column, 7) for name, column in columns.items()}
+    return write_form(path, {"sensor": ["ranger"] * len(cells["reading_cm"])} | cells)
 
 
 def prepare_robot(sonar: str, no_echo_cm: float) -> Callable[[Path, Path], list[Path]]:
@@ -74,7 +66,7 @@ def prepare_robot(sonar: str, no_echo_cm: float) -> Callable[[Path, Path], list[
             "true_range_cm": 100.0 * table["range"],
             "range_rate_cm_s": 100.0 * table["velocity_command"],
         }
-        return [write_form(out / "training1.csv", columns)]
+        return [write(out / "training1.csv", columns)]
 
     return prepare
 
@@ -96,7 +88,7 @@ def prepare_drone(*flights: str, own_columns: bool = False) -> Callable[[Path, P
             if own_columns:
                 columns["range_rate_cm_s"] = smooth_rate(z, table["t_s"])
                 columns |= {name: table[name] for name in ("mocap_x_m", "mocap_y_m", "roll_rad", "pitch_rad")}
-            paths.append(write_form(out / f"{Path(flight).stem}.csv", columns))
+            paths.append(write(out / f"{Path(flight).stem}.csv", columns))
         return paths
 
     return prepare
@@ -113,7 +105,7 @@ def prepare_ruler(data: Path, out: Path) -> list[Path]:
         "true_range_cm": table["actual_cm"],
         "air_temperature_c": table["temp1_C"],
     }
-    return [write_form(out / "readings.csv", columns)]
+    return [write(out / "readings.csv", columns)]
 
 
 def prepare_tilt(data: Path, out: Path) -> list[Path]:
@@ -127,7 +119,7 @@ def prepare_tilt(data: Path, out: Path) -> list[Path]:
         "true_range_cm": np.concatenate([np.full(each[2].size, each[1]) for each in tables]),
         "incidence_deg": np.concatenate([each[2] for each in tables]),
     }
-    return [write_form(out / "Misure_prove.csv", columns)]
+    return [write(out / "Misure_prove.csv", columns)]
 
 
 def prepare_lidar(data: Path, out: Path) -> list[Path]:
@@ -139,7 +131,7 @@ def prepare_lidar(data: Path, out: Path) -> list[Path]:
         "reading_cm": np.where(measured > 51.04, 5110.0, np.round(100.0 * measured, 6)),
         "true_range_cm": 100.0 * table["expected_m"],
     }
-    return [write_form(out / "fhw.csv", columns)]
+    return [write(out / "fhw.csv", columns)]
 
 
 def prepare_terrain(own_columns: bool) -> Callable[[Path, Path], list[Path]]:
@@ -156,7 +148,7 @@ def prepare_terrain(own_columns: bool) -> Callable[[Path, Path], list[Path]]:
         if own_columns:
             columns["range_rate_cm_s"] = smooth_rate(z, table["t_s"])
             columns |= {name: table[name] for name in ("est_x_m", "est_y_m")}
-        return [write_form(out / "log07.csv", columns)]
+        return [write(out / "log07.csv", columns)]
 
     return prepare
 
