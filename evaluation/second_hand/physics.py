@@ -173,41 +173,68 @@ def _names(*names: str) -> frozenset[str]:
     return frozenset(names)
 
 
-_ANY, _LOW = Design(), Design(low=True)
-_AIR, _TILT, _THROTTLE, _SHAKEN, _NEIGHBOUR = (
-    Design(_names(each)) for each in ("air_temperature_c", "incidence_deg", "throttle", "vibration_hz", "neighbour")
-)
-_DAYS = Design(_names("air_temperature_c"), many_runs=True)
-_DAMP_DAYS = Design(_names("air_temperature_c", "humidity_pct"), many_runs=True)
-_SMOOTH = Design(_names("range_rate_cm_s"), smooth=True)
-_SCALES, _COMPONENT = _names("range_scale", "thermometer_offset"), "component"
+def _with(*columns: str, many_runs: bool = False, smooth: bool = False) -> Design:
+    """Runs with these columns."""
+    return Design(frozenset(columns), many_runs=many_runs, smooth=smooth)
+
+
+_SCALES = _names("range_scale", "thermometer_offset")
+"""A scale and a thermometer that is off are one to the readings."""
 
 KNOWN = (
-    Kind("air_not_corrected", _DAYS, _air_not_corrected, 1.2, 0.2, _names("air_temperature"), between_runs=True),
-    Kind("thermometer_bias", _AIR, _thermometer_bias, 30.0, 3.0, _SCALES, same_as=("scale",)),
-    Kind("scale", _ANY, _scale, 8.0, 0.5, _SCALES, same_as=("scale",)),
+    Kind(
+        "air_not_corrected",
+        _with("air_temperature_c", many_runs=True),
+        _air_not_corrected,
+        1.2,
+        0.2,
+        _names("air_temperature"),
+        between_runs=True,
+    ),
+    Kind("thermometer_bias", _with("air_temperature_c"), _thermometer_bias, 30.0, 3.0, _SCALES, same_as=("scale",)),
+    Kind("scale", Design(), _scale, 8.0, 0.5, _SCALES, same_as=("scale",)),
     Kind("sensor_offset", Design(sensors=2), _sensor_offset, 30.0, 0.5, _names("mounting_offset")),
     Kind("run_offset", Design(many_runs=True), _run_offset, 30.0, 1.0, _names("session_offset"), between_runs=True),
-    Kind("latency", _SMOOTH, _latency, 0.8, 0.03, _names("latency")),
-    Kind("stale", _ANY, _stale, 0.7, 0.05, _names("stale"), _COMPONENT, last=True),
-    Kind("slant_axis", _TILT, _slant_axis, 1.2, 0.2, _names("slant_range")),
-    Kind("slant_beam_edge", _TILT, _slant_beam_edge, 1.2, 0.2, _names("nearest_point", "slant_range")),
-    Kind("sensitivity_loss", _ANY, _sensitivity_loss, 4.0, 0.5, _names("missed_with_range"), "missed"),
-    Kind("propeller_spread", _THROTTLE, _propeller_spread, 2.5, 0.7, _names("rotor_noise"), "spread"),
-    Kind("propeller_short", _THROTTLE, _propeller_short, 8.0, 2.0, _names("prop_wash"), "short"),
-    Kind("crosstalk", _NEIGHBOUR, _crosstalk, 0.8, 0.05, _names("crosstalk"), _COMPONENT, last=True),
-    Kind("multipath", _ANY, _multipath, 0.5, 0.03, _names("multipath"), _COMPONENT, last=True),
-    Kind("ring_down", _LOW, _ring_down, 0.98, 0.3, _names("dead_zone_minimum"), _COMPONENT, last=True),
-    Kind("coarse_rounding", _ANY, _coarse_rounding, 0.98, 0.1, _names("coarse_rounding"), "code", last=True),
-    Kind("cycle_slip", _ANY, _cycle_slip, 0.5, 0.05, _names("cycle_slip"), _COMPONENT, last=True),
-    Kind("humidity", _DAMP_DAYS, _humidity, 1.5, 0.5, _names("humidity"), between_runs=True),
+    Kind("latency", _with("range_rate_cm_s", smooth=True), _latency, 0.8, 0.03, _names("latency")),
+    Kind("stale", Design(), _stale, 0.7, 0.05, _names("stale"), "component", last=True),
+    Kind("slant_axis", _with("incidence_deg"), _slant_axis, 1.2, 0.2, _names("slant_range")),
+    Kind("slant_beam_edge", _with("incidence_deg"), _slant_beam_edge, 1.2, 0.2, _names("nearest_point", "slant_range")),
+    Kind("sensitivity_loss", Design(), _sensitivity_loss, 4.0, 0.5, _names("missed_with_range"), "missed"),
+    Kind("propeller_spread", _with("throttle"), _propeller_spread, 2.5, 0.7, _names("rotor_noise"), "spread"),
+    Kind("propeller_short", _with("throttle"), _propeller_short, 8.0, 2.0, _names("prop_wash"), "short"),
+    Kind("crosstalk", _with("neighbour"), _crosstalk, 0.8, 0.05, _names("crosstalk"), "component", last=True),
+    Kind("multipath", Design(), _multipath, 0.5, 0.03, _names("multipath"), "component", last=True),
+    Kind("ring_down", Design(low=True), _ring_down, 0.98, 0.3, _names("dead_zone_minimum"), "component", last=True),
+    Kind("coarse_rounding", Design(), _coarse_rounding, 0.98, 0.1, _names("coarse_rounding"), "code", last=True),
+    Kind("cycle_slip", Design(), _cycle_slip, 0.5, 0.05, _names("cycle_slip"), "component", last=True),
     Kind(
-        "spread_with_range", _ANY, _spread_with_range, 2.5, 0.3, _names("spread_with_range"), "spread",
+        "humidity",
+        _with("air_temperature_c", "humidity_pct", many_runs=True),
+        _humidity,
+        1.5,
+        0.5,
+        _names("humidity"),
+        between_runs=True,
+    ),
+    Kind(
+        "spread_with_range",
+        Design(),
+        _spread_with_range,
+        2.5,
+        0.3,
+        _names("spread_with_range"),
+        "spread",
         same_as=("growth_per_m",),
     ),
     Kind(
-        "misses_when_tilted", _TILT, _misses_when_tilted, 6.0, 1.0, _names("beyond_field_of_view"), "missed",
+        "misses_when_tilted",
+        _with("incidence_deg"),
+        _misses_when_tilted,
+        6.0,
+        1.0,
+        _names("beyond_field_of_view"),
+        "missed",
         "incidence_deg",
     ),
-    Kind("vibration", _SHAKEN, _vibration, 2.5, 0.3, _names("vibration"), "spread"),
-)  # fmt: skip
+    Kind("vibration", _with("vibration_hz"), _vibration, 2.5, 0.3, _names("vibration"), "spread"),
+)
