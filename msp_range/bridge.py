@@ -61,6 +61,7 @@ from msp_range.health import (
     Report,
     SensorWatch,
     Severity,
+    Sighting,
     verdict_of,
 )
 from msp_range.health.finding import SensorFinding
@@ -374,15 +375,9 @@ class Bridge:
         if watch.is_single:
             rate = self._motion.rate(reading.time_s)
             climb_m_s = rate.m_s if rate is not None else 0.0
+        height_m, std_m = fusion.level_height_m, reading.std_m or 0.0
         watch.update(
-            reading.sensor,
-            reading.time_s,
-            use,
-            fusion.level_height_m,
-            reading.std_m,
-            reading.raw,
-            climb_m_s,
-            fusion.down,
+            Sighting(reading.sensor, reading.time_s, use, height_m, std_m, reading.raw, climb_m_s, fusion.down)
         )
 
     def _set_limits(self, temperature_c: float) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from evaluation.shares import wilson
-from msp_lab.gap.naming import name_effects
+from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.splits import draw_splits
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model
@@ -74,7 +74,7 @@ def coverage(seeds: Iterable[int]) -> dict[tuple[str, str], Held]:
             }
             reading_cm = columns.pop("reading_cm")
             rng = np.random.default_rng((seed, k))
-            named_model = name_effects(model, columns, reading_cm, draw_splits(columns, rng), rng)
+            named_model = name_effects(model, AllReadings(columns, reading_cm, draw_splits(columns, rng)), rng)
             named = {each.name: each for each in named_model.effects}
             for name, values in hidden.items():
                 for parameter, truth in values.items():

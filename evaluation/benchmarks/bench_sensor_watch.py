@@ -51,7 +51,7 @@ class _Idle(SensorWatch):
 def _windows(drawn: Drawn) -> list[list[Sighting]]:
     """Readings of the ground with those around them."""
     seen = [
-        Sighting(time_s, str(sensor), range_m, STD_M, GroundUse.GROUND, range_m, None, climb_m_s, None)
+        Sighting(str(sensor), time_s, GroundUse.GROUND, range_m, STD_M, None, climb_m_s, None, range_m)
         for time_s, sensor, range_m, climb_m_s in zip(
             *(each.tolist() for each in (drawn.time_s, drawn.sensor, drawn.height_m, drawn.climb_m_s)), strict=True
         )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from msp_range.geometry import Vector
-from msp_range.health import Expected, GroundUse, SensorWatch
+from msp_range.health import Expected, GroundUse, SensorWatch, Sighting
 from msp_range.health.finding import SensorFinding
 
 SLOT_S, NAMES = 0.1, ("a", "b", "c", "d")
@@ -139,10 +139,10 @@ def feed(watch: SensorWatch, drawn: Drawn) -> Iterator[tuple[float, SensorFindin
     for time_s, index, range_m, far_m, climb_m_s, sine in zip(*(each.tolist() for each in rows), strict=True):
         down: Vector = (sine, 0.0, math.sqrt(1.0 - sine * sine))
         if math.isnan(range_m):
-            watch.update(NAMES[index], time_s, GroundUse.MISSED, None, None, 765, climb_m_s, down)
+            watch.update(Sighting(NAMES[index], time_s, GroundUse.MISSED, None, 0.0, 765, climb_m_s, down))
         else:
             seen = GroundUse.GROUND if far_m < USED_M else GroundUse.OTHER
-            watch.update(NAMES[index], time_s, seen, range_m, STD_M, round(100 * range_m), climb_m_s, down)
+            watch.update(Sighting(NAMES[index], time_s, seen, range_m, STD_M, round(100 * range_m), climb_m_s, down))
         if watch.findings != known:
             yield from ((time_s, finding) for finding in watch.findings if finding not in known)
             known = list(watch.findings)

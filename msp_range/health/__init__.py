@@ -4,7 +4,7 @@ from msp_range.health.below import ObservationsBelow
 from msp_range.health.bus import BusHealth
 from msp_range.health.conditions import Condition, Health, Report, Severity
 from msp_range.health.expected import Expected
-from msp_range.health.neighbours import GroundUse
+from msp_range.health.neighbours import GroundUse, Sighting
 from msp_range.health.output import FUSED, OutputWatch
 from msp_range.health.reminder import Reminder
 from msp_range.health.sensor_watch import SensorWatch

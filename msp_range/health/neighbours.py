@@ -38,27 +38,27 @@ class GroundUse(Enum):
 
 
 class Sighting(NamedTuple):
-    """One reading of the window."""
+    """One reading, and what the vehicle did."""
 
-    time_s: float
-    """Time of the echo [s]."""
     sensor: str
     """Name of the sensor."""
-    common_m: float | None
-    """Height of the reference point over level ground by this reading alone, without the sensor's own offset from the
-    others [m]; None where it is not of the ground, so that it is no reference for others."""
-    std_m: float
-    """Standard deviation of the reading [m]; 0 without a range."""
+    time_s: float
+    """Time of the echo [s]."""
     seen: GroundUse
     """What it was for the fused ground."""
     height_m: float | None
-    """As ``common_m``, with the offset, of every reading with a range."""
+    """Height of the reference point over level ground by this reading alone [m]; None without a range."""
+    std_m: float
+    """Standard deviation of the reading [m]; 0 without a range."""
     raw: int | None
     """The sensor's answer."""
     climb_m_s: float
-    """How fast the vehicle climbs by all sensors [m/s]."""
+    """How fast the vehicle climbs by all sensors [m/s]; of a single one by its barometer, 0 where there is none."""
     down: Vector | None
     """Straight down, a unit vector in body FRD; None where the attitude is not known."""
+    common_m: float | None = None
+    """The height without the sensor's own offset from the others [m]; None where the reading is not of the ground, so
+    that it is no reference for others."""
 
 
 class ReferenceHeight(NamedTuple):

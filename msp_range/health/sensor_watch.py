@@ -202,41 +202,16 @@ class SensorWatch:
         self._model_correlation = max([each.correlation for each in sensors.values()], default=0.0)
         self._product, self._square = 0.0, 1.0
 
-    def update(
-        self,
-        name: str,
-        time_s: float,
-        seen: GroundUse,
-        height_m: float | None,
-        std_m: float | None,
-        raw: int | None,
-        climb_m_s: float,
-        down: Vector | None,
-    ) -> None:
-        """Update with a reading, in the order of their times.
-
-        Parameters
-        ----------
-        name
-            Of the sensor.
-        time_s, seen, height_m, raw
-            As in `Sighting`.
-        std_m
-            Deviation that the reading comes with [m]; None without a range.
-        climb_m_s
-            How fast the vehicle climbs by all sensors [m/s]; of a single one by its barometer, 0 where there is none.
-        down
-            Straight down, a unit vector in body FRD; None where the attitude is not known.
-        """
-        own = self._sensors[name]
+    def update(self, sighting: Sighting) -> None:
+        """Update with a reading, in the order of their times."""
+        own, seen, height_m = self._sensors[sighting.sensor], sighting.seen, sighting.height_m
         if height_m is None and seen is not GroundUse.MISSED:
             seen = GroundUse.NOTHING
         common_m = height_m - own.offset_m if height_m is not None and seen is GroundUse.GROUND else None
-        std_m = own.expected.spread * (std_m or 0.0)
-        sighting = Sighting(time_s, name, common_m, std_m, seen, height_m, raw, climb_m_s, down)
+        sighting = sighting._replace(seen=seen, std_m=own.expected.spread * sighting.std_m, common_m=common_m)
         if self.is_single:
             # Repeats count while the barometer shows a climb.
-            moved_m = max(abs(climb_m_s) - BAROMETER_M_S, 0.0) * (time_s - own.time_s)
+            moved_m = max(abs(sighting.climb_m_s) - BAROMETER_M_S, 0.0) * (sighting.time_s - own.time_s)
             self._count(own, sighting, own.height_m, moved_m, height_m)
             return
         window = self._window

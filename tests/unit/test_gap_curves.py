@@ -12,7 +12,7 @@ from msp_lab.gap.curves import add_curves
 from msp_lab.gap.far_curves import far_curves
 from msp_lab.gap.findings import FoundEffect
 from msp_lab.gap.formula import formula
-from msp_lab.gap.naming import name_effects
+from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import CHANNELS, Prepared
 from msp_lab.gap.problem import Problem, first_state
 from msp_lab.gap.refit import refit
@@ -218,7 +218,7 @@ def effect_of(contexts: Columns, seed: int) -> FoundEffect:
     reading_cm = read(contexts, seed, 0.008 * number(contexts, "true_range_cm"))
     rng = np.random.default_rng(1)
     # The reference model is calibrated at 22.5 C, and so are these readings.
-    found = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    found = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
     (effect,) = found.effects
     return effect
 
@@ -266,7 +266,7 @@ def test_a_step_is_found_where_it_is_and_written_as_one() -> None:
     assert (best.channel, best.variables, best.degrees) == ("bias", ("throttle",), 1)
     assert np.mean(np.asarray(best.knots[0])) == pytest.approx(0.6, abs=0.05)
     rng = np.random.default_rng(1)
-    (found,) = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng).unknown
+    (found,) = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng).unknown
     size, place = map(float, re.findall(r"\+ ([0-9.]+) \[throttle > ([0-9.]+)\]", found.formula)[0])
     assert size == pytest.approx(0.8, abs=0.3)
     assert place == pytest.approx(0.6, abs=0.05)
@@ -290,7 +290,7 @@ def test_a_value_for_each_of_eight_places_is_no_curve() -> None:
     place = np.arange(2400) // 100 % 8
     contexts["true_range_cm"] = 50.0 + 40.0 * place
     reading_cm = read(contexts, 6, rng.permutation(np.linspace(-1.5, 1.5, 8))[place] * SIGMA_CM * 0.3)
-    found = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    found = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
     assert ("bias", ("true_range_cm",)) not in {(each.channel, each.variables) for each in found.unknown}
 
 
@@ -320,7 +320,7 @@ def test_hits_so_far_off_that_they_count_as_outliers_are_a_curve_of_the_bias() -
     assert best.variables == ("x_m",)
     assert min(best.start) == pytest.approx(-40.0, abs=1.0)
     assert best.start[0] == pytest.approx(0.0, abs=1.0)
-    found = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    found = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
     assert ("bias", ("x_m",)) in {(each.channel, each.variables) for each in found.unknown}
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.gap.runs import dependence, sample
 from msp_lab.gap.splits import draw_splits
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -34,7 +34,7 @@ def flown(n: int, throttle: Array) -> dict[str, Any]:
 def named(contexts: dict[str, Any], error_cm: Array) -> NamedModel:
     reading_cm = np.array(sensor().readings((contexts["true_range_cm"] + error_cm).tolist(), 1))
     rng = np.random.default_rng(1)
-    return name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    return name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
 
 
 def names(found: NamedModel) -> set[str]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.candidates import candidates_of
-from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, first_state, free_curves, screened
 from msp_lab.gap.refit import refit
@@ -46,7 +46,7 @@ def read(contexts: dict[str, Any], seed: int, bias_cm: Array | float = 0.0, **ch
 
 def named(contexts: dict[str, Any], reading_cm: Array, model: Model = MODEL) -> NamedModel:
     rng = np.random.default_rng(1)
-    return name_effects(model, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    return name_effects(model, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.formula import formula
 from msp_lab.gap.intake import Comparison, read_readings
 from msp_lab.gap.model_file import model_text
-from msp_lab.gap.naming import ExtendedModels, name, name_effects
+from msp_lab.gap.naming import AllReadings, ExtendedModels, name, name_effects
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -122,6 +122,6 @@ def test_where_nothing_is_missing_no_number_of_the_base_is_said_to_move() -> Non
     contexts = flown(3) | {"reference": np.full(N, "others")}
     rng = np.random.default_rng(3)
     reading_cm = given(0.0).sample(contexts, rng)
-    found = name_effects(given(0.0), contexts, reading_cm, draw_splits(contexts, rng), rng)
+    found = name_effects(given(0.0), AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
     assert found.calibration == ()
     assert found.models.final_fit.sensor.reading_model.correlation == 0.0

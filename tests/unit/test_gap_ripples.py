@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.findings import GapFindings
-from msp_lab.gap.naming import name_effects
+from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
 from msp_lab.gap.ripples import ripples
@@ -87,7 +87,7 @@ def test_a_named_ripple_has_its_period_and_amplitude_in_words() -> None:
     contexts = flown(2)
     wave_cm = 1.2 * np.cos(2.0 * np.pi * contexts["true_range_cm"] / 23.1 + 1.0)
     reading_cm, rng = read(contexts, 2, wave_cm), np.random.default_rng(1)
-    named = name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    named = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
     assert [(each.channel, each.variables) for each in named.unknown] == [("bias", ("true_range_cm",))]
     ripple = named.unknown[0]
     assert ripple.formula.startswith("ripple of 23.")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from msp_lab.gap.before_after import add, compare
 from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, Settings
 from msp_lab.gap.intake import Comparison, read_readings
-from msp_lab.gap.naming import NamedModel, name, name_effects
+from msp_lab.gap.naming import AllReadings, NamedModel, name, name_effects
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.verdict import verdict
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -48,7 +48,7 @@ def read(contexts: dict[str, Any], seed: int, bias_cm: Array | float = 0.0) -> A
 
 def named(contexts: dict[str, Any], reading_cm: Array) -> NamedModel:
     rng = np.random.default_rng(1)
-    return name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    return name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
 
 
 def names(found: NamedModel) -> set[str]:

@@ -20,7 +20,6 @@ from tests.support.plain_sampler import PlainSensor
 Array = NDArray[np.float64]
 MODEL = Model.of(load_sensor_model(SENSOR).model_copy(update={"effects": ()}))
 NB = len(BASE)
-FREE = np.ones(NB, dtype=bool)
 N = 2000
 
 
@@ -63,8 +62,8 @@ def drawn(information: Array, seed: int, units: int = 40, wider: float = 1.0) ->
 def screened(
     of: ScoreSums, information: Array, tested: list[CandidateEffect], by_run: bool = False, accepted: int | None = None
 ) -> Screen:
-    held = [] if accepted is None else [accepted]
-    return screen(of, information, tested, held, FREE, by_run, 0.05, np.random.default_rng(1))
+    nuisance = np.array([*range(NB), *([] if accepted is None else [NB + accepted])])
+    return screen(of, information, tested, nuisance, by_run, 0.05, np.random.default_rng(1))
 
 
 def efficient_z(of: ScoreSums, information: Array, j: int, nuisance: list[int]) -> float:

@@ -10,7 +10,7 @@ from msp_lab.gap import runs
 from msp_lab.gap.candidates import candidates_of
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.formula import formula
-from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import refit
 from msp_lab.gap.screen import score_matrix
@@ -68,7 +68,7 @@ def read(
 
 def explained(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, seed: int = 1) -> NamedModel:
     rng = np.random.default_rng(seed)
-    return name_effects(MODEL, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    return name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
 
 
 def test_runs_are_parted_whole_and_evenly() -> None:
@@ -242,7 +242,7 @@ def test_offsets_that_the_spread_of_the_model_holds_already_are_not_named() -> N
     wider = mixture.model_copy(update={"sigma_cm": float(np.hypot(mixture.sigma_cm, offset_cm.std()))})
     rng = np.random.default_rng(1)
     model = Model.of(SENSOR.model_copy(update={"reading_model": wider}))
-    found = name_effects(model, contexts, reading_cm, draw_splits(contexts, rng), rng)
+    found = name_effects(model, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
     assert not found.effects
 
 

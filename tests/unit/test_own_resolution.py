@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from msp_lab.characterise.from_files import characterise
 from msp_lab.gap.intake import Comparison, Readings, Settings, read_readings
-from msp_lab.gap.naming import NamedModel, name_effects
+from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.readings.resolution import compared_step, to_step
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
@@ -129,7 +129,7 @@ def named(folder: Path, columns: dict[str, Any]) -> NamedModel:
     compared = Comparison.of(taken(folder, columns), GIVEN, Settings(str(MODEL)))
     contexts = {name: column for name, column in compared.data.items() if name != "reading_cm"}
     reading_cm = compared.data["reading_cm"]
-    return name_effects(compared.model, contexts, reading_cm, compared.splits, np.random.default_rng(1))
+    return name_effects(compared.model, AllReadings(contexts, reading_cm, compared.splits), np.random.default_rng(1))
 
 
 def flight(seed: int, step_cm: float, held: float, delay_s: float, n: int = 4000) -> dict[str, Any]:

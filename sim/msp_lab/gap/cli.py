@@ -17,7 +17,7 @@ from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.cli import Jobs, OwnEffects, Scheduler
 
 if TYPE_CHECKING:
-    from msp_lab.gap.separate import Each
+    from msp_lab.gap.separate import Common, Each
     from msp_lab.gap.steps import Steps
     from msp_lab.gap.terminal import ProgressBar
 
@@ -112,7 +112,11 @@ def _from_readings(last: LastStep) -> Callable[..., None]:
         file = str(config_path(model, "sensors"))
         settings = Settings(file, alpha, max_effects, seed, run_column, tuple(column_map or ()), tuple(of or ()))
         if each is not None:
-            _run_separately(measured, settings, out, effects, each, truth, until, jobs, scheduler)
+            require("lab", "The gap workflow")
+            from msp_lab.gap.separate import Common
+
+            common = Common(settings, truth, until, tuple(path.resolve() for path in effects or ()))
+            _run_separately(measured, out, each, common, jobs, scheduler)
             return
         if jobs != 1 or scheduler is not None:
             raise ConfigError("--jobs and --scheduler: separate gaps are computed on several processors: give --each")
@@ -159,31 +163,21 @@ def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFind
 
 
 def _run_separately(
-    measured: list[Path],
-    settings: Settings,
-    out: Path,
-    effects: list[Path] | None,
-    each: "Each",
-    truth: str,
-    until: LastStep,
-    jobs: int,
-    scheduler: str | None,
+    measured: list[Path], out: Path, each: "Each", common: "Common", jobs: int, scheduler: str | None
 ) -> None:
     """Compare each log or sensor on its own, and print a row for each; exit code 4 if some could not be compared."""
-    require("lab", "The gap workflow")
-    from msp_lab.gap.separate import TABLE, Common, SeparateGap, jobs_of, separate_gap
+    from msp_lab.gap.separate import TABLE, SeparateGap, jobs_of, separate_gap
     from msp_lab.gap.terminal import print_separate_gaps
     from msp_sim.effects.own import add_own_effects
     from msp_sim.terminal import make_folder
     from msp_sim.workers import exit_if_failed, workers
 
-    if truth == "others":
+    if common.truth == "others":
         raise ConfigError("--each: --truth others compares the sensors with each other; give one of them")
-    add_own_effects(effects or ())
+    add_own_effects(common.effects)
     make_folder(out)
-    common = Common(settings, truth, until, tuple(path.resolve() for path in effects or ()))
     with workers(jobs, scheduler, "msp-lab gap") as where:
-        separate = jobs_of(measured, each, settings, out)
+        separate = jobs_of(measured, each, common.settings, out)
         found = where.rows(separate_gap, separate, common, out / TABLE, SeparateGap, what="gaps")
     print_separate_gaps(found, where.died, out)
     exit_if_failed(found)

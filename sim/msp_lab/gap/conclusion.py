@@ -122,7 +122,7 @@ def _decision(findings: GapFindings) -> str:
     match findings.verdict:
         case None:
             return _compared(findings)
-        case "nothing missing" if (findings.random_share or 1.0) < rules.SLICE_P:
+        case "nothing missing" if findings.random_share is not None and findings.random_share < rules.SLICE_P:
             own = [number_label(each.name) for each in findings.refitted if each.name.startswith("effects.")]
             what = f"{and_list(own)}, too little to matter" if own else "something, too small to have a name"
             text = f"The model is close enough: it may lack {what}"

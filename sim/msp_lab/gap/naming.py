@@ -109,9 +109,11 @@ def _name_rows(comparison: Comparison, rows: Flags, without: Sequence[str], repo
     settings = comparison.settings
     return name_effects(
         comparison.model,
-        {key: each[rows] for key, each in comparison.data.items() if key not in ("reading_cm", *without)},
-        comparison.data["reading_cm"][rows],
-        comparison.splits.take(rows),
+        AllReadings(
+            {key: each[rows] for key, each in comparison.data.items() if key not in ("reading_cm", *without)},
+            comparison.data["reading_cm"][rows],
+            comparison.splits.take(rows),
+        ),
         np.random.default_rng([settings.seed, 2]),
         alpha=settings.alpha,
         max_terms=settings.max_effects,
@@ -119,11 +121,26 @@ def _name_rows(comparison: Comparison, rows: Flags, without: Sequence[str], repo
     )
 
 
+@dataclass(frozen=True)
+class AllReadings:
+    """All readings with their splits by whole runs."""
+
+    contexts: Mapping[str, Any]
+    """Columns by name, (n,)."""
+    reading_cm: Array
+    """Readings, (n,), no NaN."""
+    splits: Splits
+
+    def sampled(self, problem: Problem, rows: Indices, most: int) -> tuple[Prepared, Indices]:
+        """At most so many of some rows, and which."""
+        rows = sample(self.contexts, rows, most, problem.rng)
+        contexts = taken(self.contexts, rows)
+        return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s), rows
+
+
 def name_effects(
     model: Model,
-    contexts: Mapping[str, Any],
-    reading_cm: Array,
-    splits: Splits,
+    whole: AllReadings,
     rng: np.random.Generator,
     alpha: float = 0.01,
     max_terms: int = 6,
@@ -135,12 +152,8 @@ def name_effects(
     ----------
     model
         The given model.
-    contexts
-        Columns by name, (n,).
-    reading_cm
-        Readings, (n,), no NaN.
-    splits
-        By whole runs.
+    whole
+        The readings.
     rng
         Random generator.
     alpha
@@ -150,13 +163,13 @@ def name_effects(
     report
         Reports what is being done, and which share of it is done.
     """
+    contexts, reading_cm, splits = with_path(whole.contexts), whole.reading_cm, whole.splits
     if not is_on_grid(reading_cm, model.sensor.resolution_cm).all():
         reading_cm = to_step(reading_cm, model.sensor.resolution_cm)
-    contexts = with_path(contexts)
     if PREVIOUS not in contexts:
         contexts = {PREVIOUS: previous(contexts, reading_cm), **contexts}
     report("fitting the base", 0.02)
-    problem = Problem.of(model, contexts, reading_cm, splits.unit, rng, alpha, report)
+    problem = replace(Problem.of(model, contexts, reading_cm, splits.unit, rng), alpha=alpha, report=report)
     selection = select(problem, max_terms)
     report("validating on splits of the runs", 0.85)
     selection, kept = _validated(problem, selection, splits, max_terms)
@@ -189,21 +202,6 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
     # One that was dropped may have come back, once another one had gone.
     dropped = tuple(each for each in (*kept.dropped, *again.dropped) if each.term.key not in again.state.keys)
     return selection, replace(again, state=refitted(again.state), dropped=dropped)
-
-
-@dataclass(frozen=True)
-class AllReadings:
-    """All readings with their splits, for the values that are reported."""
-
-    contexts: Mapping[str, Any]
-    reading_cm: Array
-    splits: Splits
-
-    def sampled(self, problem: Problem, rows: Indices, most: int) -> tuple[Prepared, Indices]:
-        """At most so many of some rows, and which."""
-        rows = sample(self.contexts, rows, most, problem.rng)
-        contexts = taken(self.contexts, rows)
-        return Prepared.of(problem.model, contexts, self.reading_cm[rows], problem.readings.spacing_s), rows
 
 
 def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:

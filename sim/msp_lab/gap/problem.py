@@ -69,11 +69,11 @@ class Problem:
     """Effects that these contexts can show."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     """Effects that they cannot, with the columns that are missing."""
-    alpha: float
-    """Probability of any false name."""
     rng: np.random.Generator
     """Source of the replicates and of the screen's null."""
-    report: Progress
+    alpha: float = 0.01
+    """Probability of any false name."""
+    report: Progress = lambda what, share: None
     """Reports progress."""
     kept: dict[Any, JointFit] = field(default_factory=dict)
     """Fits of some of a state's terms: elimination, exchange and validation ask for the same ones."""
@@ -86,8 +86,6 @@ class Problem:
         reading_cm: Array,
         unit: Indices,
         rng: np.random.Generator,
-        alpha: float = 0.01,
-        report: Progress = lambda what, share: None,
     ) -> "Problem":
         """Prepare a sample of these readings; the parameters are as the attributes."""
         rows = sample(contexts, np.arange(reading_cm.size), rules.READINGS, rng)
@@ -108,7 +106,7 @@ class Problem:
             true_cm = np.asarray(whole[TRUE_RANGE], dtype=np.float64)
             return np.abs(true_cm - previous(whole, true_cm))[rows]
 
-        return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, alpha, rng, report)
+        return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, rng)
 
     @cached_property
     def curves(self) -> CurveWeights:
@@ -269,8 +267,8 @@ def screened(problem: Problem, state: State, by_run: bool = False, sums: ScoreSu
     """
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
     sums = sums or scores_at(problem, state)
-    free = ~state.fit.at.held[: len(BASE)]
-    return screen(sums, state.information, problem.candidates, accepted, free, by_run, problem.alpha, problem.rng)
+    nuisance = np.array([*np.flatnonzero(~state.fit.at.held[: len(BASE)]), *(len(BASE) + j for j in accepted)])
+    return screen(sums, state.information, problem.candidates, nuisance, by_run, problem.alpha, problem.rng)
 
 
 def scores_at(problem: Problem, state: State) -> ScoreSums:

@@ -17,7 +17,7 @@ from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.runs import sample, taken
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
@@ -151,8 +151,7 @@ def screen(
     measured: ScoreSums,
     information: Array,
     candidates: Sequence[CandidateEffect],
-    accepted: Sequence[int],
-    free: Flags,
+    nuisance: Indices,
     by_run: bool,
     alpha: float,
     rng: np.random.Generator,
@@ -167,18 +166,15 @@ def screen(
         Per reading, (8 + candidates, 8 + candidates), from `information_of`.
     candidates
         What is tested.
-    accepted
-        Places of those that the model has: nuisance for the others.
-    free
-        Numbers of the base that are free at the fit, (7,). One that is held at a bound has a score sum that is not 0,
-        so that projecting on it would remove evidence.
+    nuisance
+        Places in the information of what the model has: the base's numbers that are free at the fit, and candidates.
+        A number that is held at a bound has a score sum that is not 0, so that projecting on it would remove evidence.
     by_run
         Whether the unit is the run.
     alpha, rng
         Of the critical value.
     """
     nb, count = len(BASE), len(candidates)
-    nuisance = np.array([*np.flatnonzero(free), *(nb + j for j in accepted)])
     others = np.arange(nb, nb + count)
     cross = _projection(information, nuisance, others)
     efficient = information[np.ix_(others, others)] - cross @ information[np.ix_(nuisance, others)]

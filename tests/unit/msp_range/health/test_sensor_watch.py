@@ -107,7 +107,7 @@ def test_the_reference_is_the_others_height_at_the_time_of_the_reading() -> None
 
     def seen(i: int, sensor: str, off_m: float = 0.0) -> Sighting:
         height_m = 2.0 + climb_m_s * i * SLOT_S + off_m
-        return Sighting(i * SLOT_S, sensor, height_m, STD_M, GroundUse.GROUND, height_m, None, climb_m_s, DOWN)
+        return Sighting(sensor, i * SLOT_S, GroundUse.GROUND, height_m, STD_M, None, climb_m_s, DOWN, height_m)
 
     window = [
         seen(*each) for each in ((0, "d"), (1, "b", 5.0), (2, "a"), (3, "b", 5.0), (4, "c"), (5, "b", 5.0), (6, "d"))
@@ -190,12 +190,12 @@ def fly(
         name, time_s = names[i % len(names)], i * SLOT_S
         off = off_m(name, time_s)
         if off is None:
-            watch.update(name, time_s, GroundUse.MISSED, None, None, 765, climb_m_s, down)
+            watch.update(Sighting(name, time_s, GroundUse.MISSED, None, 0.0, 765, climb_m_s, down))
         else:
             height_m = 2.0 + climb_m_s * time_s + off + STD_M * draws.standard_normal()
             kind = GroundUse.GROUND if abs(off) < 0.15 else seen
             raw = round(100 * height_m)
-            watch.update(name, time_s, kind, height_m, STD_M, raw, climb_m_s, down)
+            watch.update(Sighting(name, time_s, kind, height_m, STD_M, raw, climb_m_s, down))
         found |= {(each.sensor, each.kind) for each in watch.findings}
     return found
 
@@ -261,7 +261,7 @@ def test_a_sensor_that_repeats_old_readings_while_the_vehicle_climbs_is_found(na
         else:
             reading_m = old_m
         seen = GroundUse.GROUND if abs(reading_m - height_m) < 0.15 else GroundUse.REPEATED
-        watch.update(name, time_s, seen, reading_m, STD_M, round(100 * reading_m), climb_m_s, DOWN)
+        watch.update(Sighting(name, time_s, seen, reading_m, STD_M, round(100 * reading_m), climb_m_s, DOWN))
         found |= {(each.sensor, each.kind) for each in watch.findings}
     assert ("a", "repeats") in found
     assert {sensor for sensor, _ in found} == {"a"}
@@ -335,8 +335,8 @@ def test_an_uneven_turn_or_a_dead_sensor_does_no_harm() -> None:
     watch = SensorWatch(dict.fromkeys(NAMES, MODEL), TURN_S)
     for i in range(2000):
         name = NAMES[i % 3]
-        watch.update(name, SLOT_S * (i // 2), GroundUse.GROUND, 2.0, STD_M, 200, 0.0, DOWN)
-        watch.update("d", SLOT_S * (i // 2), GroundUse.NOTHING, None, None, None, 0.0, DOWN)
+        watch.update(Sighting(name, SLOT_S * (i // 2), GroundUse.GROUND, 2.0, STD_M, 200, 0.0, DOWN))
+        watch.update(Sighting("d", SLOT_S * (i // 2), GroundUse.NOTHING, None, 0.0, None, 0.0, DOWN))
     assert watch.findings == []
 
 
