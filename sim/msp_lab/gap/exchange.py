@@ -114,11 +114,17 @@ def _in_its_place(
     unit = problem.unit if state.by_run else None
     ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
 
+    # Offsets of runs excuse a worse name where runs differ, and no name that explains the readings much less.
+    lost_nats, lost_share = rules.EXCHANGE_LOSES
+    most_lost = max(lost_nats, lost_share * (own_fit.log_likelihood - less.fit.log_likelihood))
+
     def lead(other: CandidateFit, nats: float, correlation: float) -> float:
         """By how much another does better; a number of the base comes before an effect that does as well, and of two
         that say nearly the same that which has fewer numbers."""
         if abs(correlation) < rules.RELATED:
             # It explains something else: it is added, and takes nobody's place.
+            return -np.inf
+        if own_fit.log_likelihood - other.fit.log_likelihood > most_lost:
             return -np.inf
         nats += term.cost_nats - other.term.cost_nats
         if abs(correlation) > rules.SAME_FORM:

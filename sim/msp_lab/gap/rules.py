@@ -355,6 +355,10 @@ right names become unknown."""
 
 # Exchange, alternatives, elimination.
 
+EXCHANGE_LOSES = (8.0, 0.1)
+"""A candidate takes a term's place if the readings alone lose so many nats by it at most, or this share of the term's
+gain. Where each run is at one range and has an offset of its own, a rounding to 2.54 cm took the place of a scale that
+gains seven times as much. Higher: that; lower: among runs with offsets the first name stays."""
 EXCHANGE_KEEPS = 0.3
 """They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
 ones. Higher: alternatives of weak effects are missed."""
