@@ -61,7 +61,8 @@ def boxed_slowness_s_m(box_c: ArrayLike, room_c: ArrayLike, range_m: ArrayLike, 
             depth = start + 0.5 * (place + 1.0) * (end - start)
             temperature = room + (box - room) / (1.0 + np.exp(np.clip((depth - box_m) / blur_m, -60.0, 60.0)))
             total = total + 0.5 * weight * (end - start) / speed_m_s(temperature)
-    return total / length
+    found: Array = total / length
+    return found
 
 
 def absorption_db_m(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, frequency_hz: float = 42_000.0) -> Array:
@@ -74,4 +75,5 @@ def absorption_db_m(temperature_c: ArrayLike, humidity_pct: ArrayLike = 50.0, fr
     square = frequency_hz**2
     oxygen = 0.01275 * np.exp(-2239.1 / kelvin) * oxygen_hz / (oxygen_hz**2 + square)
     nitrogen = 0.1068 * np.exp(-3352.0 / kelvin) * nitrogen_hz / (nitrogen_hz**2 + square)
-    return 8.686 * square * (1.84e-11 * np.sqrt(ratio) + ratio**-2.5 * (oxygen + nitrogen))
+    found: Array = 8.686 * square * (1.84e-11 * np.sqrt(ratio) + ratio**-2.5 * (oxygen + nitrogen))
+    return found

@@ -82,7 +82,8 @@ def _scattered(shape: Shape) -> Act:
 
 
 def _hangs_lower(flight: Flight) -> Array:
-    return flight["sensor"] == "rear"
+    found: Array = flight["sensor"] == "rear"
+    return found
 
 
 def _slow_clock(flight: Flight, size_pct: float, rng: Generator) -> None:
@@ -143,7 +144,8 @@ def _cold_start(flight: Flight) -> Array:
 
 def _bent_counter(flight: Flight) -> Array:
     """A counter that changes its prescaler at 12 ms runs at another rate from there on: a size of 1 is 1 %."""
-    return np.maximum(flight.ping.range_m - 2.07, 0.0)
+    found: Array = np.maximum(flight.ping.range_m - 2.07, 0.0)
+    return found
 
 
 def _stuck_gain(flight: Flight, share: float, rng: Generator) -> None:
@@ -271,7 +273,8 @@ def _neighbour_heard(flight: Flight, share: float, rng: Generator) -> None:
 
 def _neighbour_place_cm(flight: Flight) -> Array:
     early_cm = flight["neighbour_lag_ms"] / (2.0 * 10.0 * flight.ping.slowness())
-    return flight["neighbour_range_cm"] - early_cm
+    found: Array = flight["neighbour_range_cm"] - early_cm
+    return found
 
 
 def _second_bounce(flight: Flight, share: float, rng: Generator) -> None:
@@ -404,11 +407,13 @@ def _hum_of_the_neighbour(flight: Flight) -> Array:
 
 
 def _standing_wave(flight: Flight) -> Array:
-    return np.sin(2.0 * np.pi * flight.ping.range_m / 0.7)
+    found: Array = np.sin(2.0 * np.pi * flight.ping.range_m / 0.7)
+    return found
 
 
 def _wash_pushes_the_beam(flight: Flight) -> Array:
-    return (flight["throttle"] - 0.5) / 0.1 * flight["incidence_deg"] / 4.0
+    found: Array = (flight["throttle"] - 0.5) / 0.1 * flight["incidence_deg"] / 4.0
+    return found
 
 
 def _dew(flight: Flight) -> Array:

@@ -113,7 +113,8 @@ class Ping:
         """Rms pressure of the own ping after a way on the axis."""
         way = np.asarray(way_m, dtype=float)
         loss = air.absorption_db_m(self.temperature_c, self.humidity_pct, self.receiver.frequency_hz) * way
-        return sound.pascal(self.receiver.level_db - loss) / way
+        found: Array = sound.pascal(self.receiver.level_db - loss) / way
+        return found
 
     def beam(self, off_axis_rad: ArrayLike) -> Array:
         """Pressure off the axis, relative to on it, for one way."""

@@ -163,7 +163,8 @@ class Receiver:
         tick = np.asarray(self.tick_s if tick_s is None else tick_s, dtype=float)
         count = (crossing_s - self.late_s) / tick
         whole = np.rint(np.minimum(count, NO_ECHO_CM))
-        return np.maximum(whole, NEAREST_CM)
+        found: Array = np.maximum(whole, NEAREST_CM)
+        return found
 
 
 def first_event_s(rate_hz: Array, time_s: Array, rng: Generator) -> Array:

@@ -24,7 +24,8 @@ def piston(angle_rad: ArrayLike, diameter_m: float, wavelength_m: ArrayLike) -> 
     """Pressure off the axis of a flat circular piston in a baffle, 1 on the axis; 2 J1(x) / x."""
     x = np.pi * diameter_m / np.asarray(wavelength_m, dtype=float) * np.sin(np.abs(np.asarray(angle_rad, dtype=float)))
     x = np.maximum(x, 1e-9)
-    return np.abs(2.0 * j1(x) / x)
+    found: Array = np.abs(2.0 * j1(x) / x)
+    return found
 
 
 def burst(delay: NDArray[np.floating], rise_s: float, length_s: float) -> NDArray[np.floating]:
@@ -44,7 +45,8 @@ def burst(delay: NDArray[np.floating], rise_s: float, length_s: float) -> NDArra
 
 def _step(x: NDArray[np.floating]) -> NDArray[np.floating]:
     x = np.maximum(x, 0.0)
-    return 1.0 - (1.0 + x) * np.exp(-x)
+    found: NDArray[np.floating] = 1.0 - (1.0 + x) * np.exp(-x)
+    return found
 
 
 def edge(distance: ArrayLike) -> Complex:
@@ -57,7 +59,8 @@ def edge(distance: ArrayLike) -> Complex:
     """
     u = np.asarray(distance, dtype=float)
     sine, cosine = fresnel(u)
-    return 0.5 * (np.sqrt(2.0) * np.exp(-0.25j * np.pi) * (cosine + 1j * sine) - np.sign(u))
+    found: Complex = 0.5 * (np.sqrt(2.0) * np.exp(-0.25j * np.pi) * (cosine + 1j * sine) - np.sign(u))
+    return found
 
 
 def plate(

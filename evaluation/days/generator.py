@@ -86,7 +86,8 @@ def _temperature(table: Table) -> Array:
 
 
 def _day(table: Table) -> Array:
-    return np.cos(2.0 * np.pi * (table.time_s / DAY_S - 0.6))
+    found: Array = np.cos(2.0 * np.pi * (table.time_s / DAY_S - 0.6))
+    return found
 
 
 def _supply(table: Table) -> Array:

@@ -135,7 +135,8 @@ def _path(rng: Generator, last_s: float) -> Callable[[Floats], Floats]:
     def path(time_s: Floats) -> Floats:
         # A mean over a window rounds the corners.
         way = np.mean([np.interp(time_s + each, knots_s, levels) for each in around_s], axis=0)
-        return way + swing_cm * np.sin(2 * np.pi * time_s / period_s + phase)
+        found: Floats = way + swing_cm * np.sin(2 * np.pi * time_s / period_s + phase)
+        return found
 
     return path
 

@@ -82,14 +82,16 @@ def _shares(columns: Columns, hidden: Hidden, size: float, wider: float = 1.0, m
 
     def normal(centre: Floats, sigma: Floats | float) -> Floats:
         height = np.exp(-0.5 * ((CELLS_CM - centre) / sigma) ** 2)
-        return height / np.maximum(height.sum(axis=1, keepdims=True), 1e-300)
+        found: Floats = height / np.maximum(height.sum(axis=1, keepdims=True), 1e-300)
+        return found
 
     short = usual.short * more * column(hidden.shorts(columns, size))
     nearer = np.where(true_cm > CELLS_CM, np.exp(-usual.short_rate_per_m * CELLS_CM / 100.0), 0.0)
     own = usual.hit * normal(true_cm, usual.sigma_cm * wider * column(hidden.spread(columns, size)))
     own = own + short * nearer / nearer.sum(axis=1, keepdims=True) + usual.random / CELLS_CM.size
     share, seen_cm = (column(each) for each in hidden.false(columns, size))
-    return (1.0 - share) * own / own.sum(axis=1, keepdims=True) + share * normal(seen_cm, FALSE_CM)
+    found: Floats = (1.0 - share) * own / own.sum(axis=1, keepdims=True) + share * normal(seen_cm, FALSE_CM)
+    return found
 
 
 def _of_readings(columns: Columns, hidden: Hidden, size: float, other: Hidden, each_of: float) -> float:

@@ -57,23 +57,27 @@ class Hidden:
 
 def _air(columns: Columns, share: float) -> Floats:
     ratio = sound_m_s(CALIBRATED_C) / sound_m_s(columns["air_temperature_c"])
-    return share * columns["true_range_cm"] * (ratio - 1.0)
+    found: Floats = share * columns["true_range_cm"] * (ratio - 1.0)
+    return found
 
 
 def _wrong_thermometer(columns: Columns, off_c: float) -> Floats:
     shown = columns["air_temperature_c"]
-    return columns["true_range_cm"] * (sound_m_s(shown) / sound_m_s(shown - off_c) - 1.0)
+    found: Floats = columns["true_range_cm"] * (sound_m_s(shown) / sound_m_s(shown - off_c) - 1.0)
+    return found
 
 
 def _colder_far_end(columns: Columns, share: float) -> Floats:
     near, far = sound_m_s(columns["air_temperature_c"]), sound_m_s(columns["target_temperature_c"])
     slowness = sound_m_s(CALIBRATED_C) * (2.0 / (near + far) - 1.0 / near)
-    return share * columns["true_range_cm"] * slowness
+    found: Floats = share * columns["true_range_cm"] * slowness
+    return found
 
 
 def _moves_meanwhile(columns: Columns, share: float) -> Floats:
     one_way_s = columns["true_range_cm"] / (100.0 * sound_m_s(columns["air_temperature_c"]))
-    return share * columns["range_rate_cm_s"] * one_way_s
+    found: Floats = share * columns["range_rate_cm_s"] * one_way_s
+    return found
 
 
 def _neighbours_echo(columns: Columns, share: float) -> tuple[Floats, Floats]:

@@ -186,8 +186,10 @@ class Hypotheses:
 
         def hit(at: Array, variance: Array) -> Array:
             if raw == SHORTEST_CM:
-                return 0.96 * ndtr((0.205 * scale - at) / np.sqrt(variance)) + 1e-30
-            return 0.96 * _normal(r_m, at, variance) * (1 - beyond) * (raw < NO_ECHO_CM) / 100 + 1e-30
+                found: Array = 0.96 * ndtr((0.205 * scale - at) / np.sqrt(variance)) + 1e-30
+            else:
+                found = 0.96 * _normal(r_m, at, variance) * (1 - beyond) * (raw < NO_ECHO_CM) / 100 + 1e-30
+            return found
 
         like = np.empty((len(mean), 2 + len(MODES)))
         like[:, HIT], like[:, OUTLIER] = hit(mean, seen), outlier

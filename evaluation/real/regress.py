@@ -82,7 +82,8 @@ def autocorrelation(x: FloatArray, lags: Sequence[int] = (1, 2, 5, 10)) -> str:
 
 def smooth_rate(z: FloatArray, t: FloatArray) -> FloatArray:
     """Rate of the truth, smoothed over five rows."""
-    return np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
+    found: FloatArray = np.gradient(np.convolve(np.pad(z, 2, mode="edge"), np.ones(5) / 5.0, "valid"), t)
+    return found
 
 
 def robust_sd(x: FloatArray) -> float:

@@ -118,7 +118,8 @@ def _between(low: Floats, high: Floats) -> Floats:
     """Normal probability between two scores, exact in both tails."""
     flip = low > 0
     a, b = np.where(flip, -high, low), np.where(flip, -low, high)
-    return special.ndtr(b) - special.ndtr(a)
+    found: Floats = special.ndtr(b) - special.ndtr(a)
+    return found
 
 
 def _normal_cell(k: Floats, place: Floats, scatter: Floats | float) -> Floats:
@@ -141,7 +142,8 @@ def log_probability(rows: Rows, base: Base, law: Law, drawn: Drawn) -> Floats:
     deviation = np.sqrt(1 - link**2)
 
     def hit_below(edge: Floats) -> Floats:
-        return (normal_score((edge - law.centre_cm) / law.sigma_cm, base.degrees) - mean) / deviation
+        found: Floats = (normal_score((edge - law.centre_cm) / law.sigma_cm, base.degrees) - mean) / deviation
+        return found
 
     def hit_cell(low: Floats, high: Floats) -> Floats:
         return _between(hit_below(low), hit_below(high))
@@ -177,7 +179,8 @@ def log_probability(rows: Rows, base: Base, law: Law, drawn: Drawn) -> Floats:
         has_previous = np.isfinite(drawn.previous_cm)
         share = np.where(has_previous, law.repeated, 0.0)
         fresh = (1 - share) * fresh + share * (k == drawn.previous_cm)
-    return np.log(np.maximum(fresh, SMALLEST))
+    found: Floats = np.log(np.maximum(fresh, SMALLEST))
+    return found
 
 
 def short_cell(k: Floats, true_cm: Floats, rate_per_m: float) -> Floats:

@@ -179,7 +179,8 @@ def _profile(
         plain = np.interp(time, times, heights)
         # The swaying dies out near the ground, so that no range is below 20 cm.
         room = np.clip((plain - 22) / 40, 0, 1)
-        return plain + room * amplitude * np.sin(2 * np.pi * time / period + phase)
+        found: Floats = plain + room * amplitude * np.sin(2 * np.pi * time / period + phase)
+        return found
 
     def profile(time: Floats) -> Floats:
         z = smooth(time)

@@ -76,20 +76,23 @@ def _autoregression(link: Floats, before: np.ndarray, rng: Generator) -> Floats:
 
 def _student(scores: Floats, degrees: float) -> Floats:
     tail = special.stdtrit(degrees, special.ndtr(-np.abs(scores)))
-    return -np.sign(scores) * tail * t_unit(degrees)
+    found: Floats = -np.sign(scores) * tail * t_unit(degrees)
+    return found
 
 
 def _kinds(law: Law, rng: Generator) -> np.ndarray:
     weights = np.concatenate([np.ones((1, law.odds.shape[1])), np.exp(law.odds)])
     edges = np.cumsum(weights / weights.sum(axis=0), axis=0)
-    return np.minimum((rng.random(law.odds.shape[1]) > edges).sum(axis=0), RANDOM)
+    found: np.ndarray = np.minimum((rng.random(law.odds.shape[1]) > edges).sum(axis=0), RANDOM)
+    return found
 
 
 def _short(true_cm: Floats, base: Base, rng: Generator) -> Floats:
     length = np.maximum(np.floor(true_cm) - MINIMUM_CM, 1.0)
     rate = base.short_rate_per_m / 100
     depth = -np.log1p(-rng.random(len(true_cm)) * (1 - np.exp(-rate * length))) / rate
-    return MINIMUM_CM + np.minimum(np.floor(depth), length - 1)
+    found: Floats = MINIMUM_CM + np.minimum(np.floor(depth), length - 1)
+    return found
 
 
 def _last(usable: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -107,7 +107,8 @@ def _variances(matrix: Floats) -> Floats:
     """Diagonal of the inverse; very large of numbers that cannot be separated."""
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-12))
     inverse = np.linalg.inv(matrix / np.outer(scale, scale) + 1e-9 * np.eye(len(matrix)))
-    return np.diag(inverse) / scale**2
+    found: Floats = np.diag(inverse) / scale**2
+    return found
 
 
 def sizes_of(

@@ -32,7 +32,8 @@ def _linear(column: str) -> Shape:
 
     def shape(rng: Generator, rows: Rows) -> Floats:
         values: Floats = rows.contexts[column]
-        return (values - values.mean()) / max(float(values.std()), 1e-9)
+        found: Floats = (values - values.mean()) / max(float(values.std()), 1e-9)
+        return found
 
     return shape
 
@@ -55,19 +56,23 @@ def _beyond(column: str, low: float, high: float) -> Shape:
 
 
 def _ripple_over_range(rng: Generator, rows: Rows) -> Floats:
-    return np.sin(2 * np.pi * rows.true_cm / rng.uniform(10, 40) + rng.uniform(0, 2 * np.pi))
+    found: Floats = np.sin(2 * np.pi * rows.true_cm / rng.uniform(10, 40) + rng.uniform(0, 2 * np.pi))
+    return found
 
 
 def _ripple_over_time(rng: Generator, rows: Rows) -> Floats:
-    return np.sin(2 * np.pi * rows.time_s / rng.uniform(1.5, 12) + rng.uniform(0, 2 * np.pi))
+    found: Floats = np.sin(2 * np.pi * rows.time_s / rng.uniform(1.5, 12) + rng.uniform(0, 2 * np.pi))
+    return found
 
 
 def _drift(rng: Generator, rows: Rows) -> Floats:
-    return rows.time_s / rows.time_s.max()
+    found: Floats = rows.time_s / rows.time_s.max()
+    return found
 
 
 def _speed(rng: Generator, rows: Rows) -> Floats:
-    return np.abs(rows.contexts["range_rate_cm_s"]) / 50
+    found: Floats = np.abs(rows.contexts["range_rate_cm_s"]) / 50
+    return found
 
 
 def _climbing(rng: Generator, rows: Rows) -> Floats:

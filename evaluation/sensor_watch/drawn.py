@@ -128,7 +128,8 @@ def draw(draws: Generator, hours: float, ground: Ground, fault: Fault | None = N
 def _correlated(draws: Generator, n: int, correlation: float) -> NDArray[Any]:
     """Standard normal numbers whose neighbours have this correlation."""
     white = draws.standard_normal(n)
-    return lfilter([math.sqrt(1.0 - correlation**2)], [1.0, -correlation], white)
+    found: NDArray[Any] = lfilter([math.sqrt(1.0 - correlation**2)], [1.0, -correlation], white)
+    return found
 
 
 def feed(watch: SensorWatch, drawn: Drawn) -> Iterator[tuple[float, SensorFinding]]:
