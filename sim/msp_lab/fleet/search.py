@@ -281,7 +281,7 @@ class Search:
         else:
             self.found.append(FleetFinding("odd", term, units, alternatives))
         if not term.is_base:
-            self._fit([unit for unit in units if not self.fits(unit, term)], term)
+            self._fit(units, term)
 
     def _odd_in(self, term: FleetTerm) -> list[FleetFinding]:
         return [each for each in self.found if each.kind == "odd" and each.term.identity == term.identity]
@@ -313,7 +313,8 @@ class Search:
         return any(each.key == term.key and not each.sessions for each in self.terms[unit])
 
     def _fit(self, units: Sequence[int], term: FleetTerm) -> None:
-        """Refit units with one more term."""
+        """Refit units with one more term; those that have it already, as what an odd one shares with all, are left."""
+        units = [unit for unit in units if term.sessions or not self.fits(unit, term)]
         for unit in units:
             self.terms[unit] = (*self.terms[unit], term)
         for unit, each in zip(units, self.examined(units, self.terms), strict=True):

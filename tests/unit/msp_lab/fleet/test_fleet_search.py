@@ -1,6 +1,9 @@
 """Which p-values the search goes by."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from msp_lab.fleet.search import FleetFinding, Search, mean_nats
 from msp_lab.fleet.statistics import Number
 from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.unit import Unit
+from msp_sim.workers import ItemOutcome
 
 SCATTER = FleetTerm("scatter", "value")
 UNITS = [Unit(Path("readings"), f"V{k}", "down", ("flight1",), 1) for k in range(5)]
@@ -67,3 +71,23 @@ def test_the_odd_ones_of_one_effect_are_one_finding_whenever_they_were_found() -
     assert [each.units for each in made.found] == [(1,)]
     made._replace(made.found[0], ())
     assert made.found == []
+
+
+def test_what_a_vehicle_was_odd_by_is_not_fitted_twice_where_the_fleet_shares_it() -> None:
+    term = FleetTerm("vibration", "growth")
+    fitted: list[str] = []
+
+    def run(function: Any, tasks: Sequence[Any]) -> list[ItemOutcome[Any]]:
+        fitted.extend(unit.vehicle for unit, _, _ in tasks)
+        return [ItemOutcome(k, "its scores", None) for k in range(len(tasks))]
+
+    first: list[Any] = ["scores"] * 5
+    made = Search(UNITS, first, 0.05, run)
+    made._fit([2], term)
+    made._fit(range(5), term)
+    assert made.terms == [(term,)] * 5
+    assert fitted == ["V2", "V0", "V1", "V3", "V4"]
+    # A change of it is a term of its own.
+    since = replace(term, sessions=("flight2",))
+    made._fit([2], since)
+    assert made.terms[2] == (term, since)
