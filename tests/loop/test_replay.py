@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from msp_lab.gap.intake import read_readings
 from msp_lab.readings.intake import load_readings
 from msp_range.clock import VirtualClock
-from msp_range.fusion import Acceleration, Angles, Received
+from msp_range.fusion import Acceleration, Angles, PressureHeight, Received
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import read_csv, write_csv
 from msp_range.recording.pings import read_recorded
@@ -74,6 +74,7 @@ def test_a_replay_has_the_attitudes_and_accelerations_of_the_flight_when_they_we
     for i in range(50):
         time_s = begins_s + 5.0 + 0.1 * i
         received += [(time_s, Angles(time_s - 0.02, 0.4, 0.0, 0.0)), (time_s, Acceleration(time_s, 0.01))]
+        received += [(time_s + 0.01, PressureHeight(time_s + 0.01, 100.0 + 0.01 * i))]
     clock = VirtualClock(begins_s)
     recorder = Recorder(again, clock)
     replay(vehicle, recorded._replace(received=received), path, clock, Nowhere(), recorder)
@@ -81,6 +82,22 @@ def test_a_replay_has_the_attitudes_and_accelerations_of_the_flight_when_they_we
     kept = messages(again, "/attitude", "/motion")
     assert [time_s for _, time_s, _ in kept] == pytest.approx([time_s for time_s, _ in received], abs=1e-8)
     assert [each for _, _, each in kept] == [each._asdict() for _, each in received]
+    # What was recorded is read again; and what makes no sense is not recorded, as in flight.
+    assert [each for _, each in read_recorded(again).received] == [each for _, each in received]
+    odd = [(time_s, each) for time_s, each in received if time_s < begins_s + 6.0]
+    wrong = (begins_s + 6.0, begins_s + 6.1, begins_s + 6.2)
+    odd += [
+        (wrong[0], Angles(wrong[0], 9.0, 0.0, 0.0)),
+        (wrong[1], Acceleration(wrong[1], 900.0)),
+        (wrong[2], PressureHeight(wrong[2], 900.0)),
+    ]
+    clock = VirtualClock(begins_s)
+    recorder = Recorder(tmp_path / "odd.mcap", clock)
+    replay(vehicle, recorded._replace(received=odd), path, clock, Nowhere(), recorder)
+    recorder.close()
+    assert [time_s for _, time_s, _ in messages(tmp_path / "odd.mcap", "/attitude", "/motion")] == pytest.approx(
+        [time_s for time_s, _ in odd[:-3]], abs=1e-8
+    )
     along = [(time_s, each["height_m"] / each["range_m"]) for _, time_s, each in messages(again, "/fused")]
     assert {share for time_s, share in along if time_s < begins_s + 5.0} == {1.0}
     assert along[-1][1] < 0.99

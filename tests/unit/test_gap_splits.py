@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap import rules
-from msp_lab.gap.candidates import candidates_of
+from msp_lab.gap.candidates import SelectedTerm, candidates_of
 from msp_lab.gap.cross_fit import Parts, SumsByRun, recalibrated
 from msp_lab.gap.prepared import Prepared
-from msp_lab.gap.problem import Problem
+from msp_lab.gap.problem import Problem, first_state, reinformed, screened
 from msp_lab.gap.refit import JointFit, refit
 from msp_lab.gap.splits import draw_splits
 from msp_range.reading_model.rows import Base
@@ -160,3 +160,20 @@ def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -
     assert sums.learnt(left_out, values)[3] < rules.LEARNT_SHARE
     others = sums.learnt(np.arange(12) == 4, values)
     assert np.all(others > 0.7)
+
+
+def test_what_is_in_the_model_is_nuisance_for_the_screen() -> None:
+    """An effect next to which another one is asked is not asked itself, and the others are, as before."""
+    contexts = flown(np.random.default_rng(3).uniform(0.0, 30.0, 12).tolist(), rows=50)
+    reading_cm = np.array(sensor().readings(contexts["true_range_cm"].tolist(), 5))
+    splits = draw_splits(contexts, np.random.default_rng(1))
+    problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
+    (j,) = [j for j, each in enumerate(problem.candidates) if each.effect.name == "latency"]
+    latency = problem.candidates[j]
+    first = first_state(problem)
+    fit = problem.refit([latency.at(5.0)], Base())
+    state = reinformed(problem, first.having(fit, [SelectedTerm(fit.effects[0], latency)]))
+    asked = [np.isfinite(screened(problem, each).deviation) for each in (first, state)]
+    assert asked[0][j]
+    assert not asked[1][j]
+    assert np.flatnonzero(asked[0] != asked[1]).tolist() == [j]

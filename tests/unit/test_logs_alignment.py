@@ -121,3 +121,10 @@ def test_three_instruments_show_the_error_of_each() -> None:
         assert found is not None
         assert found[1] <= std_cm <= found[2]
         assert found[2] - found[1] < 1.5
+
+
+def test_an_interval_of_a_bootstrap_has_the_standard_deviation_of_what_was_drawn() -> None:
+    drawn = np.random.default_rng(1).normal(3.0, 0.2, 4000)
+    interval = Interval.of(3.0, drawn.tolist())
+    assert (interval.low, interval.high) == pytest.approx((2.6, 3.4), abs=0.05)
+    assert interval.std == pytest.approx(0.2, rel=0.05)

@@ -18,14 +18,21 @@ from msp_lab.gap.steps import Steps
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.others import Mounting, side_by_side, with_others_as_reference
 from msp_lab.readings.smoother import START_STD, STATES, smooth
+from msp_lab.readings.vehicle import mounting_of
 from msp_range.arrays import Column
+from msp_range.clock import VirtualClock
+from msp_range.config import load_airframe
 from msp_range.correction.calibration import IDENTITY
+from msp_range.fusion import Angles
 from msp_range.fusion.mounting import DownwardSensor
 from msp_range.geometry import Matrix, rotation_matrix
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.recording.error import RecordingError
+from msp_range.recording.reader import Recording
+from msp_range.recording.writer import Recorder
 from msp_sim.model.model import Model
+from tests.support.shipped import CONFIGS
 from tests.support.slow import slow
 
 _Array = NDArray[np.float64]
@@ -344,3 +351,20 @@ def test_the_note_is_the_mean_over_the_readings_of_the_file(tmp_path: Path) -> N
     loaded = load_readings([tmp_path / "0.csv", tmp_path / "1.csv"], SENSOR, truth="others")
     (note,) = [each for each in loaded.messages if "on average over all runs" in each]
     assert float(note.split("a +")[1].split(" cm")[0]) == pytest.approx(5.0, abs=0.4)
+
+
+def test_a_recordings_attitudes_are_used_from_a_little_before_they_came(tmp_path: Path) -> None:
+    """One each second, of a roll that grows by 0.1 rad: at an echo the one that comes within a tenth of a second."""
+    path, vehicle = tmp_path / "flight.mcap", load_airframe(CONFIGS / "quad_pallet.yaml")
+    recorder = Recorder(path, VirtualClock(0.0), files=vehicle.files)
+    for i in range(5):
+        recorder.write("/attitude", i + 0.05, Angles(float(i), 0.1 * i, 0.0, 0.0)._asdict())
+    recorder.close()
+    mounting = mounting_of(Recording(path))
+    assert mounting is not None
+    assert mounting.sensors.keys() == {each.name for each in vehicle.downward}
+    rotations = mounting.rotations(np.array([-1.0, 2.0, 2.9, 3.0, 3.7]))
+    rolls = [None if each is None else math.atan2(each[2][1], each[2][2]) for each in rotations]
+    assert rolls[0] is None, "nothing has come"
+    # 0.9 s after the second one nothing is known any more, and at 3.7 s neither.
+    assert rolls == [None, pytest.approx(0.2), None, pytest.approx(0.3), None]

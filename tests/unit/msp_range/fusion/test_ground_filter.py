@@ -155,9 +155,14 @@ def test_a_quiet_vehicle_is_known_to_half_the_noise_as_the_variance_states() -> 
 @pytest.mark.parametrize(("swing_m", "period_s"), [(0.05, 3.0), (1.0, 6.0), (1.0, 4.0)])
 def test_a_vehicle_that_moves_is_followed_at_least_as_well_as_by_the_readings(swing_m: float, period_s: float) -> None:
     truth_m = 3.0 + swing_m * np.sin(2 * math.pi / period_s * 0.1 * np.arange(3000))
-    out = hover(GroundFilter(3.0, R_M2, AT_REST), truth_m, np.random.default_rng(2))[100:]
+    known = GroundFilter(3.0, R_M2, AT_REST)
+    out = hover(known, truth_m, np.random.default_rng(2))[100:]
     assert math.sqrt((out[:, 0] ** 2).mean()) < 0.02
     assert 0.5 < out[:, 1].mean() < 2.0
+    # That the three filters differ, as they do now, is part of what is uncertain.
+    known.predict(1.0)
+    row = np.array([0.9, 0.0, 0.2, -0.1])
+    assert known.variance(0.9, 0.2, -0.1) == pytest.approx(row @ covariance_of(known) @ row, rel=1e-9)
 
 
 def test_a_step_moves_the_height_only_and_leaves_it_uncertain() -> None:

@@ -331,6 +331,18 @@ def test_the_effects_that_need_no_numbers_are_those_that_change_the_mean_only() 
     assert {name for name, effect in CATALOGUE.items() if effect.channels == ("bias",)} == MEAN_EFFECTS
 
 
+@pytest.mark.parametrize(("spread", "found"), [(2.0, set()), (1.0, {("a", "wider")})])
+def test_a_sensor_scatters_as_its_model_in_flight_says(spread: float, found: set[tuple[str, Kind]]) -> None:
+    """Twice the deviation that its readings come with, which the model of its flights may have said."""
+    draws = np.random.default_rng(7)
+    watch = SensorWatch({name: MODEL._replace(spread=spread if name == "a" else 1.0) for name in NAMES}, TURN_S)
+
+    def wider_m(name: str, time_s: float) -> float:
+        return math.sqrt(3.0) * STD_M * float(draws.standard_normal()) if name == "a" else 0.0
+
+    assert fly(watch, wider_m, 300.0) == found
+
+
 def test_an_uneven_turn_or_a_dead_sensor_does_no_harm() -> None:
     watch = SensorWatch(dict.fromkeys(NAMES, MODEL), TURN_S)
     for i in range(2000):
