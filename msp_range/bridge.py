@@ -34,18 +34,14 @@ from msp_range.fusion import (
     OUTLIER,
     REPEATED,
     SUSPECT,
-    Acceleration,
     Angles,
     AttitudeTrack,
     Fused,
     Fusion,
     Outcome,
-    PressureHeight,
     Received,
     VerticalMotion,
 )
-from msp_range.fusion.vertical import GRAVITY_M_S2
-from msp_range.geometry import dot
 from msp_range.health import (
     FUSED,
     NOT_SENT,
@@ -66,7 +62,7 @@ from msp_range.health import (
 )
 from msp_range.health.finding import SensorFinding
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.inertial import WITNESSES, pressure_height_m, specific_force
+from msp_range.mavlink.inertial import WITNESSES, motion_of
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.streams import Streams
@@ -96,9 +92,8 @@ reports the others later."""
 LIMITS_FOLLOW_C = 1.0
 """The maximum of the streams follows the air where that has changed by more than this [deg C], which is 1.3 cm at 7.65
 m. Smaller changes ``max_distance`` more often, larger calls a distance that the sensors cannot measure possible."""
-ATTITUDE, ATTITUDE_REQUEST_HZ, TEMPERATURE_REQUEST_HZ = "ATTITUDE", 10.0, 1.0
-"""How often the autopilot is asked for attitudes, as many as four sensors ping; and for temperatures, which change in
-minutes."""
+TEMPERATURE_REQUEST_HZ = 1.0
+"""How often the autopilot is asked for temperatures, which change in minutes."""
 
 
 _SYSTEM_STATUS = {
@@ -258,7 +253,7 @@ class Bridge:
         self._fusion = fusion_of(airframe, self._attitude, self._motion)
         self._fused_by_sound = any(sensor.sensor_model.medium == "sound" for sensor in airframe.downward)
         if self._fusion is not None:
-            asked |= {ATTITUDE: ATTITUDE_REQUEST_HZ, **WITNESSES[airframe.link.autopilot]}
+            asked |= WITNESSES[airframe.link.autopilot]
         self.link = Link(
             transport,
             clock,
@@ -448,21 +443,11 @@ class Bridge:
     def _on_message(self, now_s: float, message: Any) -> None:
         self._temperature.on_message(now_s, message)
         if self._fusion is not None:
-            self._on_motion(now_s, message)
+            moved = motion_of(message, now_s, self.link.autopilot_clock, self._attitude)
+            if moved is not None:
+                self._on_moved(now_s, moved)
         if self._report_message is not None:
             self._report_message(now_s, message)
-
-    def _on_motion(self, now_s: float, message: Any) -> None:
-        """Take attitude, acceleration and pressure out of the autopilot's messages."""
-        if message.get_type() == ATTITUDE:
-            time_s = self.link.autopilot_clock.time_of(message.time_boot_ms, now_s)
-            self._on_moved(now_s, Angles(time_s, message.roll, message.pitch, message.yaw))
-        elif (force := specific_force(message)) is not None:
-            down = self._attitude.down_at(now_s)
-            if down is not None:
-                self._on_moved(now_s, Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2))
-        elif (height_m := pressure_height_m(message)) is not None:
-            self._on_moved(now_s, PressureHeight(now_s, height_m))
 
     def _on_moved(self, received_s: float, moved: Received) -> None:
         """An attitude, an acceleration or a pressure, for the fusion and the record."""

@@ -25,8 +25,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from evaluation.benchmarks.bench_bridge import AIRFRAME
 from evaluation.benchmarks.figure import Figures, at_most, figure
-from msp_range.bridge import ATTITUDE, ATTITUDE_REQUEST_HZ
-from msp_range.mavlink.inertial import WITNESSES
+from msp_range.mavlink.inertial import ATTITUDE, WITNESSES
 from tests.support.kernel_bus import KernelTestbed, Sonar, kernel_bus
 from tests.support.mavlink_ends import Component
 from tests.support.service import Autopilot, LinkEnd, running_service
@@ -80,11 +79,11 @@ class _Streaming(Autopilot):
     def __init__(self) -> None:
         super().__init__()
         self._messages = Component(dialect=ardupilotmega)
-        self._due_s = dict.fromkeys((ATTITUDE, *WITNESSES["ardupilot"]), time.monotonic())
+        self._due_s = dict.fromkeys(WITNESSES["ardupilot"], time.monotonic())
 
     def due(self, now_s: float) -> list[bytes]:
         """Its heartbeat, and messages of a vehicle that hovers."""
-        rates_hz = {ATTITUDE: ATTITUDE_REQUEST_HZ, **WITNESSES["ardupilot"]}
+        rates_hz = WITNESSES["ardupilot"]
         frames = super().due(now_s)
         for name in [each for each, due_s in self._due_s.items() if due_s <= now_s]:
             self._due_s[name] += 1.0 / rates_hz[name]

@@ -155,7 +155,9 @@ class VerticalMotion:
 
     def update(self, moved: Acceleration | PressureHeight) -> bool:
         """Update with either; False where it makes no sense."""
-        return (self.on_acceleration if isinstance(moved, Acceleration) else self.on_pressure_height)(*moved)
+        if isinstance(moved, Acceleration):
+            return self.on_acceleration(*moved)
+        return self.on_pressure_height(*moved)
 
     def on_acceleration(self, time_s: float, up_m_s2: float) -> bool:
         """Update with the vehicle's acceleration upwards, gravity taken off [m/s^2]; False where it makes no sense."""

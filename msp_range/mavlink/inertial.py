@@ -1,21 +1,25 @@
-"""Accelerations and pressures in the autopilot's messages, in SI units.
+"""Attitudes, accelerations and pressures in the autopilot's messages, in SI units.
 
-Only sensor values: the autopilot's estimates, such as height or climb rate, may be based on the very distances that
-they would be compared with.
+No other estimates of the autopilot's: its height or climb rate may be based on the very distances that they would be
+compared with.
 """
 
 import math
 from typing import Any
 
+from msp_range.fusion import Acceleration, Angles, AttitudeTrack, PressureHeight, Received
 from msp_range.fusion.vertical import GRAVITY_M_S2
-from msp_range.geometry import Vector
+from msp_range.geometry import Vector, dot
 from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.time_sync import AutopilotClock
 
-IMU_HZ, PRESSURE_HZ = 25.0, 10.0
-"""Requested rates [Hz]: two accelerations between readings, and a pressure with each reading."""
+ATTITUDE = "ATTITUDE"
+ATTITUDE_HZ, IMU_HZ, PRESSURE_HZ = 10.0, 25.0, 10.0
+"""Requested rates [Hz]: attitudes as many as four sensors ping, two accelerations between readings, and a pressure with
+each reading."""
 WITNESSES: dict[Autopilot, dict[str, float]] = {
-    "ardupilot": {"RAW_IMU": IMU_HZ, "SCALED_PRESSURE": PRESSURE_HZ},
-    "px4": {"HIGHRES_IMU": IMU_HZ, "SCALED_PRESSURE": PRESSURE_HZ},
+    "ardupilot": {ATTITUDE: ATTITUDE_HZ, "RAW_IMU": IMU_HZ, "SCALED_PRESSURE": PRESSURE_HZ},
+    "px4": {ATTITUDE: ATTITUDE_HZ, "HIGHRES_IMU": IMU_HZ, "SCALED_PRESSURE": PRESSURE_HZ},
 }
 """Requested rates [Hz] by message, for each autopilot."""
 _M_S2_PER_UNIT = {"HIGHRES_IMU": 1.0, "RAW_IMU": GRAVITY_M_S2 / 1000, "SCALED_IMU": GRAVITY_M_S2 / 1000}
@@ -25,6 +29,26 @@ SCALE_HEIGHT_M = 8434.0
 assumed uncertainty of a climb."""
 PRESSURES_HPA = (300.0, 1200.0)
 """Pressures outside these limits are rejected [hPa]."""
+
+
+def motion_of(message: Any, now_s: float, clock: AutopilotClock, attitude: AttitudeTrack) -> Received | None:
+    """What a message that has come now says of the vehicle's motion; None: nothing, or nothing that can be used.
+
+    Parameters
+    ----------
+    clock
+        The autopilot's, of which an attitude has its time.
+    attitude
+        Where down is, so that of an acceleration the part that is upwards is known.
+    """
+    if message.get_type() == ATTITUDE:
+        time_s = clock.time_of(message.time_boot_ms, now_s)
+        return Angles(time_s, message.roll, message.pitch, message.yaw)
+    if (force := specific_force(message)) is not None:
+        down = attitude.down_at(now_s)
+        return None if down is None else Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2)
+    height_m = pressure_height_m(message)
+    return None if height_m is None else PressureHeight(now_s, height_m)
 
 
 def specific_force(message: Any) -> Vector | None:
