@@ -65,7 +65,8 @@ class AttitudeTrack:
     @staticmethod
     def _makes_sense(angles: Angles) -> bool:
         _, roll, pitch, yaw = angles
-        if not max(abs(roll), abs(pitch), abs(yaw)) < TURNS_RAD:
+        # Each by itself: the largest of some that are no numbers is whichever comes first.
+        if not (abs(roll) < TURNS_RAD and abs(pitch) < TURNS_RAD and abs(yaw) < TURNS_RAD):
             return False
         return math.cos(roll) * math.cos(pitch) > math.cos(STEEPEST_RAD)
 

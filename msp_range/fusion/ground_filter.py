@@ -141,7 +141,9 @@ class GroundFilter:
 
         With H = (a, 0, b, c) the derivatives of the reading and x = (h, w, g), each filter's gain of h and w is
         K = P H^T / S, S = H P H^T + R. That of g is the same, of the mixture's means, or 0 where g is only considered;
-        the covariance of h and w with g falls by K H P in both cases.
+        the covariance of h and w with g falls by K H P in both cases. As g is common to the three, what one of them has
+        in common with it may come to be more than g's own variance leaves; S is then as much as keeps P positive, R
+        and P H^T weighed by the inverse of P.
 
         Parameters
         ----------
@@ -166,6 +168,7 @@ class GroundFilter:
             pn, pe = a * hn + b * nn + c * ne, a * he + b * ne + c * ee
             # The reading was predicted for the mixture; each filter's own mean is a little off from that.
             own_m, own_m2 = expected_m - a * h, a * ph + b * pn + c * pe + variance_m2
+            own_m2 = max(own_m2, variance_m2 + _weighed(ph, pw, hh, hw, ww))
             k, j = ph / own_m2, pw / own_m2
             h, w, hh, hw, ww = h + k * own_m, w + j * own_m, hh - k * ph, hw - k * pw, ww - j * pw
             updated.append((h, w, hh, hw, ww, hn - k * pn, he - k * pe, wn - j * pn, we - j * pe))
@@ -180,6 +183,7 @@ class GroundFilter:
         self._weights = tuple([each / total if each > least else LEAST_WEIGHT for each in likelihoods])
         self._filters = tuple(updated)
         if learns_slope:
+            total_m2 = max(total_m2, variance_m2 + _weighed(slope_n, slope_e, nn, ne, ee))
             k_north, k_east = slope_n / total_m2, slope_e / total_m2
             self.rise_north += k_north * innovation_m
             self.rise_east += k_east * innovation_m
@@ -195,7 +199,7 @@ class GroundFilter:
         expected_m = innovation_m + a * self.height_m
         total = 0.0
         for weight, (h, _, hh, _, _, hn, he, _, _) in zip(self._weights, self._filters, strict=True):
-            own_m, own_m2 = expected_m - a * h, a * (a * hh + 2 * (b * hn + c * he)) + slope_m2
+            own_m, own_m2 = expected_m - a * h, max(a * (a * hh + 2 * (b * hn + c * he)) + slope_m2, variance_m2)
             total += weight * math.exp(-0.5 * own_m * own_m / own_m2) / math.sqrt(own_m2)
         return total / SQRT_TWO_PI
 
@@ -234,6 +238,11 @@ def _rather_not_quiet(
     of_quiet = max(of_quiet * math.exp(-0.5 * over * over), LEAST_WEIGHT)
     total = of_quiet + of_cruise + of_manoeuvre
     return of_quiet / total, of_cruise / total, of_manoeuvre / total
+
+
+def _weighed(p: float, q: float, pp: float, pq: float, qq: float) -> float:
+    """(p, q) P^-1 (p, q)^T, P = [[pp, pq], [pq, qq]]: P - (p, q)^T (p, q) / s is positive where s is more than that."""
+    return (qq * p * p - 2 * pq * p * q + pp * q * q) / (pp * qq - pq * pq)
 
 
 def _mixed(own: _Motion, other: _Motion, share: float) -> _Motion:

@@ -28,6 +28,9 @@ LARGEST_VALUE = 1e9
 """A value this large, in any unit of a log, is a damaged one: as a height, a million kilometres. The
 square of much more is not a number."""
 TILT, CLIMB, THROTTLE = "tilt_deg", "climb_m_s", "throttle"
+LARGEST_IN_QUATERNION = 1.01
+"""A quaternion's number that is larger is a damaged one: they are at most 1, but for rounding. Larger makes a tilt of
+180 deg of damage."""
 CONTEXT = {
     TILT: "angle between the vehicle's down axis and straight down [deg]",
     CLIMB: "vertical speed, up is positive [m/s]",
@@ -385,7 +388,14 @@ def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
 
 
 def tilt_of_quaternion_deg(x: Array, y: Array) -> Array:
-    """`tilt_deg` from a quaternion's second and third number: its cosine is the rotation matrix's last element."""
+    """`tilt_deg` from a quaternion's second and third number: its cosine is the rotation matrix's last element.
+
+    Examples
+    --------
+    >>> print(tilt_of_quaternion_deg(np.array([0.0, 0.6, 1e200]), np.array([0.0, 0.8, 0.0])))
+    [  0. 180.  nan]
+    """
+    x, y = (np.where(np.abs(each) < LARGEST_IN_QUATERNION, each, np.nan) for each in (x, y))
     return angle_deg(1.0 - 2.0 * (x**2 + y**2))
 
 

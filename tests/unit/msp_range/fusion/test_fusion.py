@@ -483,7 +483,9 @@ def test_angles_are_interpolated_between_messages_and_old_ones_forgotten() -> No
     track = AttitudeTrack()
     assert track.rotation_at(0.0) is None
     assert track.update(Angles(1.0, 0.0, 0.0, math.radians(350)))
-    assert not track.update(Angles(1.1, math.nan, 0.0, 0.0))
+    for number in (math.nan, math.inf):
+        for angles in ((number, 0.0, 0.0), (0.0, number, 0.0), (0.0, 0.0, number)):
+            assert not track.update(Angles(1.1, *angles)), angles
     assert track.update(Angles(1.2, 0.0, 0.2, math.radians(10)))
     assert not track.update(Angles(1.2005, 0.0, 0.9, 0.0)), "the same buffer"
     rotation = known(track.rotation_at(1.1))

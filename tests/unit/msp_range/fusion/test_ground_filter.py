@@ -8,8 +8,9 @@ from scipy.linalg import expm
 
 from msp_range.fusion import ground_filter
 from msp_range.fusion.ground_filter import SLOPE_LASTS_S, SLOPE_STD, GroundFilter
-from msp_range.fusion.mounting import View
+from msp_range.fusion.mounting import LEVEL, DownwardSensor, View
 from msp_range.fusion.vertical import Rate
+from msp_range.geometry import rotation_matrix
 
 R_M2 = 0.02**2
 AT_REST = Rate(0.0, 0.33)
@@ -192,3 +193,24 @@ def test_a_slope_whose_frame_has_changed_is_forgotten() -> None:
     known.level()
     assert (known.rise_north, known.rise_east) == (0.0, 0.0)
     assert known.variance(0.0, 1.0, 0.0) == pytest.approx(SLOPE_STD**2)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_variances_stay_positive_however_the_vehicle_is_turned(seed: int) -> None:
+    """Attitudes that jump by up to 75 deg between readings, as no vehicle turns and a damaged link says."""
+    draw = np.random.default_rng(seed)
+    sensors = [DownwardSensor((x, y, 0.0), (0.0, 0.0, 1.0), "unknown") for x in (0.25, -0.25) for y in (0.2, -0.2)]
+    known = GroundFilter(3.0, R_M2, AT_REST)
+    for i in range(4000):
+        known.predict(float(draw.choice([0.05, 0.1, 0.1, 1.0])), float(draw.normal(scale=0.5)) if i % 3 else None)
+        roll, pitch, yaw = draw.uniform([-1.2, -1.2, -3.0], [1.2, 1.2, 3.0]).tolist()
+        rotation = rotation_matrix(roll, pitch, yaw) if draw.random() < 0.5 else LEVEL
+        view = sensors[i % 4].view(rotation, known.height_m, known.rise_north, known.rise_east)
+        if view is None:
+            continue
+        assert math.isfinite(known.density(view, 0.1, R_M2))
+        known.update(view, float(draw.normal(scale=0.02)), R_M2, bool(draw.random() < 0.7))
+        assert np.diag(covariance_of(known)).min() > 0.0
+        assert known.variance(1.0, 0.0, 0.0) > 0.0
+        assert min(motion[2] for motion in known._filters) > 0.0
+        assert min(motion[4] for motion in known._filters) > 0.0
