@@ -17,6 +17,9 @@ START_SPEED_STD_M_S = 2.0
 """Standard deviation of the speed at the first reading [m/s]."""
 SPEED_CHANGE_STD_M_S = 0.2
 """Standard deviation of the change of speed between two outliers that agree [m/s]."""
+SOONEST_S = 1e-4
+"""Two readings of a sensor that are no farther apart say nothing of a speed [s]: the quickest sensors take some
+milliseconds. It affects only time stamps that are wrong; over much less a speed's variance is no number."""
 
 
 class KalmanParameters(Section):
@@ -118,9 +121,9 @@ class Kalman:
         change the vehicle's speed, but may have falsified its estimate.
         """
         before, self._waiting = self._waiting, (time_s, measured)
-        if before is None or time_s <= before[0]:
+        elapsed_s = 0.0 if before is None else time_s - before[0]
+        if before is None or elapsed_s < SOONEST_S:
             return None
-        elapsed_s = time_s - before[0]
         speed_m_s = (measured.range_m - before[1].range_m) / elapsed_s
         noise = (measured.variance_m2 + before[1].variance_m2) / elapsed_s**2
         slack_m_s = gate_sigmas * math.sqrt(noise + SPEED_CHANGE_STD_M_S**2)

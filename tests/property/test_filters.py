@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
@@ -137,6 +137,7 @@ answers = st.lists(
 @pytest.mark.parametrize("filters", [*CHAINS, *ALONE], ids=lambda filters: "+".join(f["filter"] for f in filters))
 @settings(max_examples=40)
 @given(answers=answers)
+@example(answers=[*((0.0, range_cm, False) for range_cm in (27, 28, 20, 20)), (1e-297, 20, False)])
 def test_whatever_a_sensor_answers_what_comes_out_is_a_distance_or_a_reason(
     filters: list[dict[str, Any]], answers: list[tuple[float, Status | int, bool]]
 ) -> None:
