@@ -35,6 +35,9 @@ FARTHEST_M = 1.5
 vehicle that two hands lift is larger."""
 OUTLIER = 4.7
 """Readings this many standard deviations away have no weight (Tukey's biweight, 95 % efficient)."""
+OF_MANY = 3.0
+"""A delay far from the best one fits as well within so many standard deviations: the best of some twenty is farther
+than two from the true one by chance. Less takes the motion of a hover for a delay, more leaves delays unmeasured."""
 MARGIN = 1.5
 """Intervals are this much wider than the fit's: neighbouring errors go together, a floor has joints, and a tilted beam
 reads a little differently. In 37 simulated lifts 95 % intervals with 1.0 contained the truth of 86 % of the numbers,
@@ -245,9 +248,8 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
     lag_s = float(np.clip(-slope / curvature, lags_s[0], lags_s[-1]))
     error_m = MARGIN * 1.96 * fit.std_m
     # In a hover that hardly leans, delays far from the best one may fit nearly as well.
-    as_good_s = [
-        abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < sums[best] + error_m**2
-    ]
+    most_m2 = sums[best] + (MARGIN * OF_MANY * fit.std_m) ** 2
+    as_good_s = [abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < most_m2]
     return Measured(lag_s, max(error_m * float(np.sqrt(2 / curvature)), *as_good_s))
 
 

@@ -11,7 +11,7 @@ import math
 import operator
 from collections import deque
 from itertools import pairwise
-from statistics import median
+from statistics import correlation, median
 
 SLOWEST_S = 120.0
 """Time constant of the slowest thermometer [s], one in a closed housing; in moving air it is 5 s (an SHT4x on a board)
@@ -26,6 +26,10 @@ SWITCHED_ON_S, SWITCHED_ON_C = 10.0, 1.0
 """In the first seconds [s] so little is settling [deg C], without the largest step, as of a take-off out of warm air: a
 vehicle is switched on where it has just been carried to. Longer reports shadows, shorter lets a vehicle that takes off
 at once fly with a distance that is 6 % off."""
+STRAIGHT_NATS = 9.0
+"""If a straight line is likelier than a constant by so much, with a noise that is not known [nats]: that of the few
+first values says little. Five values show it at ten standard errors of the slope, ten values at six; a step gives
+less than eight. Less reports noise, more reports later."""
 ORDINARY_NOISES = 6.0
 """The same in standard deviations of the thermometer's noise, in addition. The difference of two values has 1.4, and
 that of the extremes of `MEMORY_S` five; with less, noise of 0.5 C counts as settling."""
@@ -74,6 +78,13 @@ PER_NOISE = 1.95
 class Settling:
     """The recent values of a source.
 
+    Parameters
+    ----------
+    time_s, value_c
+        Of the first one.
+    is_switched_on
+        Whether the source begins here, and has not jumped to this value.
+
     Attributes
     ----------
     lag_c
@@ -82,11 +93,12 @@ class Settling:
         How much warmer it probably is, at no more than `FASTEST_C_PER_S`, and the standard deviation of that [deg C].
     """
 
-    def __init__(self, time_s: float, value_c: float) -> None:
+    def __init__(self, time_s: float, value_c: float, is_switched_on: bool = True) -> None:
         self.lag_c = self.ahead_c = self.std_c = 0.0
         self._values = deque([(time_s, value_c)])
         self._start: tuple[float, float] | None = None  # Time [s] and value [deg C] before it began to settle.
-        self._since_s = self._begun_s = time_s
+        self._begun_s = time_s
+        self._until_s = time_s + SWITCHED_ON_S if is_switched_on else time_s  # So long little is settling.
         self._noise_c, self._noises = FIRST_NOISE_C, 1
 
     def update(self, time_s: float, value_c: float) -> None:
@@ -102,14 +114,12 @@ class Settling:
         while len(values) > 1 and values[0][0] < time_s - MEMORY_S:
             values.popleft()
         if self._start is None:
-            noises_c = ORDINARY_NOISES * self._noise_c
-            self._start = self._far_from(value_c, ORDINARY_C + noises_c)
-            if self._start is None and time_s - self._since_s < SWITCHED_ON_S:
+            self._start = self._far_from(value_c, ORDINARY_C + ORDINARY_NOISES * self._noise_c)
+            if self._start is None and time_s < self._until_s:
                 all_c = [*[past_c for _, past_c in values], value_c]
                 largest_c = max([after_c - before_c for before_c, after_c in pairwise(all_c)], key=abs)
-                least_c = SWITCHED_ON_C + noises_c
-                if abs(value_c - all_c[0] - largest_c) > least_c:
-                    self._start = self._far_from(value_c, least_c) or values[0]
+                if abs(value_c - all_c[0] - largest_c) > SWITCHED_ON_C and _straight_nats(all_c) > STRAIGHT_NATS:
+                    self._start = values[0]
             if self._start is not None:
                 self._begun_s = self._begin_s(self._start[0])
         if self._start is not None:
@@ -165,3 +175,11 @@ class Settling:
         spread = sum(map(operator.mul, weights, squares)) / total
         low_c, high_c = sorted((0.0, self.lag_c))
         return min(max(lag_c, low_c), high_c), min(math.sqrt(spread), abs(self.lag_c))
+
+
+def _straight_nats(values: list[float]) -> float:
+    """Log likelihood ratio of a straight line over a constant, noise unknown: -n/2 log(1 - r^2), r the correlation."""
+    try:
+        return -0.5 * len(values) * math.log1p(-(correlation(range(len(values)), values) ** 2))
+    except ValueError:  # Only of a line without any noise: that the values differ is known.
+        return math.inf

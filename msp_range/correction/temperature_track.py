@@ -52,10 +52,10 @@ class Level:
         How far the air may be ahead of it.
     """
 
-    def __init__(self, time_s: float, value_c: float) -> None:
+    def __init__(self, time_s: float, value_c: float, is_switched_on: bool = False) -> None:
         self.since_s = self.time_s = time_s
         self.value_c = value_c
-        self.settling = Settling(time_s, value_c)
+        self.settling = Settling(time_s, value_c, is_switched_on)
         self._slack_c = JUMP_C
 
     def reaches(self, time_s: float, value_c: float, allowed_c: float) -> bool:
@@ -159,7 +159,7 @@ class TemperatureTrack:
             self.jump = Jump(since_s, time_s, air_c, RangeComparison(self._history, self._good.time_s, time_s))
 
     def _start(self, time_s: float, air_c: float) -> None:
-        self._good, self.jump = Level(time_s, air_c), None
+        self._good, self.jump = Level(time_s, air_c, self.jump is None), None
         self._values = 1
 
     def confirm(self, doubt_c: float = 0.0) -> None:

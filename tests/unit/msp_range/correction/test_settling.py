@@ -139,5 +139,5 @@ def test_one_that_is_switched_on_in_other_air_is_noticed_within_seconds(
     later = next(
         time_s for time_s, lag_c in lags(measured(lambda time_s: shown_c(time_s - STEP_S), 0.1, 0.05), 90.0) if lag_c
     )
-    assert at_start <= 8.0
+    assert at_start <= 6.0
     assert at_start < later - STEP_S
