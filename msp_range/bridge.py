@@ -401,7 +401,7 @@ class Bridge:
         is_in_doubt = fusion.is_ground_in_doubt(reading.sensor)
         object_m = fusion.object_m(reading.sensor)
         self._below.update(reading.sensor, object_m, is_in_doubt, rejected is None)
-        if rejected == OUTLIER and outcome.fused is not None and not fusion.is_disputed:
+        if fusion.asks_again(outcome):
             self._schedule.again(reading.sensor)
         if rejected == OBJECT and object_m is not None and object_m > 0:
             self._streams.send_object(now_s, boot_ms, reading, air)

@@ -115,6 +115,7 @@ class Fusion:
         self._time_s = self._garbled_s = float("-inf")
         self._rough_m2 = 0.0
         self._others = 0
+        self._asked: SensorMode | None = None  # Out of turn.
         self._shared_m2 = self._nearest = 0.0
         self._fit = 1.0
         self._agree = deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS)
@@ -141,10 +142,19 @@ class Fusion:
         """Probability of the ground, times the share of the last readings that do not contradict it."""
         return self._belief.sure * sum(self._agree) / CONFIDENCE_READINGS
 
-    @property
-    def is_disputed(self) -> bool:
-        """Whether two sensors see the same other ground or object."""
-        return self._belief.is_disputed
+    def asks_again(self, outcome: Outcome) -> bool:
+        """Whether a reading's sensor is to be asked out of turn: for an outlier, or for what shows late answers.
+
+        Late answers are asked for one sensor at a time: two that are both asked again are in turn again.
+        """
+        ground, mode = self._belief.ground, self._modes[outcome.reading.sensor]
+        was_asked, self._asked = self._asked, None if mode is self._asked else self._asked
+        if outcome.fused is None or ground is None:
+            return False
+        if was_asked is None and ground.response.may_be_late:
+            self._asked = mode
+            return True
+        return outcome.rejected == OUTLIER and not self._belief.is_disputed
 
     def conditions(self) -> list[Condition]:
         """Answers a ping late, readings of nothing, and what is perhaps no ground: for `msp_range.health`."""
@@ -192,7 +202,8 @@ class Fusion:
         belief.predict(time_s)
         rotation = self._rotation(time_s)
         reading = self._unless_stuck(mode, reading)
-        mode.read_s, mode.works = time_s, not reading.status.is_fault
+        mode.since_s, mode.read_s = time_s - mode.read_s, time_s
+        mode.works = not reading.status.is_fault
         if reading.range_m is None:
             rejected: str | None = reading.status.value
             if time_s - mode.ranged_s > self._windows.memory_s:
@@ -285,8 +296,7 @@ class Fusion:
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
         found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
-        answers = parent is None or found is parent or suspect or not parent.response.expects(seen.height_m)
-        if parent is not None and not answers and self._is_fixed(parent, look, seen, self._spans_plane(parent)):
+        if parent is not None and found is not parent and not suspect and self._is_fixed_after_all(parent, look, seen):
             return FIXED
         if found is not None:
             mode.see(found, self._time_s, share)
@@ -338,7 +348,15 @@ class Fusion:
         noise_m2 = look.variance_m2 / seen.view.by_height**2
         if look.is_least:
             noise_m2 += NEARER_M * NEARER_M
-        surface.response.update(look.reading.sensor, self._time_s, seen.height_m, known.climb_m_s, noise_m2, may_slope)
+        surface.response.update(
+            look.reading.sensor,
+            self._time_s,
+            look.mode.since_s,
+            seen.height_m,
+            known.climb_m_s,
+            noise_m2,
+            may_slope,
+        )
         if not surface.response.is_fixed:
             return False
         answered = [self._modes[name] for name in surface.response.sees(since_s)]
@@ -346,6 +364,12 @@ class Fusion:
             mode.hold()
         self._belief.forget(surface)
         return True
+
+    def _is_fixed_after_all(self, parent: Surface, look: Look, seen: Seen) -> bool:
+        """`_is_fixed` by a reading that is not of the ground, where the ground's response expects one like it."""
+        if not parent.response.expects(self._time_s, look.mode.since_s, seen.height_m):
+            return False
+        return self._is_fixed(parent, look, seen, self._spans_plane(parent))
 
     def _was_garbled(self, look: Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.

@@ -144,6 +144,11 @@ LATE, LATE_S = -11.0, 0.2
 above -10, the lowest where sensors read their minimum until after the take-off. With -13 late answers are wrong for 3 %
 longer (30 flights of seed 816). With turns shorter than the second [s] it is not decided: an accelerometer's delay
 looks the same. From then on they are late until the odds are even."""
+MAY_BE_LATE, SHOWS_M_S = 2.0, 0.25
+"""From the first log odds on, where the vehicle climbs or sinks faster than the second [m/s], sensors are asked out of
+turn: the answer of a ping before is then of a younger one, by some 0.2 s, which moves it by two standard deviations of
+a reading. At a steady rate nothing else shows that answers are late. Later asks less in flights in which nothing is
+wrong."""
 RISES_M = 0.8
 """By how much the barometer may say that the vehicle has risen over something near which has not answered to any
 movement yet, where that is the ground after all: the standard deviation, as well as that of the climb [m]. Rotors
@@ -252,8 +257,9 @@ class SensorMode:
         The surface that its last reading was of, and how many in a row; None: of nothing known.
     share
         How probable that is.
-    seen_s, read_s, ranged_s
-        When it had a range that counts, when it was read, and when it had any range [s].
+    seen_s, read_s, since_s, ranged_s
+        When it had a range that counts, when it was read, how long after the reading before, and when it had any range
+        [s].
     works
         Whether its last reading was none of a fault.
     object_m
@@ -268,6 +274,7 @@ class SensorMode:
         self._outliers = 0.0
         self.noise = NOISE_LEAST
         self.seen_s = self.read_s = self.ranged_s = float("-inf")
+        self.since_s = float("inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
         self.object_m: float | None = None

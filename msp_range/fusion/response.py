@@ -11,14 +11,26 @@ acceleration b [m/s^2] that differ in one thing only:
     h' = w    w' = u - b + white noise    b' = -b / B_LASTS_S + white noise
 
 Over ground u is the measured acceleration, over something fixed it is 0, and where each sensor answers with the range
-of its ping before it is that of a turn earlier. b is the bias of the accelerometer, which the ranges themselves show:
+of its ping before it is that of a turn earlier; a sensor that is asked out of turn answers for h + w times what its own
+ping before is later than that. b is the bias of the accelerometer, which the ranges themselves show:
 the barometer does not, where rotors change the pressure. A vehicle at rest or at a steady rate favours none of the
 three.
 """
 
 import math
+from collections.abc import Sequence
 
-from msp_range.fusion.modes import DECIDED, DECIDED_APART, DOUBT_LASTS_S, FOLLOWS, LATE, LATE_S, ODDS_LAST_S
+from msp_range.fusion.modes import (
+    DECIDED,
+    DECIDED_APART,
+    DOUBT_LASTS_S,
+    FOLLOWS,
+    LATE,
+    LATE_S,
+    MAY_BE_LATE,
+    ODDS_LAST_S,
+    SHOWS_M_S,
+)
 from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
 
 NOISE_M2_S3 = 0.005
@@ -54,6 +66,9 @@ what is fixed leaves the ground within a turn. Larger takes readings of an edge.
 NOISE_STD_M, NOISE_READINGS = 0.02, 20.0
 """The readings' noise about the best prediction, standard deviation at the start [m]: a sensor's of its own; later a
 mean over so many."""
+OUT_OF_TURN = 0.4
+"""From this share of a turn on a ping is out of turn: one of two sensors that is asked twice is so by a half. Smaller
+takes what a turn varies by for one."""
 OUTLIER_SIGMAS = 5.0
 """A single reading that is farther than this from each prediction says nothing [standard deviations]: it is another
 thing's, and would move all three predictions and the noise so far that a healthy vehicle's answers seem late. Fewer
@@ -69,6 +84,8 @@ LEVEL_RISE = 0.03
 """Less rise per metre than this is level ground, whose rate does not change by itself: a part of the slopes that a
 vehicle follows."""
 
+State = tuple[float, float, float]
+"""Height, rate and bias [m, m/s, m/s^2]."""
 _START = (0.01, 0.0, 0.0, 0.25, 0.0)
 """Covariance at the start: hh, hw, hb, ww, wb in SI units."""
 
@@ -110,8 +127,8 @@ class MotionResponse:
         self._covariance: Covariance = (*_START, B_START_M_S2**2)
         self._was_outlier = False
         self._own_m: dict[str, float] = {}
-        # Height, rate and bias over ground, over something fixed, and over ground at the time of the ping before.
-        self._states = [(0.0, 0.0, 0.0)] * 3
+        # Over ground, over something fixed, and over ground at the time of the ping before.
+        self._states: list[State] = [(0.0, 0.0, 0.0)] * 3
 
     @property
     def log_odds(self) -> float:
@@ -126,6 +143,11 @@ class MotionResponse:
     def is_fixed(self) -> bool:
         """Whether the surface is fixed to the vehicle."""
         return self._fixed <= DECIDED and self._apart <= DECIDED_APART
+
+    @property
+    def may_be_late(self) -> bool:
+        """Whether a sensor that is asked out of turn may show that the answers are those of the pings before."""
+        return MAY_BE_LATE > self._late > LATE and abs(self._states[2][1]) > SHOWS_M_S
 
     def inherit(self, other: "MotionResponse") -> None:
         """Answers that came late on another surface do on this one; what is rather fixed there shows no lateness."""
@@ -142,14 +164,24 @@ class MotionResponse:
         """The sensors of which a reading has been taken since a time [s]."""
         return {name for name, time_s in self._taken_s.items() if time_s >= since_s}
 
-    def expects(self, height_m: float) -> bool:
-        """Whether a reading of this height is near where one of the three was at the last one [m]."""
-        return self._time_s is not None and min(abs(height_m - h) for h, _, _ in self._states) < NEAR_M
+    def expects(self, time_s: float, since_s: float, height_m: float) -> bool:
+        """Whether a reading is near one of the three predictions, by the rates at the last one; see `update`."""
+        if self._time_s is None:
+            return False
+        t = time_s - self._time_s
+        heights_m = self._heights_m([(h + w * t, w, b) for h, w, b in self._states], since_s)
+        return min([abs(height_m - expected_m) for expected_m in heights_m]) < NEAR_M
+
+    def _heights_m(self, states: Sequence[State], since_s: float) -> tuple[float, float, float]:
+        """What a sensor should read by each of the three [m]; one that is asked in turn answers by their heights."""
+        (follows_m, _, _), (fixed_m, _, _), (late_m, late_m_s, _) = states
+        return follows_m, fixed_m, late_m + late_m_s * max(self._turn_s - since_s, -self._turn_s)
 
     def update(
         self,
         sensor: str,
         time_s: float,
+        since_s: float,
         height_m: float,
         climb_m_s: float,
         variance_m2: float,
@@ -159,8 +191,8 @@ class MotionResponse:
 
         Parameters
         ----------
-        sensor, time_s
-            Whose, and when it was [s].
+        sensor, time_s, since_s
+            Whose, when it was, and how long after the sensor's reading before [s].
         height_m, climb_m_s, variance_m2
             Height of the reference point by this reading, with the slope and attitude that are known [m], how fast it
             grows by all readings before [m/s], and the variance of the height's error [m^2].
@@ -187,10 +219,10 @@ class MotionResponse:
         variance_m2 = max(variance_m2, self._noise_m2) + (OWN_STD_M**2 if own_m is None else 0.0)
         covariance = self._predicted(t, fades)
         total_m2 = covariance[0] + variance_m2
-        height_m -= own_m or 0.0
         share = OWN_STD_M**2 / total_m2 if own_m is None else OWN_SHARE
+        height_m -= own_m or 0.0
         self._own_m[sensor] = (own_m or 0.0) + share * (height_m - predicted[1][0])
-        offs_m = [height_m - h for h, _, _ in predicted]
+        offs_m = [height_m - expected_m for expected_m in self._heights_m(predicted, since_s)]
         squares_m2 = [off_m * off_m for off_m in offs_m]
         if min(squares_m2) > OUTLIER_SIGMAS**2 * total_m2 and not self._was_outlier:
             self._states, self._covariance, self._was_outlier = predicted, covariance, True
@@ -199,7 +231,10 @@ class MotionResponse:
         (k_h, k_w, k_b), (hh, hw, hb, ww, wb, bb) = corrected(covariance, variance_m2)
         self._covariance = max(hh, LEAST_VARIANCE_M2 if is_least else 0.0), hw, hb, ww, wb, bb
         if own_m is not None:
-            self._decide(t, [square_m2 / total_m2 for square_m2 in squares_m2], k_h, up_m_s2, may_slope)
+            squares = [square_m2 / total_m2 for square_m2 in squares_m2]
+            if self._turn_s < LATE_S and abs(self._turn_s - since_s) < OUT_OF_TURN * self._turn_s:
+                squares[2] = squares[0]
+            self._decide(t, squares, k_h, up_m_s2, may_slope)
             self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
         self._states = [
             (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m)
@@ -236,8 +271,6 @@ class MotionResponse:
         self._answered = max(self._answered * fades + answers, 0.0)
         self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
         self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows), -STRONGEST)
-        if self._turn_s < LATE_S:
-            self._late = 0.0
         if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):
             self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)

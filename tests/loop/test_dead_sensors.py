@@ -53,7 +53,8 @@ def test_the_survivors_of_four_are_read_ten_times_a_second(
     assert len(together_s) >= 10 * (END_S - settled_s) - 1
     # A ping each 100 ms; its echo is there up to 22 ms later.
     assert max(late - early for early, late in pairwise(together_s)) < 0.123
-    assert max(map(len, read_s.values())) - min(map(len, read_s.values())) <= 1
+    # One of them may be asked out of turn while the vehicle moves, which shows whether answers are late.
+    assert max(map(len, read_s.values())) - min(map(len, read_s.values())) <= 3
 
 
 def test_where_the_dead_answer_nonsense_a_survivor_is_read_eight_times_a_second(tmp_path: Path) -> None:

@@ -587,3 +587,28 @@ def test_answers_of_the_ping_before_are_not_sent_and_reported() -> None:
             late.append(time_s)
             assert out.fused is None
     assert min(late) > 5.0
+
+
+@pytest.mark.parametrize("is_late", [True, False])
+def test_in_a_steady_climb_one_sensor_at_a_time_is_asked_out_of_turn_until_it_is_in_time(is_late: bool) -> None:
+    """A sensor that is asked comes after the next one, as `RoundRobin.again` gives it a turn."""
+    motion, draw = VerticalMotion(), np.random.default_rng(1)
+    fusion = four(motion=motion)
+    order, before_s, asked = list(NAMES), dict.fromkeys(NAMES, -1.0), []
+    for i in range(200):
+        time_s, name = i * SLOT_S, order.pop(0)
+        for k in range(3):
+            motion.on_acceleration(time_s - 0.04 * (2 - k), float(draw.normal(0.0, 0.1)))
+        since_s, before_s[name] = time_s - before_s[name], time_s
+        late_s = since_s if is_late and time_s > 5.0 else 0.0
+        range_m = 2.0 + 0.5 * (time_s - late_s) + float(draw.normal(0.0, 0.01))
+        order = order or list(NAMES)
+        if fusion.asks_again(fusion.update(reading(name, time_s, range_m), time_s + 0.03)):
+            order.insert(1, name)
+            asked.append((i, name))
+    texts = [each.text for each in fusion.conditions()]
+    assert ("Range: answers are those of the ping before" in texts) is is_late
+    assert asked
+    if not is_late:
+        assert asked[-1][0] < 100
+        assert all(name != before or i - k > 2 for (k, before), (i, name) in pairwise(asked))
