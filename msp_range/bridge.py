@@ -44,19 +44,15 @@ from msp_range.fusion import (
 )
 from msp_range.health import (
     FUSED,
-    NOT_SENT,
     BridgeState,
     BridgeVerdict,
     BusHealth,
-    Condition,
     GroundUse,
     Health,
     ObservationsBelow,
     OutputWatch,
     Reminder,
-    Report,
     SensorWatch,
-    Severity,
     Sighting,
     verdict_of,
 )
@@ -67,6 +63,7 @@ from msp_range.mavlink.link import Link
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.streams import Streams
 from msp_range.mavlink.transport import Transport
+from msp_range.pilot_texts import Report, Severity, Text
 from msp_range.reading import Reading, Status
 from msp_range.recording.stages import stages_of
 from msp_range.recording.topics import (
@@ -470,14 +467,13 @@ class Bridge:
         conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)
         conditions.append(self._attitude.condition(now_s))
         if self.airframe.send.nothing:
-            conditions.append(NOT_SENT)
+            conditions.append(Text.NOT_SENT)
         if self._fusion is not None:
             conditions += self._fusion.conditions()
         if self._recorder is not None:
             self._recorder.flush_if_due(now_s)
             fault = self._recorder.fault
-            not_recording = None if fault is None else f"Range: not recording, {fault}"
-            conditions.append(Condition("recording", not_recording, "Range: recording again"))
+            conditions.append(Text.NOT_RECORDING.when(fault is not None, fault=fault))
         for condition in conditions:
             self.health.set(condition)
         is_there = self.link.autopilot_is_present

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from msp_range.bridge import Bridge
 from msp_range.bus.smbus import KernelBus
 from msp_range.config import Airframe
-from msp_range.health import Condition, Severity
 from msp_range.log import Log
+from msp_range.pilot_texts import Text
 
 
 class FlownAirframe:
@@ -53,9 +53,7 @@ class FlownAirframe:
         if not self._requests:
             return False
         armed = bridge.link.autopilot_armed
-        waits = "Range: airframe reload waits for disarming" if armed else None
-        over = "Range: disarmed, reloading the airframe"
-        bridge.health.set(Condition("reload", waits, over, Severity.INFO, remedy="disarm"))
+        bridge.health.set(Text.RELOAD_WAITS.when(armed))
         if armed:
             return False
         self._requests.clear()
@@ -68,8 +66,8 @@ class FlownAirframe:
                 self.bus = bus
         except Exception as error:  # after any error the vehicle continues with the present airframe
             self._log.error("airframe file not reloaded", error=str(error) or repr(error))
-            bridge.notify(Severity.WARNING, "Range: airframe file not valid, old one flies")
+            bridge.notify(*Text.NOT_VALID.said())
             return False
         self.airframe = airframe
-        bridge.notify(Severity.INFO, "Range: airframe file reloaded")
+        bridge.notify(*Text.RELOADED.said())
         return True

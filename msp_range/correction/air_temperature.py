@@ -15,7 +15,7 @@ from msp_range.correction.range_comparison import RangeHistory
 from msp_range.correction.temperature import MAVLINK_FIELDS, FileSource, MavlinkSource, TemperatureParameters
 from msp_range.correction.temperature_track import BELIEVED_AFTER_S, TemperatureTrack
 from msp_range.correction.thermometer import ThermometerReader
-from msp_range.health import Condition
+from msp_range.pilot_texts import Condition, Text
 from msp_range.reading import Reading, Status
 
 GRACE_S = 5.0
@@ -28,9 +28,6 @@ jumps, also wrong ones."""
 WORTH_REPORTING_M = 0.10
 """A missing or lagging thermometer is reported if the error of ranges may exceed this [m]: 8 C at the maximum of an
 MB1242. With less it is also reported if somebody states the temperature before each flight."""
-BACK = "Range: air temp is back"
-NO_THERMOMETER = "Range: no thermometer"
-"""Beginning of the text for an airframe file that names none."""
 
 
 class AirTemperature:
@@ -59,13 +56,15 @@ class AirTemperature:
         self._history = RangeHistory()
         self._tracks = [TemperatureTrack(source, self._history) for source in parameters.sources]
         self._had_value_s = start_s
-        self._decision = BACK
-        self._lags: str | None = None
+        self._decision = Text.NO_TEMPERATURE.over
+        self._lag_m = 0.0
         fixed_error_m = air_error_m(maximum_m, self._fixed)
-        self._no_thermometer: str | None = None
-        if not parameters.sources and fixed_error_m > WORTH_REPORTING_M:
-            off = f"{100 * fixed_error_m:.0f} cm off at {coldest_c(self._fixed):.0f} C, {maximum_m:.3g} m"
-            self._no_thermometer = f"{NO_THERMOMETER}, {off}"
+        self._no_thermometer = Text.NO_THERMOMETER.when(
+            not parameters.sources and fixed_error_m > WORTH_REPORTING_M,
+            off_cm=100 * fixed_error_m,
+            coldest_c=coldest_c(self._fixed),
+            maximum_m=maximum_m,
+        )
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
@@ -87,7 +86,7 @@ class AirTemperature:
 
     def now(self, now_s: float) -> Air:
         """The air at ``now_s``; reads the files that are due."""
-        self._decision = BACK
+        self._decision = Text.NO_TEMPERATURE.over
         for track in self._tracks:
             source = track.source
             if isinstance(source, FileSource) and (sample := self._reader.newest(source, now_s)) is not None:
@@ -95,7 +94,7 @@ class AirTemperature:
         for track in self._tracks:
             self._decide(track, now_s)
         used, air = self._best(now_s)
-        self._lags = self._lag_text(used, air.temperature_c)
+        self._lag_m = self._reported_lag_m(used, air.temperature_c)
         if air.source not in (FIXED, HELD):
             self._had_value_s = now_s
         self._air = self._humidity.applied(now_s, air)
@@ -113,15 +112,13 @@ class AirTemperature:
             return None, self._fixed
         return track, track.air(now_s, good)
 
-    def _lag_text(self, used: TemperatureTrack | None, temperature_c: float) -> str | None:
-        """What is reported of a source that settles: from a large error on, until it has settled."""
+    def _reported_lag_m(self, used: TemperatureTrack | None, temperature_c: float) -> float:
+        """The error that is reported of a source that settles [m]: from a large one on until it has settled, else 0."""
         if used is None or used.jump is not None or used.settling is None:
-            return None
+            return 0.0
         left_c = used.settling.lag_c - used.settling.ahead_c
         error_m = abs(compensate_range(self._maximum_m, temperature_c, temperature_c + left_c) - self._maximum_m)
-        if error_m <= (WORTH_REPORTING_M if self._lags is None else 0.0):
-            return None
-        return f"Range: air temp lags, up to {100 * error_m:.0f} cm off at {self._maximum_m:.3g} m"
+        return error_m if self._lag_m or error_m > WORTH_REPORTING_M else 0.0
 
     def _decide(self, track: TemperatureTrack, now_s: float) -> None:
         """Decide whether to use a jump, if that is possible now."""
@@ -133,60 +130,48 @@ class AirTemperature:
             return
         others = [other for each in self._tracks if each is not track and (other := each.reported(now_s)) is not None]
         verdicts = {_agree(new, other) for other in others if _agree(new, other) != _agree(good, other)}
-        words = "another source agrees", "another source disagrees"
+        agree, disagree, doubt_c = Text.SOURCE_AGREES, Text.SOURCE_DISAGREES, track.doubt_c
         if not verdicts:
             jump.ranges.update(now_s)
             changed = jump.ranges.changed(now_s, good.temperature_c, new.temperature_c)
             verdicts = set() if changed is None else {changed}
-            words = "the ranges agree", "the ranges disagree"
-        text = f"Range: air temp {new.temperature_c:.0f} C"
+            agree, disagree = Text.RANGES_AGREE, Text.RANGES_DISAGREE
         if verdicts == {True}:
-            self._decision = f"{text}: {words[0]}"
+            decision = agree
             track.confirm()
         elif verdicts == {False}:
-            self._decision = f"{text}: {words[1]}"
+            decision = disagree
             jump.refused = True
         elif not jump.refused and now_s - jump.steady_since_s >= BELIEVED_AFTER_S:
-            self._decision = f"{text} used after {BELIEVED_AFTER_S / 60:.0f} min, +-{track.doubt_c:.0f}"
-            track.confirm(track.doubt_c)
+            decision = Text.USED
+            track.confirm(doubt_c)
+        else:
+            return
+        after_min = BELIEVED_AFTER_S / 60
+        _, self._decision = decision.said(to_c=new.temperature_c, after_min=after_min, doubt_c=doubt_c)
 
     def conditions(self, now_s: float) -> list[Condition]:
         """Conditions to report to the pilot, as of the last call of `now`."""
         if not self._maximum_m:
             return []
-        using = f"using {self._air.temperature_c:.0f} C"
+        using_c = self._air.temperature_c
         is_without = bool(self._tracks) and self._air.source in (FIXED, HELD)
         flapping_c = {track: levels_c for track in self._tracks if (levels_c := track.flapping_c(now_s))}
-        flaps = next(("{:.0f} to {:.0f} C".format(*levels_c) for levels_c in flapping_c.values()), None)
+        low_c, high_c = next(iter(flapping_c.values()), (0.0, 0.0))
         jumps = [track.jump for track in self._tracks if track.jump is not None and track not in flapping_c]
-        wrong = next((jump for jump in jumps if jump.refused), None)
+        jump_c = jumps[0].level.value_c if jumps else None
+        wrong_c = next((jump.level.value_c for jump in jumps if jump.refused), None)
         # If another source has a value, that decides.
-        is_open = is_without and jumps and wrong is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
-        is_silent = is_without and not jumps and flaps is None and now_s - self._had_value_s > GRACE_S
+        is_open = is_without and jumps and wrong_c is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
+        is_silent = is_without and not jumps and not flapping_c and now_s - self._had_value_s > GRACE_S
         return [
-            Condition("no thermometer", self._no_thermometer, ""),
-            Condition(
-                "temperature jump",
-                f"Range: air temp jumps to {jumps[0].level.value_c:.0f} C, {using}" if is_open else None,
-                self._decision,
-            ),
-            Condition(
-                "thermometer wrong",
-                None if wrong is None else f"Range: thermometer wrong at {wrong.level.value_c:.0f} C, {using}",
-                BACK,
-            ),
-            Condition(
-                "thermometer flaps",
-                None if flaps is None else f"Range: thermometer flaps {flaps}, {using}",
-                "Range: thermometer flaps no more",
-            ),
-            Condition("thermometer settles", self._lags, "Range: thermometer has settled"),
-            Condition("temperature", f"Range: no air temperature, {using}" if is_silent else None, BACK),
-            Condition(
-                "thermometer hangs",
-                "Range: thermometer file does not answer" if self._reader.hangs(now_s) else None,
-                "Range: thermometer file answers again",
-            ),
+            self._no_thermometer,
+            Text.JUMP.when(is_open, to_c=jump_c, using_c=using_c)._replace(over=self._decision),
+            Text.WRONG_THERMOMETER.when(wrong_c is not None, to_c=wrong_c, using_c=using_c),
+            Text.FLAPS.when(flapping_c, low_c=low_c, high_c=high_c, using_c=using_c),
+            Text.LAGS.when(self._lag_m, off_cm=100 * self._lag_m, maximum_m=self._maximum_m),
+            Text.NO_TEMPERATURE.when(is_silent, using_c=using_c),
+            Text.HANGS.when(self._reader.hangs(now_s)),
         ]
 
 

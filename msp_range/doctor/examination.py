@@ -11,7 +11,6 @@ from pathlib import Path
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock
 from msp_range.config import Airframe, load_airframe
-from msp_range.correction.air_temperature import NO_THERMOMETER
 from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, unknown, wrong
@@ -21,6 +20,7 @@ from msp_range.doctor.storage import check_date, check_disk, check_supply
 from msp_range.doctor.thermometer import check_files
 from msp_range.mavlink.transport import Transport, open_transport
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
+from msp_range.pilot_texts import Text
 from msp_range.plausible import doubts
 from msp_range.watch.client import connect, read_once
 from msp_range.watch.newest import Newest
@@ -50,7 +50,7 @@ def findings(newest: Newest) -> Iterator[Finding]:
     yield right("running bridge", f"{newest.airframe['vehicle']}, {status['state']}, for {status['uptime_s']:.0f} s")
     for fault in status["faults"]:
         # That the file names no thermometer is a step of its own.
-        if NO_THERMOMETER not in fault["text"]:
+        if fault["what"] != Text.NO_THERMOMETER.key:
             found = unknown if fault["severity"] == "info" else wrong
             yield found(fault["what"], fault["text"], fault["remedy"])
     for name, sensor in status["sensors"].items():

@@ -1,6 +1,6 @@
 """Objects and holes below single sensors, as observations that the pilot gets: nothing is wrong with the vehicle."""
 
-from msp_range.health.conditions import Report, Severity
+from msp_range.pilot_texts import Report, Severity, Text
 
 
 class ObservationsBelow:
@@ -14,8 +14,8 @@ class ObservationsBelow:
 
     def __init__(self, report: Report) -> None:
         self._report = report
-        # Height over the ground, negative in a hole [m], and the text.
-        self._of: dict[str, tuple[float, str]] = {}
+        # Height over the ground, negative in a hole [m], and what was reported.
+        self._of: dict[str, tuple[float, tuple[Severity, str]]] = {}
 
     def update(
         self, sensor: str, object_m: float | None, is_ground_in_doubt: bool = False, sees_ground: bool = False
@@ -30,17 +30,14 @@ class ObservationsBelow:
             return
         if object_m is None:
             height_m, _ = self._of.pop(sensor)
-            what = "ground below" if sees_ground else f"{'object' if height_m > 0 else 'hole'} not seen now"
-            self._report(Severity.INFO, f"Range {sensor}: {what}")
+            text = Text.GROUND if sees_ground else Text.NOT_SEEN
+            self._report(*text.said(sensor=sensor, what="object" if height_m > 0 else "hole"))
             return
-        text = f"Range {sensor}: hole below, {-object_m:.1f} m deep"
-        if object_m > 0:
-            text = f"Range {sensor}: object below, {object_m:.1f} m high"
-        elif is_ground_in_doubt:
-            text = f"Range {sensor} {-object_m:.1f} m longer: garbled?"
-        self._of[sensor] = object_m, text
-        self._report(Severity.WARNING, text)
+        text = Text.OBJECT if object_m > 0 else Text.GARBLED if is_ground_in_doubt else Text.HOLE
+        said = text.said(sensor=sensor, high_m=object_m, deep_m=-object_m)
+        self._of[sensor] = object_m, said
+        self._report(*said)
 
     def texts(self) -> list[tuple[Severity, str]]:
         """All that is there now, for an autopilot that has just come."""
-        return [(Severity.WARNING, text) for _, text in self._of.values()]
+        return [said for _, said in self._of.values()]

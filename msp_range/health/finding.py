@@ -2,10 +2,10 @@
 
 from typing import Literal, NamedTuple
 
+from msp_range.pilot_texts import FINDINGS, LONGEST_TEXT
+
 Kind = Literal["short", "missed", "wider", "shifted", "repeats"]
 
-LONGEST_TEXT = 50
-"""Characters of a STATUSTEXT. A sensor's name may have 32 of them, which leaves 10."""
 MOST_TIMES = 99.0
 """Larger ratios are shown as this one."""
 
@@ -42,11 +42,7 @@ class SensorFinding(NamedTuple):
     def _words(self) -> tuple[str, str, str]:
         """What it does, the same in ten characters, and by how much."""
         shift_cm, times = 100.0 * self.size, min(self.size, MOST_TIMES)
-        cm = f"{abs(shift_cm):.0f} cm too {'long' if shift_cm > 0.0 else 'short'}"
-        return {
-            "short": ("often too short", "too short", f"too short {times:.0f} times as often as its model says"),
-            "missed": ("often no echo", "no echoes", f"no echo {times:.0f} times as often as its model says"),
-            "wider": ("unsteady readings", "unsteady", f"scatters {times:.1f} times as much as its model says"),
-            "shifted": (cm, f"{shift_cm:+.0f} cm", f"{cm} by the other sensors"),
-            "repeats": ("repeats readings", "repeats", "the same answer although the height has changed"),
-        }[self.kind]
+        off = f"{abs(shift_cm):.0f} cm too {'long' if shift_cm > 0.0 else 'short'}"
+        full, brief, by_how_much = FINDINGS[self.kind]
+        size = {"off": off, "shift_cm": shift_cm, "times": times}
+        return full.format(**size), brief.format(**size), by_how_much.format(**size)

@@ -7,8 +7,8 @@ they change. A sensor's own faults are not here: this is what the autopilot gets
 from collections import deque
 from collections.abc import Collection, Iterable
 
-from msp_range.health.conditions import Condition, Severity
 from msp_range.health.finding import SensorFinding
+from msp_range.pilot_texts import Condition, Text
 
 FUSED = "the fused stream"
 """Its name here, which no sensor can have."""
@@ -21,7 +21,6 @@ one sensor of two, or two of four, are faulty and the others still agree."""
 NOISY_FIT = 4.0
 """Mean square of the normalised innovations from which the readings are noisy: twice the deviation that their model
 states. The variance that is sent grows with it already; this is where the pilot should know."""
-_SILENT = "if nothing else here is the reason, the sensors get no echo, or do not agree on the ground"
 LASTS_S, OVER_S = 1.0, 3.0
 """A condition is reported when it has lasted so long, and over when it has been gone so long [s]: a step of the ground
 takes less than the first, and one that flickers is reported once."""
@@ -94,17 +93,11 @@ class OutputWatch:
         """
         found = []
         for name, limit_s in self._limits_s.items():
-            text, over = f"Range {name}: no distance", f"Range {name}: distance is back"
-            if name == FUSED:
-                text, over = "Range: no distance to the ground", "Range: distance is back"
-            now = text if now_s >= limit_s else None
-            key = f"silence {name}"
-            found.append(Condition(key, now, over, Severity.ERROR, remedy=_SILENT, is_reported=name not in failing))
+            silent = (Text.FUSED_SILENT if name == FUSED else Text.SILENT).when(now_s >= limit_s, sensor=name)
+            found.append(silent._replace(is_reported=name not in failing))
         rejected = self._used.count(False)
         disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
-        now = "Range: readings disagree" if self._disagree.update(disagree, now_s) else None
-        found.append(Condition("disagree", now, "Range: readings agree"))
-        now = "Range: readings are noisy" if self._noisy.update(self._fit > NOISY_FIT, now_s) else None
-        noisy = Condition("noisy", now, "Range: readings are steady", renews=True)
+        found.append(Text.DISAGREE.when(self._disagree.update(disagree, now_s)))
+        noisy = Text.NOISY.when(self._noisy.update(self._fit > NOISY_FIT, now_s))
         found.append(noisy if finding is None else noisy._replace(text=finding.text, remedy=finding.remedy))
         return found

@@ -4,20 +4,10 @@ from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
 
-from msp_range.health.conditions import Condition, Severity
+from msp_range.pilot_texts import Condition, Severity, Text
 
 _WIDEST = ("bus", "signing", "other autopilot", "autopilot")
 """Conditions that concern more than one sensor, in the order in which they are shown, before those of single ones."""
-
-
-NOT_SENT = Condition(
-    "not sent",
-    "Range: no distances are sent (send: nothing)",
-    "",
-    Severity.INFO,
-    remedy="the airframe file says so; to send them, take nothing out of its send",
-)
-"""The condition of a bridge that only tries its sensors out."""
 
 
 class BridgeState(StrEnum):
@@ -66,7 +56,7 @@ def verdict_of(conditions: Iterable[Condition], is_ready: bool) -> BridgeVerdict
     groups: dict[str, list[BridgeFinding]] = {}
     state = BridgeState.STARTING
     if is_ready:
-        state = BridgeState.SENDS_NOTHING if NOT_SENT.key in present else BridgeState.ACTIVE
+        state = BridgeState.SENDS_NOTHING if Text.NOT_SENT.key in present else BridgeState.ACTIVE
     for key, text, _, severity, _, remedy, is_reported in present.values():
         if text is None:
             continue

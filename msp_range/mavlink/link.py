@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from msp_range.clock import Clock
-from msp_range.health import Condition, Severity
 from msp_range.mavlink.component_information import ComponentInformationBasic
 from msp_range.mavlink.contradictions import Contradictions
 from msp_range.mavlink.dialect import dialect
@@ -21,6 +20,7 @@ from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.time_sync import AutopilotClock
 from msp_range.mavlink.transport import Transport
 from msp_range.mavlink.wanted import WantedMessages
+from msp_range.pilot_texts import LONGEST_TEXT, Condition, Text
 
 SERVICE_INTERVAL_S = 0.005
 """Time between two reads of the transport [s] where messages are dense, or where it has no file to wait for. Shorter
@@ -49,7 +49,6 @@ late echo is taken for another program's."""
 HEARTBEAT_INTERVAL_S = 1.0
 AUTOPILOT_LOST_S = 5.0
 """Time without a heartbeat after which the autopilot counts as lost [s]."""
-STATUS_TEXT_LENGTH = 50
 TIMESYNC_BYTES = 16
 """Length of TIMESYNC without the target, which newer versions of it have at the end."""
 
@@ -149,7 +148,7 @@ class Link:
 
     def send_text(self, severity: int, text: str) -> None:
         """Send STATUSTEXT, truncated to its maximum length."""
-        self.send(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:STATUS_TEXT_LENGTH]))
+        self.send(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:LONGEST_TEXT]))
 
     def service(self, has_arrived: bool = False) -> None:
         """Process received messages, and send what is due; ``has_arrived``: one of the `files` can be read."""
@@ -182,16 +181,12 @@ class Link:
         """No autopilot, and unwanted participants on the link, for `msp_range.health.Health.set`."""
         now_s, transport = self._clock.now(), self.transport
         found = self._participants.conditions(now_s)
-        missing = None
-        if now_s - max(self._heartbeat_s, self._start_s) >= AUTOPILOT_LOST_S:
-            missing = "Range: no autopilot, nobody gets the distances"
+        missing = Text.NO_AUTOPILOT.when(now_s - max(self._heartbeat_s, self._start_s) >= AUTOPILOT_LOST_S)
         state = "no heartbeat comes in" if transport.connected else transport.last_error or "nobody has connected"
         remedy = f"{transport.description}: {state}; check wires, port, baud rate and the autopilot's settings of it"
-        # Without an autopilot nobody gets a text: this is for those who look at the status.
-        found.append(Condition("autopilot", missing, "", Severity.ERROR, remedy=remedy, is_reported=False))
+        found.append(missing._replace(remedy=remedy))
         if self._signing is not None:
-            text = None if self._signing.keeps_time else "Range: signing time is not kept, check the disk"
-            found.append(Condition("signing time", text, "Range: signing time is kept again"))
+            found.append(Text.SIGNING_TIME.when(not self._signing.keeps_time))
         return found
 
     def _heartbeat(self) -> Any:
@@ -235,9 +230,9 @@ class Link:
         is_accepted = self._signing is None or self._signing.accepts(frame)
         if frame.is_autopilot_heartbeat:
             if not is_accepted:
-                self._participants.seen("signing", now_s, "Range: autopilot does not sign with this key")
+                self._participants.seen(now_s, Text.OTHER_KEY)
             elif self._signing is None and frame.is_signed:
-                self._participants.seen("signing", now_s, "Range: autopilot signs, signing_key is missing")
+                self._participants.seen(now_s, Text.NO_KEY)
         return is_accepted
 
     def _decode_first(self, waiting: Waiting, most_decoded: int, most_waiting: int) -> None:
@@ -258,8 +253,7 @@ class Link:
         source = (frame.system, frame.component)
         if source == self._ids:
             if frame.data not in self._sent_frames:
-                text = f"Range: another program sends as {frame.system}/{frame.component}"
-                self._participants.suspected("own ids", now_s, text)
+                self._participants.suspected(now_s, Text.OWN_IDS, system=frame.system, component=frame.component)
             return
         message = frame.decode()
         if frame.is_autopilot_heartbeat:
@@ -271,8 +265,7 @@ class Link:
 
     def _take_autopilots(self, now_s: float, frame: Frame, source: tuple[int, int], message: Any) -> None:
         if self._contradictions.update(message):
-            text = f"Range: two autopilots send as system {frame.system}"
-            self._participants.suspected("autopilot's ids", now_s, text)
+            self._participants.suspected(now_s, Text.AUTOPILOT_IDS, system=frame.system)
         kind = message.get_type()
         if kind == "PING" and message.target_system == 0 and message.target_component == 0:
             if self._autopilot_answers.take(now_s):
@@ -302,14 +295,10 @@ class Link:
         self._first_system = self._first_system or system
         if system != self._first_system:
             if self._pinned_system is not None or (is_present and system != self.autopilot_system):
-                own = self._mav.srcSystem
-                text = f"Range: autopilot is system {system}, file says {own}"
-                if is_present:
-                    text = f"Range: second autopilot, system {system} (using {own})"
-                self._participants.seen("other autopilot", now_s, text)
+                other = Text.SECOND_AUTOPILOT if is_present else Text.OTHER_AUTOPILOT
+                self._participants.seen(now_s, other, system=system, own=self._mav.srcSystem)
                 return
-            text = f"Range: autopilot {self._first_system} is silent, using {system}"
-            self._participants.seen("autopilot lost", now_s, text)
+            self._participants.seen(now_s, Text.AUTOPILOT_LOST, first=self._first_system, system=system)
         if system != self.autopilot_system:
             self.autopilot_system = self._mav.srcSystem = system
             self.autopilot_clock = AutopilotClock(self._start_s)

@@ -5,7 +5,6 @@ the chunk in progress is finished, compressed and handed to a thread that writes
 polling never waits for the disk. The chunk in progress and the last one are lost with the power, never an earlier one.
 """
 
-import errno
 from collections.abc import Mapping
 from functools import partial
 from io import FileIO
@@ -15,6 +14,7 @@ from typing import Any
 import orjson
 
 from msp_range.clock import Clock
+from msp_range.pilot_texts import DISK_FAULTS, Text
 from msp_range.recording.background_file import BackgroundFile
 from msp_range.recording.error import RecordingError, written
 from msp_range.recording.mcap_writer import McapWriter
@@ -34,16 +34,6 @@ CLOSE_TIMEOUT_S = 5.0
 """How long `Recorder.close` waits for the disk; below the time after which systemd kills a service that is to stop."""
 METADATA_NAME = "msp_range"
 LIBRARY = "msp-range"
-_FAULTS = {
-    errno.ENOSPC: "disk full",
-    errno.EDQUOT: "disk full",
-    errno.ENOENT: "folder gone",
-    errno.ENOTDIR: "folder gone",
-    errno.EROFS: "disk is read-only",
-    errno.EACCES: "no permission",
-    errno.EPERM: "no permission",
-}
-"""What the pilot reads for an errno; at most 28 characters fit."""
 
 
 class Recorder:
@@ -137,9 +127,9 @@ class Recorder:
             self.file.wait_while_behind(BEHIND_S, HUNG_AFTER_S)
         error = self.file.error
         if error is not None:
-            self.fault = _FAULTS.get(error.errno or 0, f"disk error (errno {error.errno})")
+            self.fault = DISK_FAULTS.get(error.errno or 0, Text.DISK_ERROR.format(errno=error.errno))
         elif self.file.behind_s > HUNG_AFTER_S:
-            self.fault = "disk does not answer"
+            self.fault = Text.DISK_HANGS
         if self.fault is not None:
             self.finish()
 

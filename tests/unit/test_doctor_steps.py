@@ -12,6 +12,7 @@ from msp_range.doctor.port import check_port
 from msp_range.doctor.sensors import disagreeing
 from msp_range.doctor.storage import check_disk
 from msp_range.mavlink.transport.url import SerialUrl
+from msp_range.pilot_texts import Condition, Text
 from msp_range.watch.newest import Newest
 from tests.support.fake_computer import FakeComputer
 
@@ -108,14 +109,10 @@ def test_a_leg_in_a_beam_is_seen_by_the_others(ranges_m: tuple[float, ...], name
 
 
 @pytest.mark.parametrize(
-    ("text", "steps"),
-    [
-        ("Range: no thermometer, 33 cm off at -4 C, 7.65 m", []),
-        ("Range: thermometer wrong at 85 C, using 20 C", ["thermometer wrong"]),
-    ],
+    ("condition", "steps"), [(Text.NO_THERMOMETER, []), (Text.WRONG_THERMOMETER, ["thermometer wrong"])]
 )
-def test_a_file_without_a_thermometer_is_no_error_of_the_running_bridge(text: str, steps: list[str]) -> None:
-    fault = {"what": "thermometer wrong", "text": text, "remedy": "", "severity": "warning", "cause": None}
+def test_a_file_without_a_thermometer_is_no_error_of_the_running_bridge(condition: Condition, steps: list[str]) -> None:
+    fault = {"what": condition.key, "text": condition.text, "remedy": "", "severity": "warning", "cause": None}
     link = {"connected": True, "autopilot": 1, "url": "", "error": None, "sent": {}}
     status = {"state": "active", "uptime_s": 9.0, "sensors": {}, "link": link, "faults": [fault]}
     newest = Newest(airframe={"vehicle": "pallet"}, status=status)

@@ -13,7 +13,7 @@ from msp_range.correction.range_comparison import RangeComparison, RangeHistory
 from msp_range.correction.temperature import FileSource, TemperatureParameters
 from msp_range.correction.temperature_track import BELIEVED_AFTER_S
 from msp_range.correction.thermometer import LoopReader
-from msp_range.mavlink.link import STATUS_TEXT_LENGTH
+from msp_range.pilot_texts import LONGEST_TEXT
 from msp_range.reading import Reading, Status
 
 OfTime = Callable[[float], float]
@@ -348,7 +348,7 @@ def test_every_text_fits_a_statustext() -> None:
         flapping = partial(lambda cold, warm, time_s: warm if int(time_s) % 2 else cold, cold, warm)
         reports += Flight({"one": flapping}).until(20.0).reports
         assert len(reports) >= 9
-        assert all(len(text) <= STATUS_TEXT_LENGTH for text in reports), reports
+        assert all(len(text) <= LONGEST_TEXT for text in reports), reports
 
 
 def test_outliers_and_the_shortest_report_are_not_compared() -> None:

@@ -13,8 +13,9 @@ from msp_range.assembly import expected_of, sensor_watch_of
 from msp_range.config import load_airframe
 from msp_range.health import Expected, GroundUse, SensorWatch
 from msp_range.health.evidence import Evidence, Occurrences
-from msp_range.health.finding import LONGEST_TEXT, Kind, SensorFinding
+from msp_range.health.finding import Kind, SensorFinding
 from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
+from msp_range.pilot_texts import LONGEST_TEXT
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.in_flight import in_flight
