@@ -7,6 +7,7 @@ sent. A text may have at most `LONGEST_TEXT` characters: a longer one is cut.
 import errno
 from collections.abc import Callable
 from enum import IntEnum
+from functools import cache
 from typing import NamedTuple
 
 from msp_range.reading import Status
@@ -45,14 +46,22 @@ class Condition(NamedTuple):
     is_reported: bool = True
     """Whether the pilot is to read it; else it only counts for the verdict."""
 
+    def of(self, **values: object) -> "Condition":
+        """With ``values`` filled in at its key and its end."""
+        return self._replace(key=self.key.format(**values), over=self.over.format(**values))
+
     def when(self, present: object, **values: object) -> "Condition":
-        """As it is now; ``values`` are filled in."""
-        text = (self.text or "").format(**values) if present else None
-        return self._replace(key=self.key.format(**values), text=text, over=self.over.format(**values))
+        """As it is now; ``values`` are filled in at its text."""
+        return self._replace(text=(self.text or "").format(**values)) if present else _absent(self)
 
     def said(self, **values: object) -> tuple[Severity, str]:
         """Severity and text, for a `Report`."""
         return self.severity, (self.text or "").format(**values)
+
+
+@cache
+def _absent(condition: Condition) -> Condition:
+    return condition._replace(text=None)
 
 
 def _event(text: str) -> Condition:

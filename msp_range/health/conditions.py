@@ -82,7 +82,7 @@ class Health:
             sensor.fault = None
             sensor.to_be_good = min(2 * sensor.to_be_good, MOST_TO_BE_GOOD)
             sensor.recent.clear()
-            self._report(Severity.INFO, Text.SENSOR.over.format(sensor=reading.sensor))
+            self._report(Severity.INFO, Text.SENSOR.of(sensor=reading.sensor).over)
         if not bad and sensor.streak > MOST_TO_BE_GOOD:
             sensor.to_be_good = READINGS_TO_CHANGE
         if not sensor.known and (in_a_row or is_full):
@@ -108,7 +108,7 @@ class Health:
     def conditions(self) -> list[Condition]:
         """All that is wrong now, of sensors first."""
         sensors = [
-            Text.SENSOR.when(True, sensor=name, fault=sensor.fault[0])._replace(remedy=sensor.fault[1])
+            Text.SENSOR.of(sensor=name).when(True, sensor=name, fault=sensor.fault[0])._replace(remedy=sensor.fault[1])
             for name, sensor in self._sensors.items()
             if sensor.fault is not None
         ]

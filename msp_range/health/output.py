@@ -60,6 +60,8 @@ class OutputWatch:
         self._silence_s = silence_s
         # When each stream has been silent for too long, if it stays so.
         self._limits_s = dict.fromkeys(streams, start_s + silence_s)
+        rows = {name: Text.FUSED_SILENT if name == FUSED else Text.SILENT for name in self._limits_s}
+        self._silent = {name: row.of(sensor=name) for name, row in rows.items()}
         self._used: deque[bool] = deque(maxlen=DISAGREE_READINGS)
         self._fit = 1.0
         self._disagree, self._noisy = _Lasting(), _Lasting()
@@ -93,8 +95,8 @@ class OutputWatch:
         """
         found = []
         for name, limit_s in self._limits_s.items():
-            silent = (Text.FUSED_SILENT if name == FUSED else Text.SILENT).when(now_s >= limit_s, sensor=name)
-            found.append(silent._replace(is_reported=name not in failing))
+            silent = self._silent[name].when(now_s >= limit_s, sensor=name)
+            found.append(silent._replace(is_reported=False) if name in failing else silent)
         rejected = self._used.count(False)
         disagree = len(self._used) == DISAGREE_READINGS and rejected > DISAGREE_SHARE * DISAGREE_READINGS
         found.append(Text.DISAGREE.when(self._disagree.update(disagree, now_s)))

@@ -36,18 +36,19 @@ class Participants:
 
     def __init__(self, expected: Autopilot | None) -> None:
         self._expected = expected
+        self._other_type = Text.AUTOPILOT_TYPE.of(expected=expected)
         # When each was last seen, and what is filled in.
         self._seen: dict[str, tuple[float, Condition, dict[str, object]]] = {}
         first = (
             Text.SECOND_AUTOPILOT,
-            Text.AUTOPILOT_TYPE,
+            self._other_type,
             Text.OWN_IDS,
             Text.AUTOPILOT_IDS,
             Text.AUTOPILOT_LOST,
             Text.OTHER_KEY,
         )
         for condition in first:
-            self.seen(float("-inf"), condition, expected=expected)
+            self.seen(float("-inf"), condition)
         self._suspected_s: dict[str, list[float]] = {}
 
     def seen(self, now_s: float, condition: Condition, **values: object) -> None:
@@ -67,7 +68,7 @@ class Participants:
         """Check a heartbeat of the bridge's own autopilot (MAV_AUTOPILOT)."""
         found = AUTOPILOTS.get(autopilot_type, f"type {autopilot_type}")
         if self._expected not in (None, found):
-            self.seen(now_s, Text.AUTOPILOT_TYPE, found=found, expected=self._expected)
+            self.seen(now_s, self._other_type, found=found, expected=self._expected)
 
     def conditions(self, now_s: float) -> list[Condition]:
         """All conditions, for `msp_range.health.Health.set`."""

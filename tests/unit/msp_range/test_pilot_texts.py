@@ -62,6 +62,7 @@ def test_the_list_has_no_text_that_is_not_sent() -> None:
 
 
 def test_what_is_absent_has_no_text_and_its_end_is_filled_in() -> None:
-    assert Text.SILENT.when(False, sensor="a") == ("silence a", None, "Range a: distance is back", *Text.SILENT[3:])
-    assert Text.SILENT.when(True, sensor="a").text == "Range a: no distance"
+    silent = Text.SILENT.of(sensor="a")
+    assert silent.when(False, sensor="a") == ("silence a", None, "Range a: distance is back", *Text.SILENT[3:])
+    assert silent.when(True, sensor="a").text == "Range a: no distance"
     assert Text.GROUND.said(sensor="a") == (Severity.INFO, "Range a: ground below")
