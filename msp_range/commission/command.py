@@ -9,23 +9,12 @@ from typing import Any, TextIO
 from msp_range.commission import edit
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.session import Session
-from msp_range.commission.state import VERIFIED, PassedSteps
-from msp_range.commission.steps import addresses, bench, flight, lift, parameters, wires
+from msp_range.commission.state import PassedSteps
+from msp_range.commission.steps.table import STEPS
 from msp_range.config import load_airframe
 from msp_range.doctor.command import lines_of
 from msp_range.terminal import wrapped
 from msp_range.yaml_file import ConfigError, place_of
-
-STEPS: dict[str, Callable[[Session], StepOutcome]] = {
-    "wires": wires.run,
-    "addresses": addresses.run,
-    "bench": bench.run,
-    "parameters": parameters.run,
-    "lift": lift.run,
-    "hover": flight.hover,
-    "review": flight.review,
-}
-assert list(STEPS) == list(VERIFIED)
 
 
 def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -> int:
@@ -62,7 +51,7 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
     show(_overview(state, session, due))
     while name is not None:
         show(["", f"--- {name} ({list(STEPS).index(name) + 1} of {len(STEPS)}) ---"])
-        outcome = STEPS[name](session).keep_founded(session.airframe())
+        outcome = STEPS[name].run(session).keep_founded(session.airframe())
         show([line for finding in outcome.findings for line in lines_of(finding)])
         changes, outcome = _correct(session, outcome, show)
         report[name] = {

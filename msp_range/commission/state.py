@@ -6,57 +6,20 @@ airframe that it verified. A change of them by anybody makes the step due again;
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from msp_range.clock import Clock, stamp_of
+from msp_range.commission.steps.table import STEPS
 from msp_range.config import Airframe
 from msp_range.input_file import making, read_text
-from msp_range.params.settings import Firmware, settings
 from msp_range.yaml_file import LARGEST_FILE_BYTES, ConfigError, writing
-
-
-def _sensors(airframe: Airframe, *keys: str) -> list[Any]:
-    return [{key: sensor.model_dump(mode="json")[key] for key in keys} for sensor in airframe.sensors]
-
-
-def flown_part(airframe: Airframe) -> dict[str, Any]:
-    """What a flight depends on: all but whether its distances were sent."""
-    return airframe.model_dump(mode="json", exclude={"send": {"nothing"}})
-
-
-VERIFIED: dict[str, Callable[[Airframe], Any]] = {
-    "wires": lambda airframe: [
-        airframe.bus,
-        sorted([sensor.address, sensor.model] for sensor in airframe.sensors),
-        airframe.link.model_dump(),
-    ],
-    "addresses": lambda airframe: _sensors(airframe, "name", "address", "model"),
-    "bench": lambda airframe: [
-        [[sensor.name, sensor.position_m[2], sensor.model] for sensor in airframe.sensors],
-        airframe.temperature.model_dump(mode="json"),
-    ],
-    "parameters": lambda airframe: [
-        airframe.link.model_dump(),
-        [[each.name, each.value] for each in settings(airframe, Firmware(airframe.link.autopilot), 2)],
-    ],
-    "lift": lambda airframe: [
-        *_sensors(airframe, "name", "address", "model", "position_m", "rotation_deg"),
-        *([airframe.send.standing_m] if airframe.send.standing_m else []),
-        # Without distances the autopilot's own was not compared.
-        *(["nothing"] if airframe.send.nothing else []),
-    ],
-    "hover": flown_part,
-    "review": flown_part,
-}
-"""Steps in their order, each with the parts of the airframe that it verifies."""
 
 
 def hash_of(step: str, airframe: Airframe) -> str:
     """A hash of the parts of an airframe that a step verifies."""
-    content = json.dumps(VERIFIED[step](airframe), sort_keys=True)
+    content = json.dumps(STEPS[step].verified(airframe), sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
@@ -98,7 +61,7 @@ class PassedSteps:
 
     def next_step(self, airframe: Airframe) -> str | None:
         """The first step that has not passed; None where all have."""
-        return next((step for step in VERIFIED if not self.has_passed(step, airframe)), None)
+        return next((step for step in STEPS if not self.has_passed(step, airframe)), None)
 
     def save(self, step: str, airframe: Airframe, measured: dict[str, Any], clock: Clock) -> None:
         """Keep that a step has passed.

@@ -20,7 +20,7 @@ from msp_range.commission.noise import compare_noise
 from msp_range.commission.operator import PersonAtTerminal
 from msp_range.commission.outcome import Proposal, StepOutcome
 from msp_range.commission.samples import Samples, samples_of
-from msp_range.commission.state import VERIFIED, PassedSteps, hash_of
+from msp_range.commission.state import PassedSteps, hash_of
 from msp_range.commission.steps import bench, lift
 from msp_range.commission.steps.addresses import blocked, covered
 from msp_range.commission.steps.addresses import compare as compare_addresses
@@ -29,6 +29,7 @@ from msp_range.commission.steps.directions import Beam, axis_of, compare_directi
 from msp_range.commission.steps.flight import compare as compare_flight
 from msp_range.commission.steps.flight import gaps, hovering
 from msp_range.commission.steps.places import compare_lag, compare_places
+from msp_range.commission.steps.table import STEPS
 from msp_range.config import load_airframe
 from msp_range.doctor.finding import Verdict, right, wrong
 from msp_range.recording.topics import Message
@@ -377,7 +378,7 @@ def test_what_is_not_sent_is_not_compared_in_the_autopilot_and_the_lift_is_due_w
         (Verdict.UNKNOWN, "not compared: the airframe file sends nothing")
     ]
     assert outcome.proposals == []
-    due = [step for step in VERIFIED if hash_of(step, trial) != hash_of(step, AIRFRAME)]
+    due = [step for step in STEPS if hash_of(step, trial) != hash_of(step, AIRFRAME)]
     assert due == ["parameters", "lift"]
 
 
@@ -408,6 +409,7 @@ def test_the_command_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.Monk
     path = tmp_path / "airframe.yaml"
     path.write_text(Path("configs/quad_pallet.yaml").read_text().replace("sensors/mb1242.yaml", "mb1242"))
     command = ["msp-range commission", path]
+    assert f"<{'|'.join(STEPS)}>" in run(*command, "--help").stdout
     assert "--yes" in run(*command, "--step", "bench", code=3).stderr
     assert "--height 72: expected metres" in run(*command, "--yes", "--height", "72", code=3).stderr
     (tmp_path / "airframe.commission.json").write_text("[]")
