@@ -1,19 +1,18 @@
 """Make DISTANCE_SENSOR messages from estimates. This is the only place where metres become the message's centimetres.
 
-How autopilots interpret the fields (ArduPilot 4.7, PX4 main): a distance above the maximum means no echo ('out of range
-high', healthy), for PX4's collision prevention a distance equal to the maximum; a fault is silence; quality 0 means
-unknown and is accepted, so an invalid reading has quality 1; covariance 255 means unknown; the sensor's shortest
-report, 20 cm, has to be above ``min_distance`` to be accepted.
+How autopilots interpret the fields (ArduPilot 4.7, PX4 main): quality 0 means unknown and is accepted; covariance 255
+means unknown; the sensor's shortest report, 20 cm, has to be above ``min_distance`` to be accepted; a fault is silence.
+`msp_range.mavlink.no_echo` has the form of 'no echo'.
 """
 
 import math
 from typing import Any, Literal, NamedTuple
 
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.orientation import DOWN, PITCH_90, Orientation
+from msp_range.mavlink.no_echo import QUALITY_INVALID, no_echo_cm
+from msp_range.mavlink.orientation import Orientation
 
 COVARIANCE_UNKNOWN = 255
-QUALITY_INVALID = 1
 QUALITY_LOWEST, QUALITY_BEST = 2, 100
 
 Autopilot = Literal["ardupilot", "px4"]
@@ -22,7 +21,7 @@ _Message = dialect.MAVLink_distance_sensor_message
 
 
 class Stream(NamedTuple):
-    """The constant fields of a stream's messages, with the bounds and the no-echo value that the autopilot expects."""
+    """The constant fields of a stream's messages, with the bounds that the autopilot expects."""
 
     id: int
     """The message's ``id``."""
@@ -41,12 +40,6 @@ class Stream(NamedTuple):
         """A centimetre below the shortest distance, but not below 0 [cm]: a distance that equals ``min_distance`` is
         out of range for both autopilots."""
         return max(self.shortest_cm - 1, 0)
-
-    @property
-    def no_echo_cm(self) -> int:
-        """``current_distance`` for no echo [cm]."""
-        vertical = self.orientation.value in (DOWN, PITCH_90)
-        return self.max_distance_cm + (vertical or self.autopilot != "px4")
 
 
 def distance_sensor(
@@ -79,7 +72,8 @@ def distance_sensor(
     """
     covariance = COVARIANCE_UNKNOWN
     if range_m is None:
-        current_cm, quality = stream.no_echo_cm, QUALITY_INVALID
+        current_cm = no_echo_cm(stream.max_distance_cm, stream.orientation.value, stream.autopilot)
+        quality = QUALITY_INVALID
     else:
         if not math.isfinite(range_m):
             raise ValueError(f"a distance of {range_m} m cannot be sent")

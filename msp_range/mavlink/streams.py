@@ -1,7 +1,7 @@
 """Send a reading's messages: on the sensor's single stream, on the fused stream, or none.
 
-A distance is sent if filter or fusion gave one, 'no echo' if a single sensor received no echo or the vehicle is above
-the range of its downward sensors; a fault is silence.
+A distance is sent if filter or fusion gave one, else 'no echo' if that is known (`msp_range.mavlink.no_echo`); a fault
+is silence.
 
 Fused messages are sent at once, those of single streams spaced out after them: PX4 keeps one unread message per link,
 so of several in one burst only the last is seen.
@@ -18,7 +18,8 @@ from msp_range.filters.chain import UNEXPECTED, Filtered
 from msp_range.fusion import Fused, Outcome
 from msp_range.fusion.fusion import CONFIDENCE_READINGS
 from msp_range.mavlink.distance_sensor import QUALITY_BEST, Stream, distance_sensor
-from msp_range.reading import Reading, Status
+from msp_range.mavlink.no_echo import is_no_echo
+from msp_range.reading import Reading
 
 SPACING_S = 0.020
 """Time from a message to the next one of a single stream [s]: more delays the last of several streams."""
@@ -110,7 +111,7 @@ class Streams:
         confidence
             In a distance (`Fusion.confidence`).
         """
-        if self._fused is None or (outcome.fused is None and not outcome.above_maximum):
+        if self._fused is None or (outcome.fused is None and not is_no_echo(outcome)):
             return False
         self.outbox.send_now(
             now_s, self._message(self._fused, boot_ms, outcome.reading.sensor, outcome.fused, air, confidence)
@@ -131,7 +132,7 @@ class Streams:
         stream = self._singles[sensor]
         if filtered.rejected in (None, UNEXPECTED):
             self._agree[sensor].append(filtered.rejected is None)
-        if estimate is None and reading.status is not Status.NO_ECHO:
+        if estimate is None and not is_no_echo(reading):
             return False
         confidence = sum(self._agree[sensor]) / CONFIDENCE_READINGS
         self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, sensor, estimate, air, confidence))
