@@ -332,12 +332,14 @@ def check_effect(
 ) -> None:
     """Check effects of your own: what the simulator and the gap workflow rely on, and what to do where it is missing.
 
+    It says, too, which effects of the catalogue do nearly the same: 'msp-lab gap' can hardly tell such effects apart.
     Exit code 1 where something was found. A file that passes is used with '--effects FILE.py'.
     """
     require("sim", "msp-lab check-effect")
     from msp_lab.readings.from_files import sensor_file
     from msp_range.reading_model.sensor_model import load_sensor_model
     from msp_sim.effects.own import effects_of_file
+    from msp_sim.model.alike import alike
     from msp_sim.model.contract import run_checks
     from msp_sim.model.trial import own_columns
 
@@ -347,11 +349,15 @@ def check_effect(
         print(f"{effect.name}: {effect.sentence}")
         for column in own_columns(effect):
             print(f"  note: the column {column} is not one of the simulator's; it is tried with numbers from 0 to 1")
+        is_right = True
         for result in run_checks(effect, on):
             print(f"  {'ok    ' if result.found is None else 'FAILED'} {result.check.title}")
             if result.found is not None:
-                failed = True
+                is_right, failed = False, True
                 print(f"         found: {result.found}\n         to do: {result.check.advice}")
+        for other in alike(effect, on) if is_right else ():
+            share = f"{100 * min(other.share, 1.0):.0f} %"
+            print(f"  note: it is nearly {other.name} of the catalogue, which explains {share} of what it does")
     if failed:
         raise typer.Exit(EXIT_FOUND)
 

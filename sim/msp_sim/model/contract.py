@@ -78,8 +78,12 @@ def _description_faults(effect: Effect) -> Iterator[str]:
     except (KeyError, ValueError, IndexError) as error:
         yield f"the finding {effect.finding!r} cannot be filled in: {error}"
     for key in ("physics", "source", "experiment"):
-        if not getattr(effect, key):
-            yield f"{key} is empty"
+        if not getattr(effect, key) or getattr(effect, key).endswith("."):
+            yield f"{key} is empty, or ends with a full stop"
+    for key in ("requires", "optional", "channels"):
+        if isinstance(getattr(effect, key), str):
+            yield f'{key} is a text, where a list of one is ("name",) with a comma'
+            return
     if not effect.channels or not {*effect.channels} <= {*get_args(Channel)}:
         yield f"the channels are {effect.channels}"
     if not any(parameter.neutral is not None for parameter in effect.parameters):
