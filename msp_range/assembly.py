@@ -13,7 +13,7 @@ from msp_range.health import Expected, SensorWatch
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Stream
 from msp_range.mavlink.orientation import CUSTOM, DOWN, Orientation
-from msp_range.reading_model.sensor_model import SensorModel
+from msp_range.reading_model.sensor_model import MEAN_EFFECTS, SensorModel
 from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 
 
@@ -110,15 +110,6 @@ def fused_maximum_m(airframe: Airframe, temperature_c: float | None = None) -> f
     """The longest fused distance, from the reference point [m]; see `maximum_m`."""
     return max(maximum_m(sensor, temperature_c) + _below_reference_m(airframe, sensor) for sensor in airframe.downward)
 
-
-MEAN_EFFECTS = frozenset(
-    {"mounting_offset", "session_offset", "range_scale", "bend", "warm_up", "flooring", "threshold_walk", "hot_box"}
-    | {"air_temperature", "thermometer_offset", "temperature_gradient", "humidity", "latency", "motion_during_ping"}
-    | {"slant_range", "nearest_point", "day_cycle"}
-)
-"""Effects of a sensor model file that change the mean reading only, which the sensor watch does not ask for: it follows
-each sensor's offset from the others. A name too many lets good sensors be reported, one too few switches the watch
-off."""
 
 FACING_MARGIN_RAD = math.radians(3.0)
 """Missed echoes are counted while a sensor faces level ground so much better than its beam requires [rad], for slopes

@@ -148,6 +148,14 @@ class MixtureParameters(Section):
     """The time to which `correlation` refers [s]."""
 
 
+MEAN_EFFECTS = frozenset(
+    {"mounting_offset", "session_offset", "range_scale", "bend", "warm_up", "flooring", "threshold_walk", "hot_box"}
+    | {"air_temperature", "thermometer_offset", "temperature_gradient", "humidity", "latency", "motion_during_ping"}
+    | {"slant_range", "nearest_point", "day_cycle"}
+)
+"""Effects of the catalogue that change the mean reading only, which the sensor watch does not ask for: it follows each
+sensor's offset from the others. A model with other effects needs `InFlight`; a name too many lets good sensors be
+reported."""
 WIDEST_IN_FLIGHT_CM = 100.0
 """Hits of a flight scatter by so much at most [cm]: no sensor that scatters by a metre is worth watching. Larger: the
 bridge watches what says nothing; smaller: models of poor sensors are not watched."""

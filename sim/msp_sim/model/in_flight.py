@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from msp_range.reading_model.sensor_model import SATURATED_CM, WIDEST_IN_FLIGHT_CM, InFlight
+from msp_range.reading_model.sensor_model import MEAN_EFFECTS, SATURATED_CM, WIDEST_IN_FLIGHT_CM, InFlight
 from msp_sim.model.model import Model
 from msp_sim.model.streams import RandomStreams
 
@@ -24,7 +24,7 @@ OFF_SIGMAS = 4.0
 def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Generator) -> InFlight | None:
     """Shares and spread of a model's readings.
 
-    None where its effects change the mean only, no surface is in range, or hits scatter too much to be watched.
+    None where all its effects are in `MEAN_EFFECTS`, no surface is in range, or hits scatter too much to be watched.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Genera
     draws
         Random generator.
     """
-    if all(each.effect.channels == ("bias",) for each in model.effects):
+    if MEAN_EFFECTS.issuperset(each.effect.name for each in model.effects):
         return None
     rows = model.rows(contexts)
     near = np.flatnonzero(rows.centre_cm < FARTHEST * model.sensor.maximum_cm)

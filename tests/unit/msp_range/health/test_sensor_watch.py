@@ -16,7 +16,7 @@ from msp_range.health.evidence import Evidence, Occurrences
 from msp_range.health.finding import Kind, SensorFinding
 from msp_range.health.neighbours import ACCELERATION_M_S2, Sighting, reference
 from msp_range.pilot_texts import LONGEST_TEXT
-from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_range.reading_model.sensor_model import MEAN_EFFECTS, SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import Model
@@ -326,10 +326,8 @@ def test_plain_numbers_for_the_flight_take_the_place_of_the_base_models() -> Non
     assert expected_numbers(type(model).model_validate(content))[:6] == pytest.approx((0.05, 0.1, 0.0, 0.0, 0.25, 2.0))
 
 
-def test_the_effects_that_need_no_numbers_are_those_that_change_the_mean_only() -> None:
-    from msp_range.assembly import MEAN_EFFECTS
-
-    assert {name for name, effect in CATALOGUE.items() if effect.channels == ("bias",)} == MEAN_EFFECTS
+def test_the_effects_that_need_no_numbers_change_the_mean_only() -> None:
+    assert {name for name, effect in CATALOGUE.items() if effect.channels == ("bias",)} >= MEAN_EFFECTS
 
 
 @pytest.mark.parametrize(("spread", "found"), [(2.0, set()), (1.0, {("a", "wider")})])
