@@ -19,6 +19,8 @@ class Fact(NamedTuple):
     """What follows its name, for a person."""
     gauges: dict[str, tuple[str, float]]
     """Its numbers for Prometheus: help and value by name."""
+    in_list: bool = True
+    """Whether the page lists it; else it draws it in a form of its own."""
 
 
 def facts_of(newest: Newest) -> Iterator[Fact]:
@@ -30,9 +32,10 @@ def facts_of(newest: Newest) -> Iterator[Fact]:
         text = f" {fused['range_m']:.2f} m{not_sent}, deviation {100 * fused['variance_m2'] ** 0.5:.1f} cm{climb}"
         range_m = "Fused distance along the down axis.", fused["range_m"]
         variance_m2 = "Variance of its error.", fused["variance_m2"]
-        yield Fact(DISTANCE, text, {"msp_range_distance_m": range_m, "msp_range_distance_variance_m2": variance_m2})
+        gauges = {"msp_range_distance_m": range_m, "msp_range_distance_variance_m2": variance_m2}
+        yield Fact(DISTANCE, text, gauges, in_list=False)
     elif airframe.get("reference_down_m") is not None:
-        yield Fact(DISTANCE, ": none", {})
+        yield Fact(DISTANCE, ": none", {}, in_list=False)
     if not status:
         return
     air, link = status["air"], status["link"]
@@ -49,7 +52,8 @@ def facts_of(newest: Newest) -> Iterator[Fact]:
     sent = "no distances" if airframe.get("sends_nothing") else distances
     yield Fact("sent", f" {sent}, {link['dropped']} frames dropped", {})
     if (back := newest.received.get("DISTANCE_SENSOR")) is not None:
-        yield Fact("the autopilot has", f" {back['distance_m']:.2f} m (orientation {back['orientation']})", {})
+        text = f" {back['distance_m']:.2f} m (orientation {back['orientation']})"
+        yield Fact("the autopilot has", text, {}, in_list=False)
     yield Fact("recording", f": {status['recording'] or 'none'}", {})
     uptime_s = "Time since the bridge was started.", status["uptime_s"]
-    yield Fact("running for", f" {status['uptime_s']:.0f} s", {"msp_range_uptime_seconds": uptime_s})
+    yield Fact("running for", f" {status['uptime_s']:.0f} s", {"msp_range_uptime_seconds": uptime_s}, in_list=False)

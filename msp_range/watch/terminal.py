@@ -75,7 +75,7 @@ def shown(newest: Newest) -> Group:
     title = f"{newest.airframe.get('vehicle', '?')}: {newest.state}", "bold"
     above = [Text(*each) for each in (title, *_wrong(newest))]
     style = "bold red" if newest.distance is None else "bold"
-    below = [Text(name + text, style * (name == DISTANCE)) for name, text, _ in facts_of(newest)]
+    below = [Text(fact.name + fact.text, style * (fact.name == DISTANCE)) for fact in facts_of(newest)]
     return Group(*above, _sensors(newest), *below)
 
 

@@ -177,7 +177,7 @@ class Page:
         message = parsed(packet)
         self._newest.update(message)
         if message.topic == "/status":
-            message.message["facts"] = [each[:2] for each in facts_of(self._newest)]
+            message.message["facts"] = [(fact.name, fact.text) for fact in facts_of(self._newest) if fact.in_list]
             packet = json.dumps(message._asdict()).encode()
         if message.topic in ("/airframe", "/status", GONE):
             self._kept = ({} if message.topic == "/airframe" else self._kept) | {message.topic: packet}

@@ -19,9 +19,8 @@ export function drawNumbers() {
     `slope ${(180 / Math.PI * Math.atan(Math.hypot(distance.rise_north, distance.rise_east))).toFixed(0)} deg`;
   if (!status) return;
   // The page's server has put them there: the rows of msp_range/watch/facts.py.
-  const elsewhere = ["distance down", "the autopilot has", "running for"];
   const facts = [
-    ...status.facts.filter(([name]) => !elsewhere.includes(name)).map(([name, text]) => [name, text.replace(/^:? /, "")]),
+    ...status.facts.map(([name, text]) => [name, text.replace(/^:? /, "")]),
     ["it received", received()],
     ["running for", duration(status.uptime_s)],
   ];
