@@ -1,7 +1,7 @@
 """The airframe file: everything that differs between vehicles, validated.
 
-YAML enters, an `Airframe` leaves; every error is reported with its place (`msp_range.yaml_file`). Conditions on several
-keys are checked here too, such as two sensors at one address or two streams that an autopilot would mix up.
+`load_airframe` makes an `Airframe` of YAML; every error is reported with its place (`msp_range.yaml_file`). Conditions
+on several keys are checked here too, such as two sensors at one address or two streams that an autopilot would mix up.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Open files named by a user safely, whatever the name refers to.
 
-A path and a size limit enter, an open file or its text leaves. Anything that is not a regular file (a directory, a pipe
-on which opening would wait, an endless device) or that is too large is refused with an OSError whose ``strerror`` says
-what was found and what was expected, so that callers can report it like a missing file.
+Files are opened, or read as text, up to a size limit. Anything that is not a regular file (a directory, a pipe on which
+opening would wait, an endless device) or that is too large is refused with an OSError whose ``strerror`` says what was
+found and what was expected, so that callers can report it like a missing file.
 """
 
 import errno

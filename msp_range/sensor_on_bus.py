@@ -1,7 +1,6 @@
 """A sensor in a configuration file: its address on the bus, and the file of its model.
 
-An entry of a YAML file enters, a checked `SensorOnBus` leaves. Airframes and campaigns extend this section
-with further keys.
+Airframes and campaigns extend this section with further keys.
 """
 
 from typing import Annotated

@@ -1,6 +1,6 @@
 """The part of YAML that configuration files need, with limits on the cost of reading.
 
-Text enters, plain Python values leave: mappings, lists, text, numbers, true and false, nothing. Anchors and merge keys
+The values are plain ones of Python: mappings, lists, text, numbers, true and false, nothing. Anchors and merge keys
 work. Refused, each with its place: input that would silently be changed (duplicate keys; 010, which could be 8), tags,
 control characters, and structures of unlimited size (deep nesting, aliases of aliases, lists that contain themselves).
 PyYAML parses, in C if libyaml is installed; values are made here of its events, because its own composers recurse

@@ -1,10 +1,10 @@
 """Speed of sound in air, and ranges corrected for temperature and humidity with their remaining uncertainty.
 
-Temperatures in degrees Celsius enter, metres per second and metres leave. There is one formula for the speed of sound,
-that of dry air; humid air enters with its sonic temperature, at which dry air has the same speed. Follows the
-characterization report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft tissue: in
-air it is about 343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge calls
-these functions for each reading, so plain numbers are computed with `math`; numpy is imported for arrays only.
+Temperatures are in degrees Celsius, speeds in metres per second, distances in metres. There is one formula for the
+speed of sound, that of dry air; humid air is used with its sonic temperature, at which dry air has the same speed.
+Follows the characterization report's eq 6 and 7. Its section 2.2 gives ultrasound 1540 m/s, which is the speed in soft
+tissue: in air it is about 343 m/s at 20 deg C (erratum 1), and eq 7 takes absolute temperatures (erratum 4). The bridge
+calls these functions for each reading, so plain numbers are computed with `math`; numpy is imported for arrays only.
 """
 
 from __future__ import annotations

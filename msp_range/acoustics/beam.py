@@ -1,8 +1,9 @@
 """The sensor's beam: the largest angle off its axis at which a surface still gives an echo, as a function of range.
 
-A table of measured breakaway angles enters (report 4.3.3: the largest angle of incidence with a reliable range),
-half angles and fields of view leave. Between the table's rows the angle is interpolated linearly; outside of them it
-is constant. The bridge's table has additional rows beyond the measured ones, from `msp_lab.characterise.sonar`.
+The half angle at a range and the field of view follow from a table of measured breakaway angles (report 4.3.3: the
+largest angle of incidence with a reliable range). Between the table's rows the angle is interpolated linearly; outside
+of them it is constant. The bridge's table has additional rows beyond the measured ones, from
+`msp_lab.characterise.sonar`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Readings and attitudes of some seconds as arrays, whatever they come from.
 
-A bridge's records enter: those of a bridge in this process, of a running one's socket, or of a recording. They have the
-same topics (`msp_range.recording.topics`).
+They are made of a bridge's records: those of a bridge in this process, of a running one's socket, or of a recording.
+They have the same topics (`msp_range.recording.topics`).
 """
 
 from collections.abc import Iterable, Mapping

@@ -1,9 +1,9 @@
 """The air temperature for the speed of sound, with its uncertainty.
 
-Values of the airframe's sources enter, an `Air` leaves: that of the first source, in the order of trust, with a new and
-good value that does not settle; otherwise the best old value, with a standard deviation that grows with its age;
-otherwise the airframe's fixed temperature. A source that jumps is used when another source or the raw ranges confirm
-it, or after a long steady time. `conditions` returns what is reported to the pilot.
+`AirTemperature` chooses among the values of the airframe's sources: that of the first source, in the order of trust,
+with a new and good value that does not settle; otherwise the best old value, with a standard deviation that grows with
+its age; otherwise the airframe's fixed temperature. A source that jumps is used when another source or the raw ranges
+confirm it, or after a long steady time. `conditions` returns what is reported to the pilot.
 """
 
 import math

@@ -1,9 +1,9 @@
 """A sensor's calibration: its mean reading as a piecewise linear function of true range, and the inverse.
 
-Knots of a sensor model file enter; readings for true ranges (`forward`, for the simulator and the likelihood) and
-ranges for readings (`inverse`, for the bridge) leave. Piecewise linear, because the literature that the report follows
-corrects such range finders in this way (Gontean and others). Knots are valid for air at the sensor's calibration
-temperature: offset and scale arise in the sensor's clock and not in the air.
+By the knots of a sensor model file, `forward` gives the reading for a true range (for the simulator and the
+likelihood), and `inverse` the range for a reading (for the bridge). Piecewise linear, because the literature that the
+report follows corrects such range finders in this way (Gontean and others). Knots are valid for air at the sensor's
+calibration temperature: offset and scale arise in the sensor's clock and not in the air.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The humidity of the air for the speed of sound: what a hygrometer measures, or what it leaves uncertain if there is
 none.
 
-HYGROMETER_SENSOR messages and an `Air` enter, the `Air` with its humidity leaves. Without a hygrometer the speed of
-sound is that of dry air (the report's eq 6).
+HYGROMETER_SENSOR messages give the humidity, with which an `Air` is corrected. Without a hygrometer the speed of sound
+is that of dry air (the report's eq 6).
 """
 
 import math

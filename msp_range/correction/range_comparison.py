@@ -1,8 +1,8 @@
 """Compare raw ranges before and after a jump of a thermometer: did the air change, or only the thermometer?
 
 A range finder times its echo: when the air goes from T1 to T2 all raw ranges change together by sqrt(T1 / T2), in
-kelvin, with the air and not after it. Raw downward ranges enter; the result is True if they changed accordingly, False
-if they did not change, and None if that is undecided, as while the vehicle climbs.
+kelvin, with the air and not after it. Raw downward ranges before and after the jump are compared: True if they changed
+accordingly, False if they did not change, and None if that is undecided, as while the vehicle climbs.
 """
 
 import math

@@ -1,10 +1,10 @@
 """How far the air is ahead of a thermometer that settles, as in a housing that has come from a hall into the cold.
 
-Values of one source enter in order of time, the lag leaves. A thermometer with the time constant tau follows
-its air by dx/dt = (air - x) / tau, so the air is ahead of a reading x by tau dx/dt. Tau is not known. Once the reading
-has moved by more than it does in sun and shade, and until it hardly moves any more, the largest tau says how far the
-air may be ahead, and how the reading bends says how far it probably is: x = air - lag e^(-t / tau), with t = 0 now, is
-fitted for several tau, which count by how well they fit.
+The lag is estimated from one source's values in the order of their times. A thermometer with the time constant tau
+follows its air by dx/dt = (air - x) / tau, so the air is ahead of a reading x by tau dx/dt. Tau is not known. Once the
+reading has moved by more than it does in sun and shade, and until it hardly moves any more, the largest tau says how
+far the air may be ahead, and how the reading bends says how far it probably is: x = air - lag e^(-t / tau), with t = 0
+now, is fitted for several tau, which count by how well they fit.
 """
 
 import math

@@ -1,9 +1,9 @@
 """The temperature sources of an airframe file, with the accuracy of each.
 
-Sections of the airframe file enter, validated; `error_std_c` of each source leaves: the standard deviation of the
-air temperature along the beam right after a value of the source. An error of one degree is 0.18 % of the range, so a
-source that is warmer than the air (the barometer's chip often by 20 to 30 C) needs its bias stated, or should be left
-out. `msp_range.correction.air_temperature` uses the values.
+They are sections of the airframe file; `error_std_c` of each source is the standard deviation of the air temperature
+along the beam right after a value of the source. An error of one degree is 0.18 % of the range, so a source that is
+warmer than the air (the barometer's chip often by 20 to 30 C) needs its bias stated, or should be left out.
+`msp_range.correction.air_temperature` uses the values.
 """
 
 import math

@@ -1,9 +1,9 @@
 """The value of one temperature source over time: which values are credible, and how accurate they are now.
 
-Reported values enter in order of time, an `Air` leaves. A value that air and thermometer can have reached since the
-previous one is good. Any other is a jump: the new level is unconfirmed, and the last good value is held with a standard
-deviation that covers both, until `msp_range.correction.air_temperature` decides. A source that jumps again and again
-flaps: its last good value is held in the same way, and no other source is compared with it.
+It is updated with the reported values in the order of their times, and gives an `Air`. A value that air and thermometer
+can have reached since the previous one is good. Any other is a jump: the new level is unconfirmed, and the last good
+value is held with a standard deviation that covers both, until `msp_range.correction.air_temperature` decides. A source
+that jumps again and again flaps: its last good value is held in the same way, and no other source is compared with it.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Read the files of thermometers without making the polling loop wait.
 
-A file source enters, its newest value with its time leaves, if there is a new one. On a vehicle a thread reads the
-files (`ThreadReader`), because a DS18B20 takes 0.75 s per value. With a virtual clock they are read in the loop
+It gives the newest value of a file source with its time, if there is a new one. On a vehicle a thread reads the files
+(`ThreadReader`), because a DS18B20 takes 0.75 s per value. With a virtual clock they are read in the loop
 (`LoopReader`), so that a flight can be repeated exactly.
 """
 

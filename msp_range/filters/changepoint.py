@@ -1,8 +1,9 @@
 """The changepoint filter: follows level, slope and steps of the ground in readings with outliers.
 
-A reading with its variance enters, the present range with its variance leaves. It is a Bayesian mixture over
-runs (Adams and MacKay 2007, Fearnhead and Liu 2007), each with a constant range or a constant rate, with the sensor's
-own reading model as the likelihood; `msp_range.filters.runs` has the equations. It has no parameters to tune.
+It is updated with readings and their variances, and estimates the present range with its variance. It is a Bayesian
+mixture over runs (Adams and MacKay 2007, Fearnhead and Liu 2007), each with a constant range or a constant rate, with
+the sensor's own reading model as the likelihood; `msp_range.filters.runs` has the equations. It has no parameters to
+tune.
 """
 
 import math

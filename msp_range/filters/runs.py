@@ -1,7 +1,7 @@
 """Run histories: what a range may have done lately, as a weighted set of hypotheses, for many streams at once.
 
-Readings enter, one per stream and step; the posterior median of the range and the variance about it leave. The bridge
-has one stream (`msp_range.filters.changepoint`), a study has one per seed.
+It filters many streams at once, a reading of each per step, and gives the posterior median of the range and the
+variance about it. The bridge has one stream (`msp_range.filters.changepoint`), a study has one per seed.
 
 A hypothesis is the history since its last change, with a Gaussian of range x and rate v; a stationary one has v = 0
 without variance. Between two readings, T apart, a history either continues, or has a

@@ -1,7 +1,7 @@
 """Sequential evidence that readings have begun to follow another distribution than their model's, valid at any time.
 
-One likelihood ratio L of an alternative to the model enters per reading; whether a change is reported leaves. The
-statistic is that of Shiryaev and Roberts,
+It is updated with the likelihood ratio L of an alternative to the model for each reading, and reports when a change has
+begun or ended. The statistic is that of Shiryaev and Roberts,
 
     M_n = L_n (M_(n-1) + 1),   M_0 = 0   =   sum over all possible beginnings k of  L_k L_(k+1) ... L_n,
 

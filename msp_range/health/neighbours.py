@@ -1,9 +1,9 @@
 """What the other sensors say of the height at the time of a sensor's reading: a leave-one-out reference.
 
-The heights that successive readings of all sensors give enter; for the reading in the middle of the window leaves the
-height at its time by the readings of the others around it. Up to two before and two after are averaged, and the line
-through the two means is read at the reading's time, so a steady climb costs nothing. The reading itself, and all others
-of its sensor, take no part.
+Given the heights that successive readings of all sensors show, it estimates the height at the time of the reading in
+the middle of the window from the readings of the others around it. Up to two before and two after are averaged, and the
+line through the two means is read at the reading's time, so a steady climb costs nothing. The reading itself, and all
+others of its sensor, take no part.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,8 @@
 """What goes out, watched: silence of a stream, readings that disagree, and a deviation that is too small.
 
-Every stream's messages and every reading's use enter; conditions leave, for `msp_range.health.Health` to report when
-they change. A sensor's own faults are not here: this is what the autopilot gets of it all.
+It is updated with every stream's messages and the use of every reading, and returns conditions, which
+`msp_range.health.Health` reports when they change. A sensor's own faults are not here: this is what the autopilot gets
+of it all.
 """
 
 from collections import deque

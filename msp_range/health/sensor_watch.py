@@ -1,6 +1,6 @@
 """Each downward sensor in flight against its own reading model: which one has begun to read otherwise?
 
-Every reading enters with the height that it alone gives; findings leave, such as 'front_left: often too
+It is updated with every reading and the height that it alone gives, and keeps findings, such as 'front_left: often too
 short'. A reading is compared, a turn later, with the height by the other sensors (`msp_range.health.neighbours`):
 
     x = (h - h_others - b) / sqrt(sigma^2 + var(h_others)),   e = (x - phi x_before) / sqrt(1 - phi^2)

@@ -1,10 +1,10 @@
 """The base reading model: what a range finder reports, given the true range.
 
-The mixture of Thrun (report 5.2.1, eq 9-12) in steps of the sensor's resolution, with its limits and codes. True
-ranges enter, readings leave (`ReadingModel.sample`), or readings enter too and their log-probabilities leave
-(`ReadingModel.log_prob`): one distribution, drawn from by the simulator and scored by filters and fits. The report's
-equations are normalised over the real line; here, by its erratum 6, every density is normalised on what the sensor
-can report, the exponential ends at the expected range, and a reading's probability is that of its step.
+The mixture of Thrun (report 5.2.1, eq 9-12) in steps of the sensor's resolution, with its limits and codes.
+`ReadingModel.sample` draws readings for true ranges, and `ReadingModel.log_prob` gives the log-probabilities of
+readings: one distribution, drawn from by the simulator and scored by filters and fits. The report's equations are
+normalised over the real line; here, by its erratum 6, every density is normalised on what the sensor can report, the
+exponential ends at the expected range, and a reading's probability is that of its step.
 """
 
 import math

@@ -1,8 +1,8 @@
 """The base mixture of n readings, each with its own parameters: probabilities, their derivatives, and draws.
 
-Centre, spread and weights of each row enter; probabilities of readings leave, or their derivatives, or readings. The
-kinds of reading are those of `msp_range.reading_model.kernel`. The base model (`mixture.ReadingModel`) is these rows;
-the simulator's effects change their numbers and mix in more.
+From the centre, spread and weights of each row follow the probabilities of readings and their derivatives, and readings
+are drawn. The kinds of reading are those of `msp_range.reading_model.kernel`. The base model (`mixture.ReadingModel`)
+is these rows; the simulator's effects change their numbers and mix in more.
 """
 
 from collections.abc import Callable, Sequence

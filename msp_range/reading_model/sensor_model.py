@@ -1,6 +1,6 @@
 """The sensor model file: what is known about one kind of range finder.
 
-YAML enters, a validated `SensorModel` leaves. The bridge takes limits, timing, calibration temperature, beam and noise
+A `SensorModel` is made of YAML and validated. The bridge takes limits, timing, calibration temperature, beam and noise
 from it; the simulator draws its readings from the same file; characterisation and the gap workflow write it back with
 fitted numbers, effects and the evidence for them.
 """

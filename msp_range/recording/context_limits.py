@@ -1,6 +1,6 @@
 """Limits of context columns: a value beyond them is of another unit.
 
-A table enters; a column that cannot be what its name says raises an error with what to do.
+A column that cannot be what its name says raises an error with what to do.
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """Layouts of other programs for a recording: Foxglove's (JSON) and PlotJuggler's (XML).
 
-A recording enters, a text leaves that shows each sensor's readings, what the filters made of them and the fused
-distance without a click. The forms are those of foxglove-sdk's ``foxglove.layouts`` 0.30 and of PlotJuggler 3.16's
-``xmlLoadState`` (plot_docker.cpp, plotwidget.cpp), which drops a curve that the recording does not have.
+With the layout that is made for a recording they show each sensor's readings, what the filters made of them and the
+fused distance without a click. The forms are those of foxglove-sdk's ``foxglove.layouts`` 0.30 and of PlotJuggler
+3.16's ``xmlLoadState`` (plot_docker.cpp, plotwidget.cpp), which drops a curve that the recording does not have.
 """
 
 import json

@@ -1,10 +1,10 @@
 """The records of an MCAP file, whichever of its bytes are damaged.
 
-A file enters, its whole records leave in their order, and what had to be left out is counted. The unit that a cut or a
-flipped bit costs is the chunk (a second of flight), whose checksum is verified; outside of chunks it is the record.
-After a damaged place the search for the next record goes on byte by byte. What a record claims of its own size is
-believed only within limits, so that no file can ask for more memory or time than its own size is worth.
-Format: https://mcap.dev/spec.
+A file's whole records are read in their order, and what had to be left out is counted. The unit that a cut or a flipped
+bit costs is the chunk (a second of flight), whose checksum is verified; outside of chunks it is the record. After a
+damaged place the search for the next record goes on byte by byte. What a record claims of its own size is believed only
+within limits, so that no file can ask for more memory or time than its own size is worth. Format:
+https://mcap.dev/spec.
 """
 
 import io

@@ -1,8 +1,8 @@
 """Writes an MCAP file for a loop that must not wait: messages are kept as they come, packed and written in chunks.
 
-Channels and messages enter, bytes leave to a file: chunks compressed with zstandard, indexes and a summary, as Foxglove
-and the mcap tools want them. The mcap package's own writer takes seven times as long for a message, some 4 us on a
-desktop computer, and keeps an object of 1 kB for every chunk, where the bytes are 0.2 kB. Format: https://mcap.dev/spec.
+Channels and messages become chunks compressed with zstandard, indexes and a summary, as Foxglove and the mcap tools
+want them. The mcap package's own writer takes seven times as long for a message, some 4 us on a desktop computer, and
+keeps an object of 1 kB for every chunk, where the bytes are 0.2 kB. Format: https://mcap.dev/spec.
 """
 
 import zlib

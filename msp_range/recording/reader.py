@@ -1,6 +1,6 @@
 """Recordings read back, whole or cut anywhere by a power failure, damaged or made by somebody who means harm.
 
-An MCAP file enters, JSON messages leave in the order in which they were recorded. Which records of a damaged file are
+JSON messages of an MCAP file are read in the order in which they were recorded. Which records of a damaged file are
 whole is decided in `msp_range.recording.mcap_records`; here a message that is not what its topic holds is left out and
 counted as well, so that whoever reads them can rely on the types of `msp_range.recording.topics`.
 """

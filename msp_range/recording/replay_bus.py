@@ -1,8 +1,8 @@
 """A bus whose sensors answer with readings that were measured before.
 
-Recorded pings by 7-bit address enter; the bridge's own driver pings and reads as ever, and gets the recorded answers in
-their order. When to ping is in the record too: `ReplayBus.next_ping` says it, and whoever drives the polling sleeps
-until then, so that on a virtual clock the readings get their own times back.
+The bridge's own driver pings and reads as ever, and gets the recorded answers of each 7-bit address in their order.
+When to ping is in the record too: `ReplayBus.next_ping` says it, and whoever drives the polling sleeps until then, so
+that on a virtual clock the readings get their own times back.
 """
 
 import errno

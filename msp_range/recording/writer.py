@@ -1,6 +1,6 @@
 """One recording: every stage of every reading, as JSON in an MCAP file that survives a power cut.
 
-Messages enter with the bridge's time, a file leaves that Foxglove, Lichtblick and the mcap tools open. Twice a second
+Messages with the bridge's time are written to a file that Foxglove, Lichtblick and the mcap tools open. Twice a second
 the chunk in progress is finished, compressed and handed to a thread that writes it and asks the disk to keep it; the
 polling never waits for the disk. The chunk in progress and the last one are lost with the power, never an earlier one.
 """

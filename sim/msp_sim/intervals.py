@@ -1,7 +1,4 @@
-"""95 % intervals that need no assumption on a distribution: of shares and of quantiles.
-
-Counts and values enter, the ends of an interval leave.
-"""
+"""95 % intervals that need no assumption on a distribution: of shares and of quantiles."""
 
 import math
 from collections.abc import Sequence

@@ -1,8 +1,8 @@
 """Do the same for each item of a list, on one processor, on several, or on a Dask cluster.
 
-A function and a list of independent items enter; an `ItemOutcome` for each item leaves, in the list's order. The
-results do not depend on where they were computed: each item is computed alone, with one BLAS thread, and whatever is
-summed over items is summed by the caller, in order.
+A function is called for each of a list of independent items, and gives an `ItemOutcome` for each, in the list's order.
+The results do not depend on where they were computed: each item is computed alone, with one BLAS thread, and whatever
+is summed over items is summed by the caller, in order.
 
 There is one mechanism for several processes, Dask: `--jobs` starts a cluster on this machine, `--scheduler` uses one
 that runs. It replaces a worker that died and does its items again. With one job nothing is started, and the extra

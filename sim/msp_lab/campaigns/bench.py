@@ -1,6 +1,6 @@
 """The bench: sensors that are polled as by the bridge, and the context of each of their readings.
 
-A point and its columns enter; rangings leave, each with its columns. The true range of a moving target follows from the
+For a point and its columns it gives rangings, each with its columns. The true range of a moving target follows from the
 time of the echo, and the lag behind another sensor from the times at which the pings were sent.
 """
 

@@ -1,6 +1,6 @@
 """The campaign file: what to measure, at which settings, how often, and against which reference.
 
-YAML enters, a validated `Campaign` leaves; every error is reported with its place (`msp_range.yaml_file`). The
+A `Campaign` is made of YAML and validated; every error is reported with its place (`msp_range.yaml_file`). The
 experiments follow the report's chapter 4 and Table 4.1. `msp_lab.campaigns.plan` makes the points from it, in the order
 in which a person sets them up.
 """

@@ -1,7 +1,7 @@
 """Collect the readings of a campaign: set up a point, read it, review it, and go on to the next one.
 
-Points, a bench, a store and an operator (a person or a program) enter; readings leave through the store. A ping without
-a usable answer is recorded with its status and repeated; where answers stay away, the operator is asked.
+For each point the operator (a person or a program) sets it up, the bench gives readings, and the store keeps them. A
+ping without a usable answer is recorded with its status and repeated; where answers stay away, the operator is asked.
 """
 
 import difflib

@@ -1,6 +1,6 @@
 """``msp-lab collect --simulate``: a campaign on emulated sensors, with the code that reads a real bench.
 
-A campaign's file and the command's options enter; recordings and one table of readings leave.
+The results are recordings and one table of readings.
 """
 
 from collections.abc import Sequence

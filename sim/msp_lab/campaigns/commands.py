@@ -1,6 +1,6 @@
 """``msp-lab collect`` with a person at a real bench, or after real flights.
 
-The command's options enter; recordings and one table of readings leave. `collecting` is the same on the simulator.
+They write recordings and one table of readings. `collecting` is the same on the simulator.
 """
 
 import signal

@@ -1,7 +1,7 @@
 """A campaign in the air: flights whose readings the bridge records itself, and the truth from another instrument.
 
-A campaign file of flights, and for each flight a recording of `msp-range run` and a table of the reference enter; the
-same table of readings leaves as from a bench. Recordings and references are copied and never changed.
+From a campaign file of flights, and for each flight a recording of `msp-range run` and a table of the reference, it
+makes the same table of readings as from a bench. Recordings and references are copied and never changed.
 """
 
 import os

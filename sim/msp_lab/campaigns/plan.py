@@ -1,9 +1,9 @@
 """The points of a campaign, in the order that leaves a person the least to change.
 
-A `Campaign` enters, an ordered tuple of `Point` s leaves: each a set-up, the columns that hold for its readings, and
-how many of them. Experiments keep the order of the file. Within one, what is slow to change (sensors, air, target)
-varies last and what is quick (angle, transmitter) first, alternately forwards and backwards, so that only one thing
-changes from one point to the next. An experiment starts at the end at which the previous one stopped.
+A `Campaign` becomes an ordered tuple of `Point` s: each a set-up, the columns that hold for its readings, and how many
+of them. Experiments keep the order of the file. Within one, what is slow to change (sensors, air, target) varies last
+and what is quick (angle, transmitter) first, alternately forwards and backwards, so that only one thing changes from
+one point to the next. An experiment starts at the end at which the previous one stopped.
 """
 
 import itertools

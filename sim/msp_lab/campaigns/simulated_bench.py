@@ -1,8 +1,8 @@
 """A simulated bench: emulated sensors on an emulated bus, in virtual time, without a person.
 
-A point's set-up enters as columns of measured data; readings of a model leave through the bus that the bridge's polling
-drives. Every point has its own start time and random stream, so that an interrupted collection resumes as if it had not
-been, and a change of one point does not change the others.
+A point's set-up is given as columns of measured data; the readings are drawn from a model and go through the bus that
+the bridge's polling drives. Every point has its own start time and random stream, so that an interrupted collection
+resumes as if it had not been, and a change of one point does not change the others.
 """
 
 import random

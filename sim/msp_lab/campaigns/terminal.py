@@ -1,6 +1,6 @@
 """The operator at a terminal: what to set up now, what is being read, what looks wrong, and the time that is left.
 
-Points and readings enter; lines on the screen and the person's answers leave.
+It shows points and readings, and asks the person.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Watch the readings of a point while they come in: counts, outliers, and disagreement with the reference.
 
-Readings enter one by one; warnings leave, early enough to check the bench. They only advise: every reading is
-recorded, and the fit decides what it is.
+It is updated with each reading, and warns early enough to check the bench. They only advise: every reading is recorded,
+and the fit decides what it is.
 """
 
 import math

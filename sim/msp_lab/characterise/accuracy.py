@@ -1,6 +1,6 @@
 """Accuracy with nothing varied, and the longest range with missed echoes masked.
 
-Points enter, `Baseline` and `MaximumRange` leave.
+`Baseline` and `MaximumRange` are found from points.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""All analyses in order: loaded readings and a starting sensor model enter, findings and model changes leave.
+"""All analyses in order: from loaded readings and a starting sensor model to findings and changes of the model.
 
 What the data do not determine stays as in the starting model, and the findings give the reason.
 """

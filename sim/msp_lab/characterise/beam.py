@@ -1,6 +1,6 @@
 """The table of the beam beyond the measured angles: predicted before flight, and written into a sensor model file.
 
-A `SensorModel` enters, its `predicted_breakaway` leaves; in the text of a file everything else stays as it is.
+It gives a `SensorModel` its `predicted_breakaway`; in the text of a file everything else stays as it is.
 """
 
 import re

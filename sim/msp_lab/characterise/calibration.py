@@ -1,9 +1,9 @@
 """Readings against the reference: bias, scale, spread, resolution, linearity, and the calibration worth keeping.
 
-Points with nothing varied enter, `findings.CalibrationFindings` leaves. Every point counts once with its own
-uncertainty and the scatter between points, which is how well ranges were set up and whatever else changes from one to
-the next. A more complex calibration is kept only where it predicts ranges that it was not fitted to better than the
-simpler one does.
+`findings.CalibrationFindings` is made from points with nothing varied. Every point counts once with its own uncertainty
+and the scatter between points, which is how well ranges were set up and whatever else changes from one to the next. A
+more complex calibration is kept only where it predicts ranges that it was not fitted to better than the simpler one
+does.
 """
 
 import math

@@ -1,8 +1,8 @@
 """How alike the errors of neighbouring hits are: the correlation that goes into the sensor model file.
 
-Points and the times of the readings enter, a correlation and the time to which it refers leave. Each point is taken
-about the mean of its own hits, so that an error of its placement is no correlation. The fit of the mixture takes
-readings as independent; the simulator and the gap workflow draw and score them with this correlation.
+It is estimated from points and the times of the readings, with the time to which it refers. Each point is taken about
+the mean of its own hits, so that an error of its placement is no correlation. The fit of the mixture takes readings as
+independent; the simulator and the gap workflow draw and score them with this correlation.
 """
 
 from collections.abc import Sequence

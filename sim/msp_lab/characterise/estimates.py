@@ -1,8 +1,8 @@
 """Intervals and tests for all analyses: shares, means and spreads of whole centimetres, Holm, power.
 
-Counts and readings enter, `IntervalEstimate` values and p-values leave. Intervals are 95 % ones. A sensor that reports
-whole centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals are
-those of the likelihood of the rounded readings, and not of their average.
+Each function makes an `IntervalEstimate` or a p-value of counts or readings. Intervals are 95 % ones. A sensor that
+reports whole centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals
+are those of the likelihood of the rounded readings, and not of their average.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Breakaway angles, what a tilted sensor reads, and the sonar equation through the angles.
 
-Points at signed angles to a wall enter, `FieldOfView` and `SonarFit` leave. An angle is reliable by a stated share of
+`FieldOfView` and `SonarFit` are made from points at signed angles to a wall. An angle is reliable by a stated share of
 readings that are of the wall; the breakaway lies between the last reliable angle and the next that was tried.
 """
 

@@ -1,4 +1,4 @@
-"""A sensor model for programs and notebooks: files of readings enter, findings and the model leave as dictionaries."""
+"""A sensor model for programs and notebooks: files of readings give findings and the model as dictionaries."""
 
 import json
 from pathlib import Path

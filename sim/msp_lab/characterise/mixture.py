@@ -1,8 +1,8 @@
 """The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
-Points and a calibration enter, `findings.Mixture` and the parameters for the sensor model file leave. The fit itself
-is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement
-is not noise of the sensor; the calibration deals with the differences between set-ups.
+`findings.Mixture` and the parameters for the sensor model file are fitted to points, with a calibration. The fit itself
+is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement is
+not noise of the sensor; the calibration deals with the differences between set-ups.
 """
 
 import math

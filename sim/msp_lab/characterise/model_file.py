@@ -1,7 +1,7 @@
 """The sensor model file that a characterisation writes: the starting one with what was fitted, and where it is from.
 
-A starting `SensorModel`, findings and changes enter, YAML with comments leaves. The text is read back as a sensor model
-before it is written, so what is on disk loads.
+The starting `SensorModel` with the findings' changes is written as YAML with comments. The text is read back as a
+sensor model before it is written, so what is on disk loads.
 """
 
 import json

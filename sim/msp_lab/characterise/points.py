@@ -1,8 +1,8 @@
 """Readings sorted into points: one set-up of the bench each, which is the independent unit, not the reading.
 
-Measured data enters, `PointReadings` leave: which readings are codes, which are of the surface and which are not, and
-their mean error and spread. All readings of a point share the error of its placement, so that analyses of anything but
-the scatter of readings use points as their unit.
+`PointReadings` of measured data say which readings are codes, which are of the surface and which are not, and their
+mean error and spread. All readings of a point share the error of its placement, so that analyses of anything but the
+scatter of readings use points as their unit.
 """
 
 import math

@@ -1,9 +1,9 @@
 """Does it matter? Questions about material, temperature, vibration, crosstalk and external ultrasound.
 
-Points of an experiment and points to compare them with enter, `Question`s leave: four effects each, with an interval,
-a p-value corrected for all that was asked (Holm), a verdict that may be 'cannot tell', and the smallest effect that
-these data would have shown. Readings of a point share its set-up, so the bias and the spread are compared from point to
-point at equal ranges; shares of readings get the variance between points where it exceeds that of independent readings.
+Points of an experiment are compared with others; each `Question` has four effects with an interval, a p-value corrected
+for all that was asked (Holm), a verdict that may be 'cannot tell', and the smallest effect that these data would have
+shown. Readings of a point share its set-up, so the bias and the spread are compared from point to point at equal
+ranges; shares of readings get the variance between points where it exceeds that of independent readings.
 """
 
 import math

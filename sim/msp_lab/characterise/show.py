@@ -1,6 +1,6 @@
 """The results of a characterisation as a short table on the terminal, with what the data did not allow.
 
-Findings enter, the table of the page leaves as lines; the page has the rest.
+It is the table of the page as lines; the page has the rest.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """The sonar equation of a sensor: the largest angle at which it detects a wall, at ranges that were not measured.
 
-A table of breakaway angles (report 4.3.3) enters, its three parameters are fitted, half angles beyond the table leave.
-An echo is detected if its level (`msp_sim.acoustics.echo`) is above the detection threshold.
+Its three parameters are fitted to a table of breakaway angles (report 4.3.3), and give half angles beyond the table. An
+echo is detected if its level (`msp_sim.acoustics.echo`) is above the detection threshold.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Air at the sensor and air on the way: the hot box, and temperature compensation.
 
-Questions about the temperature and points with air temperatures enter; how long the box's air must be to explain the
-errors, and mean errors with and without compensation, leave. Speeds of sound are those of `msp_range.acoustics.air`.
+From questions about the temperature and points with air temperatures it finds how long the box's air must be to explain
+the errors, and mean errors with and without compensation. Speeds of sound are those of `msp_range.acoustics.air`.
 """
 
 import math

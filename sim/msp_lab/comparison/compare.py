@@ -1,6 +1,6 @@
 """Where findings agree with the report and where they differ, a line each.
 
-Findings enter, lines leave: the finding, the report's statement, and whether both agree.
+Each line has the finding, the report's statement, and whether both agree.
 """
 
 from collections.abc import Iterator

@@ -1,6 +1,6 @@
 """The answers to a question as models, fitted to the readings that could not decide it.
 
-The folder of a gap run enters; for each answer a whole model leaves, which the simulator can draw from.
+For each answer the folder of a gap run gives a whole model, which the simulator can draw from.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Sessions at the bench: a target that is moved, turned, heated or shaken, as a campaign file says it.
 
-Columns to vary enter, a `Session` leaves. Its points, their order and the time for setting them up are those of
-`msp-lab collect`.
+The columns to vary make a `Session`. Its points, their order and the time for setting them up are those of `msp-lab
+collect`.
 """
 
 from collections.abc import Mapping, Sequence

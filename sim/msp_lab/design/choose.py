@@ -1,7 +1,8 @@
 """The cheapest session that decides a question, or that none does.
 
-A question's fitted answers and the sessions that a lab or a pilot can do enter; a `Design` leaves. Sessions are tried
-in the order of the time for setting them up, until setting up alone takes longer than the best one in all.
+Of the sessions that a lab or a pilot can do, those that tell a question's fitted answers apart make a `Design`.
+Sessions are tried in the order of the time for setting them up, until setting up alone takes longer than the best one
+in all.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

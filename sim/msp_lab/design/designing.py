@@ -1,7 +1,6 @@
 """``msp-lab design``: from the folder of a gap run to sessions that decide what it left open.
 
-A folder and options enter; a folder for each session, with its campaign and scenario files and a picture, and
-``design.json`` leave.
+It writes a folder for each session, with its campaign and scenario files and a picture, and ``design.json``.
 """
 
 import re

@@ -1,6 +1,6 @@
 """The files of a design: campaign and scenario files, the picture, and all numbers.
 
-Plans enter; a folder for each session and ``design.json`` leave.
+It writes a folder for each session and ``design.json``.
 """
 
 import json

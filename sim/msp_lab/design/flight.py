@@ -1,7 +1,7 @@
 """Sessions in flight: heights, climbs, tilts and times of day, as scenario files say them.
 
-Columns to vary enter, a `Session` leaves. The contexts are those of the vehicle's pings over flat ground; each flight
-is a run.
+The columns to vary make a `Session`. The contexts are those of the vehicle's pings over flat ground; each flight is a
+run.
 """
 
 import json

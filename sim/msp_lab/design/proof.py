@@ -1,7 +1,7 @@
 """The simulator holds a session first: how often the gap workflow then names the right answer.
 
-A design enters; its readings are drawn from each answer in turn, put with the old ones and named as `msp-lab gap` names
-them. The share that was right leaves, with its interval.
+Readings of the design are drawn from each answer in turn, put with the old ones and named as `msp-lab gap` names them.
+The result is the share that was right, with its interval.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """What a gap run left open: questions with their possible answers.
 
-The findings of ``gap.json`` enter, questions leave. A question has two answers or more, each an effect or none; an
-experiment decides it if the readings of the experiment fit one answer and not the others.
+They are made of the findings of ``gap.json``. A question has two answers or more, each an effect or none; an experiment
+decides it if the readings of the experiment fit one answer and not the others.
 """
 
 from collections.abc import Iterator

@@ -1,8 +1,8 @@
 """How far apart two answers are in a session's readings: the expected log-likelihood ratio.
 
-Two fitted answers and a session's contexts enter, nats leave. Readings are drawn from the first answer, and both are
-fitted to them; the second one with all of its numbers and those of the base free, so that what it can imitate does not
-count (T-optimality, Atkinson and Fedorov 1975).
+It is counted in nats, for two fitted answers and a session's contexts. Readings are drawn from the first answer, and
+both are fitted to them; the second one with all of its numbers and those of the base free, so that what it can imitate
+does not count (T-optimality, Atkinson and Fedorov 1975).
 """
 
 from dataclasses import dataclass

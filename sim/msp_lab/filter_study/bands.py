@@ -1,7 +1,7 @@
 """Monte-Carlo bands: the range of a filter's statistics over many seeds.
 
-A setting (the filter, the noise and the sign of the error) and a number of seeds enter; for each scenario and statistic
-a middle and a spread to either side leave, and the distance of a table's row from them.
+For a setting (the filter, the noise and the sign of the error) and a number of seeds, each scenario and statistic has a
+middle and a spread to either side, from which the distance of a table's row follows.
 """
 
 from collections.abc import Mapping

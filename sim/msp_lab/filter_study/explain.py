@@ -1,8 +1,8 @@
 """Explain the rows of a table that lie outside their Monte-Carlo bands.
 
-A table enters (`msp_lab.filter_study.table`); for every filter the setting leaves that fits all of its rows, or the
-statement that none does, with what was tried. The search goes over differences of implementations
-(`msp_lab.filter_study.changes`), one and then two at a time. The fewest changes win, then the best fit.
+For every filter of a table (`msp_lab.filter_study.table`) it finds the setting that fits all of its rows, or that none
+does, with what was tried. The search goes over differences of implementations (`msp_lab.filter_study.changes`), one and
+then two at a time. The fewest changes win, then the best fit.
 """
 
 import math

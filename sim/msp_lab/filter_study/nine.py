@@ -1,8 +1,8 @@
 """The report's nine filters (eq 13-19), for many runs at once.
 
-Readings enter, shape (runs, samples), and as many estimates leave. A `Variant` has the differences that
-an implementation may have from the report's text: `msp_lab.filter_study.explain` searches over them. Missing readings
-are NaN; the filters get the others (`behind_the_gate`), as in the bridge, and hold their last estimate.
+Readings and estimates have the shape (runs, samples). A `Variant` has the differences that an implementation may have
+from the report's text: `msp_lab.filter_study.explain` searches over them. Missing readings are NaN; the filters get the
+others (`behind_the_gate`), as in the bridge, and hold their last estimate.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,8 @@
 """The report's three scenarios (table 5.3): true ranges of many runs, and readings of them.
 
-A generator enters; true ranges, their segments, and readings in centimetres leave, one row per seed. The report shows
-its random ranges without saying how they were made. Segments of 5 to 19 samples, half of them constant at a new level
-and half ramps from the last level to a new one, with levels uniform from 230 to 360 cm, look the same.
+With a random generator each makes true ranges, their segments, and readings in centimetres, one row per seed. The
+report shows its random ranges without saying how they were made. Segments of 5 to 19 samples, half of them constant at
+a new level and half ramps from the last level to a new one, with levels uniform from 230 to 360 cm, look the same.
 """
 
 from dataclasses import dataclass, replace

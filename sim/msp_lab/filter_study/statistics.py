@@ -1,6 +1,6 @@
 """The report's five statistics of a filter's error, and its delay, which the report leaves out.
 
-Estimates and true ranges enter, shape (runs, samples); one number per run leaves. The error is estimate less truth, in
+Estimates and true ranges of shape (runs, samples) give one number per run. The error is estimate less truth, in
 centimetres; samples without an estimate (NaN) do not count.
 """
 

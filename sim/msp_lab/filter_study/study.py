@@ -1,6 +1,6 @@
 """The study: every filter in every scenario on the same readings, compared with the changepoint filter.
 
-A number of seeds enters; RMS errors and delays of all filters and the figures of the changepoint filter leave. All
+For a number of seeds it computes RMS errors and delays of all filters and the figures of the changepoint filter. All
 filters of a scenario get the same readings. At missing readings the estimates hold, and a sample counts as soon as
 every filter has an estimate.
 """

@@ -1,6 +1,6 @@
 """A table of error statistics, such as the report's tables 5.4-5.6: one row per scenario and filter.
 
-CSV enters, checked rows leave; the report's own table is `REPORT`. Two of the report's columns are swapped in places
+Rows of a CSV file are checked; the report's own table is `REPORT`. Two of the report's columns are swapped in places
 (erratum 7), which shows without any simulation: RMS^2 = mean^2 + (N - 1) / N variance.
 """
 

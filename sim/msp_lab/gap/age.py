@@ -1,7 +1,7 @@
 """How old a reading is when it is used: the sensor's latency, and the time that a log or a driver holds each value.
 
-Findings, the model with what was added and held-out readings enter, one age leaves. Latency and repeated readings are
-two effects with two numbers, but what flies feels their sum.
+One age is found from the findings, the model with what was added and held-out readings. Latency and repeated readings
+are two effects with two numbers, but what flies feels their sum.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """How much an error repeats in the readings that follow, before and after: the autocorrelation of residuals.
 
-A model and readings enter. The residual of a reading is its place in the model's distribution, given the readings
-before it, as a normal deviate: where the model is right these are independent, its own correlated noise included.
+The residual of a reading is its place in the model's distribution, given the readings before it, as a normal deviate:
+where the model is right these are independent, its own correlated noise included.
 """
 
 from dataclasses import dataclass

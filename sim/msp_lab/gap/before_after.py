@@ -1,7 +1,7 @@
 """The gap before naming, by slices of context, and what is left of it after: the steps compare and add.
 
-A comparison and models enter; `GapFindings` with the verdict leave. Both gaps are measured on the same half of the
-runs, the second one with a fit of the other half alone.
+`GapFindings` have the verdict on a comparison with its models. Both gaps are measured on the same half of the runs, the
+second one with a fit of the other half alone.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,8 @@
 """Readings whose context is unknown: they are left out where an effect needs it.
 
-Columns enter, masks of readings leave. A blank temperature is neither the one of the row before nor 22.5 C: what the
-air did to that reading is unknown, and to count it as nothing hides the effect in the others.
+A mask of readings says where the columns of an effect are known. A blank temperature is neither the one of the row
+before nor 22.5 C: what the air did to that reading is unknown, and to count it as nothing hides the effect in the
+others.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 """Random variation where readings of a run depend on each other: score sums of whole runs, with random multipliers.
 
-Scores with their cells and units enter; sums by unit, and the totals of a multiplier bootstrap over units, leave
+Scores with their cells and units are summed by unit, and their totals drawn again by a multiplier bootstrap over units
 (Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). Tables that a model draws show no dependence.
 """
 

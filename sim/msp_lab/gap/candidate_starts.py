@@ -1,7 +1,7 @@
 """Where refits with one more candidate start: a likelihood has many local maxima along a shape, and none near what the
 base has taken.
 
-Readings, a fit and a candidate enter; the candidate with its values leaves, each time with the base that goes with it.
+Each start is the candidate with its values, with the base that goes with it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

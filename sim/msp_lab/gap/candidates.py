@@ -1,8 +1,8 @@
 """The candidates of the search: every effect of the catalogue that the data can show, and its score.
 
-A model and contexts enter, candidates leave, and for each the derivative of every reading's log probability by its
-number. What acts through a channel is the channel's slope times the effect's template; components and faults of the
-code act linearly on the probability.
+Candidates follow from a model and its contexts, with the derivative of every reading's log probability by the number of
+each. What acts through a channel is the channel's slope times the effect's template; components and faults of the code
+act linearly on the probability.
 """
 
 from collections.abc import Mapping, Sequence

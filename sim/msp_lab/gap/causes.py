@@ -1,8 +1,8 @@
 """Why a number of the base model may be another one, where the readings cannot say: which column did not vary.
 
-Calibration findings and the readings' contexts enter; for each number the effects that would change it leave, with the
-column whose variation would show them. A gap that calibration closes is absorbed, not explained: more scatter over a
-throttle that never changes is rotor noise or is not.
+For each number of the calibration findings these are the effects that would change it, with the column whose variation
+would show them. A gap that calibration closes is absorbed, not explained: more scatter over a throttle that never
+changes is rotor noise or is not.
 """
 
 from collections.abc import Iterable, Iterator, Mapping

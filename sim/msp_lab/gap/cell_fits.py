@@ -1,8 +1,8 @@
 """The free model of a gap: in each cell of context the model gets five numbers of its own.
 
-The distribution of readings, the readings and cells enter; for each cell a shift of the hits, a factor of their spread
-and odds of short, missed and random readings leave, fitted by maximum likelihood, with what they gain and how much of
-that is random variation. The errors are those of the units: the runs or blocks of readings that depend on each other.
+For each cell a shift of the hits, a factor of their spread and odds of short, missed and random readings are fitted by
+maximum likelihood to the distribution of readings, with what they gain and how much of that is random variation. The
+errors are those of the units: the runs or blocks of readings that depend on each other.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Parts of the readings by context: quantile bins of a number, categories of a word, and pairs of both.
 
-Context columns enter; partitions leave, each with the cell of every reading and the cells' names. Readings whose
+Context columns are cut into partitions, each with the cell of every reading and the cells' names. Readings whose
 context is unknown have a cell of their own.
 """
 

@@ -1,6 +1,6 @@
 """The commands of the gap workflow, part of msp-lab.
 
-Options enter, lines on the terminal and files leave. `gap` and `compare` start from readings and have the same options;
+The results are lines on the terminal and files. `gap` and `compare` start from readings and have the same options;
 `name`, `add` and `show` continue in a folder.
 """
 

@@ -1,7 +1,7 @@
 """What the findings amount to: one decision, one number for how sure it is, and one next step.
 
-Findings with their verdict enter, the same ones with these three leave. Each follows from the one before, so that they
-cannot contradict each other: terminal, page, ``gap.json`` and `msp-lab design` show them and make none of their own.
+They are filled in where the findings have their verdict. Each follows from the one before, so that they cannot
+contradict each other: terminal, page, ``gap.json`` and `msp-lab design` show them and make none of their own.
 """
 
 import math

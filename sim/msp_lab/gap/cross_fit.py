@@ -1,9 +1,8 @@
 """What a fit without one part of the runs says of that part, from sums by run.
 
-A fit of all readings and splits of their runs enter. Log-likelihood, scores and information are summed by run once; the
-fit without a part, and what it says of that part, then follow by one Newton step and a quadratic, so that a split costs
-no pass over the readings. Where the step is too large for a quadratic, the other runs are fitted, and the likelihood is
-taken as it is.
+Log-likelihood, scores and information are summed by run once; the fit without a part, and what it says of that part,
+then follow by one Newton step and a quadratic, so that a split costs no pass over the readings. Where the step is too
+large for a quadratic, the other runs are fitted, and the likelihood is taken as it is.
 """
 
 from collections.abc import Sequence

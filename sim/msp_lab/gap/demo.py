@@ -1,7 +1,7 @@
 """The command ``msp-lab demo``: flights in which five effects are hidden, and the gap workflow that finds them.
 
-Nothing enters but a seed. Sensor models, scenarios, flights and the workflow's folder are written, so that every step
-can be repeated by hand; a table of what was hidden and what was found leaves.
+Sensor models, scenarios, flights and the workflow's folder are written, so that every step can be repeated by hand; a
+table shows what was hidden and what was found.
 """
 
 from collections.abc import Iterator

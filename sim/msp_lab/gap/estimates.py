@@ -1,6 +1,6 @@
 """Effects, curves and numbers of the base with their intervals, as the records of ``gap.json``.
 
-Validated terms and the fit of all runs enter, records leave.
+They are those of the validated terms in the fit of all runs.
 """
 
 import math

@@ -1,13 +1,13 @@
 """How much one joint fit gains over another, where readings of a run may share an offset.
 
-Two fits of the same readings enter, nats leave. Where runs differ by more than the model says, each run has an offset
-that is integrated out. With the slopes s by an offset as normal numbers, W their sum of squares about the runs' means
-m_u, n_u their counts, N their number and rho the variance between runs over that within, a fit's log-likelihood grows
-by the largest over rho of ``N log((W + sum n_u m_u^2) / (W + sum n_u m_u^2 / (1 + n_u rho))) / 2 - sum log(1 + n_u
-rho) / 2``, the likelihood ratio of the one-way normal model (Searle, Casella & McCulloch 1992, Variance Components).
-What is evident inside runs counts as it is, whatever the number of runs; what is evident only between runs counts by
-Student's t of as many runs. So an effect is judged at the level at which it varies: that of the shift by which the two
-fits differ.
+It is counted in nats, from two fits of the same readings. Where runs differ by more than the model says, each run has
+an offset that is integrated out. With the slopes s by an offset as normal numbers, W their sum of squares about the
+runs' means m_u, n_u their counts, N their number and rho the variance between runs over that within, a fit's
+log-likelihood grows by the largest over rho of ``N log((W + sum n_u m_u^2) / (W + sum n_u m_u^2 / (1 + n_u rho))) / 2 -
+sum log(1 + n_u rho) / 2``, the likelihood ratio of the one-way normal model (Searle, Casella & McCulloch 1992, Variance
+Components). What is evident inside runs counts as it is, whatever the number of runs; what is evident only between runs
+counts by Student's t of as many runs. So an effect is judged at the level at which it varies: that of the shift by
+which the two fits differ.
 
 The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
 runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its

@@ -1,7 +1,7 @@
 """Which selected terms stay, and which candidates do as well in their place.
 
-A state enters, a better one leaves, and for each term its alternatives: candidates that gain nearly as much after a
-refit of their own.
+Each step returns a better state, with the alternatives of each term: candidates that gain nearly as much after a refit
+of their own.
 """
 
 from collections.abc import Sequence, Set

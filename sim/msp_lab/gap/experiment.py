@@ -1,7 +1,7 @@
 """Which experiment would tell two effects apart that these data cannot.
 
-An effect, its alternatives and the readings' contexts enter, a sentence with numbers leaves. Each context is spread
-out, the others as they were, until the two effects' scores differ by enough standard errors for as many readings.
+The sentence has numbers for an effect, its alternatives and the readings' contexts. Each context is spread out, the
+others as they were, until the two effects' scores differ by enough standard errors for as many readings.
 """
 
 from collections.abc import Sequence

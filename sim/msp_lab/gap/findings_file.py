@@ -1,7 +1,7 @@
 """Files of a gap run's folder: ``gap.json``, what the workflow found, and ``named.json``, for `add` to go on from.
 
-Findings and models enter a folder, and come back. In ``named.json`` numbers keep all their digits, so that `add` ends
-with the same model whether it follows at once or a day later.
+In ``named.json`` numbers keep all their digits, so that `add` ends with the same model whether it follows at once or a
+day later.
 """
 
 import json

@@ -1,6 +1,6 @@
 """A short formula for a curve that was found.
 
-Knots, values and their standard errors enter; text leaves.
+It is made of knots, values and their standard errors.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""The gap workflow for programs and notebooks: files of readings enter, the content of ``gap.json`` leaves."""
+"""The gap workflow for programs and notebooks: files of readings give the content of ``gap.json``."""
 
 import json
 from pathlib import Path

@@ -1,6 +1,6 @@
 """What a model is compared with: the readings of the laboratory's one intake, put onto their own grid, and split.
 
-Files enter, the rows that can be compared leave, with what was noticed: rows without an answer or a true range are left
+The rows of files that can be compared are kept, with what was noticed: rows without an answer or a true range are left
 out, readings and model are put onto the grid of the readings, and point masses that the model does not declare are set
 aside as calibration. Runs are split before anything is looked at.
 """

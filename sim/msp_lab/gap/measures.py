@@ -1,8 +1,7 @@
 """How far readings are from a model, in cells of context: bias, spread, odds of outliers, nats per reading.
 
-A model, readings with their contexts and partitions enter. How far the five numbers of each cell (`cell_fits`) are from
-nothing, less what random variation adds, is the gap. What tables that the model itself draws show of it is the noise
-floor.
+How far the five numbers of each cell (`cell_fits`) are from nothing, less what random variation adds, is the gap. What
+tables that the model itself draws show of it is the noise floor.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

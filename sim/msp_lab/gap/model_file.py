@@ -1,7 +1,7 @@
 """The model file that the gap workflow writes: the given model, what was added to it, and the evidence for that.
 
-An extended model and findings enter, YAML leaves. The text is read back as a model before it is written, so what is on
-disk loads, and flies.
+The extended model and the findings are written as YAML. The text is read back as a model before it is written, so what
+is on disk loads, and flies.
 """
 
 import textwrap

@@ -1,6 +1,6 @@
 """What is missing from a model, by name: the step name of the gap workflow, and its statistics in their order.
 
-A model, readings with their contexts and splits of their runs enter; a `NamedModel` leaves. Terms are selected and
+For a model, readings with their contexts and splits of their runs, it makes a `NamedModel`. Terms are selected and
 fitted on all runs, and kept only if nearly all splits agree: each part scores better for them by a fit of the others.
 """
 

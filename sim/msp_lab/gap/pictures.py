@@ -1,6 +1,7 @@
 """The gap in pictures: residuals before and after, the probability integral transform, the selection path, slices.
 
-Findings, both models and the held-out readings enter, figures leave. Nothing is decided here; needs the extra ``lab``.
+Each figure is drawn from the findings, both models and the held-out readings. Nothing is decided here; needs the extra
+``lab``.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,8 +1,7 @@
 """Readings with the given model's distribution ready, and the slopes of their log probabilities.
 
-A model, contexts and readings enter. The distribution with the base's numbers changed and with further effects leaves,
-and the derivatives of each reading's log probability by the base's numbers, the first five of which are the channels
-through which effects act.
+From them follow the distribution with other numbers of the base or further effects, and the derivatives of each
+reading's log probability by the base's numbers. Effects act through the first five of these, the channels.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

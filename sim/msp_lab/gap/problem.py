@@ -1,9 +1,9 @@
 """What naming works on: the readings, prepared once, and the state that each step hands to the next.
 
-A model and readings enter `Problem`, which never changes. A `State` is a joint fit with its terms; what can be asked of
-both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is left.
-Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination
-(`exchange.py`) are functions from State to State.
+`Problem` is made of a model and readings, and never changes. A `State` is a joint fit with its terms; what can be asked
+of both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is
+left. Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination (`exchange.py`) are functions
+from State to State.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,7 @@
 """The largest gain of what mixes into the probability of readings, and of their odds, with all else held.
 
-A fit and some candidates enter; the gain of each in log-likelihood leaves, along its score and at values of its number.
-A score that rests on a few improbable readings promises more than that.
+It is the gain of each of some candidates in log-likelihood over a fit, along its score and at values of its number. A
+score that rests on a few improbable readings promises more than that.
 """
 
 from collections.abc import Mapping, Sequence

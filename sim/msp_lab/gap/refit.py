@@ -1,6 +1,6 @@
 """Joint maximum-likelihood refits of the base's numbers and of effects, within their bounds.
 
-Prepared readings and effects enter; values, their information and the log-likelihood leave. The maximiser is that
+For prepared readings and effects it finds the values, their information and the log-likelihood. The maximiser is that
 of the mixture's fit, with the outer product of the scores as information.
 """
 

@@ -1,6 +1,6 @@
 """The page of a gap: verdict first, then pictures, tables and methods; pictures are also written as PNG.
 
-Findings, the models before and after and the held-out readings enter, files leave. Needs the extra ``lab``.
+Files are made of the findings, the models before and after and the held-out readings. Needs the extra ``lab``.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Offsets between runs: how far runs differ by more than the model says, and whether splits of the runs agree.
 
-A fit of all readings enters; the effect `run_offsets` leaves, which no single reading shows.
+A fit of all readings shows the effect `run_offsets`, which no single reading shows.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """How far readings of a run depend on each other, which reading came before which, and which ones are a sample of all.
 
-Scores enter, a measure of dependence leaves: with any dependence the unit of evidence is the run and not the reading.
-Contexts enter, rows of a sample leave.
+A measure of dependence is computed from scores: with any dependence the unit of evidence is the run and not the
+reading. The rows of a sample are chosen by their contexts.
 """
 
 from collections.abc import Mapping

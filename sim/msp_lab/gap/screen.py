@@ -1,6 +1,6 @@
 """The efficient-score screen: every candidate at once, at the present fit.
 
-Sums of scores by run and their information enter; a z for each candidate and a p-value for the largest leave. The null
+From sums of scores by run and their information follow a z for each candidate and a p-value for the largest. The null
 is the model's own (information from simulated replicates) where readings are independent, and sign flips of whole runs
 where they are not. Readings are processed in chunks, so memory does not grow with their number.
 """

@@ -1,7 +1,7 @@
 """Which effects of the catalogue are missing: forward selection with joint refits, then curves, exchange, elimination.
 
-A problem enters; the selected terms with their alternatives and the first screen leave. A candidate is taken when its
-gain passes what the best of all candidates gains by random variation. Where an effect is added, is decided in
+The result is the selected terms of a problem with their alternatives, and the first screen. A candidate is taken when
+its gain passes what the best of all candidates gains by random variation. Where an effect is added, is decided in
 `_next_term`.
 """
 

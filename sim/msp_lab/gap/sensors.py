@@ -1,8 +1,7 @@
 """The gap workflow for each sensor of a vehicle, with the other sensors as the reference.
 
-Recordings and a model enter; a folder for each sensor leaves, and which ones differ from the rest. A sensor at which
-something was named is no reference any more, and the others are compared again without it: its effect would show in
-them with the other sign.
+It makes a folder for each sensor, and finds which ones differ from the rest. A sensor at which something was named is
+no reference any more, and the others are compared again without it: its effect would show in them with the other sign.
 """
 
 import json

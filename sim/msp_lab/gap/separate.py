@@ -1,8 +1,8 @@
 """Separate gaps: the gap workflow for each of many logs or sensors on its own, on one processor or several.
 
-Paths and a model enter; a folder for each log or sensor leaves, as 'msp-lab gap' makes it, and a table with a row for
-each. Logs that cannot be used are named, and the others are compared. Files are read and written where the comparison
-is computed, so that the memory does not grow with their number: the workers of a cluster need them under the same path.
+It makes a folder for each log or sensor, as 'msp-lab gap' does, and a table with a row for each. Logs that cannot be
+used are named, and the others are compared. Files are read and written where the comparison is computed, so that the
+memory does not grow with their number: the workers of a cluster need them under the same path.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """How much later readings are than the reference, by generalised least squares, which overrule a fit of the mixture.
 
-Readings at a fit enter; its effects leave, those that are shifts in time at other values where theirs are not likely.
+The effects of a fit are returned, those that are shifts in time at other values where theirs are not likely.
 Neighbouring errors are alike, and a sensor that wanders for a while has a delay of any size explained by its noise. So
 the hits' errors are an offset of each run, an Ornstein-Uhlenbeck process and white noise, all normal, whatever form the
 mixture has: its tails are what many hits in motion are when the delay is wrong, and a fit that takes them for tails

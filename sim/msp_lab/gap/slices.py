@@ -1,9 +1,9 @@
 """Where readings and model disagree: slices of context, ranked by what differs, corrected for their number.
 
-Readings, a model and partitions enter; slices leave. The five numbers of each slice (bias, spread, odds of short,
-missed and random readings) are tested by their scores; p-values come from the step-down maximum of their multiplier
-bootstrap over units (Westfall and Young 1993; Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). This
-finds less than a catalogue of effects does, and says where to look.
+The five numbers of each slice (bias, spread, odds of short, missed and random readings) are tested by their scores;
+p-values come from the step-down maximum of their multiplier bootstrap over units (Westfall and Young 1993;
+Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). This finds less than a catalogue of effects does, and
+says where to look.
 """
 
 from collections.abc import Mapping, Sequence, Set

@@ -1,6 +1,6 @@
 """Splits of the runs into parts, each of which validates what a fit of the others says.
 
-Contexts enter; up to ten different splits by whole runs leave, drawn before anything is looked at. Runs of similar
+Up to ten different splits by whole runs are drawn from the contexts before anything is looked at. Runs of similar
 contexts are put into different parts: of two cold days none has both.
 """
 

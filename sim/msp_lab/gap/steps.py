@@ -1,7 +1,6 @@
 """The steps of the gap workflow as commands run them: files in, files out.
 
-Paths and a clock enter. ``gap.json``, ``named.json``, the extended model, the page and its pictures are written, each
-as soon as it is known.
+``gap.json``, ``named.json``, the extended model, the page and its pictures are written, each as soon as it is known.
 """
 
 from collections.abc import Callable, Sequence

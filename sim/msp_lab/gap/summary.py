@@ -1,6 +1,6 @@
 """The findings in words for a pilot: a decision in a sentence, at most five lines, and for each finding its own words.
 
-Findings enter and leave with their words filled in. The terminal, the page and ``gap.json`` show these and make none
+The findings are returned with their words filled in. The terminal, the page and ``gap.json`` show these and make none
 of their own.
 """
 

@@ -1,6 +1,6 @@
 """The tables of a gap's page: measures, steps, slices, parameters and the model's own numbers.
 
-Findings and models enter, rows of text leave. Nothing is decided here.
+Nothing is decided here.
 """
 
 from collections.abc import Iterator

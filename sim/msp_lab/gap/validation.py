@@ -1,7 +1,7 @@
 """Whether what was selected holds in splits of the runs: each part scores better for it by a fit of the others.
 
-A state that was fitted to all readings and the splits enter, the state with the terms that nearly all splits agree on
-leaves. Each part of a split is left out once, so that each reading is scored by a fit that it had no part in.
+Of a state that was fitted to all readings, the terms that nearly all splits agree on stay. Each part of a split is left
+out once, so that each reading is scored by a fit that it had no part in.
 """
 
 from dataclasses import dataclass, field

@@ -1,9 +1,9 @@
 """The verdict on a gap.
 
-Findings enter, a word leaves. Where 'closed' is decided: `bounds`. A gap is closed if it is equivalent to none (a bias
-of a tenth of sigma, a spread within 5 %, 0.005 nats per reading) or near the noise floor. To the nats the cost of
-fitting is added. A gap near a noise floor that is too high for that is neither closed nor seen; nor is one that is left
-where effects were named, if its 95 % interval reaches no gap.
+Where 'closed' is decided: `bounds`. A gap is closed if it is equivalent to none (a bias of a tenth of sigma, a spread
+within 5 %, 0.005 nats per reading) or near the noise floor. To the nats the cost of fitting is added. A gap near a
+noise floor that is too high for that is neither closed nor seen; nor is one that is left where effects were named, if
+its 95 % interval reaches no gap.
 """
 
 from typing import Literal

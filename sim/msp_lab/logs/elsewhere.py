@@ -1,8 +1,8 @@
 """A reference that is in another file than the readings, on a clock of its own: motion capture, a total station, a
 ground truth as CSV.
 
-The file and the log of the readings enter; the reference on the log's clock leaves, or why the difference of the
-clocks cannot be known.
+The reference is put on the clock of the log of the readings, or it is said why the difference of the clocks cannot be
+known.
 """
 
 from dataclasses import replace

@@ -1,6 +1,6 @@
 """Logs into a dataset of readings, one after the other, with an account of what was found.
 
-Paths enter; a dataset and an `Imported` for each log leave. The account is kept in the dataset too.
+Logs become a dataset, and an `Imported` for each. The account is kept in the dataset too.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

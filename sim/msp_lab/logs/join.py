@@ -1,9 +1,9 @@
 """Readings of a log with their true range and context, in the columns of the CSV form.
 
-A `VehicleLog` and a reference enter; for each range finder a table leaves, and how it fits the reference. A height
-above level ground is the perpendicular distance that ``true_range_cm`` is, however the vehicle leans; a range along the
-beam is multiplied by the cosine of the tilt. From a tilt of 90 deg on there is no true range: the beam does not meet
-the ground.
+For each range finder of a `VehicleLog` it makes a table with the reference, and says how it fits. A height above level
+ground is the perpendicular distance that ``true_range_cm`` is, however the vehicle leans; a range along the beam is
+multiplied by the cosine of the tilt. From a tilt of 90 deg on there is no true range: the beam does not meet the
+ground.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Checks that readings can be compared with a truth at all, before any analysis.
 
-Measured data and the sensor's limits enter; what makes a comparison impossible raises an error with what to do: no true
-range, hardly any readings, another unit, readings that do not follow the range.
+What makes a comparison impossible, by the measured data and the sensor's limits, raises an error with what to do: no
+true range, hardly any readings, another unit, readings that do not follow the range.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Where a log's clock was set: from there on its times do not compare with those before, so a new run begins.
 
-Times in the order in which they were written enter, whatever the format; the places of the steps leave. A clock that
-goes back is seen by itself; one that is set forward looks like a pause, so it takes a second clock that disagrees.
+They are found in the times in the order in which they were written, whatever the format. A clock that goes back is seen
+by itself; one that is set forward looks like a pause, so it takes a second clock that disagrees.
 """
 
 from collections.abc import Iterable, Iterator

@@ -1,8 +1,8 @@
 """Other people's tables in the names and units of the CSV form.
 
-A map (a YAML file, or NAME=COLUMN*FACTOR on the command line) and a CSV file enter, measured data leaves. Columns are
-named by their header or, where that is empty or not unique, by their number from 1. Tables side by side in one file
-are parts of the map.
+By a map (a YAML file, or NAME=COLUMN*FACTOR on the command line) a CSV file is read as measured data. Columns are named
+by their header or, where that is empty or not unique, by their number from 1. Tables side by side in one file are parts
+of the map.
 """
 
 import difflib

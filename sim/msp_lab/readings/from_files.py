@@ -1,4 +1,4 @@
-"""Readings for programs and notebooks: files enter, plain columns leave."""
+"""Readings for programs and notebooks: files as plain columns."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

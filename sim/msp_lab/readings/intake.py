@@ -1,7 +1,7 @@
 """The one intake of readings, for everything that compares them with a truth.
 
-Files enter: CSV in the one form, recordings, datasets of imported logs, or with a column map other people's tables. One
-table leaves, with what the files are and what was noticed. Rows stay in the order of the files and readings in the
+It makes one table of files: CSV in the one form, recordings, datasets of imported logs, or with a column map other
+people's tables; with what the files are and what was noticed. Rows stay in the order of the files and readings in the
 resolution of their file.
 """
 

@@ -1,9 +1,9 @@
 """The other sensors as the reference: for each sensor the range that the rest of the vehicle's sensors agree on.
 
-One run of several sensors' readings enters, with the vehicle's geometry and attitude where they were recorded. The same
-rows leave with ``true_range_cm``, ``true_range_std_cm``, ``range_rate_cm_s`` and ``incidence_deg`` as the others see
-them. What all sensors have in common is part of this reference and cannot be seen in a comparison with it. Nor can
-a constant: three sensors know the plane of the ground below the fourth to a centimetre only, so each run's mean
+It works on one run of several sensors' readings, with the vehicle's geometry and attitude where they were recorded. Its
+rows get ``true_range_cm``, ``true_range_std_cm``, ``range_rate_cm_s`` and ``incidence_deg`` as the others see them.
+What all sensors have in common is part of this reference and cannot be seen in a comparison with it. Nor can a
+constant: three sensors know the plane of the ground below the fourth to a centimetre only, so each run's mean
 difference is taken off the reference.
 """
 

@@ -1,7 +1,7 @@
 """Names of runs: each file's runs are kept apart from those of the other files.
 
 A run is what was recorded in one go; times of different runs do not compare, and for the gap workflow the run is the
-unit of evidence. Tables and the names of their files enter, tables with a column `run` leave.
+unit of evidence. Tables get a column `run` by the names of their files.
 """
 
 from collections import Counter

@@ -1,8 +1,8 @@
 """A two-sided Kalman filter of a vehicle's height over ground that slopes, for several sets of readings at once.
 
-Times, readings with their geometry and variances enter; height, its rate and the ground's slope at each time leave,
-with their covariance. An infinite variance leaves a reading out, so that one pass gives what each sensor's neighbours
-say without it (Rauch, Tung and Striebel 1965).
+From times and readings with their geometry and variances it estimates the height, its rate and the ground's slope at
+each time, with their covariance. An infinite variance leaves a reading out, so that one pass gives what each sensor's
+neighbours say without it (Rauch, Tung and Striebel 1965).
 """
 
 from dataclasses import dataclass

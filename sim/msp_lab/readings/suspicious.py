@@ -1,7 +1,6 @@
 """What in a table looks wrong and cannot be refused: another unit, another order of time, a reference that lags.
 
-Measured data in the order of the files enters, a sentence for each suspicion leaves. A sentence says what was found and
-what to do; the table is used as it is.
+For each suspicion a sentence says what was found and what to do; the table is used as it is.
 """
 
 import math

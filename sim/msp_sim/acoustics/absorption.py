@@ -1,6 +1,6 @@
 """Absorption of sound by the air: a pure tone, by ISO 9613-1.
 
-Frequency and air enter, decibels per metre leave. The report's eq 2 has it as alpha.
+It is a number of decibels per metre for a frequency in air. The report's eq 2 has it as alpha.
 """
 
 import numpy as np

@@ -1,7 +1,6 @@
 """Air with its humidity and pressure: density, impedance, wavelength.
 
-Temperature, relative humidity and pressure enter. This file is for absorption and echo levels; what humidity does to
-the speed of sound is in `msp_range.acoustics.air`.
+This file is for absorption and echo levels; what humidity does to the speed of sound is in `msp_range.acoustics.air`.
 """
 
 import math

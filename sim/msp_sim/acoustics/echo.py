@@ -1,6 +1,6 @@
 """The level of an echo: over range, angle, target and air (report eq 2 and 5, corrected).
 
-A source level, a piston, a target and the air enter, decibels leave. All levels share one reference, such
+The level in decibels follows from a source level, a piston, a target and the air. All levels share one reference, such
 as the sensor's own threshold: breakaway angles cannot distinguish a loud source from a sensitive receiver.
 """
 

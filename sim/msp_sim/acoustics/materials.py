@@ -1,6 +1,6 @@
 """Reflection of sound by a surface, from its acoustic impedance, and the impedances of typical ground.
 
-Impedances in rayl (Pa s/m) enter, the reflected share of the intensity leaves (report eq 4). The table gives the source
+The reflected share of the intensity follows from impedances in rayl (Pa s/m) (report eq 4). The table gives the source
 and uncertainty of each number. In air, solids and water reflect all but 0.2 % or less, so their impedances need not be
 accurate. For porous ground the impedance matters, and little is known about it at 42 kHz. The values are typical ones
 from the works named, accurate to two digits at most.

@@ -1,8 +1,8 @@
 """Directivity of a flat circular piston: a transducer's level off its axis, for sending and receiving.
 
-Angle, diameter and wavelength enter, a level in dB leaves, 0 on the axis. Follows the report's eq 3 with the sine
-inside the Bessel function (erratum 3), as textbooks have it (Kinsler and others, Fundamentals of Acoustics, 7.4).
-Far field, beyond D^2 / lambda: 3 cm for an MB1242. One way; for an echo it counts twice.
+It is a level in dB, 0 on the axis, for an angle, a diameter and a wavelength. Follows the report's eq 3 with the sine
+inside the Bessel function (erratum 3), as textbooks have it (Kinsler and others, Fundamentals of Acoustics, 7.4). Far
+field, beyond D^2 / lambda: 3 cm for an MB1242. One way; for an echo it counts twice.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The two ranges that a tilted sensor may report for a flat surface: along its axis, or to the nearest point.
 
-Perpendicular distance and incidence enter, metres leave. The report's 4.3.3 expects the first (eq 8); the
-first echo comes from the second. `oblique_reading` in the sensor model says which one a sensor reports.
+The report's 4.3.3 expects the first (eq 8); the first echo comes from the second. `oblique_reading` in the sensor model
+says which one a sensor reports.
 """
 
 import math

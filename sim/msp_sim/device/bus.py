@@ -1,7 +1,7 @@
 """The wires between the master and the emulated devices, as a Bus of msp_range.
 
-Transfers enter, the devices at the address answer together, and what the wired-AND of the open-drain lines gives
-leaves. A transfer takes no time on the clock: 24 bits at 50 kHz are 0.5 ms, far below a ranging.
+The devices at the address of a transfer answer together, and the master gets what the wired-AND of the open-drain lines
+gives. A transfer takes no time on the clock: 24 bits at 50 kHz are 0.5 ms, far below a ranging.
 """
 
 import errno

@@ -1,8 +1,8 @@
 """What all emulated range finders share, seen from the bus, and the faults that real ones show.
 
-Bytes written by the master and the readings of a simulated world enter, acknowledged bytes leave. Only the standard
-library is used, so that the same device answers in a virtual flight and behind an emulated kernel interface under the
-system's own Python. Every time is seconds on the ``now`` clock that the device is given.
+It takes bytes written by the master, and answers with the readings of a simulated world. Only the standard library is
+used, so that the same device answers in a virtual flight and behind an emulated kernel interface under the system's own
+Python. Every time is seconds on the ``now`` clock that the device is given.
 """
 
 import math

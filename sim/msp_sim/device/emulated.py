@@ -1,6 +1,6 @@
 """The airframe's sensors, emulated: what a ping meets in the simulated world, and what the sensor makes of it.
 
-An airframe, a world, a pose over time and sensor models enter; a bus leaves, behind which the bridge finds its sensors.
+An airframe, a world, a pose over time and sensor models make a bus behind which the bridge finds its sensors.
 """
 
 import math

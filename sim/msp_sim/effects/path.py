@@ -1,8 +1,8 @@
 """The reference's path: how far the true range was from that at a reading's stamp, so long before it.
 
-Times and true ranges enter, of one sensor in one run after another; changes of the range leave, at any time and for any
-of the rows. Between two rows a path is a cubic. There is none across jumps, pauses and stamps that repeat: there it
-goes on at its own rate from the nearer side.
+From times and true ranges of one sensor in one run after another follow changes of the range at any time and for any of
+the rows. Between two rows a path is a cubic. There is none across jumps, pauses and stamps that repeat: there it goes
+on at its own rate from the nearer side.
 
 A reference with noise from row to row is smoothed first. Through its rows, a delay of half an interval would explain
 the readings better than the true one: what is between two rows has less noise than a row has. It is noise if a table

@@ -1,8 +1,8 @@
 """What was found of an effect, in words for a pilot: its own sentence with its numbers and their units.
 
-An effect, the values of its parameters and the sensor, run or target that it is of enter; words leave. The sentence is
-data of the effect (`Effect.finding`), so an own effect brings its own along. In it `{of}` is the sensor, run or target,
-and a parameter in braces is its number with its unit, in one of these formats:
+It is made of the values of an effect's parameters and the sensor, run or target that it is of. The sentence is data of
+the effect (`Effect.finding`), so an own effect brings its own along. In it `{of}` is the sensor, run or target, and a
+parameter in braces is its number with its unit, in one of these formats:
 
     {delay_ms}                      325 ms as 0.33 s: a number with its unit
     {share:of} readings             three of four readings, 3.3 % of readings

@@ -1,6 +1,6 @@
 """Record what became of each reading of a simulated flight, together with the truth.
 
-Pings and the bridge's steps enter; a `FlightResult` leaves, from which table, picture and ``summary.json`` are made.
+Pings and the bridge's steps become a `FlightResult`, from which table, picture and ``summary.json`` are made.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Read a recorded flight, simulated or real, for its table and picture.
 
-An MCAP recording enters, a `FlightResult` leaves. A simulator records the truth with each ping; real flights have none.
+An MCAP recording becomes a `FlightResult`. A simulator records the truth with each ping; real flights have none.
 """
 
 from collections import Counter, defaultdict

@@ -1,7 +1,7 @@
 """A scenario with random parameters: flight number `index` of all that a seed stands for.
 
-A scenario, a seed and an index enter; a `SampledFlight` leaves, always the same one. `msp-sim monte-carlo` flies many
-of them, and `msp-sim fly --sample` any of them again.
+A scenario, a seed and an index give a `SampledFlight`, always the same one. `msp-sim monte-carlo` flies many of them,
+and `msp-sim fly --sample` any of them again.
 """
 
 from collections.abc import Mapping, Sequence

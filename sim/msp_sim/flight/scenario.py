@@ -1,8 +1,7 @@
 """The scenario file: a flight, the world below it, and the faults to inject.
 
-A YAML file enters, a `Scenario` leaves; every error is reported with its place (`msp_range.yaml_file`). Two errors are
-found here and not only in flight: a vehicle that would fly into the ground, and a fault of a sensor that does not
-exist.
+A `Scenario` is made of YAML; every error is reported with its place (`msp_range.yaml_file`). Two errors are found here
+and not only in flight: a vehicle that would fly into the ground, and a fault of a sensor that does not exist.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""A simulated flight for programs and notebooks: a scenario enters, plain numbers and arrays leave."""
+"""A simulated flight for programs and notebooks: plain numbers and arrays of a scenario."""
 
 from collections.abc import Sequence
 from contextlib import closing

@@ -1,7 +1,7 @@
 """What varies from flight to flight of a Monte Carlo run: parameters of a scenario, and random faults.
 
-The section ``vary`` of a scenario file enters, random values of a flight leave. A parameter is named by its path in the
-file, such as ``air.ground_c`` or ``flight.altitude[1].to_m``; ``[*]`` stands for every element of a list, which all
+The section ``vary`` of a scenario file says which values of a flight are random. A parameter is named by its path in
+the file, such as ``air.ground_c`` or ``flight.altitude[1].to_m``; ``[*]`` stands for every element of a list, which all
 get the same draw.
 """
 

@@ -1,8 +1,8 @@
 """Checks of what the simulator and the gap workflow require of an effect; anybody can run them on an own effect.
 
-An effect enters; each check returns what is wrong, in words for the author of the effect. Fits use the probabilities
-and their slopes, the simulator uses the draws, and both must describe the same distribution. Every effect of the
-catalogue passes (`tests/property/test_effects.py`), and ``msp-lab check-effect`` runs the same checks on a file.
+Each check returns what is wrong with an effect, in words for the author of the effect. Fits use the probabilities and
+their slopes, the simulator uses the draws, and both must describe the same distribution. Every effect of the catalogue
+passes (`tests/property/test_effects.py`), and ``msp-lab check-effect`` runs the same checks on a file.
 """
 
 from collections.abc import Callable, Iterator

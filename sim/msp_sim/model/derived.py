@@ -1,6 +1,6 @@
 """Context columns that follow from others, for tables of other people and models that require more than a table has.
 
-A table of contexts enters; what can be computed leaves, with what it follows from.
+Columns that can be computed are added to a table of contexts, with what each follows from.
 """
 
 import math

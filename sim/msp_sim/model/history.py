@@ -1,9 +1,9 @@
 """Correlated noise: what the error of one hit says about the next hit of the same sensor in the same run.
 
-Contexts enter; which reading came before which, and how long before, leaves. The errors of the hits, in standard
-deviations, are an autoregressive process of first order in time (Ornstein-Uhlenbeck): over a time t the correlation is
-``rho(t) = correlation ** (t / spacing)``. The same object draws the errors and gives each reading's distribution after
-the last hit before it, so that sampling and scoring are one model.
+The contexts show which reading came before which, and how long before. The errors of the hits, in standard deviations,
+are an autoregressive process of first order in time (Ornstein-Uhlenbeck): over a time t the correlation is ``rho(t) =
+correlation ** (t / spacing)``. The same object draws the errors and gives each reading's distribution after the last
+hit before it, so that sampling and scoring are one model.
 """
 
 from collections.abc import Mapping

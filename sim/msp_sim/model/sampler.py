@@ -1,6 +1,6 @@
 """Draw readings one at a time, for emulated sensors: the same distribution and random numbers as `Model.sample`.
 
-A context enters as plain values, a reading leaves. If the effects only shift, widen or reweight the base mixture, no
+For a context of plain values it draws a reading. If the effects only shift, widen or reweight the base mixture, no
 array is made, for speed; with additional components or faults `Model.sample` is called with one row. Both use the same
 random streams.
 """

@@ -1,6 +1,6 @@
 """The command ``msp-sim monte-carlo``: fly a scenario many times with random parameters, and show what happened.
 
-The command's options enter; a folder with a table, a summary and a picture, and lines on the terminal leave.
+It makes a folder with a table, a summary and a picture, and prints lines on the terminal.
 """
 
 import hashlib

@@ -1,7 +1,7 @@
 """What matters of one flight in a few numbers: wrong distances, silence, error.
 
-A sample of a scenario enters, a dictionary of numbers leaves. With the bridge, they are computed from what the
-autopilot received, as in docs/faults.md; with the model only, from readings that are drawn for the path of the flight.
+A sample of a scenario gives a dictionary of numbers. With the bridge, they are computed from what the autopilot
+received, as in docs/faults.md; with the model only, from readings that are drawn for the path of the flight.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The numbers of many flights: shares and quantiles with 95 % intervals, and the worst flights.
 
-Rows of the table enter; a `Summary` leaves. Flights are independent of each other, readings of one flight are not:
-every interval counts flights.
+Rows of the table give a `Summary`. Flights are independent of each other, readings of one flight are not: every
+interval counts flights.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """Draw pictures and put them into one self-contained HTML page that works offline.
 
-Makers of pictures, tables and values enter, files leave. Each report has its own template, which extends this package's
-``page.html`` (head and style) and uses the macros of ``parts.html``.
+Pictures, tables and values are made by functions that the caller gives, and written to files. Each report has its own
+template, which extends this package's ``page.html`` (head and style) and uses the macros of ``parts.html``.
 """
 
 import base64

@@ -1,6 +1,6 @@
 """Motion of a simulated vehicle: height and horizontal track as functions of time.
 
-A scenario's lists of segments enter; `Course` objects leave, each the motion along one axis. Segments of a real vehicle
+The lists of segments of a scenario become `Course` objects, each the motion along one axis. Segments of a real vehicle
 change speed along a smooth step with bounded acceleration. The kinds `step`, `ramp` and `random` are those of a bench
 (the report's Table 5.3) and change abruptly. Heights are relative to the vehicle's position at the start, up positive
 [m].

@@ -1,8 +1,8 @@
 """The ground and the objects on it, and the echoes that they return.
 
-A scenario's `GroundSection` enters; `Terrain` and `Block` leave, which list the echoes of a ping and find where a ray
-ends. The ground is a plane with a slope and with steps along one heading; upright boxes stand on it. World frame NED
-with its origin on the ground; heights are above the origin, up positive.
+A scenario's `GroundSection` becomes `Terrain` and `Block`, which list the echoes of a ping and find where a ray ends.
+The ground is a plane with a slope and with steps along one heading; upright boxes stand on it. World frame NED with its
+origin on the ground; heights are above the origin, up positive.
 
 A smooth face returns an echo like a mirror, from the foot of the perpendicular, if that lies within the breakaway angle
 of the beam (report 4.3.3 measured this angle against a wall). The edge of a step or box returns an echo from its

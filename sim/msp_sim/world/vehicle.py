@@ -1,7 +1,7 @@
 """Position, attitude and velocity of the simulated vehicle.
 
-A scenario's `FlightSection` enters, a `Pose` for any time leaves. It computes with plain floats for speed, because it
-is called for every ping. World frame NED with its origin on the ground, body frame FRD.
+A scenario's `FlightSection` gives a `Pose` for any time. It computes with plain floats for speed, because it is called
+for every ping. World frame NED with its origin on the ground, body frame FRD.
 """
 
 import math

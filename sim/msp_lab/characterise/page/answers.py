@@ -1,6 +1,6 @@
 """What was found: a few sentences, and a table of conclusions with a verdict each.
 
-Findings enter, text leaves. The verdicts are those of the findings.
+The verdicts are those of the findings.
 """
 
 from collections.abc import Iterator, Sequence

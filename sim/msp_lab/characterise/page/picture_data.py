@@ -1,6 +1,6 @@
 """Which rows of the measured readings a picture is made of, and why there are none.
 
-Findings, measured data and the sensor model enter; arrays to be drawn leave, or `Absent` with the reason.
+Findings, measured data and the sensor model become arrays to be drawn, or `Absent` with the reason.
 """
 
 from collections.abc import Callable
