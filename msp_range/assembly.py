@@ -140,7 +140,7 @@ def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expecte
     if in_flight is not None:
         short, missed, random = in_flight.short, in_flight.missed, 0.0
         spread = in_flight.sigma_cm / mixture.sigma_cm
-    elif unknown := [name for each in model.effects if (name := str(each.get("name"))) not in MEAN_EFFECTS]:
+    elif unknown := [name for effect in model.effects if (name := str(effect.get("name"))) not in MEAN_EFFECTS]:
         return f"no numbers (in_flight) of what {', '.join(unknown)} make of the readings"
     facing_rad = max(_widest_rad(model) - FACING_MARGIN_RAD, 0.0)
     return Expected(

@@ -243,7 +243,7 @@ class Bridge:
         self._air = self._temperature.now(now_s)
         self._recorded_air = air
         sources = airframe.temperature.sources
-        asked = {each.message: TEMPERATURE_REQUEST_HZ for each in sources if isinstance(each, MavlinkSource)}
+        asked = {source.message: TEMPERATURE_REQUEST_HZ for source in sources if isinstance(source, MavlinkSource)}
         self._attitude = AttitudeTrack()
         self._motion = VerticalMotion()
         self._received = received

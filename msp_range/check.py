@@ -77,7 +77,7 @@ def drawing(airframe: Airframe) -> list[str]:
             rows[row][column + offset] = letter
     names = ", ".join(f"{sensor.id} {sensor.name}" for sensor in airframe.sensors)
     heights = {sensor.position_m[2] for sensor in airframe.sensors}
-    below = ", ".join(f"{each:g}" for each in sorted(heights))
+    below = ", ".join(f"{height:g}" for height in sorted(heights))
     return [
         f"from above, forward is up, {2 * farthest_m:g} m from edge to edge, {below} m below the reference point (+):",
         *[f"  |{''.join(row)}|" for row in rows],

@@ -266,8 +266,8 @@ def params(
     changes = commands.differences(client, settings)
     print(f"{firmware}: {len(settings) - len(changes)} of {len(settings)} parameters are as they should be")
     if not (write or restore):
-        for each in changes:
-            print(commands.described(each))
+        for change in changes:
+            print(commands.described(change))
         raise typer.Exit(bool(changes))
     undo = commands.undo_path(clock)
     done = commands.write(client, changes, lambda text: typer.confirm(f"{text}\nSet it?"), undo, airframe.vehicle)

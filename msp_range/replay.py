@@ -65,7 +65,7 @@ class RecordedOrder:
 
     def __init__(self, airframe: Airframe, bus: ReplayBus) -> None:
         self._bus = bus
-        self._sensors = {each.device.address: each for each in polled_sensors(airframe, bus).values()}
+        self._sensors = {sensor.device.address: sensor for sensor in polled_sensors(airframe, bus).values()}
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
         """The sensors that come next in the record; at infinity where it has ended."""
@@ -159,7 +159,7 @@ def replay(
         air=recorded.air_at,
         received=_received(recorded),
     )
-    expected = sum(len(each) for each in pings.values())
+    expected = sum(len(of_sensor) for of_sensor in pings.values())
     start_s = clock.now()
     filtered: Counter[str] = Counter()
     taken = fused = 0

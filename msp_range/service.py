@@ -192,7 +192,9 @@ class _LinkLog:
         verdict = self._bridge.verdict
         if verdict.state != self._verdict:
             self._verdict = verdict.state
-            self._log.info(verdict.state.value, reasons=[each.text for each in verdict.findings if each.cause is None])
+            self._log.info(
+                verdict.state.value, reasons=[finding.text for finding in verdict.findings if finding.cause is None]
+            )
         state = transport.connected, transport.last_error
         if state != self._state:
             self._state = state

@@ -61,7 +61,7 @@ def recorded_tracks(path: Path) -> list[Track]:
             tracks.setdefault(topic, []).append((message["time_s"], message["corrected_m"]))
     if not tracks:
         raise RecordingError(f"{path}: contains no readings with a range; expected {FEWEST} or more")
-    return [sorted(each) for each in tracks.values()]
+    return [sorted(track) for track in tracks.values()]
 
 
 def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:

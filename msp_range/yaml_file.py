@@ -409,13 +409,13 @@ def _literals(annotation: Any) -> set[Any]:
 
 
 def _keys(choices: list[Any]) -> list[str]:
-    return sorted({name for each in choices if _is_section(each) for name in each.model_fields})
+    return sorted({name for choice in choices if _is_section(choice) for name in choice.model_fields})
 
 
 def _meaning(choices: list[Any], key: str) -> str:
-    for each in choices:
-        if _is_section(each) and key in each.model_fields:
-            return descriptions(each).get(key, "a value").split("\n")[0]
+    for choice in choices:
+        if _is_section(choice) and key in choice.model_fields:
+            return descriptions(choice).get(key, "a value").split("\n")[0]
     return "a value"
 
 

@@ -77,7 +77,7 @@ class _Values:
         if isinstance(event, yaml.ScalarEvent):
             value = _scalar(event)
         elif isinstance(event, yaml.SequenceStartEvent):
-            value = [self._value(each, depth + 1) for each in self._parts()]
+            value = [self._value(part, depth + 1) for part in self._parts()]
         else:
             value = self._mapping(depth)
         if event.anchor is not None:

@@ -58,7 +58,7 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
             "passed": outcome.passed,
             "findings": [asdict(each) for each in outcome.findings],
             "changes": changes,
-            "proposals_left": [each.text for each in outcome.proposals],
+            "proposals_left": [proposal.text for proposal in outcome.proposals],
             "measured": outcome.measured,
         }
         session.measured[name] = outcome.measured
@@ -89,7 +89,7 @@ def _correct(
     ConfigError
         The changed file would not be valid; the file is as it was.
     """
-    agreed = [each for each in outcome.proposals if session.operator.agrees(_asked(session, each))]
+    agreed = [proposal for proposal in outcome.proposals if session.operator.agrees(_asked(session, proposal))]
     if not agreed:
         return [], outcome
     edits = [one for each in agreed for one in each.edits]
@@ -108,8 +108,8 @@ def _correct(
     verified = outcome.again(changed).keep_founded(changed)
     show(["with the changed file:"])
     show([line for finding in verified.findings for line in lines_of(finding)])
-    for each in verified.proposals:
-        show(wrapped("left     ", each.text))
+    for proposal in verified.proposals:
+        show(wrapped("left     ", proposal.text))
     return changes, verified
 
 

@@ -52,8 +52,8 @@ def compare_noise(airframe: Airframe, measured: Mapping[str, Measured], when: st
             outcome.wrong(f"noise of {sensor.name}", text, remedy)
         others = [measured[sensor.name] for sensor in sensors if sensor not in faulty]
         mean = Measured(
-            math.sqrt(sum(each.value**2 for each in others) / len(others)),
-            math.sqrt(sum(each.half_width**2 for each in others)) / len(others),
+            math.sqrt(sum(other.value**2 for other in others) / len(others)),
+            math.sqrt(sum(other.half_width**2 for other in others)) / len(others),
         )
         text = f"readings scatter by {_cm(mean)} {when}, {100 * sigma_m:.1f} cm in {model}"
         if mean.value > sigma_m and mean.differs_from(sigma_m, NOISIER_M):

@@ -61,7 +61,7 @@ class StepOutcome:
     @property
     def passed(self) -> bool:
         """Whether all was measured, nothing is wrong, nothing is to be changed, and something is right."""
-        verdicts = [each.verdict for each in self.findings]
+        verdicts = [finding.verdict for finding in self.findings]
         return self.complete and not self.proposals and WRONG not in verdicts and RIGHT in verdicts
 
     def keep_founded(self, airframe: Airframe) -> "StepOutcome":
@@ -69,13 +69,14 @@ class StepOutcome:
 
         A wrong finding concerns the sensor whose name ends its step, or else everything that was measured.
         """
-        named = [each.step for each in self.findings if each.verdict is WRONG]
+        named = [finding.step for finding in self.findings if finding.verdict is WRONG]
         names = [sensor.name for sensor in airframe.sensors]
         about = {next((i for i, name in enumerate(names) if step.endswith(f" {name}")), None) for step in named}
         founded = [
-            each
-            for each in self.proposals
-            if None not in about and about.isdisjoint(edit.path[1] for edit in each.edits if edit.path[0] == "sensors")
+            proposal
+            for proposal in self.proposals
+            if None not in about
+            and about.isdisjoint(edit.path[1] for edit in proposal.edits if edit.path[0] == "sensors")
         ]
         if len(founded) < len(self.proposals):
             text = f"{len(self.proposals) - len(founded)} not proposed, as they come from what is wrong"

@@ -197,7 +197,9 @@ def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
         return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"
 
     fixed = parameters.fixed_air
-    sources = [f"  {each.name} {off(Air(fixed.temperature_c, each.error_std_c, ''))}" for each in parameters.sources]
+    sources = [
+        f"  {source.name} {off(Air(fixed.temperature_c, source.error_std_c, ''))}" for source in parameters.sources
+    ]
     humid = Humidity().applied(0.0, Air(fixed.temperature_c, 0.0, ""))
     humidity = f"  humidity, unless the autopilot sends {HYGROMETER}: also {off(humid)}"
     held_c = f"{coldest_c(fixed):.0f} to {2 * fixed.temperature_c - coldest_c(fixed):.0f} C"

@@ -95,7 +95,7 @@ class RangeComparison:
         if len(new) >= READINGS_OF_A_DIP:
             self._compared_s = now_s - OVERLAP_S
             windows = [new[i : i + READINGS_OF_A_DIP] for i in range(len(new) - READINGS_OF_A_DIP + 1)]
-            self._dip = max(self._dip, *[abs(self._change(each)) for each in windows])
+            self._dip = max(self._dip, *[abs(self._change(window)) for window in windows])
         known = self._known(self._jump_s, now_s, READINGS)
         if len(known) < READINGS:
             return

@@ -168,7 +168,7 @@ class Settling:
             lags_c.append(-product / square)
             variances.append(noise_c2 / square)
             logs.append(0.5 * product * product / square / noise_c2 - 0.5 * math.log(square))
-        weights = [math.exp(each - max(logs)) for each in logs]
+        weights = [math.exp(log - max(logs)) for log in logs]
         total = sum(weights)
         lag_c = sum(map(operator.mul, weights, lags_c)) / total
         squares = [own + (each - lag_c) ** 2 for own, each in zip(variances, lags_c, strict=True)]

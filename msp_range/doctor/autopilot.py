@@ -100,7 +100,7 @@ def check_autopilot(
     """
     tap = Tap(transport)
     temperatures = [each for each in airframe.temperature.sources if isinstance(each, MavlinkSource)]
-    wanted = {each.message: 1.0 for each in temperatures} | {"DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0}
+    wanted = {temperature.message: 1.0 for temperature in temperatures} | {"DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0}
     try:
         client = ParameterClient(tap, clock, airframe.link, wanted)
     except ConfigError as error:
@@ -286,13 +286,13 @@ def _temperature(source: MavlinkSource, client: ParameterClient) -> Finding:
 
 def _parameters(airframe: Airframe, client: ParameterClient, firmware: Firmware) -> Finding:
     without = (*PORT_NAMES, ADDRESS) if firmware.any_id else PORT_NAMES
-    needed = [each for each in settings(airframe, firmware, 2) if not each.name.startswith(without)]
+    needed = [setting for setting in settings(airframe, firmware, 2) if not setting.name.startswith(without)]
     others = differences(client, needed)
     return first_of(
         "parameters",
         (
             others,
-            f"{len(others)} of {len(needed)} differ: {'; '.join(described(each) for each in others)}",
+            f"{len(others)} of {len(needed)} differ: {'; '.join(described(other) for other in others)}",
             "msp-range params AIRFRAME.yaml --write",
         ),
         (True, f"{len(needed)} of {firmware} are as they should be"),
@@ -315,7 +315,7 @@ def _withheld(client: ParameterClient) -> Finding:
 
 def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges_m: Mapping[str, float]) -> Finding:
     step, stream = "distances", downward_stream(airframe)
-    downward = airframe.downward or [each for each in airframe.sensors if each.orientation.value == DOWN]
+    downward = airframe.downward or [sensor for sensor in airframe.sensors if sensor.orientation.value == DOWN]
     measured = sorted(ranges_m[each.name] for each in downward if each.name in ranges_m)
     if stream is None:
         return unknown(step, "nothing looks down: what the autopilot makes of the others is not tried")

@@ -58,7 +58,7 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
     for sensor in present:
         rangings = _alone(polled[sensor.name], bus, clock, READINGS)
         # Clock faults now and then would look like two sensors with different answers.
-        clock_faults = sum(each.reading.status is Status.CLOCK_FAULT for each in rangings)
+        clock_faults = sum(ranging.reading.status is Status.CLOCK_FAULT for ranging in rangings)
         stranger = _recognised(sensor, bus, clock) if clock_faults in (0, READINGS) else None
         if stranger is None:
             alone[sensor.name] = rangings
@@ -67,7 +67,7 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
         findings.append(_crosstalk(airframe, polled, bus, clock, alone))
     ranges_m = {name: median(ranges) for name, rangings in alone.items() if (ranges := _ranges(rangings))}
     findings += disagreeing(airframe, ranges_m)
-    answered = [each for rangings in alone.values() for each in rangings if each.reading.range_m is not None]
+    answered = [ranging for rangings in alone.values() for ranging in rangings if ranging.reading.range_m is not None]
     return Looked(findings, ranges_m, min([each.answered_s - each.reading.time_s for each in answered], default=None))
 
 
@@ -105,7 +105,9 @@ def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding
     names = {each.address: each.name for each in present}
     findings += [_absent(sensor, others, names) for sensor in sensors if sensor not in present]
     if others:
-        listed = "; ".join(f"{_both(each)} {f'({OTHERS[each]})' if each in OTHERS else ''}".strip() for each in others)
+        listed = "; ".join(
+            f"{_both(other)} {f'({OTHERS[other]})' if other in OTHERS else ''}".strip() for other in others
+        )
         findings.append(right("other devices", f"the airframe file does not name {listed}"))
     return findings, present
 
@@ -122,7 +124,7 @@ def _absent(sensor: SensorSettings, others: Sequence[int], present: Mapping[int,
         ),
         (
             others,
-            f"{text}; the file does not name {', '.join(_both(each) for each in others)}",
+            f"{text}; the file does not name {', '.join(_both(other) for other in others)}",
             "is one of these it? 'msp-range scan --ping' shows",
         ),
         (
@@ -184,17 +186,17 @@ def _is_late(ranging: Ranging) -> bool:
 
 
 def _ranges(rangings: Sequence[Ranging]) -> list[float]:
-    return [each.reading.range_m for each in rangings if each.reading.range_m is not None]
+    return [ranging.reading.range_m for ranging in rangings if ranging.reading.range_m is not None]
 
 
 def _readings(sensor: SensorSettings, rangings: Sequence[Ranging]) -> Finding:
-    readings = [each.reading for each in rangings]
-    statuses = Counter(each.status for each in readings)
+    readings = [ranging.reading for ranging in rangings]
+    statuses = Counter(reading.status for reading in readings)
     missed, impossible = statuses[Status.NO_ANSWER], statuses[Status.IMPOSSIBLE] + statuses[Status.PART_INFO]
-    suspect = any(each.suspect for each in readings)
+    suspect = any(reading.suspect for reading in readings)
     ranges = _ranges(rangings)
     apart_m = max(ranges, default=0.0) - min(ranges, default=0.0)
-    after_ms = 1e3 * median(each.answered_s - each.ping_s for each in rangings)
+    after_ms = 1e3 * median(ranging.answered_s - ranging.ping_s for ranging in rangings)
     shown = " ".join(map(_shown, readings))
     late = sum(map(_is_late, rangings))
     return first_of(

@@ -44,7 +44,7 @@ class _InSchema:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         described = handler(schema)
         others = [load_entry(entry, "filter", Section) for entry in installed(GROUP).values()]
-        described["oneOf"] += [each.model_json_schema() for each in others]
+        described["oneOf"] += [other.model_json_schema() for other in others]
         return described
 
 

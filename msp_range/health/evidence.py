@@ -130,7 +130,7 @@ class Occurrences(Evidence):
         others
             The same of other sensors: what happens to all of them has a common cause.
         """
-        good = [each.frequency for each in others if not each.is_found]
+        good = [other.frequency for other in others if not other.is_found]
         if good:
             mean = sum(good) / len(good)
             error = (mean * (1.0 - mean) * (1.0 - KEPT) / (2.0 * len(good))) ** 0.5

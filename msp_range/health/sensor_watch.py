@@ -131,14 +131,14 @@ class _Sensor:
         else:
             self.scale += (e * e - self.scale) / min(self.readings, SCALE_READINGS)
         self.offset_m += change_m
-        offsets_m = [each.offset_m for each in self.others]
+        offsets_m = [other.offset_m for other in self.others]
         if len(offsets_m) >= LEVEL_SENSORS:
             variance_m2 = fmean([offset_m**2 for offset_m in offsets_m]) - fmean(offsets_m) ** 2
             self.rough_m2 += (variance_m2 - self.rough_m2) / min(self.readings, ROUGH_READINGS)
 
     def happens(self, kind: Kind, probability: float) -> None:
         """Something rare happens, which has this probability by the model."""
-        if self.rare[kind].happens(probability, [each.rare[kind] for each in self.others]):
+        if self.rare[kind].happens(probability, [other.rare[kind] for other in self.others]):
             self.report(kind, self.rare[kind])
 
     def confirm_short(self) -> None:
@@ -151,7 +151,7 @@ class _Sensor:
         """A difference from others that agree on level ground, while the vehicle moves."""
         if sighting.down is None or (sighting.down[2] > TILTS_COS and abs(climb_m_s) < MOVES_M_S):
             return
-        offsets_m = [each.offset_m for each in self.others if not each.shifted.is_found]
+        offsets_m = [other.offset_m for other in self.others if not other.shifted.is_found]
         if len(offsets_m) < LEVEL_SENSORS or max(offsets_m) - min(offsets_m) > LEVEL_M:
             return
         off_m -= fmean(offsets_m)
@@ -167,7 +167,9 @@ class _Sensor:
             size = math.sqrt(evidence.ratio) if kind == "wider" else evidence.ratio
             self._findings.append(SensorFinding(self.name, kind, size))
         else:
-            self._findings[:] = [each for each in self._findings if (each.sensor, each.kind) != (self.name, kind)]
+            self._findings[:] = [
+                finding for finding in self._findings if (finding.sensor, finding.kind) != (self.name, kind)
+            ]
 
 
 class SensorWatch:
@@ -252,7 +254,7 @@ class SensorWatch:
 
     def _compare(self, own: _Sensor, sighting: Sighting) -> None:
         """A reading with the others' around it."""
-        scales = [each.scale for each in own.others if not each.wider.is_found]
+        scales = [other.scale for other in own.others if not other.wider.is_found]
         scale = max(fmean(scales or [1.0]), 1.0)
         others = reference(self._window, self._middle, scale)
         if others is None or not others.height_m > NEAREST_M:
@@ -300,7 +302,7 @@ class SensorWatch:
                 own_share = std_m * std_m / variance_m2
                 if own.wider.update(ratio, own_share, square - 1.0 + own_share):
                     own.report("wider", own.wider)
-            if abs(own.offset_m - fmean([each.offset_m for each in self._sensors.values()])) > SHIFT_ASKED_M:
+            if abs(own.offset_m - fmean([sensor.offset_m for sensor in self._sensors.values()])) > SHIFT_ASKED_M:
                 own.shift(sighting, others.climb_m_s, off_m, deviation_m)
         if is_ground and has_stepped:
             own.offset_m += 0.5 * (x + before) * deviation_m

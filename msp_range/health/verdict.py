@@ -52,7 +52,7 @@ def verdict_of(conditions: Iterable[Condition], is_ready: bool) -> BridgeVerdict
     >>> [(each.what, each.cause) for each in verdict_of(found, True).findings]
     [('bus', None), ('sensor a', 'bus')]
     """
-    present = {each.key: each for each in conditions}
+    present = {condition.key: condition for condition in conditions}
     groups: dict[str, list[BridgeFinding]] = {}
     state = BridgeState.STARTING
     if is_ready:

@@ -78,7 +78,7 @@ class AutopilotClock:
     @property
     def round_trip_s(self) -> float | None:
         """The shortest way there and back that TIMESYNC has shown lately [s]; None where it is not answered."""
-        return min((each.error_s for each in self._exchanges), default=None)
+        return min((exchange.error_s for exchange in self._exchanges), default=None)
 
     def time_boot_ms(self, time_s: float) -> int:
         """Time since the autopilot's boot [ms] at ``time_s`` on the bridge's clock, as its messages count it."""
@@ -153,7 +153,7 @@ class AutopilotClock:
 
     def _update(self, now_s: float) -> None:
         for samples in (self._system_times, self._exchanges):
-            used = [each for each in samples if now_s - each.received_s <= OLDEST_S]
+            used = [sample for sample in samples if now_s - sample.received_s <= OLDEST_S]
             if used:
                 self._offset_s = min(used, key=lambda each: each.error_s).offset_s
 

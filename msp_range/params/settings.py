@@ -126,7 +126,9 @@ def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
         lines += PX4_USE if firmware.autopilot == "px4" else ARDUPILOT_USE
         if firmware.autopilot == "ardupilot" and firmware.vehicle == "copter":
             lines += [line.replace("WP_", "WPNAV_") if firmware.centimetres else line for line in COPTER_USE]
-    outward = [each for each in single_streams(airframe).values() if each.orientation.value not in (DOWN, PITCH_90)]
+    outward = [
+        stream for stream in single_streams(airframe).values() if stream.orientation.value not in (DOWN, PITCH_90)
+    ]
     if firmware.autopilot == "px4" and outward:
         lines.append("CP_DIST switches collision prevention on: it is the distance to keep [m], for you to choose.")
     if firmware.autopilot == "ardupilot" and firmware.vehicle == "sub":
@@ -171,7 +173,9 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
         yield _position("RNGFND1_POS_Z", airframe)
         if firmware.vehicle == "plane":
             yield Setting("RNGFND_LANDING", 1, "the plane uses the range finder to land", "ArduPlane/Parameters.cpp")
-    around = [each for each in single_streams(airframe).values() if each.orientation.value in PROXIMITY_ORIENTATIONS]
+    around = [
+        stream for stream in single_streams(airframe).values() if stream.orientation.value in PROXIMITY_ORIENTATIONS
+    ]
     # ArduPlane has no proximity (ArduPlane/Parameters.cpp).
     if around and firmware.vehicle != "plane":
         yield Setting("PRX1_TYPE", 2, f"{len(around)} of the streams look around the vehicle", document)

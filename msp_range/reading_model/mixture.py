@@ -175,7 +175,7 @@ class ReadingModel:
 
     def shares(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
         """Shares of hit, short, missed and random, for one range or an array of them [cm]."""
-        hit, short, missed, random = (np.exp(each) for each in self.log_weights(true_range_cm))
+        hit, short, missed, random = (np.exp(log_weight) for log_weight in self.log_weights(true_range_cm))
         total = hit + short + missed + random
         return hit / total, short / total, missed / total, random / total
 

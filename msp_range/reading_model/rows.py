@@ -82,7 +82,7 @@ class MixtureRows:
 
     def take(self, rows: Any) -> Self:
         """Some of the rows."""
-        hit, short, missed, random = (take(each, rows) for each in self.log_weights)
+        hit, short, missed, random = (take(log_weight, rows) for log_weight in self.log_weights)
         return replace(
             self,
             centre_cm=self.centre_cm[rows],
@@ -172,7 +172,7 @@ class MixtureRows:
 
     def weights(self) -> list[Any]:
         """Weights of hit, short, missed and random, numbers or (n,); their sum is not 1."""
-        return [np.exp(each) for each in self.log_weights]
+        return [np.exp(log_weight) for log_weight in self.log_weights]
 
     def kinds(self, first: Array, last: Array) -> tuple[Hit, Short, Missed, Random]:
         """Hit, short, missed and random readings from first to last."""

@@ -356,7 +356,7 @@ def is_number(cell: str, parse: Callable[[str], float] = to_number) -> bool:
 def _cells(name: str, column: Column) -> Iterable[str]:
     if column.dtype.kind not in "fiub":
         words = [str(each) for each in column.tolist()]
-        wrong = next((each for each in words if CONTROL.search(each)), None)
+        wrong = next((word for word in words if CONTROL.search(word)), None)
         if wrong is not None:
             raise ValueError(f"column {name!r}: found a control character in {wrong!r}")
         return words

@@ -50,16 +50,16 @@ def plots_of(recording: Recording) -> list[Plot]:
 
 def foxglove(plots: Sequence[Plot]) -> str:
     """A layout for Foxglove: the plots below each other, then states of the readings, and reports to the pilot."""
-    panels = [_plot_panel(each) for each in plots]
+    panels = [_plot_panel(plot) for plot in plots]
     states = [
-        {"value": f"{each.topic}.{key}", "label": f"{each.title} {key}"}
-        for each in plots
-        if each.topic.startswith(RANGE_PREFIX)
+        {"value": f"{plot.topic}.{key}", "label": f"{plot.title} {key}"}
+        for plot in plots
+        if plot.topic.startswith(RANGE_PREFIX)
         for key in ("status", "rejected")
     ]
     panels.append(_panel("StateTransitions", "what became of the readings", {"paths": states, "isSynced": True}))
     panels.append(_panel("RawMessages", None, {"topicPath": HEALTH_TOPIC}))
-    items = [{"proportion": 1, "content": each} for each in panels]
+    items = [{"proportion": 1, "content": panel} for panel in panels]
     return json.dumps({"version": 1, "content": {"type": "split", "direction": "column", "items": items}}, indent=1)
 
 

@@ -198,7 +198,7 @@ class McapWriter:
 
 def _packed(*records: McapRecord) -> bytes:
     builder: Any = RecordBuilder()
-    for each in records:
-        each.write(builder)
+    for record in records:
+        record.write(builder)
     packed: bytes = builder.end()
     return packed

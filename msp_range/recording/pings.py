@@ -52,7 +52,7 @@ class Recorded(NamedTuple):
     @property
     def first_ping_s(self) -> float:
         """When it begins [s]."""
-        return min(each[0].ping_s for each in self.pings.values())
+        return min(of_sensor[0].ping_s for of_sensor in self.pings.values())
 
     def air_at(self, now_s: float) -> Air:
         """The air at a time [s]."""

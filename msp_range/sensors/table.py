@@ -52,7 +52,7 @@ def find_driver(name: str) -> type[Driver] | None:
     if name in others:
         driver: type[Driver] = load_entry(others[name], "driver", Driver)
         return driver
-    *names, last = [repr(each) for each in driver_names()]
+    *names, last = [repr(name) for name in driver_names()]
     raise ValueError(f"expected {', '.join(names)} or {last}")
 
 

@@ -118,7 +118,7 @@ class Feed:
         most, count = places.most_common(1)[0]
         if places[user] + 1 >= count:
             raise ConnectionRefusedError
-        self._forget(next(each for each in self._watchers if _user_of(each) == most))
+        self._forget(next(watcher for watcher in self._watchers if _user_of(watcher) == most))
 
     def _receive(self, watcher: socket.socket, now_s: float) -> None:
         try:

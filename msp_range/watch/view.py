@@ -75,7 +75,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: Path | None,
             for name, each in bridge.counts().items()
         },
         "sensor_watch_off": bridge.sensor_watch_off,
-        "faults": [each._asdict() | {"severity": each.severity.name.lower()} for each in verdict.findings],
+        "faults": [finding._asdict() | {"severity": finding.severity.name.lower()} for finding in verdict.findings],
         "air": {"temperature_c": air.temperature_c, "std_c": air.std_c, "source": air.source},
         "link": {
             "url": transport.description,

@@ -192,7 +192,7 @@ class Page:
             if not self._batch:
                 continue
             batch, self._batch = _joined(self._batch), []
-            ready = [each for each in self._browsers if each.transport.get_write_buffer_size() < SLOW_BYTES]
+            ready = [browser for browser in self._browsers if browser.transport.get_write_buffer_size() < SLOW_BYTES]
             broadcast(ready, batch)
 
 

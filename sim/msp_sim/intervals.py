@@ -50,5 +50,5 @@ def quantile(values: Sequence[float], share: float) -> tuple[float, float | None
     """
     middle = sorted(values)[max(math.ceil(len(values) * share - 1e-9), 1) - 1]
     ends = quantile_test(values, p=share).confidence_interval(CONFIDENCE)
-    low, high = (None if math.isnan(each) else float(each) for each in ends)
+    low, high = (None if math.isnan(end) else float(end) for end in ends)
     return middle, low, high

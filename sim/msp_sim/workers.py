@@ -172,7 +172,7 @@ class Workers:
         """
         names, rows = list(items), []
         with table.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, [each.name for each in fields(kind)])
+            writer = csv.DictWriter(file, [field.name for field in fields(kind)])
             writer.writeheader()
             for outcome in self.map(function, list(items.values()), shared, what=what):
                 rows.append(outcome.value or kind(names[outcome.index], error=outcome.error or ""))

@@ -128,12 +128,12 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
         No sensor has distances at all heights.
     """
     medians = [median_ranges_m(stand.samples) for stand in stands]
-    names = [name for name in vertical if all(name in each for each in medians)]
+    names = [name for name in vertical if all(name in median for median in medians)]
     if not names:
         raise NotMeasured(
             "no sensor that looks down has distances: raise the vehicle until nothing is nearer than 30 cm to a sensor"
         )
-    ranges_m = np.array([[each[name] * vertical[name] for name in names] for each in medians])
+    ranges_m = np.array([[median[name] * vertical[name] for name in names] for median in medians])
     heights_m = np.array([stand.height_m for stand in stands])
     scale_std = 0.5 * air_std_c / (20.0 + ZERO_CELSIUS_K)
     # Unknown: each sensor's z, and the scale's difference from 1, known beforehand to the thermometer's accuracy where
@@ -155,14 +155,16 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
 def mean_air_c(samples: Samples) -> tuple[float, str] | None:
     """Temperature that the distances were corrected for [deg C], and its source; None without a sensor of sound."""
     known: list[tuple[float, str]] = [
-        (each.air_c, each.air_source or "") for each in samples.readings.values() if each.air_c is not None
+        (of_sensor.air_c, of_sensor.air_source or "")
+        for of_sensor in samples.readings.values()
+        if of_sensor.air_c is not None
     ]
     return known[-1] if known else None
 
 
 def latency_s(samples: Samples) -> float:
     """Shortest time from an echo to its answer [s]; NaN without one. A busy computer adds to the others."""
-    known: Array = np.array([each.latency_s for each in samples.readings.values()])
+    known: Array = np.array([of_sensor.latency_s for of_sensor in samples.readings.values()])
     return float(np.nanmin(known)) if np.isfinite(known).any() else float("nan")
 
 
@@ -203,8 +205,8 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
     """
     flown = flown or airframe
     outcome = StepOutcome(again=lambda changed: compare(changed, stands, still, flown))
-    tilts = [tilt_rad(each.samples) for each in stands]
-    if any(each > LEVEL_RAD for each in tilts):
+    tilts = [tilt_rad(stand.samples) for stand in stands]
+    if any(tilt > LEVEL_RAD for tilt in tilts):
         text = f"the autopilot says that it leans by {math.degrees(max(tilts)):.0f} deg"
         outcome.wrong("level", text, "put it level, or calibrate the autopilot's level, then again")
         return outcome

@@ -132,8 +132,8 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     compare_lag(found, outcome)
     in_flight = StepOutcome()
     compare_places(airframe, found, in_flight)
-    for each in in_flight.proposals:
-        outcome.propose(f"in flight: {each.text}", *each.edits)
+    for proposal in in_flight.proposals:
+        outcome.propose(f"in flight: {proposal.text}", *proposal.edits)
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
         outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")

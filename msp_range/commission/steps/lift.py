@@ -117,7 +117,7 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
     """What the motions mean for the airframe file."""
     outcome = StepOutcome(again=lambda changed: compare(changed, recorded))
     outcome.findings += attitude_signs(recorded)
-    if any(each.verdict is not RIGHT for each in outcome.findings):
+    if any(finding.verdict is not RIGHT for finding in outcome.findings):
         outcome.complete = False
         return outcome  # places would be mirrored, or there are none
     rises_m = rises(recorded)

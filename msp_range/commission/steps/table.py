@@ -44,7 +44,7 @@ STEPS: dict[str, Step] = {
         parameters.run,
         lambda airframe: [
             airframe.link.model_dump(),
-            [[each.name, each.value] for each in settings(airframe, Firmware(airframe.link.autopilot), 2)],
+            [[setting.name, setting.value] for setting in settings(airframe, Firmware(airframe.link.autopilot), 2)],
         ],
     ),
     "lift": Step(

@@ -32,10 +32,10 @@ def run(session: Session) -> StepOutcome:
         outcome.again = lambda airframe: _examined(session)[0]
         # What the change corrects is a reason for it, and not against it.
         outcome.findings = [
-            unknown(each.step, each.text, "the change below corrects it")
-            if each.verdict is WRONG and each.step == "heartbeat"
-            else each
-            for each in outcome.findings
+            unknown(finding.step, finding.text, "the change below corrects it")
+            if finding.verdict is WRONG and finding.step == "heartbeat"
+            else finding
+            for finding in outcome.findings
         ]
     return outcome
 

@@ -146,7 +146,7 @@ def setup_s(before: Point | None, after: Point) -> float:
 
 def _changed(before: Point | None, after: Point) -> set[str]:
     """What of the set-up differs from the point before, by its name in `Setup`; without one all does."""
-    names = {each.name for each in fields(Setup)}
+    names = {field.name for field in fields(Setup)}
     if before is None:
         return names
     return {name for name in names if getattr(before.setup, name) != getattr(after.setup, name)}

@@ -110,7 +110,7 @@ class PointWatch:
                     "in its place, and is nothing else in the beam?"
                 )
         if self.outliers:
-            shown = ", ".join(f"{each.reading_cm}" for each in self.outliers[:6])
+            shown = ", ".join(f"{outlier.reading_cm}" for outlier in self.outliers[:6])
             more = ", ..." if len(self.outliers) > 6 else ""
             found.append(f"{self.sensor}: {len(self.outliers)} outliers among {self.read} readings ({shown}{more})")
         if self.no_echo:

@@ -151,7 +151,7 @@ def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[st
         "hot_boxes": no_sound or no_box,
         COMPENSATION: no_sound or NOT_MEASURED,
     }
-    found = {each.name for each in findings.questions}
+    found = {question.name for question in findings.questions}
     return {name: why for name, why in reasons.items() if name not in found and not getattr(findings, name, None)}
 
 

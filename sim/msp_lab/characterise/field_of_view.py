@@ -121,8 +121,8 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
 
 def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle | None:
     """Breakaway angle at a range; None where that was not tried at two angles."""
-    negative = _side([each for each in points if each.incidence_deg <= 0.0])
-    positive = _side([each for each in points if each.incidence_deg >= 0.0])
+    negative = _side([point for point in points if point.incidence_deg <= 0.0])
+    positive = _side([point for point in points if point.incidence_deg >= 0.0])
     sides = [each for each in (negative, positive) if each is not None]
     if not sides:
         return None
@@ -131,11 +131,11 @@ def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle 
 
 def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:
     """Last reliable angle of one side; between the ends of its interval echoes stop coming."""
-    angles, which = np.unique([abs(each.incidence_deg) for each in points], return_inverse=True)
+    angles, which = np.unique([abs(point.incidence_deg) for point in points], return_inverse=True)
     if angles.size < 2:
         return None
-    readings = np.bincount(which, [each.readings for each in points])
-    of_wall = np.bincount(which, [each.reliable.value * each.readings for each in points])
+    readings = np.bincount(which, [point.readings for point in points])
+    of_wall = np.bincount(which, [point.reliable.value * point.readings for point in points])
     is_reliable = of_wall / readings >= RELIABLE_SHARE
     last = angles.size if is_reliable.all() else int(is_reliable.argmin())
     steps = _likely_steps(np.rint(of_wall), readings.astype(np.float64))
@@ -163,7 +163,7 @@ def _log_likelihood(count: Array, of: Array, least: float, most: float) -> Array
 
 def _oblique(points: Sequence[AnglePoint]) -> Oblique:
     """Slope of what the reading grows by over what the slant range does, each range with its own start."""
-    used = [(each, each.reading) for each in points if each.is_reliable and each.reading is not None]
+    used = [(point, point.reading) for point in points if point.is_reliable and point.reading is not None]
     growth = np.array([each.slant_cm - each.nearest_cm for each, _ in used])
     if len(used) < 4 or np.ptp(growth) < MIN_DIFFERENCE_CM:
         reason = f"slant and perpendicular differ by less than {MIN_DIFFERENCE_CM:g} cm at the reliable angles"

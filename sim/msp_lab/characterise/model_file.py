@@ -126,7 +126,7 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
     }
     view, calibration, mixture = findings.field_of_view, findings.calibration, findings.mixture
     if view is not None:
-        shown = ", ".join(f"{each.range_cm:g} cm {_interval(each.half_angle, 1)}" for each in view.angles)
+        shown = ", ".join(f"{angle.range_cm:g} cm {_interval(angle.half_angle, 1)}" for angle in view.angles)
         found["oblique_reading"] = [f"Fitted: {view.oblique.reason}."]
         smaller = f"Fitted: the smaller of both sides [deg]: {shown}."
         found["breakaway"] = [smaller, f"Reliable: {view.criterion}."]
@@ -142,8 +142,8 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
             found["effects"] = [f"Fitted: {what}."]
     if mixture is not None:
         shown = "; ".join(
-            f"{each.name} {_interval(each.fitted, 4)}{', at its bound' if each.at_bound else ''}"
-            for each in mixture.parameters
+            f"{parameter.name} {_interval(parameter.fitted, 4)}{', at its bound' if parameter.at_bound else ''}"
+            for parameter in mixture.parameters
         )
         found["reading_model"] = [
             f"Fitted to {mixture.readings} undisturbed readings by maximum likelihood, 95 % intervals: {shown}.",

@@ -18,7 +18,7 @@ from msp_range.terminal import console, plain_table
 def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
     console.print(summarise(findings))
-    rows = sum(each.readings for each in findings.points)
+    rows = sum(point.readings for point in findings.points)
     console.print(f"{findings.sensor}: {rows} readings at {len(findings.points)} points")
     console.print(conclusions_table(findings))
     if findings.mixture is not None:

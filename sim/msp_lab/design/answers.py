@@ -126,7 +126,7 @@ class OldReadings:
 def fit_answers(old: OldReadings, question: OpenQuestion) -> list[FittedAnswer]:
     """Each answer of a question, fitted to the old readings with all else that was found."""
     own = {(each.name, each.of) for each in question.answers}
-    others = [each for each in old.terms if (each.effect.name, each.of) not in own]
+    others = [term for term in old.terms if (term.effect.name, term.of) not in own]
     without = refit(old.prepared, others)
     return [_fitted(old, answer, others, without) for answer in question.answers]
 
@@ -139,8 +139,8 @@ def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: J
 
     if answer.effect is None:
         return as_answer(without.effects, without.base, without)
-    candidates = [each for each in old.candidates if each.key == (answer.name, answer.of)]
-    starts = [each.at(value) for each in candidates for value in _starts(each.parameter)]
+    candidates = [candidate for candidate in old.candidates if candidate.key == (answer.name, answer.of)]
+    starts = [candidate.at(value) for candidate in candidates for value in _starts(candidate.parameter)]
     if not starts:
         term = Term(answer.effect, answer.effect.neutral_values(), answer.of)
         return as_answer([*without.effects, term], without.base, None)
@@ -172,7 +172,7 @@ def _starts(parameter: Parameter) -> Array:
 
 def strength_of(effect: Effect) -> Parameter:
     """The parameter that is neutral where the effect is absent."""
-    return next(each for each in effect.parameters if each.neutral is not None)
+    return next(parameter for parameter in effect.parameters if parameter.neutral is not None)
 
 
 def _doubt(fit: JointFit, alone: bool = False) -> float:

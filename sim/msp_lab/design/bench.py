@@ -119,7 +119,7 @@ class BenchSessions:
     def _levels(self, name: str, ends_only: bool) -> tuple[float, ...]:
         levels = LEVELS[name]
         if name == "true_range_cm":
-            levels = tuple(each for each in levels if each <= FARTHEST_SHARE * self.sensor.maximum_cm)
+            levels = tuple(level for level in levels if level <= FARTHEST_SHARE * self.sensor.maximum_cm)
         return chosen(levels, ends_only)
 
     def _campaign(
@@ -139,7 +139,7 @@ class BenchSessions:
         }
         if "target_size_cm" in levels or "target_size_cm" in record:
             sizes = levels.get("target_size_cm", (100.0,))
-            condition["targets"] = [{"material": "plywood", "size_cm": [each, each]} for each in sizes]
+            condition["targets"] = [{"material": "plywood", "size_cm": [size, size]} for size in sizes]
         if "neighbour_lag_ms" in levels:
             condition["firing"] = [FIRING[each] for each in levels["neighbour_lag_ms"]]
         if "external_level_db" in levels:

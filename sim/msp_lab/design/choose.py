@@ -152,7 +152,7 @@ class Design:
 
     def class_of(self, place: int) -> frozenset[int]:
         """The answers that are one with this one."""
-        return next((each for each in self.classes if place in each), frozenset({place}))
+        return next((alike for alike in self.classes if place in alike), frozenset({place}))
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def cheapest(decision: Decision, places: Sequence[SessionPlace], max_minutes: fl
         Progress.
     """
     question, record = decision.question, decision.question.columns
-    usable = [each for each in places if each.can_record(record) and each.factors(record)]
+    usable = [place for place in places if place.can_record(record) and place.factors(record)]
     if not usable:
         return Design(question, decision.answers, None, why=_why_not(record, places))
     # What is largest at the ends of its range is seen best without the middle.
@@ -219,7 +219,7 @@ def cheapest(decision: Decision, places: Sequence[SessionPlace], max_minutes: fl
         for each, ends_only in product(usable, (False, True))
     ]
     contexts = richest[0].sampled(DRAWN_ROWS)
-    answers = [with_strength(each, decision.given, contexts, decision.rng) for each in decision.answers]
+    answers = [with_strength(answer, decision.given, contexts, decision.rng) for answer in decision.answers]
     decision = replace(decision, answers=tuple(answers))
     report(f"what could tell {question.label} apart", 0.1)
     reach = dict.fromkeys(decision.pairs, 0.0)
@@ -236,7 +236,7 @@ def cheapest(decision: Decision, places: Sequence[SessionPlace], max_minutes: fl
     why = "no session that can be held here tells them apart"
     while True:
         classes = _classes(len(answers), same)
-        left = [pair for pair in decision.pairs if not any({*pair} <= each for each in classes)]
+        left = [pair for pair in decision.pairs if not any({*pair} <= alike for alike in classes)]
         if not left:
             return Design(question, decision.answers, None, same=tuple(same), classes=classes, why=why)
         best = _quickest(decision, left, trials, known, max_minutes, report)
@@ -287,7 +287,9 @@ def _quickest(
 
 def _why_not(columns: frozenset[str], places: Sequence[SessionPlace]) -> str:
     """Why no session can be held, and what a person can do instead."""
-    reasons = [f"{name}: {each.instead[name]}" for each in places for name in sorted(columns) if name in each.instead]
+    reasons = [
+        f"{name}: {place.instead[name]}" for place in places for name in sorted(columns) if name in place.instead
+    ]
     why = f"no session here can vary and record {', '.join(sorted(columns))}"
     return ". ".join([why, *dict.fromkeys(reasons)])
 

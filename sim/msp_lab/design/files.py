@@ -73,7 +73,7 @@ def commands(plan: Plan, number: int, findings: GapFindings, out: Path) -> tuple
     folder = folder_of(plan, number, out)
     settings = findings.settings
     new = folder / "readings"
-    old = [each.path for each in findings.sources] if plan.joined else []
+    old = [source.path for source in findings.sources] if plan.joined else []
     words = ["msp-lab", "gap", *old, str(new / "readings.csv"), "--model", settings.model]
     if settings.run_column is not None and plan.joined:
         words += ["--run-column", settings.run_column]
@@ -85,12 +85,12 @@ def commands(plan: Plan, number: int, findings: GapFindings, out: Path) -> tuple
 
 def _entry(plan: Plan, number: int, findings: GapFindings, out: Path) -> dict[str, Any]:
     design = plan.design
-    labels = [each.answer.label for each in design.answers]
+    labels = [answer.answer.label for answer in design.answers]
     entry: dict[str, Any] = {
         "kind": design.question.kind,
-        "answers": [{"name": each.answer.name, "of": each.answer.of} for each in design.answers],
+        "answers": [{"name": answer.answer.name, "of": answer.answer.of} for answer in design.answers],
         "why": design.question.why,
-        "same": [[labels[place] for place in sorted(each)] for each in design.classes if len(each) > 1],
+        "same": [[labels[place] for place in sorted(alike)] for alike in design.classes if len(alike) > 1],
         "no_session": design.why,
     }
     session = design.session
@@ -106,16 +106,16 @@ def _entry(plan: Plan, number: int, findings: GapFindings, out: Path) -> dict[st
         "expected_power": round(design.power, 4),
         "separations": [
             {
-                "true": labels[each.truth],
-                "alternative": labels[each.alternative],
-                "nats": round(each.nats(session.readings, session.runs), 2),
+                "true": labels[separation.truth],
+                "alternative": labels[separation.alternative],
+                "nats": round(separation.nats(session.readings, session.runs), 2),
             }
-            for each in design.separations
+            for separation in design.separations
         ],
         "strengths": {
-            each.answer.label: {name: float(np.round(value, 6)) for name, value in each.terms[-1].values.items()}
-            for each in design.answers
-            if each.answer.name is not None
+            answer.answer.label: {name: float(np.round(value, 6)) for name, value in answer.terms[-1].values.items()}
+            for answer in design.answers
+            if answer.answer.name is not None
         },
         "commands": list(commands(plan, number, findings, out)),
     }

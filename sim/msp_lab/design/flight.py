@@ -104,7 +104,7 @@ class Pilot:
             scenarios[name] = self._scenario(name, varied, ends_only, seconds, air_c[number * len(air_c) // flights])
             parts.append(self._contexts(scenarios[name]))
         contexts = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-        flown_s = sum(float(each["duration_s"]) for each in scenarios.values())
+        flown_s = sum(float(scenario["duration_s"]) for scenario in scenarios.values())
         minutes = flown_s / 60.0 + flights * SETUP_MIN + (len(air_c) - 1) * WEATHER_MIN
         words, campaign = _words(varied, ends_only, air_c), self._campaign(scenarios)
         per_flight = round(seconds / turn_s)

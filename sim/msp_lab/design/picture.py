@@ -30,13 +30,13 @@ def draw_session(design: Design) -> Figure:
     axes[len(varied) - 1].set_xlabel("reading")
     axes[0].set_title(f"{session.kind}: {session.runs} runs, {session.readings} readings, {session.minutes:.0f} min")
     own = axes[-1]
-    labels = [each.answer.label for each in design.answers]
-    for each in design.separations:
-        nats = [each.nats(int(share * session.readings), session.runs) for share in SHARES]
+    labels = [answer.answer.label for answer in design.answers]
+    for separation in design.separations:
+        nats = [separation.nats(int(share * session.readings), session.runs) for share in SHARES]
         own.plot(
             SHARES * session.readings / session.runs,
             nats,
-            label=f"{labels[each.truth]}, not {labels[each.alternative]}",
+            label=f"{labels[separation.truth]}, not {labels[separation.alternative]}",
         )
     needed = design.needed_nats
     own.axhline(needed, color=VERMILION, linestyle="--", label="needed")

@@ -53,8 +53,8 @@ def with_old(old: OldReadings, answers: Sequence[FittedAnswer], new_rows: int) -
     Not where they lack a column that an effect needs, since readings without it are left out; and not where they are so
     many that the workflow would compare alternatives on only some of the new ones.
     """
-    effects = [each.answer.effect for each in answers if each.answer.effect is not None]
-    required = {column for each in effects for column in each.requires}
+    effects = [answer.answer.effect for answer in answers if answer.answer.effect is not None]
+    required = {column for effect in effects for column in effect.requires}
     rows = int(old.columns["reading_cm"].size)
     most = rules.READINGS if len(effects) > 1 else 2 * rules.READINGS
     return required <= {*old.columns} and rows + new_rows <= most
@@ -96,7 +96,7 @@ def prove(old: OldReadings, design: Design, joined: bool, sessions: int, seed: i
         if is_right(findings.effects, design, truth):
             right += 1
         else:
-            names = ", ".join(" or ".join(sorted(names_of(each))) for each in findings.effects) or "nothing"
+            names = ", ".join(" or ".join(sorted(names_of(effect))) for effect in findings.effects) or "nothing"
             wrong.append(f"{design.answers[truth].answer.label}: found {names}")
     return Proof(right, sessions, tuple(wrong))
 
@@ -113,14 +113,14 @@ def held(session: PlannedSession, model: Model, rng: np.random.Generator) -> Col
 
 def names_of(found: FoundEffect) -> frozenset[str]:
     """A finding's name with its alternatives."""
-    return frozenset({found.name, *(each.name for each in found.alternatives)})
+    return frozenset({found.name, *(alternative.name for alternative in found.alternatives)})
 
 
 def is_right(effects: Sequence[FoundEffect], design: Design, truth: int) -> bool:
     """Whether the true answer was found, and none of those that the session tells from it."""
-    classes = [names_of(each) for each in effects if each.verdict != "suggested"]
+    classes = [names_of(effect) for effect in effects if effect.verdict != "suggested"]
     alike = {design.answers[place].answer.name for place in design.class_of(truth)}
-    others = {each.answer.name for each in design.answers} - alike - {None}
+    others = {answer.answer.name for answer in design.answers} - alike - {None}
     if any(found & others for found in classes):
         return False
     return None in alike or any(found & alike for found in classes)

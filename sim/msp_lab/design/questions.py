@@ -59,18 +59,18 @@ class OpenQuestion:
     @property
     def label(self) -> str:
         """The answers in words."""
-        names = [each.label for each in self.answers if each.name is not None]
+        names = [answer.label for answer in self.answers if answer.name is not None]
         return " or ".join([*names, *(["none"] if len(names) == 1 else [])])
 
     @property
     def folder(self) -> str:
         """A name for files."""
-        return "-or-".join(each.name or "none" for each in self.answers[:2])
+        return "-or-".join(answer.name or "none" for answer in self.answers[:2])
 
     @property
     def columns(self) -> frozenset[str]:
         """Context columns that the answers depend on."""
-        return frozenset(column for each in self.answers if each.effect for column in each.effect.columns)
+        return frozenset(column for answer in self.answers if answer.effect for column in answer.effect.columns)
 
 
 def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, ...]:
@@ -91,7 +91,7 @@ def open_questions(findings: GapFindings, folder: Path) -> tuple[OpenQuestion, .
     found: dict[frozenset[Answer], OpenQuestion] = {}
     # What nothing points to is asked only where nothing else is.
     for question in [*_all(findings)] or _not_testable(findings):
-        known = all(each.name is None or each.name in CATALOGUE for each in question.answers)
+        known = all(answer.name is None or answer.name in CATALOGUE for answer in question.answers)
         if known and len(question.answers) > 1:
             found.setdefault(frozenset(question.answers), question)
     if not found:
@@ -121,11 +121,14 @@ def _not_testable(findings: GapFindings) -> Iterator[OpenQuestion]:
 
 
 def _of_effect(effect: FoundEffect) -> OpenQuestion:
-    answers = [Answer(effect.name, effect.of), *(Answer(each.name, each.of) for each in effect.alternatives)]
+    answers = [
+        Answer(effect.name, effect.of),
+        *(Answer(alternative.name, alternative.of) for alternative in effect.alternatives),
+    ]
     if effect.verdict == "suggested":
         why = effect.doubt or "held-out runs do not confirm it"
         return OpenQuestion("suggested", (*dict.fromkeys(answers), NONE), why)
-    losses = ", ".join(f"{each.name} {each.loss_nats:.1f}" for each in effect.alternatives)
+    losses = ", ".join(f"{alternative.name} {alternative.loss_nats:.1f}" for alternative in effect.alternatives)
     return OpenQuestion("indistinguishable", tuple(dict.fromkeys(answers)), f"nats behind {effect.name}: {losses}")
 
 

@@ -31,7 +31,7 @@ def print_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
 
 def _lines(plan: Plan) -> list[str]:
     design = plan.design
-    labels = [each.answer.label for each in design.answers]
+    labels = [answer.answer.label for answer in design.answers]
     lines = []
     for each in design.same:
         how = "the same in every session" if each.structural else "too alike for a session"

@@ -50,11 +50,11 @@ def _figures(results: Study, reverse: bool, verdicts: Sequence[FilterResult]) ->
             for scenario, compared in results.report_noise.items()
         },
         "goals": [
-            {"figure": each.name, "value": each.shown, "goal": each.wanted, "met": each.met}
-            for each in check_goals(results)
+            {"figure": goal.name, "value": goal.shown, "goal": goal.wanted, "met": goal.met}
+            for goal in check_goals(results)
         ],
         "errors_are_truth_less_estimate": reverse,
-        "explanations": [_explanation(each) for each in verdicts],
+        "explanations": [_explanation(verdict) for verdict in verdicts],
     }
 
 

@@ -36,7 +36,7 @@ def print_tables(console: Console, verdicts: Sequence[FilterResult], delays: Map
             continue
         title = f"{TITLES[scenario]}: value, and band as stated [cm]"
         header = ("filter", *HEADINGS, "delay", "gap", "after")
-        console.print(plain_table(header, [_row(each, scenario, delays[scenario]) for each in rows], title=title))
+        console.print(plain_table(header, [_row(row, scenario, delays[scenario]) for row in rows], title=title))
     console.print(
         f"gap: largest distance of a value from the middle of its band, in spreads; a band is {WIDTH:g} spreads to "
         "either side. ! is outside.\n"

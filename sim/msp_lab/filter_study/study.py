@@ -56,8 +56,8 @@ class FilterComparison:
         if centred:
             names += [f"centred {each}" for each in CENTRED if each.startswith("median")]
         if in_time:
-            names = [f"{each} in time" if f"{each} in time" in self.rms_cm else each for each in names]
-        return min(((each, self.mean(each)) for each in names), key=lambda each: each[1])
+            names = [f"{name} in time" if f"{name} in time" in self.rms_cm else name for name in names]
+        return min(((name, self.mean(name)) for name in names), key=lambda each: each[1])
 
 
 def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
@@ -84,7 +84,7 @@ def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> Fi
 
 
 def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: Array) -> FilterComparison:
-    counts = np.all([~np.isnan(each) for each in estimates.values()], axis=0)
+    counts = np.all([~np.isnan(estimate) for estimate in estimates.values()], axis=0)
     errors = {each: np.where(counts, cm - runs.true_cm, np.nan) for each, cm in estimates.items()}
     stated = counts & ~np.isnan(variance_cm2)
     normalised = errors[CHANGEPOINT][stated] ** 2 / variance_cm2[stated]

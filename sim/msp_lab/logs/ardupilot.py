@@ -217,7 +217,7 @@ def _parameters(found: Messages) -> dict[str, float]:
 
 def _version(found: Messages) -> str:
     texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
-    named = (each.decode("ascii", "replace") for each in texts)
+    named = (text.decode("ascii", "replace") for text in texts)
     return next((each for each in named if re.match(r"[\w:]+ V\d", each)), "unknown version")
 
 
@@ -323,7 +323,7 @@ def _formats(piece: bytes, places: Sequence[int]) -> dict[int, Any]:
 def _layout(form: Any) -> np.dtype[Any]:
     """A message's fields as numpy has them; pymavlink writes them in the letters of `struct`, which are numpy's."""
     letters = _FIELD.findall(form.msg_struct[1:])
-    types = [f"S{each[:-1]}" if each.endswith("s") else f"<{each}" for each in letters]
+    types = [f"S{letter[:-1]}" if letter.endswith("s") else f"<{letter}" for letter in letters]
     return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
 
 

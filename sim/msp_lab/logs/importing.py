@@ -239,11 +239,11 @@ def import_log(common: Import, named: NamedLog) -> list[Imported]:
     log = open_log(path, share, field=field, column_map=common.column_map, maximum_cm=common.sensor.maximum_cm)
     if not log.rangers:
         raise RecordingError(f"{path}: no readings of a range finder in this {log.form}")
-    if truth.kind == RECORDED and not any(TRUE_RANGE in each.columns for each in log.rangers):
+    if truth.kind == RECORDED and not any(TRUE_RANGE in ranger.columns for ranger in log.rangers):
         raise RecordingError(f"{path}: --truth recorded: this {log.form} has no {TRUE_RANGE} next to its readings")
     if truth.kind not in ("", RECORDED):
         # What is asked for takes the place of what the file has.
-        log = replace(log, rangers=tuple(_without_truth(each) for each in log.rangers))
+        log = replace(log, rangers=tuple(_without_truth(ranger) for ranger in log.rangers))
     found: list[Imported] = []
     failed: list[str] = []
     for number, part in enumerate(log.runs(), start=1):
@@ -342,7 +342,7 @@ def _account(
         str(log.path),
         sha256(log.path),
         log.form,
-        max(float(each[-1]) for each in times) - min(float(each[0]) for each in times),
+        max(float(time[-1]) for time in times) - min(float(time[0]) for time in times),
         tuple(_found(each) for each in joined),
         tuple(FoundSeries(name, each.source, _or_none(each.rate_hz), len(each)) for name, each in log.context.items()),
         kind,

@@ -224,9 +224,9 @@ class VehicleLog:
                 rangers=tuple(each.during(*span) for each in self.rangers if len(each.series.during(*span))),
                 context={name: found for name, each in self.context.items() if len(found := each.during(*span)) > 0},
                 references=tuple(
-                    replace(each, series=found, std=None if each.std is None else each.std.during(*span))
-                    for each in self.references
-                    if len(found := each.series.during(*span)) > 0
+                    replace(reference, series=found, std=None if reference.std is None else reference.std.during(*span))
+                    for reference in self.references
+                    if len(found := reference.series.during(*span)) > 0
                 ),
                 notes=(*self.notes[: 0 if number else None], *([run.note] if number else [])),
                 clock=(),
@@ -381,7 +381,7 @@ class LoggedFlight(dict[str, MessageColumns]):
 def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     """Put the times of all senders of a log on a clock that never steps; the runs between the steps."""
     senders = list(senders)
-    times_s, runs = continuous([each.stamps for each in senders])
+    times_s, runs = continuous([sender.stamps for sender in senders])
     for each, time_s in zip(senders, times_s, strict=True):
         each.restamp(time_s)
     return runs
@@ -423,7 +423,7 @@ def looks_down(orientation: Array) -> bool:
 
 def magnitude(*axes: Array) -> Array:
     """Length of a vector of these components."""
-    return np.asarray(np.sqrt(sum(each**2 for each in axes)))
+    return np.asarray(np.sqrt(sum(axis**2 for axis in axes)))
 
 
 def make_ranger(

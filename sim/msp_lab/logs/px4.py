@@ -121,7 +121,7 @@ def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
     if log.file_corruption:
         notes.append("The file is damaged; what could be read is here.")
     if log.dropouts:
-        lost_s = sum(each.duration for each in log.dropouts) / 1e3
+        lost_s = sum(dropout.duration for dropout in log.dropouts) / 1e3
         notes.append(f"The logger dropped messages {len(log.dropouts)} times, for {lost_s:.3g} s in all.")
     return make_log(path, f"PX4 ULog, {_version(log)}", _rangers(flight), context, references, notes, clock)
 

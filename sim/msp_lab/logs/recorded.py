@@ -40,7 +40,7 @@ def read_rows(path: Path, asked: LogRequest) -> VehicleLog:
     context = {}
     angles = recorded_attitudes(recording)
     # Where a step of the clock began runs, attitudes are on none of their clocks.
-    if angles and all(np.unique(each.columns["run"]).size == 1 for each in rangers):
+    if angles and all(np.unique(ranger.columns["run"]).size == 1 for ranger in rangers):
         rows = np.array([(each.time_s, each.roll_rad, each.pitch_rad) for _, each in angles])
         context[TILT] = series("/attitude", rows[:, 0], tilt_deg(rows[:, 1], rows[:, 2]))
     return make_log(path, "recording of msp-range", rangers, context, (), notes, ())

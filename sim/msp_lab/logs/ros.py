@@ -173,49 +173,50 @@ def _messages(
 
 def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
     rangers = []
-    for each in topics.values():
-        if each.kind == "Range":
-            name = each.source.strip("/").replace("/", "_")
-            ranges = each.unsorted("range", each["range"])
-            is_too_near = rounded_cm(each["range"]) < rounded_cm(each["min_range"])  # minus infinity too (REP 117)
-            rangers.append(make_ranger(name, ranges, True, each["max_range"], is_too_near, np.isnan(each["range"])))
+    for topic in topics.values():
+        if topic.kind == "Range":
+            name = topic.source.strip("/").replace("/", "_")
+            ranges = topic.unsorted("range", topic["range"])
+            is_too_near = rounded_cm(topic["range"]) < rounded_cm(topic["min_range"])  # minus infinity too (REP 117)
+            rangers.append(make_ranger(name, ranges, True, topic["max_range"], is_too_near, np.isnan(topic["range"])))
     return rangers
 
 
 def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
     found: dict[str, Series] = {}
-    for each in topics.values():
-        if each.kind == "Imu" and (known := each["orientation_covariance.0"] != -1.0).any():
+    for topic in topics.values():
+        if topic.kind == "Imu" and (known := topic["orientation_covariance.0"] != -1.0).any():
             # -1 says that there is no orientation.
-            tilt = tilt_of_quaternion_deg(each["orientation.x"], each["orientation.y"])
-            found.setdefault(TILT, each.series("orientation", np.where(known, tilt, np.nan)))
-        elif each.kind == "TwistStamped" and each.source.endswith("velocity_local"):
-            found[CLIMB] = each.series("twist.linear.z")
-        elif each.kind == "Temperature":
+            tilt = tilt_of_quaternion_deg(topic["orientation.x"], topic["orientation.y"])
+            found.setdefault(TILT, topic.series("orientation", np.where(known, tilt, np.nan)))
+        elif topic.kind == "TwistStamped" and topic.source.endswith("velocity_local"):
+            found[CLIMB] = topic.series("twist.linear.z")
+        elif topic.kind == "Temperature":
             found.setdefault(
-                "board_temperature_c" if _BOARD.search(each.source) else "air_temperature_c", each.series("temperature")
+                "board_temperature_c" if _BOARD.search(topic.source) else "air_temperature_c",
+                topic.series("temperature"),
             )
-        elif each.kind == "RelativeHumidity":
-            found["humidity_pct"] = each.series("relative_humidity", 100.0 * each["relative_humidity"])
-        elif each.kind in ("VfrHud", "VFR_HUD"):
-            found[THROTTLE] = each.series("throttle")
+        elif topic.kind == "RelativeHumidity":
+            found["humidity_pct"] = topic.series("relative_humidity", 100.0 * topic["relative_humidity"])
+        elif topic.kind in ("VfrHud", "VFR_HUD"):
+            found[THROTTLE] = topic.series("throttle")
     return found
 
 
 def _references(topics: Mapping[str, _Topic]) -> list[TruthSource]:
     references = []
-    for each in topics.values():
-        if each.kind == "NavSatFix":
-            std_m = np.sqrt(np.maximum(each["position_covariance.8"], 0.0))
-            fixed = (each["status.status"] == _GBAS) & (std_m > 0.0) & (std_m < _RTK_STD_M)
+    for topic in topics.values():
+        if topic.kind == "NavSatFix":
+            std_m = np.sqrt(np.maximum(topic["position_covariance.8"], 0.0))
+            fixed = (topic["status.status"] == _GBAS) & (std_m > 0.0) & (std_m < _RTK_STD_M)
             if fixed.any():
-                altitude = each.series("altitude", np.where(fixed, each["altitude"], np.nan))
-                references.append(TruthSource("rtk", altitude, std=each.series("position_covariance", std_m)))
-        elif each.kind in _POSES:
-            height = each.series(next(iter(each.values)))
-            if _EXTERNAL.search(each.source):
+                altitude = topic.series("altitude", np.where(fixed, topic["altitude"], np.nan))
+                references.append(TruthSource("rtk", altitude, std=topic.series("position_covariance", std_m)))
+        elif topic.kind in _POSES:
+            height = topic.series(next(iter(topic.values)))
+            if _EXTERNAL.search(topic.source):
                 references.append(TruthSource("mocap", height))
-            elif _OWN.search(each.source):
+            elif _OWN.search(topic.source):
                 refused = "the bag does not say whether the range is fused into it"
                 references.append(TruthSource("ekf", height, refused=refused))
     return references

@@ -33,7 +33,7 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
 
 def _show(shown: Console, found: Imported) -> None:
     shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
-    rows = [(each.name, each.source, _rate(each.rate_hz), _readings(each)) for each in found.rangers]
+    rows = [(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger)) for ranger in found.rangers]
     rows += [(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples") for each in found.series]
     shown.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
     for line in _lines(found):
@@ -50,13 +50,13 @@ def _lines(found: Imported) -> list[str]:
     for each in found.missing:
         named = listed(each.effects, MOST_EFFECTS)
         lines.append(f"missing: {each.column}; without {each.what} these effects cannot be found: {named}")
-    return lines + [f"note: {each}" for each in found.notes]
+    return lines + [f"note: {note}" for note in found.notes]
 
 
 def _truth(found: Imported) -> str:
     if not found.truth or found.truth == "none":
         others = ", but the range finders can be compared with each other: msp-lab gap --truth others"
-        return "true range: none" + (others if sum(each.is_down for each in found.rangers) > 2 else "")
+        return "true range: none" + (others if sum(ranger.is_down for ranger in found.rangers) > 2 else "")
     source = f" ({found.truth_source})" if found.truth_source else ""
     ground = "" if found.has_datum else ", a height over level ground, whose constant is taken off"
     return f"true range: {found.truth}{source}{ground}"

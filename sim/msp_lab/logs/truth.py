@@ -97,7 +97,7 @@ def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
     RecordingError
         The log does not have it, or it is not independent of the range finder.
     """
-    usable = {each.kind: each for each in reversed(log.references) if not each.refused}
+    usable = {reference.kind: reference for reference in reversed(log.references) if not reference.refused}
     if truth.kind == "":
         if any("true_range_cm" in ranger.columns for ranger in log.rangers):
             return None
@@ -111,7 +111,9 @@ def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
             f"{log.path}: --truth column:{truth.name}: that is what a range finder of this vehicle reads, and it would "
             f"be compared with itself; sensor:NAME compares with another one, and the log has {_names(log)}"
         )
-    refused = next((each.refused for each in log.references if each.kind == truth.kind and each.refused), "")
+    refused = next(
+        (reference.refused for reference in log.references if reference.kind == truth.kind and reference.refused), ""
+    )
     if truth.kind not in usable:
         there = ", ".join(sorted(usable)) or "none"
         if refused:
@@ -132,11 +134,13 @@ def second(log: VehicleLog, first: TruthSource) -> TruthSource | None:
 
     A column counts as what it is: ``column:BARO.Alt`` is the barometer, and an EKF's height has the others fused in.
     """
-    same = {each.kind for each in log.references if is_same(each.series, first.series)}
+    same = {reference.kind for reference in log.references if is_same(reference.series, first.series)}
     if not same | {first.kind} <= INDEPENDENT:
         return None
     independent = INDEPENDENT - same - {first.kind}
-    return next((each for each in log.references if each.kind in independent and not each.refused), None)
+    return next(
+        (reference for reference in log.references if reference.kind in independent and not reference.refused), None
+    )
 
 
 def is_same(one: Series, other: Series) -> bool:
@@ -155,4 +159,4 @@ def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
 
 
 def _names(log: VehicleLog) -> str:
-    return ", ".join(each.name for each in log.rangers) or "none"
+    return ", ".join(ranger.name for ranger in log.rangers) or "none"

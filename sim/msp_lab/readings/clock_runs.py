@@ -72,17 +72,17 @@ def continuous(senders: Iterable[Stamps]) -> tuple[list[Array], tuple[ClockRun, 
     [ 38.  39. 639. 640.] [0.0, -29.0]
     """
     senders = list(senders)
-    steps = sorted((step for each in senders for step in _steps(each)), key=lambda step: step[1])
+    steps = sorted((step for sender in senders for step in _steps(sender)), key=lambda step: step[1])
     cuts: list[tuple[int, float]] = []
     for before, after, step_s in steps:
         # One step is seen by each sender at its own next message.
         if not cuts or cuts[-1][0] <= before:
             cuts.append((after, step_s))
     if not cuts:
-        return [each.time_s for each in senders], ()
-    parts = [np.searchsorted([place for place, _ in cuts], each.place, side="right") for each in senders]
+        return [sender.time_s for sender in senders], ()
+    parts = [np.searchsorted([place for place, _ in cuts], sender.place, side="right") for sender in senders]
     all_parts = np.concatenate(parts)
-    all_s = np.concatenate([each.time_s for each in senders])
+    all_s = np.concatenate([sender.time_s for sender in senders])
     runs: list[ClockRun] = []
     end_s = -np.inf
     for number in range(len(cuts) + 1):

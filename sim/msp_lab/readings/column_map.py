@@ -319,7 +319,7 @@ class _TablePart:
         if is_word or name in KNOWN:
             return pieces
         numbers = [np.where(piece == "", "nan", piece).astype(float) for piece in pieces]
-        return [_converted(name, self.places[name], each) for each in numbers]
+        return [_converted(name, self.places[name], number) for number in numbers]
 
     def _read_cells(
         self, name: str, cells: list[str], lines: list[int], column_map: ColumnMap, maximum_cm: float

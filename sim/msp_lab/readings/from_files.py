@@ -71,7 +71,7 @@ def sensor_file(sensor: Path | None) -> Path:
 
 def paths_of(files: Files) -> list[Path]:
     """The files as a list."""
-    return [Path(files)] if isinstance(files, Path | str) else [Path(each) for each in files]
+    return [Path(files)] if isinstance(files, Path | str) else [Path(file) for file in files]
 
 
 def map_options(columns: Columns | None) -> tuple[str, ...]:

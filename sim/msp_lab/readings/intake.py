@@ -296,7 +296,7 @@ def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
 
 def _selected(name: str, data: MeasuredData, sensors: Sequence[str]) -> MeasuredData:
     there = sorted(set(data["sensor"].tolist()))
-    unknown = [each for each in sensors if each not in there]
+    unknown = [sensor for sensor in sensors if sensor not in there]
     if unknown:
         raise RecordingError(f"{name}: no readings of the sensor {unknown[0]!r}; there are some of {', '.join(there)}")
     return data.select(np.flatnonzero(np.isin(data["sensor"], sensors)))

@@ -126,7 +126,7 @@ def _reference(
     """Columns of the reference of each row, in the order of time, and the offset of each sensor [cm]."""
     time_s, reading_cm = (np.asarray(columns[name], dtype=np.float64) for name in ("time_s", "reading_cm"))
     sensor = np.searchsorted(np.array(names), columns["sensor"])
-    rotations = [LEVEL if each is None else each for each in mounting.rotations(time_s)]
+    rotations = [LEVEL if rotation is None else rotation for rotation in mounting.rotations(time_s)]
     mounted = [mounting.sensors[names[each]] for each in sensor.tolist()]
     # Codes and limits say nothing of how far the ground is.
     is_range = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)
@@ -228,8 +228,8 @@ def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
 def _linear(views: Sequence[View], state: Array) -> tuple[Array, Array]:
     """Derivatives of the readings by the state (n, 5), and what readings have beyond their product with it [m]."""
     geometry = np.zeros((len(views), STATES))
-    geometry[:, (HEIGHT, NORTH, EAST)] = [(each.by_height, each.by_north, each.by_east) for each in views]
-    expected_m = np.array([each.expected_m for each in views])
+    geometry[:, (HEIGHT, NORTH, EAST)] = [(view.by_height, view.by_north, view.by_east) for view in views]
+    expected_m = np.array([view.expected_m for view in views])
     return geometry, expected_m - np.einsum("ni,ni->n", geometry, state)
 
 
@@ -268,7 +268,7 @@ def _excess(off_cm: Array, expected_cm2: Array, sensor: Indices, rows: Flags, se
             hits = normal < GATE**2 * np.median(normal) / MEDIAN_SQUARE
             own[s] = (float(np.median(normal[hits])) / MEDIAN_SQUARE - 1.0) * float(np.median(expected_cm2[here]))
     others = [np.delete(own, s) for s in range(sensors)]
-    return np.array([np.nanmedian(each) if np.isfinite(each).any() else 0.0 for each in others])
+    return np.array([np.nanmedian(other) if np.isfinite(other).any() else 0.0 for other in others])
 
 
 def _incidence_deg(mounted: DownwardSensor, rotation: Matrix, state: Array) -> float:

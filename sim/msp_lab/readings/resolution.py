@@ -88,7 +88,7 @@ def step_with(data: MeasuredData, model: Model) -> float:
 
     It is the model's own where that has faults of the bytes of readings, which are those of whole centimetres.
     """
-    if any("code" in each.effect.channels and not each.effect.any_step for each in model.effects):
+    if any("code" in effect.effect.channels and not effect.effect.any_step for effect in model.effects):
         return model.sensor.resolution_cm
     reading_cm = data["reading_cm"]
     usual = (reading_cm > model.sensor.minimum_cm) & (reading_cm < model.sensor.maximum_cm)

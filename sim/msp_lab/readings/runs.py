@@ -24,8 +24,8 @@ def file_names(paths: Sequence[Path]) -> list[str]:
     ['1/flight', '2/flight']
     """
     parts = [(*path.resolve().parts[1:-1], path.name.split(".")[0]) for path in paths]
-    for depth in range(1, max((len(each) for each in parts), default=0) + 1):
-        names = ["/".join(each[-depth:]) for each in parts]
+    for depth in range(1, max((len(part) for part in parts), default=0) + 1):
+        names = ["/".join(part[-depth:]) for part in parts]
         if len(set(names)) == len(names):
             return names
     return [path.name for path in paths]

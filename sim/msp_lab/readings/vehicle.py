@@ -78,8 +78,8 @@ def others_as_reference(
     run = data.column("run")
     try:
         parts = [
-            with_others_as_reference(data.select(np.flatnonzero(run == each)), model, mounting, without)
-            for each in dict.fromkeys(run.tolist())
+            with_others_as_reference(data.select(np.flatnonzero(run == one)), model, mounting, without)
+            for one in dict.fromkeys(run.tolist())
         ]
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from None

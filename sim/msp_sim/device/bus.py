@@ -119,7 +119,7 @@ class EmulatedBus:
         self._closed = True
 
     def _at(self, address: int) -> list[Device]:
-        return [each for each in self._devices if address in (each.address, each.also_at)]
+        return [device for device in self._devices if address in (device.address, device.also_at)]
 
     def _check_lines(self, verb: str, address: int) -> None:
         if self._closed:

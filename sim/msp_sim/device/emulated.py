@@ -142,8 +142,8 @@ def ping_contexts(
     """The contexts of pings without a bridge, each with its time [s] and its sensor; model None: each sensor's own."""
     others: LastPings = {}
     sensors = {
-        each.name: EmulatedSensor(each, model or each.sensor_model, around, default_rng(0), others)
-        for each in airframe.sensors
+        sensor.name: EmulatedSensor(sensor, model or sensor.sensor_model, around, default_rng(0), others)
+        for sensor in airframe.sensors
     }
     for time_s, name in pings:
         yield sensors[name].context(time_s)

@@ -63,10 +63,10 @@ def curve(channel: CurveChannel, variables: Sequence[str], knots: Sequence[Knots
     ['value_0', 'value_1', 'value_2']
     """
     limit = MAX_VALUE[channel]
-    count = int(np.prod([len(each) for each in knots]))
+    count = int(np.prod([len(knot) for knot in knots]))
     unit = "cm" if channel == "bias" else "1"
     names = [f"value_{i}" for i in range(count)]
-    shape = (tuple(variables), tuple(each if isinstance(each, Ripple) else tuple(each) for each in knots))
+    shape = (tuple(variables), tuple(knot if isinstance(knot, Ripple) else tuple(knot) for knot in knots))
 
     def apply(scene: Scene, values: Mapping[str, float]) -> Contribution:
         at = np.array([values[name] for name in names])

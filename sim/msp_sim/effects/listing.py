@@ -17,7 +17,9 @@ def as_data(catalogue: Mapping[str, Effect]) -> list[dict[str, Any]]:
     return [
         {
             **{key: getattr(effect, key) for key in _DESCRIBED},
-            "parameters": {each.name: {key: getattr(each, key) for key in _NUMBERS} for each in effect.parameters},
+            "parameters": {
+                parameter.name: {key: getattr(parameter, key) for key in _NUMBERS} for parameter in effect.parameters
+            },
             "experiment": effect.experiment,
             "calibration": effect.base,
             "equivalent_causes": effect.equivalent_causes,
@@ -33,7 +35,7 @@ def as_text(catalogue: Mapping[str, Effect]) -> str:
 
 def _paragraph(effect: Effect) -> str:
     lines = [effect.sentence, f"Physics: {effect.physics}. Source: {effect.source}."]
-    lines += [_parameter(each) for each in effect.parameters]
+    lines += [_parameter(parameter) for parameter in effect.parameters]
     requires = [*effect.requires, *([f"{effect.per} (one of them)"] if effect.per else [])]
     columns = ", ".join(requires) if requires else "none"
     lines.append(f"Required columns: {columns}. Experiment that shows it alone: {effect.experiment}.")

@@ -70,7 +70,7 @@ def effects_of_file(path: Path) -> list[Effect]:
     ConfigError
         There is no such file, it cannot be run, or it contains no effect.
     """
-    found = {each.name: each for each in vars(_run(path)).values() if isinstance(each, Effect)}
+    found = {value.name: value for value in vars(_run(path)).values() if isinstance(value, Effect)}
     # Effects that the file imports from the catalogue are not its own.
     own = [each for each in found.values() if each is not CATALOGUE.get(each.name)]
     if not own:

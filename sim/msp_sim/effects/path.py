@@ -167,8 +167,8 @@ def _knots(columns: Mapping[str, Any]) -> Knots | None:
 def _one_after_another(time_s: Array, words: list[Column]) -> Array:
     """Times with the series in a row, so far apart that no path goes from one to the next."""
     series = np.zeros(time_s.size, dtype=np.intp)
-    for each in words:
-        series = numbered(series * (time_s.size + 1) + numbered(each))
+    for word in words:
+        series = numbered(series * (time_s.size + 1) + numbered(word))
     first_s, last_s = (np.full(int(series.max(initial=0)) + 1, end) for end in (math.inf, -math.inf))
     np.minimum.at(first_s, series, time_s)
     np.maximum.at(last_s, series, time_s)

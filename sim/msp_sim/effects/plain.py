@@ -113,7 +113,7 @@ def plain_finding(effect: Effect, values: Mapping[str, float], of: str | None = 
     >>> plain_finding(CATALOGUE["mounting_offset"], {"offset_cm": -1.5}, "front_left")
     'front_left reads 1.5 cm too near'
     """
-    quantities = {each.name: Quantity(values[each.name], each.unit) for each in effect.parameters}
+    quantities = {parameter.name: Quantity(values[parameter.name], parameter.unit) for parameter in effect.parameters}
     if effect.finding:
         return string.Formatter().vformat(effect.finding, (), {**quantities, "of": of or f"one {effect.per}"})
     numbers = ", ".join(f"{name.replace('_', ' ')} {each}" for name, each in quantities.items())

@@ -110,7 +110,11 @@ class AutopilotSection(Section):
 
     def sent_roll_rad(self, pose: Pose) -> float:
         """The roll that its messages contain [rad]: that of the last fault of this time."""
-        faults = [each.roll_rad for each in self.attitude_faults if each.from_s <= pose.time_s < each.to_s]
+        faults = [
+            attitude_fault.roll_rad
+            for attitude_fault in self.attitude_faults
+            if attitude_fault.from_s <= pose.time_s < attitude_fault.to_s
+        ]
         return faults[-1] if faults else pose.roll_rad
 
 

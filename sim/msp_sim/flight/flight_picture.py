@@ -81,7 +81,7 @@ def _draw_rejected(axes: Axes, tracks: Mapping[str, _Arrays], reasons: Sequence[
     """A row for each sensor, and a marker for each reason."""
     for place, reason in enumerate(reasons):
         times_s = [track.time_s[track.why == reason] for track in tracks.values()]
-        rows = np.repeat(np.arange(len(tracks)), [each.size for each in times_s])
+        rows = np.repeat(np.arange(len(tracks)), [time_s.size for time_s in times_s])
         marker, (colour, _) = MARKERS[min(place, len(MARKERS) - 1)], SERIES[place % len(SERIES)]
         # A reason as a reader knows it; a code with what it stands for.
         words = {"suspect": "255: no echo, garbled?"}.get(reason, reason.replace("_", " "))

@@ -35,7 +35,7 @@ def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Genera
     draws
         Random generator.
     """
-    if MEAN_EFFECTS.issuperset(each.effect.name for each in model.effects):
+    if MEAN_EFFECTS.issuperset(effect.effect.name for effect in model.effects):
         return None
     rows = model.rows(contexts)
     near = np.flatnonzero(rows.centre_cm < FARTHEST * model.sensor.maximum_cm)

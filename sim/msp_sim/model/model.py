@@ -389,13 +389,13 @@ def make_curve_term(
     if not isinstance(variables, list | tuple) or not 1 <= len(variables) <= 2:
         raise ConfigError(f"{place}.variables: found {variables!r}, expected one or two context columns")
     if isinstance(knots, list | tuple):
-        knots = [Ripple(each["period"]) if _is_ripple(each) else each for each in knots]
+        knots = [Ripple(knot["period"]) if _is_ripple(knot) else knot for knot in knots]
     if not isinstance(knots, list | tuple) or len(knots) != len(variables) or not all(map(_are_knots, knots)):
         raise ConfigError(
             f"{place}.knots: found {knots!r}, expected for each variable two or more increasing numbers, or words, "
             "or a mapping with the 'period' of a ripple"
         )
-    count = int(np.prod([len(each) for each in knots]))
+    count = int(np.prod([len(knot) for knot in knots]))
     if (
         not isinstance(values, list | tuple)
         or len(values) != count
@@ -404,8 +404,8 @@ def make_curve_term(
         raise ConfigError(
             f"{place}.values: found {values!r}, expected {count} numbers within +-{MAX_VALUE[channel]:g}, one per knot"
         )
-    places = tuple(each if isinstance(each, Ripple) else tuple(each) for each in knots)
-    shape = (str(channel), tuple(str(each) for each in variables), places)
+    places = tuple(knot if isinstance(knot, Ripple) else tuple(knot) for knot in knots)
+    shape = (str(channel), tuple(str(variable) for variable in variables), places)
     effect = curve(channel, shape[1], shape[2])
     return Term(effect, {f"value_{i}": float(value) for i, value in enumerate(values)}, None, shape)
 
@@ -422,7 +422,7 @@ def _are_knots(places: Any) -> bool:
         return True
     if not isinstance(places, list | tuple) or not places:
         return False
-    if all(isinstance(each, str) for each in places):
+    if all(isinstance(place, str) for place in places):
         return True
     return len(places) > 1 and all(map(_is_number, places)) and bool(np.all(np.diff(places) > 0.0))
 

@@ -42,7 +42,8 @@ class Sampler:
         self._columns = model.columns
         self._streams = RandomStreams(rng)
         self._plain = model.sensor.reading_model.correlation == 0.0 and not any(
-            {"component", "code"} & set(each.effect.channels) or "run" in each.effect.requires for each in model.effects
+            {"component", "code"} & set(effect.effect.channels) or "run" in effect.effect.requires
+            for effect in model.effects
         )
 
     def sample_one(self, context: Mapping[str, Any]) -> float:
@@ -87,7 +88,7 @@ class Sampler:
         minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
         step_cm = self._model.sensor.resolution_cm
         most = max(log_weights)
-        hit, short, missed, random = [math.exp(each - most) for each in log_weights]
+        hit, short, missed, random = [math.exp(log_weight - most) for log_weight in log_weights]
         kind *= hit + short + missed + random
         if kind >= hit:
             if kind < hit + short:

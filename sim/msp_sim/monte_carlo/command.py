@@ -135,7 +135,7 @@ def _print(summary: Summary, again: str, where: Workers) -> None:
         shown.print(plain_table(header, [_share(each) for each in summary.shares]))
     if summary.distributions:
         header = ["with interval, below in", *(f"{share:.0%} of flights" for share in QUANTILES)]
-        shown.print(plain_table(header, [_distribution(each) for each in summary.distributions]))
+        shown.print(plain_table(header, [_distribution(distribution) for distribution in summary.distributions]))
     if summary.worst:
         columns = [name for name in summary.worst[0] if name in _WORST_COLUMNS]
         faults = "faults" if "faults" in summary.worst[0] else ""

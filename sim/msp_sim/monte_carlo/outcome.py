@@ -141,7 +141,7 @@ def pings_in_flight(
 
 def about(sample: SampledFlight) -> Numbers:
     """What was drawn: the parameters, the faults in words, and the draws that were refused before."""
-    faults = [f"{each['sensor']} {each['kind']} {each['from_s']:g}-{each['to_s']:g} s" for each in sample.faults]
+    faults = [f"{fault['sensor']} {fault['kind']} {fault['from_s']:g}-{fault['to_s']:g} s" for fault in sample.faults]
     return {**sample.values, "faults": "; ".join(faults), "refused": sample.refused}
 
 
@@ -171,7 +171,7 @@ def judged(
         "wrong_s": round(wrong_s, 3),
         "silent_s": round(math.fsum(to_s - from_s for from_s, to_s in silences), 3),
         "longest_silence_s": round(max((to_s - from_s for from_s, to_s in silences), default=0.0), 3),
-        "unreported_silences": sum(not _is_reported(each, limit_s, received, duration_s) for each in silences),
+        "unreported_silences": sum(not _is_reported(silence, limit_s, received, duration_s) for silence in silences),
         **_error_numbers(errors_cm),
         "warnings": sum(severity in ("error", "warning") for _, severity, _ in flight.texts),
         "sha256": flight.frames_sha256,
@@ -236,7 +236,7 @@ def _listens(autopilot: AutopilotSection | None, duration_s: float) -> list[tupl
     if autopilot is None:
         return []
     reboots_s = sorted(each for each in autopilot.reboots_at_s if each < duration_s)
-    starts_s = [autopilot.first_heartbeat_s, *(each + REBOOT_S for each in reboots_s)]
+    starts_s = [autopilot.first_heartbeat_s, *(reboot_s + REBOOT_S for reboot_s in reboots_s)]
     return [(start, end) for start, end in zip(starts_s, [*reboots_s, duration_s], strict=True) if start < end]
 
 
@@ -276,7 +276,7 @@ def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
 
 def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> Array:
     """Time [s], reading, truth (NaN where no echo is expected) and code of no echo [cm] of a sensor's pings, (4, n)."""
-    columns = {name: column_of("drawn", name, [each.get(name) for each in contexts]) for name in contexts[0]}
+    columns = {name: column_of("drawn", name, [context.get(name) for context in contexts]) for name in contexts[0]}
     columns["time_s"] = columns["uptime_s"]
     reading_cm = sample_in_order(Model.of(model), columns, seed)
     maximum_cm = np.full(reading_cm.shape, float(model.maximum_cm))

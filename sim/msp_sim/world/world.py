@@ -112,7 +112,11 @@ class World:
     def __init__(self, ground: GroundSection, air: AirSection) -> None:
         self._terrain = Terrain(ground)
         self._blocks = [Block(box, self._terrain) for box in ground.boxes]
-        self._echoes = [self._terrain.strip_echoes, self._terrain.step_echoes, *(each.echoes for each in self._blocks)]
+        self._echoes = [
+            self._terrain.strip_echoes,
+            self._terrain.step_echoes,
+            *(block.echoes for block in self._blocks),
+        ]
         self._air = air
 
     def elevation_m(self, north_m: float, east_m: float) -> float:

@@ -55,8 +55,8 @@ def summarise(findings: Findings) -> str:
             f"{100.0 * base.outliers.value:.2g} % of the readings are of something else."
         )
     verdicts: dict[str, set[Verdict]] = {}
-    for each in findings.questions:
-        verdicts.setdefault(each.name, set()).add(each.verdict)
+    for question in findings.questions:
+        verdicts.setdefault(question.name, set()).add(question.verdict)
     matters = [name for name, found in verdicts.items() if "matters" in found]
     open_ = [name for name, found in verdicts.items() if "cannot tell" in found and name not in matters]
     for words, names in (("What changes the readings", matters), ("What may, which these data cannot decide", open_)):
@@ -174,7 +174,7 @@ def _mixture(findings: Findings) -> Iterator[Row]:
     found = findings.mixture
     if found is None:
         return
-    fitted: dict[str, IntervalEstimate] = {each.name: each.fitted for each in found.parameters}
+    fitted: dict[str, IntervalEstimate] = {parameter.name: parameter.fitted for parameter in found.parameters}
     shown = ", ".join(
         f"{name.removeprefix('weights.')} {100.0 * each.value:.3g} %"
         for name, each in fitted.items()

@@ -110,7 +110,7 @@ def draw_errors(
     figure = new_figure(3.5 if len(panels) == 1 else max(6.1, 1.1 + 1.7 * len(panels)))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     # One axis of ranges for all panels, also where some have fewer of them.
-    ranges_cm = np.unique(np.concatenate([each.true_range_cm for each in panels]))
+    ranges_cm = np.unique(np.concatenate([panel.true_range_cm for panel in panels]))
     for each, row in zip(panels, rows, strict=True):
         if scale.is_compressed:
             row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=0.8)
@@ -135,7 +135,7 @@ def draw_errors(
 
 def scale_of(panels: Sequence[Errors], marked: Line | None = None) -> Scale:
     """Return the scale that shows nearly all readings of all panels and every marked error."""
-    errors = np.concatenate([each.error_cm[~each.missed] for each in panels])
+    errors = np.concatenate([panel.error_cm[~panel.missed] for panel in panels])
     # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
     shown = [-2.4, 2.4, *(() if marked is None else marked.error_cm)]
     shown += [*np.quantile(errors, [0.0025, 0.9975])] if errors.size else []
@@ -145,8 +145,8 @@ def scale_of(panels: Sequence[Errors], marked: Line | None = None) -> Scale:
 
 def with_reach(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
     """Values, (n,), and how far their intervals reach below and above them, (2, n); 0 where an end is unknown."""
-    values = np.array([each.value for each in estimates])
-    ends = [[each.value if end is None else end for end in (each.low, each.high)] for each in estimates]
+    values = np.array([estimate.value for estimate in estimates])
+    ends = [[estimate.value if end is None else end for end in (estimate.low, estimate.high)] for estimate in estimates]
     return values, np.abs(np.array(ends).reshape(-1, 2).T - values)
 
 

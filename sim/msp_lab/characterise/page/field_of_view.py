@@ -60,9 +60,9 @@ def sweep(rows: PictureData, range_cm: float) -> Drawn:
     breakaway = "Breakaway not found: no angle is reliable to both sides"
     if angle.half_angle.value:
         breakaway = f"Breakaway at {half_interval(angle.half_angle)}"
-    points = [each for each in view.points if each.range_cm == range_cm]
-    angles = {each.incidence_deg for each in points}
-    readings = f"{sum(each.readings for each in points):,} readings at {len(angles)} angles"
+    points = [point for point in view.points if point.range_cm == range_cm]
+    angles = {point.incidence_deg for point in points}
+    readings = f"{sum(point.readings for point in points):,} readings at {len(angles)} angles"
     figure = _draw_sweep(rows, found & np.isclose(rows.true_cm, range_cm, rtol=0.0, atol=1e-3), points, angle)
     return figure, f"{readings}. {breakaway}. Reliable: {view.criterion}."
 

@@ -127,7 +127,7 @@ def densities(rows: PictureData) -> Densities:
     minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
     k = np.arange(minimum_cm, maximum_cm + 1.0)
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
-    at_cm = [each.apparent_cm[each.true_range_cm == true_cm] for each in rows.points if each.condition == condition]
+    at_cm = [point.apparent_cm[point.true_range_cm == true_cm] for point in rows.points if point.condition == condition]
     mean_cm = np.mean(np.concatenate(at_cm))
     steps_cm, rows_at = np.unique(np.round(np.concatenate(at_cm) - mean_cm, 1), return_counts=True)
     set_ups = () if rows.findings.mixture is None else rows.findings.mixture.set_ups
@@ -216,7 +216,7 @@ def density(rows: PictureData, kind: str) -> Drawn:
 
 def _fitted(mixture: Mixture, kind: str) -> str:
     """The parameters of a kind, in a sentence."""
-    found = {each.name: each for each in mixture.parameters}
+    found = {parameter.name: parameter for parameter in mixture.parameters}
     shown = [
         f"{name} = {interval(found[name].fitted)}{' (at its bound)' if found[name].at_bound else ''}"
         for name in _KINDS[kind].parameters

@@ -45,7 +45,7 @@ def _label(question: Question) -> str:
 def _forest(rows: PictureData) -> Drawn:
     """Draw a row a question, from the top, a panel a metric."""
     questions = rows.findings.questions
-    labels = [_label(each) for each in questions]
+    labels = [_label(question) for question in questions]
     # Rows as high as their words; y counts lines from the bottom.
     tops = np.cumsum([0, *(max(label.count("\n") + 1, 2) for label in labels)])
     height = tops[-1]

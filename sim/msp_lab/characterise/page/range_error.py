@@ -78,7 +78,7 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     if found.knots:
         kept_cm = curve_through(found.knots).forward(span_cm) - span_cm
         axes.plot(span_cm, kept_cm, "-", color=GREEN, label="calibration that is kept")
-        inside = [each for each in found.knots if span_cm[0] <= each.true_cm <= span_cm[-1]]
+        inside = [knot for knot in found.knots if span_cm[0] <= knot.true_cm <= span_cm[-1]]
         x, y = [each.true_cm for each in inside], [each.reading_cm - each.true_cm for each in inside]
         axes.plot(x, y, "s", markersize=5, color=GREEN, markeredgecolor="white")
     axes.set_xlabel("true range [cm]" + (", in air of the calibration temperature" if by_sound else ""))
@@ -175,7 +175,7 @@ def crosstalk(rows: PictureData, condition: str) -> Drawn:
         rows.errors(found & (sensor == name), name if name.startswith("sensor") else f"sensor {place}, {name}")
         for place, name in enumerate(np.unique(sensor[found]).tolist(), start=1)
     ]
-    caption = " ".join(sentence(f"{each.label}: {summary(each)}") for each in panels) + _answers(rows, condition)
+    caption = " ".join(sentence(f"{panel.label}: {summary(panel)}") for panel in panels) + _answers(rows, condition)
     return draw_errors(panels), caption
 
 
@@ -193,5 +193,5 @@ def external(rows: PictureData) -> Drawn:
 
 def _answers(rows: PictureData, name: str, level: str = "") -> str:
     """Answers to the questions of an experiment, or of one of its levels, one sentence each."""
-    asked = [each for each in rows.findings.questions if each.name == name]
+    asked = [question for question in rows.findings.questions if question.name == name]
     return "".join(f" {sentence(each.answer)}" for each in asked if level in ("", each.level))

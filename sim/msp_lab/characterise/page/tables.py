@@ -155,5 +155,5 @@ def _point(point: PointResult) -> tuple[str, ...]:
 
 def sources_table(findings: Findings) -> PageTable:
     """The files that the readings are from."""
-    rows = tuple((each.name, f"{each.rows:,}", each.sha256) for each in findings.sources)
+    rows = tuple((source.name, f"{source.rows:,}", source.sha256) for source in findings.sources)
     return PageTable("sources", "", ("file", "rows", "SHA-256"), rows, align="lrl")

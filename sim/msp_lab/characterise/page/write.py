@@ -63,7 +63,7 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
     return write_page(
         Path(directory),
         f"{__package__}/report.html",
-        [each for *_, pictures in sections for each in pictures],
+        [picture for *_, pictures in sections for picture in pictures],
         [table(findings) for table in tables],
         findings=findings,
         model=model,
