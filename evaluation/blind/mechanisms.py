@@ -23,32 +23,22 @@ Prepare = Callable[[Columns, float, Generator], None]
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Something that may be hidden.
-
-    Attributes
-    ----------
-    act
-        Changes staged flights, given a size.
-    guess, most
-        A size to begin with, and the largest that is physical.
-    prepare
-        Changes the contexts first: flights in which it can show at all.
-    place_cm
-        Where its readings lie, if it makes readings of its own.
-    without
-        What takes it away where its contexts alone bring it.
-    channel, variables
-        For a mechanism in no catalogue: what it changes, and with which columns.
-    """
+    """Something that may be hidden."""
 
     act: Act
+    """Changes staged flights, given a size."""
     guess: float
     most: float = np.inf
+    """A size to begin with, and the largest that is physical."""
     prepare: Prepare | None = None
+    """Changes the contexts first: flights in which it can show at all."""
     place_cm: Callable[[Flight], Array] | None = None
+    """Where its readings lie, if it makes readings of its own."""
     without: Act | None = None
+    """What takes it away where its contexts alone bring it."""
     channel: str = ""
     variables: tuple[str, ...] = ()
+    """For a mechanism in no catalogue: what it changes, and with which columns."""
 
 
 # What moves the echo.

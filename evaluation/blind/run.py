@@ -28,24 +28,16 @@ Until = Literal["name", "add", "show"]
 
 @dataclass(frozen=True)
 class Campaign:
-    """Where tables lie and how they are looked at.
-
-    Attributes
-    ----------
-    out
-        Folder of bases, tables and answers.
-    seed
-        Of bases and tools.
-    until
-        Step of the workflow after which it stops; pictures are for people.
-    nulls_until
-        The same where nothing is hidden: there is nothing to add if nothing is named.
-    """
+    """Where tables lie and how they are looked at."""
 
     out: Path
+    """Folder of bases, tables and answers."""
     seed: int
+    """Of bases and tools."""
     until: Until = "add"
+    """Step of the workflow after which it stops; pictures are for people."""
     nulls_until: Until = "name"
+    """The same where nothing is hidden: there is nothing to add if nothing is named."""
 
     def base(self, regime: Regime) -> Path:
         """Readings that are characterised for a regime."""

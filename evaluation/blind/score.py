@@ -32,67 +32,45 @@ SEPARABLE = 3.0
 
 @dataclass(frozen=True)
 class Closed:
-    """Share of the gap in nats per reading that is closed on the held-out runs.
-
-    Attributes
-    ----------
-    over_floor
-        Of the excess over the noise floor (which 95 % of simulated replicates stay below); None where the gap was below
-        it to begin with.
-    of_all
-        Of the whole gap. Random variation is subtracted in the mean only: on 2000 readings it scatters by about 0.003
-        nats, and what is left by that scatter counts as not closed. None where there was no gap.
-    """
+    """Share of the gap in nats per reading that is closed on the held-out runs."""
 
     over_floor: float | None
+    """Of the excess over the noise floor (which 95 % of simulated replicates stay below); None where the gap was below
+    it to begin with."""
     of_all: float | None
+    """Of the whole gap. Random variation is subtracted in the mean only: on 2000 readings it scatters by about 0.003
+    nats, and what is left by that scatter counts as not closed. None where there was no gap."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one table went.
-
-    Attributes
-    ----------
-    exact
-        All that was hidden is named, and nothing else is reported. A class of names counts if it holds the right one
-        and none that the data could separate from it.
-    named
-        Something from the catalogue is named.
-    unknown
-        Something is called unknown.
-    wrong
-        Names that stand for nothing hidden.
-    met
-        For each thing hidden, in order: it is named.
-    separable
-        Rivals in a class with a right name that stand `SEPARABLE` standard errors or more from it.
-    found_unknown
-        Called unknown, with the right channel and variable, and no wrong name with it.
-    resolved_wrongly
-        Names are given, and what is hidden is among none of them. A wrong name next to the right one is `wrong`.
-    both
-        Of a confounded pair: both are in one class, and the experiment that would separate them is named.
-    class_sizes
-        Of the names given: how many each stands with.
-    said
-        All that was reported, as words.
-    closed
-        Of the gap; None where nothing was added.
-    """
+    """How one table went."""
 
     exact: bool
+    """All that was hidden is named, and nothing else is reported. A class of names counts if it holds the right one and
+    none that the data could separate from it."""
     named: bool
+    """Something from the catalogue is named."""
     unknown: bool
+    """Something is called unknown."""
     wrong: tuple[str, ...]
+    """Names that stand for nothing hidden."""
     met: tuple[bool, ...]
+    """For each thing hidden, in order: it is named."""
     separable: tuple[str, ...]
+    """Rivals in a class with a right name that stand `SEPARABLE` standard errors or more from it."""
     found_unknown: bool
+    """Called unknown, with the right channel and variable, and no wrong name with it."""
     resolved_wrongly: bool
+    """Names are given, and what is hidden is among none of them. A wrong name next to the right one is `wrong`."""
     both: bool
+    """Of a confounded pair: both are in one class, and the experiment that would separate them is named."""
     class_sizes: tuple[int, ...]
+    """Of the names given: how many each stands with."""
     reported: tuple[str, ...]
+    """All that was reported, as words."""
     closed: Closed | None = None
+    """Of the gap; None where nothing was added."""
 
 
 def judge(answer: Mapping[str, Any], gap: Mapping[str, Any], names: Mapping[str, frozenset[str]]) -> Outcome:

@@ -39,26 +39,18 @@ TOGETHER = {
 
 @dataclass(frozen=True)
 class Case:
-    """A blind table before it is flown.
-
-    Attributes
-    ----------
-    number, seed
-        Which, and from what it is drawn.
-    kind, regime
-        What it tests, in which noise.
-    hidden
-        Mechanisms, in standard errors as wanted.
-    twist
-        Of a confounded pair: the flights in which the two look alike.
-    """
+    """A blind table before it is flown."""
 
     number: int
     seed: int
+    """Which, and from what it is drawn."""
     kind: Kind
     regime: Regime
+    """What it tests, in which noise."""
     hidden: tuple[tuple[str, float], ...] = ()
+    """Mechanisms, in standard errors as wanted."""
     twist: str = ""
+    """Of a confounded pair: the flights in which the two look alike."""
 
 
 def draw_cases(

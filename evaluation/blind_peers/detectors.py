@@ -29,31 +29,21 @@ BINS = 4
 
 @dataclass(frozen=True)
 class Compared:
-    """A table and simulations of it.
-
-    Attributes
-    ----------
-    reading_cm, true_cm
-        Shape (n,).
-    simulated_cm
-        Readings of simulated tables, (1 + TWINS, n); the first is the one of the pairs.
-    sigma_cm
-        Standard deviation of a hit by the base.
-    contexts
-        Columns of numbers: NaN where unknown, a word as 0 or 1; (n, k).
-    slices
-        Rows of each slice of context.
-    run
-        Number of each row's run.
-    """
+    """A table and simulations of it."""
 
     reading_cm: Array
     true_cm: Array
+    """Shape (n,)."""
     simulated_cm: Array
+    """Readings of simulated tables, (1 + TWINS, n); the first is the one of the pairs."""
     sigma_cm: float
+    """Standard deviation of a hit by the base."""
     contexts: Array
+    """Columns of numbers: NaN where unknown, a word as 0 or 1; (n, k)."""
     slices: tuple[Array, ...]
+    """Rows of each slice of context."""
     run: NDArray[np.intp]
+    """Number of each row's run."""
 
     def errors(self) -> tuple[Array, Array]:
         """Measured and simulated errors in standard deviations, cut off."""

@@ -35,31 +35,21 @@ DAMPING = 0.5
 
 @dataclass(frozen=True)
 class Library:
-    """Scores of n readings.
-
-    Attributes
-    ----------
-    base
-        By the base's own parameters, (n, 6): offset, spread, odds of short, missed and random readings, rate of the
-        short ones. The saturated share is at its best, and is not among them: where no reading is 255 it has no slope.
-    scores
-        By the entries, (n, k), divided by their root sums of squares.
-    names
-        Of the entries; one that is tried in several shapes, or for several words, is there several times.
-    one_sided
-        Entries whose number cannot be negative.
-    moves
-        Entries that move or widen the hits, and so are no mixture.
-    log_p
-        log probability of each reading under the base, (n,).
-    """
+    """Scores of n readings."""
 
     base: Array
+    """By the base's own parameters, (n, 6): offset, spread, odds of short, missed and random readings, rate of the
+    short ones. The saturated share is at its best, and is not among them: where no reading is 255 it has no slope."""
     scores: Array
+    """By the entries, (n, k), divided by their root sums of squares."""
     names: tuple[str, ...]
+    """Of the entries; one that is tried in several shapes, or for several words, is there several times."""
     one_sided: NDArray[np.bool_]
+    """Entries whose number cannot be negative."""
     moves: NDArray[np.bool_]
+    """Entries that move or widen the hits, and so are no mixture."""
     log_p: Array
+    """log probability of each reading under the base, (n,)."""
 
 
 BASE_MOVES = np.array([True, True, False, False, False, False])

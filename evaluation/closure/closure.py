@@ -30,47 +30,32 @@ LEAST_NATS, LEAST_KS = 0.002, 0.0005
 
 @dataclass(frozen=True)
 class OneMeasure:
-    """One measure before and after, the noise floor taken off.
-
-    Attributes
-    ----------
-    before, after
-        Nats per reading, or mean square KS distance.
-    floor
-        What two draws of one model differ by.
-    closed_pct
-        Per cent of `before` that is gone; None where `before` does not stand out of the noise floor.
-    """
+    """One measure before and after, the noise floor taken off."""
 
     before: float
     after: float
+    """Nats per reading, or mean square KS distance."""
     floor: float
+    """What two draws of one model differ by."""
     closed_pct: float | None
+    """Per cent of `before` that is gone; None where `before` does not stand out of the noise floor."""
 
 
 @dataclass(frozen=True)
 class Closure:
-    """Gap closed by both measures.
-
-    Attributes
-    ----------
-    rows, held_out
-        Readings that were compared; whether they are those of held-out runs, or all.
-    step_cm
-        Both are compared on this step, the coarser of theirs; 0 is none.
-    classifier, ks
-        The two measures.
-    auc_before, auc_after
-        Of the classifier.
-    """
+    """Gap closed by both measures."""
 
     rows: int
     held_out: bool
+    """Readings that were compared; whether they are those of held-out runs, or all."""
     step_cm: float
+    """Both are compared on this step, the coarser of theirs; 0 is none."""
     classifier: OneMeasure
     ks: OneMeasure
+    """The two measures."""
     auc_before: float
     auc_after: float
+    """Of the classifier."""
 
     @property
     def closed_pct(self) -> float | None:

@@ -22,19 +22,13 @@ than 60 readings is nearly all noise; more bins leave less in each."""
 
 @dataclass(frozen=True)
 class Separability:
-    """How well a classifier separates two tables.
-
-    Attributes
-    ----------
-    nats
-        Logarithm of 2 less its log loss on rows that were left out, per row: 0 where they are alike, log 2 = 0.69 where
-        it is always right. A lower bound of the Jensen-Shannon divergence.
-    auc
-        Share of pairs, one of each table, that it ranks rightly; 0.5 where they are alike.
-    """
+    """How well a classifier separates two tables."""
 
     nats: float
+    """Logarithm of 2 less its log loss on rows that were left out, per row: 0 where they are alike, log 2 = 0.69 where
+    it is always right. A lower bound of the Jensen-Shannon divergence."""
     auc: float
+    """Share of pairs, one of each table, that it ranks rightly; 0.5 where they are alike."""
 
 
 def separability(measured: Table, simulated: Table, seed: int) -> Separability:

@@ -16,21 +16,14 @@ STEPS_CM = (10.0, 5.0, 2.54, 2.0, 1.0, 0.5, 0.2, 0.1, 0.05)
 
 @dataclass(frozen=True)
 class Table:
-    """Readings with their contexts.
-
-    Attributes
-    ----------
-    reading_cm
-        One a row.
-    contexts
-        Columns of numbers; words are numbered in order.
-    run
-        Name of each row's run.
-    """
+    """Readings with their contexts."""
 
     reading_cm: FloatArray
+    """One a row."""
     contexts: dict[str, FloatArray]
+    """Columns of numbers; words are numbered in order."""
     run: NDArray[np.str_]
+    """Name of each row's run."""
 
     @property
     def residual_cm(self) -> FloatArray:

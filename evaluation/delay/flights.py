@@ -21,31 +21,21 @@ LOWEST_CM = 30.0
 
 @dataclass(frozen=True)
 class Log:
-    """What a log does to the readings of a table.
-
-    Attributes
-    ----------
-    rows
-        Readings of all runs together, about.
-    edges
-        Edges of the ground per minute, up or down by 10 to 80 cm.
-    pauses
-        Pauses of 2 to 20 s per minute, in which nothing is recorded.
-    repeated
-        Share of the readings with the stamp of the one before.
-    noise_cm
-        Standard deviation of white noise of the reference.
-    names_noise, names_rate
-        Whether the table has the reference's standard deviation, and the vehicle's vertical speed.
-    """
+    """What a log does to the readings of a table."""
 
     rows: int
+    """Readings of all runs together, about."""
     edges: float
+    """Edges of the ground per minute, up or down by 10 to 80 cm."""
     pauses: float
+    """Pauses of 2 to 20 s per minute, in which nothing is recorded."""
     repeated: float
+    """Share of the readings with the stamp of the one before."""
     noise_cm: float
+    """Standard deviation of white noise of the reference."""
     names_noise: bool
     names_rate: bool
+    """Whether the table has the reference's standard deviation, and the vehicle's vertical speed."""
 
 
 def draw_log(rng: Generator, rows: int) -> Log:

@@ -22,38 +22,27 @@ from tests.support.measured import MODEL
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one question of a case.
-
-    Attributes
-    ----------
-    number, pair, hidden, size
-        The case.
-    outcome
-        right, wrong: of a session that promised the power; not promised: a session that did not; same: no session;
-        no question: the gap run left nothing open; not asked: the truth is none of the answers; crash.
-    promised
-        Expected power of the session.
-    detail
-        What was found, or why there is no session.
-    minutes
-        Of the session.
-    decidable_nats
-        By which the other effect of the pair fails in an experiment that a person would do; of a question about the
-        pair that has no session.
-    about_pair
-        Whether an effect of the pair is among the question's answers. Other questions ask for what was not recorded.
-    """
+    """What became of one question of a case."""
 
     number: int
     pair: str
     hidden: str
     size: float
+    """The case."""
     outcome: str
+    """right, wrong: of a session that promised the power; not promised: a session that did not; same: no session; no
+    question: the gap run left nothing open; not asked: the truth is none of the answers; crash."""
     promised: float = 0.0
+    """Expected power of the session."""
     detail: str = ""
+    """What was found, or why there is no session."""
     minutes: float = 0.0
+    """Of the session."""
     decidable_nats: float = 0.0
+    """By which the other effect of the pair fails in an experiment that a person would do; of a question about the pair
+    that has no session."""
     about_pair: bool = True
+    """Whether an effect of the pair is among the question's answers. Other questions ask for what was not recorded."""
 
 
 def run_case(folder: Path, seed: int, number: int, power: float = 0.95, sessions: int = 0) -> Row:

@@ -33,25 +33,18 @@ def sound_m_s(celsius: Floats | float) -> Floats:
 
 @dataclass(frozen=True)
 class Hidden:
-    """An effect: its name in the catalogue (empty: none of it), its size, and what it does.
-
-    Attributes
-    ----------
-    bias, spread, shorts
-        Functions of columns and size: centimetres, and factors on the scatter and on the odds of a short reading.
-    false
-        Function of columns and size: share of the echoes that are another one, and where that is [cm].
-    least, most
-        Sizes are drawn between; the sign too where it may be negative.
-    """
+    """An effect: its name in the catalogue (empty: none of it), its size, and what it does."""
 
     name: str
     least: float
     most: float
+    """Sizes are drawn between; the sign too where it may be negative."""
     bias: Callable[[Columns, float], Any] = lambda columns, size: 0.0
     spread: Callable[[Columns, float], Any] = lambda columns, size: 1.0
     shorts: Callable[[Columns, float], Any] = lambda columns, size: 1.0
+    """Functions of columns and size: centimetres, and factors on the scatter and on the odds of a short reading."""
     false: Callable[[Columns, float], tuple[Any, Any]] = lambda columns, size: (0.0, 0.0)
+    """Function of columns and size: share of the echoes that are another one, and where that is [cm]."""
     signed: bool = False
 
 
@@ -160,23 +153,16 @@ def _hover_with_neighbour(columns: Columns, rng: Generator) -> None:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two effects, the contexts in which they look alike, and what a person would vary to see them apart.
-
-    Attributes
-    ----------
-    title, effects, twist
-        As it says.
-    between
-        Columns that differ from run to run, with their levels.
-    within
-        Columns that vary inside a run: in flight, or none at a bench, where each placement is a run.
-    """
+    """Two effects, the contexts in which they look alike, and what a person would vary to see them apart."""
 
     title: str
     effects: tuple[Hidden, Hidden]
     twist: Callable[[Columns, Generator], None]
+    """As it says."""
     between: Mapping[str, tuple[float, ...]]
+    """Columns that differ from run to run, with their levels."""
     within: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Columns that vary inside a run: in flight, or none at a bench, where each placement is a run."""
 
 
 RANGES: dict[str, tuple[float, ...]] = {"true_range_cm": (60.0, 120.0, 200.0, 300.0, 400.0)}

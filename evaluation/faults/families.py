@@ -279,34 +279,23 @@ def _mostly_quad(dice: Dice, turn: str) -> str:
 
 @dataclass(frozen=True)
 class Family:
-    """One family.
-
-    Attributes
-    ----------
-    turns
-        Kinds that take turns, each with a row of the table.
-    fly, add
-        Draw the flight of a turn, and add what goes wrong in it.
-    airframe
-        Draws the name of the airframe.
-    healthy
-        Turns in which nothing is wrong: every warning in them is a false one.
-    silence_s
-        Longest silence that does not count [s]; None: as in the groups.
-    objects_are_objects
-        Whether a distance to the top of an object is a wrong one: the ground below the middle of the vehicle is true.
-    sensor_model
-        Changes of the sensor model's file.
-    """
+    """One family."""
 
     turns: Sequence[str]
+    """Kinds that take turns, each with a row of the table."""
     fly: Callable[[Dice, str], Flown]
     add: Callable[[Dice, Content, list[str], str], None] = _add_nothing
+    """Draw the flight of a turn, and add what goes wrong in it."""
     airframe: Callable[[Dice, str], str] = _quad
+    """Draws the name of the airframe."""
     healthy: Sequence[str] = ()
+    """Turns in which nothing is wrong: every warning in them is a false one."""
     silence_s: float | None = None
+    """Longest silence that does not count [s]; None: as in the groups."""
     objects_are_objects: bool = False
+    """Whether a distance to the top of an object is a wrong one: the ground below the middle of the vehicle is true."""
     sensor_model: Content = field(default_factory=dict)
+    """Changes of the sensor model's file."""
 
 
 EDGE_SILENCE_S = 0.3

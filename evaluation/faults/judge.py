@@ -120,58 +120,42 @@ class Event(NamedTuple):
 
 @dataclass
 class Verdict:
-    """What became of one flight; times in seconds.
-
-    Attributes
-    ----------
-    flown_s, judged_s, in_range_s
-        Of the flight; judged; judged with the truth within the sensors' range.
-    valid_s, honest_s, covered_s
-        With a valid message; within 3 stated deviations; within 1.96.
-    sure_s, sure_honest_s
-        Of valid_s and honest_s the part with a sure message.
-    honest_in_range_s
-        Within 3 stated deviations while the truth is within the sensors' range.
-    faulty_s, faulty_in_range_s, faulty_honest_s
-        Of judged_s, in_range_s and honest_in_range_s the part in which a sensor's fault lasts.
-    covered_by
-        Of covered_s and valid_s the parts by lean and motion, such as 'below 5 deg, hover'.
-    wrong, silences
-        Events.
-    longest_gap_s
-        Between two messages that an autopilot can use, whether longer than the limit or not.
-    above_wrong, above_wrong_s
-        Wrong messages 'above the maximum', and how long they held.
-    false_objects, warnings
-        Texts.
-    edges
-        Beginning and longest silence of each edge.
-    messages
-        DISTANCE_SENSOR that look down.
-    """
+    """What became of one flight; times in seconds."""
 
     flown_s: float
     judged_s: float = 0.0
     in_range_s: float = 0.0
+    """Of the flight; judged; judged with the truth within the sensors' range."""
     valid_s: float = 0.0
     honest_s: float = 0.0
     covered_s: float = 0.0
+    """With a valid message; within 3 stated deviations; within 1.96."""
     sure_s: float = 0.0
     sure_honest_s: float = 0.0
+    """Of valid_s and honest_s the part with a sure message."""
     honest_in_range_s: float = 0.0
+    """Within 3 stated deviations while the truth is within the sensors' range."""
     faulty_s: float = 0.0
     faulty_in_range_s: float = 0.0
     faulty_honest_s: float = 0.0
+    """Of judged_s, in_range_s and honest_in_range_s the part in which a sensor's fault lasts."""
     covered_by: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Of covered_s and valid_s the parts by lean and motion, such as 'below 5 deg, hover'."""
     wrong: list[Event] = field(default_factory=list)
     silences: list[Event] = field(default_factory=list)
+    """Events."""
     longest_gap_s: float = 0.0
+    """Between two messages that an autopilot can use, whether longer than the limit or not."""
     above_wrong: int = 0
     above_wrong_s: float = 0.0
+    """Wrong messages 'above the maximum', and how long they held."""
     false_objects: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    """Texts."""
     edges: list[tuple[float, float]] = field(default_factory=list)
+    """Beginning and longest silence of each edge."""
     messages: int = 0
+    """DISTANCE_SENSOR that look down."""
 
 
 class Received:
@@ -242,36 +226,25 @@ def _distance(time_s: float, boot_s: float, message: Any) -> Distance:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a flight is judged by, besides its messages.
-
-    Attributes
-    ----------
-    duration_s
-        Of the flight [s].
-    limit_s
-        Longest silence [s].
-    nearest_m, farthest_m
-        True distances that the sensors can measure in this air [m].
-    listens_s, faulty_s
-        From when to when the autopilot listened, and when sensors are faulty [s].
-    faulty_from_s
-        By sensor, the time from which it is faulty [s], infinite for a healthy one; None: unknown.
-    wrong_m, wrong_share
-        The tolerance: so far off [m], or by this share of the true distance, whichever is more.
-    stamp_counts
-        Whether a distance that was right at its own time stamp is right as long as it holds.
-    """
+    """What a flight is judged by, besides its messages."""
 
     duration_s: float
+    """Of the flight [s]."""
     limit_s: float
+    """Longest silence [s]."""
     nearest_m: float
     farthest_m: float
+    """True distances that the sensors can measure in this air [m]."""
     listens_s: Sequence[tuple[float, float]]
     faulty_s: Sequence[tuple[float, float]] = ()
+    """From when to when the autopilot listened, and when sensors are faulty [s]."""
     faulty_from_s: Mapping[str, float] | None = None
+    """By sensor, the time from which it is faulty [s], infinite for a healthy one; None: unknown."""
     wrong_m: float = WRONG_M
     wrong_share: float = 0.0
+    """The tolerance: so far off [m], or by this share of the true distance, whichever is more."""
     stamp_counts: bool = False
+    """Whether a distance that was right at its own time stamp is right as long as it holds."""
 
     def tolerance_m(self, true_m: float) -> float:
         """How far off a distance may be [m]."""

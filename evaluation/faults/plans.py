@@ -63,29 +63,20 @@ _GROUPS = [group for group, share in SHARES.items() for _ in range(share)]
 
 @dataclass(frozen=True)
 class Plan:
-    """One flight.
-
-    Attributes
-    ----------
-    seed, index
-        Of the campaign, and of the flight in it.
-    airframe, scenario
-        Content of the two files.
-    flight_seed
-        Random seed of the simulated flight.
-    facts
-        What was drawn, for those who look for a pattern.
-    sensor_model
-        Changes of the sensor model's file.
-    """
+    """One flight."""
 
     seed: int
     index: int
+    """Of the campaign, and of the flight in it."""
     airframe: dict[str, Any]
     scenario: dict[str, Any]
+    """Content of the two files."""
     flight_seed: int
+    """Random seed of the simulated flight."""
     facts: dict[str, Any]
+    """What was drawn, for those who look for a pattern."""
     sensor_model: dict[str, Any] = field(default_factory=dict)
+    """Changes of the sensor model's file."""
 
     def write(self, folder: Path) -> Path:
         """Write airframe, sensor model and scenario; the path of the scenario."""

@@ -28,33 +28,23 @@ FLIGHTS = 8
 
 @dataclass(frozen=True)
 class Case:
-    """A case and how it went.
-
-    Attributes
-    ----------
-    seed
-        Of the case.
-    sensor, effect, parameters
-        What was hidden; no effect: a null.
-    standard_errors
-        Its size.
-    sensor_right, effect_right
-        Something was named at the sensor; the effect, or a class of names that holds it.
-    named
-        By sensor: what was named.
-    seconds
-        Of the workflow.
-    """
+    """A case and how it went."""
 
     seed: int
+    """Of the case."""
     sensor: str
     effect: str | None
     parameters: dict[str, float]
+    """What was hidden; no effect: a null."""
     standard_errors: float
+    """Its size."""
     sensor_right: bool
     effect_right: bool
+    """Something was named at the sensor; the effect, or a class of names that holds it."""
     named: dict[str, list[str]]
+    """By sensor: what was named."""
     seconds: float
+    """Of the workflow."""
 
     @property
     def others_named(self) -> int:

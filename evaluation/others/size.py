@@ -31,25 +31,17 @@ HIT_CM = 15.0
 
 @dataclass(frozen=True)
 class Mechanism:
-    """An effect that may be hidden.
-
-    Attributes
-    ----------
-    name, number
-        Effect, and the parameter whose size is sought.
-    sign
-        Of its value.
-    largest
-        Largest value: beyond it no sensor flies.
-    shape
-        Its other parameters.
-    """
+    """An effect that may be hidden."""
 
     name: str
     number: str
+    """Effect, and the parameter whose size is sought."""
     largest: float
+    """Largest value: beyond it no sensor flies."""
     shape: Mapping[str, float]
+    """Its other parameters."""
     sign: float = 1.0
+    """Of its value."""
 
     def parameters(self, size: float) -> dict[str, float]:
         """All parameters at a size."""
@@ -74,18 +66,12 @@ readings are taken at nearly the throttle of the hover, and it is a wider spread
 
 @dataclass(frozen=True)
 class NullFlights:
-    """Readings of one sensor in flights without an effect, row by row.
-
-    Attributes
-    ----------
-    truth
-        Contexts with the true range, for drawing.
-    reference
-        The same rows with the other sensors' range.
-    """
+    """Readings of one sensor in flights without an effect, row by row."""
 
     truth: Mapping[str, NDArray[Any]]
+    """Contexts with the true range, for drawing."""
     reference: Mapping[str, NDArray[Any]]
+    """The same rows with the other sensors' range."""
 
 
 def size_for(

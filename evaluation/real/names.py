@@ -15,24 +15,16 @@ FILE = Path(__file__).parent / "names.csv"
 
 @dataclass(frozen=True)
 class Line:
-    """A line of the table.
-
-    Attributes
-    ----------
-    status
-        required, allowed or forbidden.
-    what
-        One of these.
-    values
-        ``PARAMETER LOW HIGH`` of a required name, or empty: a right name with another number is not what is there.
-    why
-        The numbers of the analysis.
-    """
+    """A line of the table."""
 
     status: str
+    """required, allowed or forbidden."""
     what: tuple[str, ...]
+    """One of these."""
     values: str
+    """``PARAMETER LOW HIGH`` of a required name, or empty: a right name with another number is not what is there."""
     why: str
+    """The numbers of the analysis."""
 
     def holds(self, parameters: Mapping[str, float]) -> bool:
         """Whether an effect's parameters are what is there; what is no effect of the catalogue has none."""

@@ -12,22 +12,15 @@ from evaluation.real.columns import FloatArray
 
 @dataclass(frozen=True)
 class Line:
-    """A form fitted to residuals.
-
-    Attributes
-    ----------
-    value, error
-        Of each term; the error is the sandwich estimate by cluster.
-    left_out_rms
-        Root mean square of what it does not predict in clusters that were left out of the fit.
-    rest
-        What it leaves of all rows.
-    """
+    """A form fitted to residuals."""
 
     value: FloatArray
     error: FloatArray
+    """Of each term; the error is the sandwich estimate by cluster."""
     left_out_rms: float
+    """Root mean square of what it does not predict in clusters that were left out of the fit."""
     rest: FloatArray
+    """What it leaves of all rows."""
 
 
 def regress(y: FloatArray, terms: Sequence[FloatArray], cluster: NDArray[np.generic]) -> Line:

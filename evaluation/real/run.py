@@ -25,50 +25,33 @@ KEPT = ("named", "indistinguishable")
 
 @dataclass(frozen=True)
 class Found:
-    """One thing that the workflow found.
-
-    Attributes
-    ----------
-    names
-        Names that it cannot separate, the first choice among them.
-    values
-        Parameters of the first choice.
-    """
+    """One thing that the workflow found."""
 
     names: frozenset[str]
+    """Names that it cannot separate, the first choice among them."""
     values: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of the first choice."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What happened to a set.
-
-    Attributes
-    ----------
-    command
-        The last command that ran, as it would be typed.
-    failure
-        Its last line on standard error where it failed; empty where all went well.
-    verdict
-        Of the workflow.
-    found
-        All that was found, in the words of `names.csv`.
-    forbidden, missing
-        Found although forbidden; required and not found.
-    gap
-        Nats per reading before and after, as the workflow measures it.
-    closed
-        The same by the measures of `evaluation.closure`; None where they were not asked.
-    """
+    """What happened to a set."""
 
     command: str
+    """The last command that ran, as it would be typed."""
     failure: str
+    """Its last line on standard error where it failed; empty where all went well."""
     verdict: str = ""
+    """Of the workflow."""
     found: tuple[Found, ...] = ()
+    """All that was found, in the words of `names.csv`."""
     forbidden: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    """Found although forbidden; required and not found."""
     gap: tuple[float, float] | None = None
+    """Nats per reading before and after, as the workflow measures it."""
     closed: Closure | None = None
+    """The same by the measures of `evaluation.closure`; None where they were not asked."""
 
 
 def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False) -> Outcome:

@@ -17,30 +17,20 @@ OWN_MAPS = Path(__file__).parent / "maps"
 
 @dataclass(frozen=True)
 class MeasuredSet:
-    """One comparison of readings with a model.
-
-    Attributes
-    ----------
-    name
-        As in `names.csv`.
-    readings
-        Files below the folder of measured data that `msp-lab gap` gets.
-    sensor
-        Shipped sensor model: what the readings are compared with, or what `characterise` starts from.
-    column_map
-        Map file; None: the workflow gets what `prepare` writes, with columns that no map can name.
-    prepare
-        Writes the same readings in the CSV form, without the product's reader of maps.
-    bench
-        Files that `msp-lab characterise` gets first; empty: the shipped model is used as it is.
-    """
+    """One comparison of readings with a model."""
 
     name: str
+    """As in `names.csv`."""
     readings: tuple[str, ...]
+    """Files below the folder of measured data that `msp-lab gap` gets."""
     sensor: str
+    """Shipped sensor model: what the readings are compared with, or what `characterise` starts from."""
     column_map: Path | None
+    """Map file; None: the workflow gets what `prepare` writes, with columns that no map can name."""
     prepare: Callable[[Path, Path], list[Path]]
+    """Writes the same readings in the CSV form, without the product's reader of maps."""
     bench: tuple[str, ...] = ()
+    """Files that `msp-lab characterise` gets first; empty: the shipped model is used as it is."""
 
 
 Columns = dict[str, FloatArray | NDArray[np.str_]]

@@ -14,44 +14,31 @@ SATURATED_CM = 255
 
 @dataclass(frozen=True)
 class Base:
-    """Numbers that the bench table and the run table of a case share.
-
-    Attributes
-    ----------
-    offset_cm, scale
-        A hit is at ``offset_cm + (1 + scale) true range``.
-    sigma_cm, growth_per_m
-        Standard deviation of a hit at range z [m]: ``sigma_cm (1 + growth_per_m z)``.
-    degrees
-        Degrees of freedom of Student's t.
-    correlation
-        Correlation of the (normal scores of the) noise of successive readings of a sensor.
-    correlation_time
-        ``reading``: the correlation is per reading. ``elapsed``: it decays with the time between them.
-    wander, wander_s
-        Standard deviation of a slow wander inside a run, in sigma, and its time constant [s]; 0: none.
-    short, missed, random
-        Log odds of these readings against a hit.
-    short_rate_per_m
-        Short readings have an exponential distribution of this rate, cut at the target [1/m].
-    saturated
-        Share of the readings without an echo that arrive as `SATURATED_CM`.
-    """
+    """Numbers that the bench table and the run table of a case share."""
 
     offset_cm: float = 0.0
     scale: float = 0.0
+    """A hit is at ``offset_cm + (1 + scale) true range``."""
     sigma_cm: float = 1.0
     growth_per_m: float = 0.0
+    """Standard deviation of a hit at range z [m]: ``sigma_cm (1 + growth_per_m z)``."""
     degrees: float = 8.0
+    """Degrees of freedom of Student's t."""
     correlation: float = 0.0
+    """Correlation of the (normal scores of the) noise of successive readings of a sensor."""
     correlation_time: str = "reading"
+    """``reading``: the correlation is per reading. ``elapsed``: it decays with the time between them."""
     wander: float = 0.0
     wander_s: float = 20.0
+    """Standard deviation of a slow wander inside a run, in sigma, and its time constant [s]; 0: none."""
     short: float = -4.0
     missed: float = -4.0
     random: float = -4.0
+    """Log odds of these readings against a hit."""
     short_rate_per_m: float = 0.5
+    """Short readings have an exponential distribution of this rate, cut at the target [1/m]."""
     saturated: float = 0.0
+    """Share of the readings without an echo that arrive as `SATURATED_CM`."""
 
 
 def draw_base(rng: np.random.Generator, correlation: float | None = None, drift: bool = False) -> Base:

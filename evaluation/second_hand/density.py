@@ -35,29 +35,20 @@ class Component:
 
 @dataclass
 class Law:
-    """The distribution of each reading before correlation; effects change it in place.
-
-    Attributes
-    ----------
-    centre_cm, sigma_cm
-        Place and standard deviation of a hit.
-    odds
-        Log odds against a hit of short, missed and random readings, shape (3, rows).
-    components
-        What takes a share of the hits.
-    repeated
-        Share of the readings that are the sensor's previous one once more.
-    coarse, coarse_step_cm
-        Share of the hits that are rounded to a step.
-    """
+    """The distribution of each reading before correlation; effects change it in place."""
 
     centre_cm: Floats
     sigma_cm: Floats
+    """Place and standard deviation of a hit."""
     odds: Floats
+    """Log odds against a hit of short, missed and random readings, shape (3, rows)."""
     components: list[Component] = field(default_factory=list)
+    """What takes a share of the hits."""
     repeated: float = 0.0
+    """Share of the readings that are the sensor's previous one once more."""
     coarse: float = 0.0
     coarse_step_cm: float = 1.0
+    """Share of the hits that are rounded to a step."""
 
 
 class Drawn(NamedTuple):

@@ -18,43 +18,29 @@ OUTLIERS = ("short", "missed", "random")
 
 @dataclass(frozen=True)
 class Kind:
-    """An effect before it is drawn.
-
-    Attributes
-    ----------
-    title
-        Its name here.
-    design
-        What it asks of the runs.
-    change
-        Draws its numbers from random ones and the runs: what it does, and those that are for the record.
-    limit
-        Largest size that is physically possible.
-    start
-        Size to begin the search with.
-    names
-        Names in `msp-lab effects` that are right; none of an unknown effect.
-    channel, variable
-        What it changes (bias, spread, missed, short, random) and the column that it depends on.
-    same_as
-        Numbers of the base that are the same as this effect: only the bench separates them.
-    between_runs
-        It varies (nearly) between runs only.
-    last
-        Applied after the effects on the place of a hit.
-    """
+    """An effect before it is drawn."""
 
     title: str
+    """Its name here."""
     design: Design
+    """What it asks of the runs."""
     change: Callable[[Generator, Rows], tuple[Apply, dict[str, float]]]
+    """Draws its numbers from random ones and the runs: what it does, and those that are for the record."""
     limit: float
+    """Largest size that is physically possible."""
     start: float
+    """Size to begin the search with."""
     names: frozenset[str] = frozenset()
+    """Names in `msp-lab effects` that are right; none of an unknown effect."""
     channel: str = "bias"
     variable: str = ""
+    """What it changes (bias, spread, missed, short, random) and the column that it depends on."""
     same_as: tuple[str, ...] = ()
+    """Numbers of the base that are the same as this effect: only the bench separates them."""
     between_runs: bool = False
+    """It varies (nearly) between runs only."""
     last: bool = False
+    """Applied after the effects on the place of a hit."""
 
     def draw(self, rng: Generator, rows: Rows) -> "Effect":
         """Draw one for these runs."""

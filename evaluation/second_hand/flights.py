@@ -16,27 +16,18 @@ BEFORE_S = 3.0
 
 @dataclass(frozen=True)
 class Design:
-    """What a hidden effect asks of the runs.
-
-    Attributes
-    ----------
-    columns
-        Contexts that must be in the table.
-    low
-        The ranges go down to the sensor's minimum.
-    smooth
-        The ground has no steps: a delay has no finite information where the range jumps.
-    sensors
-        Number of sensors in the table; 0 draws it.
-    many_runs
-        At least 12 runs: the effect varies between runs only.
-    """
+    """What a hidden effect asks of the runs."""
 
     columns: frozenset[str] = frozenset()
+    """Contexts that must be in the table."""
     low: bool = False
+    """The ranges go down to the sensor's minimum."""
     smooth: bool = False
+    """The ground has no steps: a delay has no finite information where the range jumps."""
     sensors: int = 0
+    """Number of sensors in the table; 0 draws it."""
     many_runs: bool = False
+    """At least 12 runs: the effect varies between runs only."""
 
     def __or__(self, other: "Design") -> "Design":
         return Design(

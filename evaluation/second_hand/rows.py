@@ -12,34 +12,23 @@ Floats = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Rows:
-    """One table without its readings; all arrays have one entry per reading.
-
-    Attributes
-    ----------
-    run, sensor
-        Numbers of the run and of the sensor.
-    block
-        The noise is independent between blocks: a run of one sensor, or one range at the bench.
-    time_s
-        Time since the start of the run.
-    true_cm
-        Perpendicular distance to the surface.
-    range_before
-        True range a delay [s] before each reading.
-    contexts
-        Further columns, numbers or words.
-    spacing_s
-        Mean time between readings of one sensor.
-    """
+    """One table without its readings; all arrays have one entry per reading."""
 
     run: NDArray[np.int64]
     sensor: NDArray[np.int64]
+    """Numbers of the run and of the sensor."""
     block: NDArray[np.int64]
+    """The noise is independent between blocks: a run of one sensor, or one range at the bench."""
     time_s: Floats
+    """Time since the start of the run."""
     true_cm: Floats
+    """Perpendicular distance to the surface."""
     range_before: Callable[[float], Floats]
+    """True range a delay [s] before each reading."""
     contexts: dict[str, NDArray[Any]] = field(default_factory=dict)
+    """Further columns, numbers or words."""
     spacing_s: float = 0.1
+    """Mean time between readings of one sensor."""
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -34,53 +34,35 @@ USED_M = 0.15
 
 @dataclass(frozen=True)
 class Ground:
-    """What is below the vehicle, and how its sensors err without a fault.
-
-    Attributes
-    ----------
-    rough_m
-        Standard deviation of the ground's roughness below each sensor [m].
-    rough_lasts
-        Correlation of the roughness at a sensor's successive readings: 0 in fast flight, almost 1 in a hover.
-    slope
-        Rise of the ground per metre.
-    turn_s
-        Time of a full turn of the vehicle about its vertical axis [s].
-    correlation
-        Of the errors of a sensor's successive readings.
-    scale
-        Factor on all ranges: air that is colder than thought.
-    """
+    """What is below the vehicle, and how its sensors err without a fault."""
 
     rough_m: float = 0.0
+    """Standard deviation of the ground's roughness below each sensor [m]."""
     rough_lasts: float = 0.0
+    """Correlation of the roughness at a sensor's successive readings: 0 in fast flight, almost 1 in a hover."""
     slope: float = 0.0
+    """Rise of the ground per metre."""
     turn_s: float = 60.0
+    """Time of a full turn of the vehicle about its vertical axis [s]."""
     correlation: float = 0.0
+    """Of the errors of a sensor's successive readings."""
     scale: float = 1.0
+    """Factor on all ranges: air that is colder than thought."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What sensor ``a`` does from a time on.
-
-    Attributes
-    ----------
-    from_s
-        When it begins [s].
-    short, missed
-        Shares of its readings.
-    wider
-        Factor on its standard deviation.
-    shift_m
-        Added to its ranges [m].
-    """
+    """What sensor ``a`` does from a time on."""
 
     from_s: float
+    """When it begins [s]."""
     short: float = SHORT
     missed: float = MISSED
+    """Shares of its readings."""
     wider: float = 1.0
+    """Factor on its standard deviation."""
     shift_m: float = 0.0
+    """Added to its ranges [m]."""
 
 
 class Drawn(NamedTuple):
