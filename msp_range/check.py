@@ -13,7 +13,7 @@ from msp_range.plausible import doubts
 from msp_range.terminal import PlainConsole, plain_table
 
 WIDTH, HEIGHT = 33, 9
-"""Of the drawing [characters]: it fits next to nothing else on 80 columns, and a character is twice as high as wide."""
+"""Size of the drawing [characters]; a character is twice as high as wide."""
 
 
 def show(airframe: Airframe, console: PlainConsole) -> None:

@@ -69,4 +69,4 @@ def _show_version(context: typer.Context, wanted: bool) -> None:
 VersionOption = Annotated[
     bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and exit")
 ]
-"""Of all programs of the project."""
+"""Options of all programs of the project."""

@@ -22,7 +22,7 @@ from msp_range.sensors.polling import Poller, Ranging
 from msp_range.sensors.schedule import PolledSensor, RoundRobin
 
 READINGS = 5
-"""Of each sensor: enough for a median and for a fault of one in three to be seen in 87 %. More takes longer."""
+"""Readings of each sensor: enough for a median and for a fault of one in three to be seen in 87 %; more take longer."""
 SILENCE_S = 0.25
 """Before each ping of a sensor alone, from the last one's deadline [s]: an echo has died away after some 100 ms, in a
 hall after twice that."""

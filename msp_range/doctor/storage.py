@@ -11,7 +11,7 @@ from msp_range.state_folder import SERVICE_USER
 NEEDED_BYTES = 16 * 2**20
 """What a new recording wants, as msp_range/recording has it."""
 BYTES_PER_HOUR = 10e6
-"""Of four sensors (docs/flying.md)."""
+"""Size of a recording of four sensors (docs/flying.md)."""
 SHORT_HOURS = 10
 """With less than this left the disk is reported as nearly full."""
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"

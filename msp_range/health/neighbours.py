@@ -108,7 +108,7 @@ def reference(window: Sequence[Sighting], middle: int, scale: float) -> Referenc
 
 
 def _mean(sightings: Sequence[Sighting], sensor: str) -> tuple[float, float, float, float, int, float] | None:
-    """Of the first two of these readings that are of other sensors: mean height and time, by how much the second
+    """The first two of these readings that are of other sensors: their mean height and time, by how much the second
     differs in both, how many there are, and the variance of the first [m^2]; None: there are none."""
     heights = [
         (sighting.common_m, sighting.time_s, sighting.std_m**2)

@@ -24,17 +24,17 @@ class Base(NamedTuple):
 
     offset_cm: Any = 0.0
     log_sigma: Any = 0.0
-    """Of the hits: centre, and logarithm of the spread within runs."""
+    """Hits: centre, and logarithm of the spread within runs."""
     log_odds_short: Any = 0.0
     log_odds_missed: Any = 0.0
     log_odds_random: Any = 0.0
     """Against hits."""
     log_rate: Any = 0.0
-    """Of short readings."""
+    """Logarithm of the rate of short readings."""
     saturated: Any = 0.0
     """Share of no-echo codes that arrive as 255."""
     correlation: Any = 0.0
-    """Of neighbouring hits, where the rows have a history."""
+    """Correlation of neighbouring hits, where the rows have a history."""
 
 
 FREE = Base._fields[:-1]

@@ -210,7 +210,7 @@ class SensorModel(Section):
     """When the sensor answers, and when it may be pinged again."""
 
     frequency_hz: float = Field(42_000.0, ge=20_000.0, le=500_000.0)
-    """Of the ping [Hz]."""
+    """Frequency of the ping [Hz]."""
 
     breakaway: tuple[BreakawayPoint, ...] = Field(min_length=1)
     """Largest angle with a reliable range, over range."""

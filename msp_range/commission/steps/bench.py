@@ -32,7 +32,7 @@ TAPE_STD_M = 0.005
 SENSOR_STD_M = 0.005
 """Standard deviation of a sensor's own constant error [m]: the report saw none above 1 cm (4.3.1)."""
 LEAST_READINGS = 8
-"""Of each sensor at each height: 3 s of four sensors that ping in turn."""
+"""Readings of each sensor at each height, at least: 3 s of four sensors that ping in turn."""
 LEVEL_RAD = np.radians(5.0)
 """A vehicle that leans more than this does not stand level [rad]: 0.4 % of its height are lost."""
 LEAD_S, STILL_S = 2.0, 15.0

@@ -72,7 +72,7 @@ class Place:
 
     number: int
     of: int
-    """Of this point, among all."""
+    """Number of this point, and of all."""
     had: int
     """Readings of this point that are recorded already, of its first sensor."""
 

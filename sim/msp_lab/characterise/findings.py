@@ -311,7 +311,7 @@ class CompensationRow:
 Metric = Literal["bias", "spread", "missed", "outliers"]
 Verdict = Literal["matters", "does not matter", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = ("matters", "cannot tell", "does not matter")
-"""Of several effects the first of these that one of them has is that of all."""
+"""Verdicts; that of several effects together is the first of these that one of them has."""
 NAMES: dict[Metric, str] = {
     "bias": "bias",
     "spread": "spread",

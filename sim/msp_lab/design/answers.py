@@ -53,7 +53,7 @@ class FittedAnswer:
     base: Base
     """Change of the base's numbers."""
     log_likelihood: float | None
-    """Of the readings that were fitted [nat]; None: they lack its columns."""
+    """Log-likelihood of the readings that were fitted [nat]; None: they lack its columns."""
     model: Model
     """The whole model, to draw readings from."""
     assumed: bool = False

@@ -53,7 +53,7 @@ UNITS = {
 REFERENCE_CM = 0.2
 """Standard deviation of a placement's true range: a steel tape. Offsets below it need many placements."""
 FARTHEST_SHARE = 0.6
-"""Of the sensor's longest reading: farther walls are missed too often."""
+"""Farthest wall, as a share of the sensor's longest reading: farther ones are missed too often."""
 LEAST_READINGS = 20
 """Readings at a point, at least: setting it up takes longer than reading it."""
 

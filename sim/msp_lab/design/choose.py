@@ -121,7 +121,7 @@ class Design:
     session: PlannedSession | None
     """The cheapest one; None: none is allowed."""
     separations: tuple[Separation, ...] = ()
-    """Of the pairs that it tells apart."""
+    """Separations of the pairs of answers that it tells apart."""
     same: tuple[Same, ...] = ()
     """Pairs of answers that no session here tells apart with this power."""
     classes: tuple[frozenset[int], ...] = ()
@@ -375,7 +375,7 @@ def _checked(design: Design, decision: Decision) -> Design:
 
 
 def _power(session: PlannedSession, found: Sequence[Separation], answers: Sequence[FittedAnswer]) -> float:
-    """Of the hardest pair."""
+    """Power for the hardest pair."""
     return min(
         power_of(
             each.nats(session.readings, session.runs), threshold_nats(answers[each.truth], answers[each.alternative])

@@ -43,9 +43,9 @@ class Options:
     sessions: int = 20
     """Simulated sessions; 0: none."""
     seed: int = 1
-    """Of all draws."""
+    """Seed of all draws."""
     airframe: str = "quad_pallet"
-    """Of the vehicle that flies."""
+    """Airframe of the vehicle that flies."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Plan:
     """A design with its proof."""
 
     design: Design
-    """Of one question."""
+    """Design for one question."""
     proof: Proof | None = None
     """None where there is no session, or none was simulated."""
     joined: bool = True

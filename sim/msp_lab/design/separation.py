@@ -49,7 +49,7 @@ class Separation:
     offsets: float
     """Variance of what runs differ by anyway, over that of a single reading."""
     correlation: float
-    """Of neighbouring readings' errors."""
+    """Correlation of neighbouring readings' errors."""
     run_scatter: float | None = None
     """Variance of the runs' mean lead of the right answer without offsets, over that of a single reading's; None: the
     wrong answer is that there is no effect, which `gap` decides by the offsets' own likelihood."""

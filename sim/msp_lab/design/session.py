@@ -27,13 +27,13 @@ class PlannedSession:
     varied: Mapping[str, str]
     """Context columns that it varies, with their values in words."""
     contexts: Columns
-    """Of its readings, (n,), `run` among them."""
+    """Context columns of its readings, (n,), `run` among them."""
     per_point: int
     """Readings of a sensor at a point, or in a flight."""
     visits: int
     """How often each point is set up anew, or each group of flights flown."""
     minutes: float
-    """Of setting up and of reading or flying."""
+    """Time for setting up and for reading or flying."""
     campaign: Mapping[str, Any]
     """Content of the campaign file."""
     scenarios: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -129,7 +129,7 @@ def _verdict(name: str, rows: Rows, base: StudiedFilter) -> FilterResult:
 
 
 def _best(found: Sequence[Changes], base: StudiedFilter, rows: Rows) -> Changes | None:
-    """Of equally many changes, those that fit all rows best; None: none fits."""
+    """Those of equally many changes that fit all rows best; None: none fits."""
     fits = [(misfit(all_made(changes, base), rows, SEARCH_SEEDS, NEAR * WIDTH), changes) for changes in found]
     near = sorted((fit for fit in fits if fit[0][1] < math.inf), key=lambda each: each[0][0])
     refined = [_refined(changes, base, rows) for _, changes in near[:FINALISTS]]

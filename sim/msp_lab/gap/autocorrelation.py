@@ -24,7 +24,7 @@ FARTHEST = 4.0
 
 @dataclass(frozen=True)
 class Autocorrelation:
-    """Of residuals, by lag."""
+    """Autocorrelation of residuals, by lag."""
 
     apart: Array
     """Median time between the two readings of a pair [s], or their distance in readings, (k,)."""

@@ -33,8 +33,8 @@ smaller ones need more flights."""
 AIR_C = (7.0, 22.0, 2.0, 17.0, 32.0, 12.0, 27.0, 0.0)
 """Air temperature of each flight: spread, so that what changes with temperature shows."""
 PERIODS_S = (2.4, 2.7, 3.0)
-"""Of the climbs and descents, in turn. Over 2 m these take the throttle from a tenth to nine tenths of its range; in
-gentle flights rotor noise would look like a larger spread, and prop wash like more short readings."""
+"""Periods of the climbs and descents, in turn. Over 2 m these take the throttle from a tenth to nine tenths of its
+range; in gentle flights rotor noise would look like a larger spread, and prop wash like more short readings."""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class FinalFit:
 
     @property
     def half_widths(self) -> Array:
-        """Of each number; 0 for one that is held at a bound, whose error is not known."""
+        """Half of the interval of each number; 0 for one that is held at a bound, whose error is not known."""
         return np.asarray(np.sqrt(np.maximum(np.diag(self.widened), 0.0)))
 
 

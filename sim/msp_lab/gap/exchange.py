@@ -182,7 +182,7 @@ def _next_to_base(problem: Problem, state: State, others: Sequence[CandidateFit]
 
 
 def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[float]:
-    """Of the first term's score with each other's, each where it was fitted, next to all else that is in the model."""
+    """Correlations of the first term's score with each other's, each as fitted, given the rest of the model."""
     left = []
     for fit, k, term in fits:
         assert term.candidate is not None

@@ -32,7 +32,7 @@ SPANS = {
 }
 """How far a context can reasonably be varied, with its unit."""
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
-"""Of those spans, the smallest that is enough is suggested."""
+"""Shares of those spans; the smallest that is enough is suggested."""
 
 
 def to_tell_apart(problem: Problem, base: JointFit, term: SelectedTerm, alternatives: Sequence[AlternativeTerm]) -> str:

@@ -16,9 +16,9 @@ from msp_sim.effects.base import Scene
 from msp_sim.model.model import Model, applies
 
 Gains: TypeAlias = tuple[Array, Array]
-"""Of some candidates the largest gain [nat], and the number at which one is, each (candidates,)."""
+"""Largest gain of each candidate [nat], and its number there, each (candidates,)."""
 SHARES = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
-"""At which the gain of what is mixed into the probability is computed."""
+"""Shares at which the gain of what is mixed into the probability is computed."""
 SCORE_STEPS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
 """Steps along an efficient score at which its gain is computed, in its standard deviations."""
 ODDS_STEPS = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])

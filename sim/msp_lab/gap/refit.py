@@ -36,7 +36,7 @@ class NumberSlopes(NamedTuple):
     """Derivatives by all numbers of a fit."""
 
     scores: Array
-    """Of each reading, (n, numbers), for errors by runs."""
+    """Score of each reading, (n, numbers), for errors by runs."""
     gradient: Array
     """Their sum, with that of the priors."""
     information: Array
@@ -76,7 +76,7 @@ class JointFit:
         return self.here.by[:, 0]
 
     def covariance(self, unit: Indices | None = None) -> Array:
-        """Of the numbers; with units, of sums over whole units (sandwich)."""
+        """Covariance of the numbers; with units, from sums over whole units (sandwich)."""
         at, free = self.at, ~self.at.held
         covariance = np.zeros_like(at.information)
         of_free = np.linalg.pinv(at.information[np.ix_(free, free)], hermitian=True)
@@ -215,7 +215,7 @@ def refit(
 
 
 def _correlation(prepared: Prepared) -> float:
-    """Of neighbouring hits, by the given model."""
+    """Correlation of neighbouring hits, by the given model."""
     return 0.0 if prepared.rows.history is None else prepared.rows.history.correlation
 
 

@@ -103,7 +103,7 @@ MIN_CELL_READINGS = 40
 """A cell with fewer readings is put together with others. With 2 % outliers of a kind 40 readings have less than one of
 them. Fewer: cells say nothing of outliers; more: small cells hide."""
 MAX_WORDS = 30
-"""Of a column of words the most frequent so many get a cell each. More do not fit into a picture. It changes the list
+"""So many of the most frequent words of a column get a cell each. More do not fit into a picture. It changes the list
 of slices and nothing else."""
 PAIR_BINS_READINGS = 2000
 """With fewer readings each of two crossed numbers has two bins, else three. Nine cells of 2,000 readings have 220 each.
@@ -244,7 +244,7 @@ REFIT_WITHIN_NATS = 8.0
 screen is a quadratic, and off by some nats for gains of ten to twenty; 2 and 18 gave the same names on the first seven
 blind tables of seed 7. Lower: wrong names, and alternatives are missed; higher: slower."""
 REFIT_WITHIN_SHARE = 0.5
-"""Of large gains, those within this share of the best are refitted. A quadratic promises too little of what is large.
+"""Large gains within this share of the best are refitted. A quadratic promises too little of what is large.
 Higher: slower."""
 SCREEN_KEEPS = 0.6
 """A candidate is refitted if the screen promises this share of the gain that it needs. As the last, for weak effects.
@@ -363,7 +363,7 @@ EXCHANGE_KEEPS = 0.3
 """They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
 ones. Higher: alternatives of weak effects are missed."""
 SIMPLER_NATS = 2.0
-"""Of two effects of the same form (`SAME_FORM`) one has to gain so much more for each number that it has more. A number
+"""An effect of the same form as another (`SAME_FORM`) has to gain so much more for each additional number. A number
 that is not there gains more in one case of 20. Higher: a late threshold and a bend are scales; lower: a scale is a late
 threshold with a linear rise."""
 BASE_PREFERENCE_NATS = 3.0
@@ -432,16 +432,16 @@ EXPANSION_NATS = 3.0
 Half a nat is usual where readings are independent. Higher: parts that differ are taken for more alike; lower:
 slower."""
 SPLITS_FITTED = 3
-"""Of the splits with parts that have to be fitted since no quadratic says what their fit would, so many are used, next
-to all others. Six terms in ten splits of five parts are 700 fits. More: slower, and surer where readings are few for a
+"""So many splits are used that have parts to be fitted, where a quadratic cannot say what their fit would, next to all
+others. Six terms in ten splits of five parts are 700 fits. More: slower, and surer where readings are few for a
 number.
 """
 PART_ROUNDS = 3
 """Such a part is fitted by so many steps of Newton at most, from the fit of all runs. What is left after three steps is
 small against what a name gains. More: slower, on a robot's log of 4,819 readings by a minute."""
 MIN_SPEAKING = 5.0
-"""Of a number of which fewer readings speak, a part knows nothing by a quadratic. One 255 among the missed readings
-moved their share by more than 1. Higher: slower."""
+"""Where fewer readings of a part depend on a number, the part is fitted, as a quadratic cannot say what its fit would:
+one 255 among the missed readings moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
 """A reading at which the truth moves counts for at most so many nats for or against repeated readings. A hit that
 becomes a random reading loses about 8. Higher: where the truth jumps by an error of its own, one reading decides;

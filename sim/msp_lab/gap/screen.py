@@ -26,7 +26,7 @@ from msp_sim.model.streams import RandomStreams
 COPY_S = 1e7
 """Copies of the same contexts are so far apart in time [s] that the noise of one says nothing about the next."""
 BLOCK_ROWS = 100
-"""Of correlated readings, replicates keep so many neighbours together."""
+"""Replicates of correlated readings keep so many neighbours together."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +246,7 @@ def _flipped(by_unit: Array, variance: Array, rng: np.random.Generator) -> Array
 
 
 def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateEffect]) -> Term:
-    """Of a candidate with several shapes, the one that gains most by one step of Newton, the fit's own numbers too.
+    """The shape of a candidate that gains most by one Newton step, in which the fit's own numbers move too.
 
     A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
     """

@@ -55,7 +55,7 @@ class SensorGap:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Of ``sensors.json``."""
+        """Its entry in ``sensors.json``."""
         of_sensor = {"sensor": self.sensor, "named": self.named, "without": self.without, "doubted": self.doubted}
         return {**of_sensor, "sentence": self.findings.sentence}
 

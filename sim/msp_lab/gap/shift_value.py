@@ -47,7 +47,7 @@ ENOUGH_NATS = 5.0
 hits moves the value from one fit to the next, and small effects are lost in that; more: a mixture's value stays that
 tails and correlated noise make."""
 LEAST_HITS = 30
-"""Of fewer hits a value stays as it is: five numbers are estimated from them."""
+"""With fewer hits a value stays as it is: five numbers are estimated from them."""
 
 
 def with_shifts(prepared: Prepared, base: Base, effects: Sequence[Term]) -> tuple[Term, ...]:
@@ -81,7 +81,7 @@ class Shift:
 
     @property
     def value(self) -> float:
-        """Of its number, in the fit."""
+        """Value of its number in the fit."""
         return self.effects[self.k].values[self.parameter.name]
 
     @property
@@ -152,7 +152,7 @@ class Hits:
         return cls(order, starts, np.maximum(steps_s, 0.0) / max(usual_s, 1e-9), sigma_cm)
 
     def errors(self, prepared: Prepared, base: Base, effects: Sequence[Term]) -> Array:
-        """Of the hits [cm] with these effects, (m,)."""
+        """Errors of the hits with these effects [cm], (m,)."""
         return (prepared.reading_cm - prepared.at(base, effects).centre_cm)[self.order]
 
     def loss(self, error_cm: Array, share: float, memory: float) -> float:

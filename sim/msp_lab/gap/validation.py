@@ -155,7 +155,7 @@ class _Crossed:
         return self.sums.tells(self.parts.runs(*way), self.steps[way])
 
     def score(self, way: tuple[int, int], exact: bool) -> CrossScore:
-        """Of a part, by the quadratic or by a fit."""
+        """Score of a part, by the quadratic or by a fit."""
         if (*way, exact) not in self.kept:
             self.kept[*way, exact] = (
                 self.sums.along(self.parts, *way) if exact else self.sums.crossed(self.parts, *way, self.steps[way])

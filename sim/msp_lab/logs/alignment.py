@@ -19,7 +19,7 @@ LARGEST_LAG_S = 1.5
 LAG_STEP_S = 0.01
 """Steps in which they are tried [s]; between them a parabola through the least squares is used."""
 MOST_READINGS = 10_000
-"""Of a longer log so many readings are drawn: 300 lags of so many take 100 MB and half a second. More: narrower
+"""So many readings are drawn of a longer log: 300 lags of so many take 100 MB and half a second. More: narrower
 intervals than anybody needs."""
 BLOCKS = 30
 """The log is cut into so many blocks for the bootstrap. Fewer: their number limits what the interval can know; more:

@@ -86,6 +86,6 @@ def by_px4(parameters: Mapping[str, float]) -> str:
 
 
 def by_any(parameters: Mapping[str, float]) -> str:
-    """Of an autopilot that is known by its parameters only."""
+    """What an autopilot fuses that is known by its parameters only."""
     is_px4 = not {"EKF2_HGT_REF", "EKF2_HGT_MODE"}.isdisjoint(parameters)
     return by_px4(parameters) if is_px4 else by_ekf3(parameters)

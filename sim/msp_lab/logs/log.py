@@ -68,7 +68,7 @@ class LogFormat:
     what: str
     """What such a file is, for people: ``PX4 ULog``."""
     ending: str
-    """Of its files' names, in small letters."""
+    """Ending of its files' names, in small letters."""
     reader: str
     """``module:function`` of the function that makes a `VehicleLog` of a path and a `LogRequest`, imported when needed;
     it raises RecordingError for a file that it cannot read, or OSError where it cannot be opened."""
@@ -307,7 +307,7 @@ class MessageColumns:
 
     @classmethod
     def collecting(cls, source: str, fields: Iterable[str]) -> "MessageColumns":
-        """Of these fields of messages that are added one after the other."""
+        """Columns of these fields, for messages that are added one after the other."""
         return cls(source, {field: array("d") for field in fields})
 
     def add(self, time_s: float, message: Any, place: int, other_s: float) -> None:

@@ -46,9 +46,9 @@ from msp_range.mavlink.orientation import DOWN
 from msp_range.recording.error import RecordingError
 
 _RANGE_HEIGHT_BIT = 10
-"""Of estimator_status.control_mode_flags: the range is fused as height (EstimatorStatus.msg, CS_RNG_HGT)."""
+"""Bit of estimator_status.control_mode_flags: the range is fused as height (EstimatorStatus.msg, CS_RNG_HGT)."""
 _THRUST = "control[3]"
-"""Of actuator_controls_0, before there was vehicle_thrust_setpoint: the collective thrust, 0 to 1."""
+"""Field of actuator_controls_0, before there was vehicle_thrust_setpoint: the collective thrust, 0 to 1."""
 _DEFAULT_TEMPERATURE = 0
 """vehicle_air_data.temperature_source: no thermometer, 15 deg C are assumed."""
 LARGEST_BYTES = 4 * 2**30
@@ -258,7 +258,7 @@ def _throttle(flight: LoggedFlight) -> Series | None:
 
 
 def _air_temperature(flight: LoggedFlight) -> Series | None:
-    """Of a thermometer in the air: an external barometer or an airspeed sensor, since 1.15."""
+    """Temperature of a thermometer in the air: an external barometer or an airspeed sensor, since 1.15."""
 
     def in_air(source: Array, found_c: Array) -> Array:
         return np.where(source != _DEFAULT_TEMPERATURE, found_c, np.nan)

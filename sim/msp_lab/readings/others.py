@@ -58,7 +58,7 @@ class Referenced:
     data: MeasuredData
     """In the order of time."""
     offsets_cm: Mapping[str, float]
-    """Of each sensor that has a reference: how much more than the others it read on average, which was taken off."""
+    """How much more than the others each sensor with a reference read on average, which was taken off."""
     rows: Mapping[str, int]
     """How many readings of each have a reference; the average is over the echoes among them, without outliers."""
 

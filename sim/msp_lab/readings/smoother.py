@@ -37,7 +37,7 @@ class Smoothed:
     covariance: Array
     """(B, n, 5) and (B, n, 5, 5)."""
     log_likelihood: Array
-    """Of each reading given those before it, (B, n); 0 where it is left out."""
+    """Log-likelihood of each reading given those before it, (B, n); 0 where it is left out."""
 
     def predicted(self, geometry: Array) -> tuple[Array, Array]:
         """What a reading of this geometry should be, and its variance, each (B, n)."""

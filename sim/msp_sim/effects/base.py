@@ -28,7 +28,7 @@ PATH = "path"
 REFERENCE_STD = "true_range_std_cm"
 REFERENCE = "reference"
 OTHERS = "others"
-"""Of `REFERENCE`, where the true range is what the other sensors say; each run's mean difference is taken off it."""
+"""Word in `REFERENCE` where the true range is what the other sensors say, less each run's mean difference from it."""
 WORD_COLUMNS = frozenset({"sensor", "run", "target"})
 """Context columns that contain words instead of numbers; an effect of one sensor, run or target is given its word."""
 
@@ -233,9 +233,9 @@ class Effect:
     gathers: str = ""
     """Parameter with the range [cm] at which it gathers readings, wherever the surface is; empty: it does not."""
     is_shift: bool = False
-    """It says when the scene was that a reading is of: all other effects are those of that scene."""
+    """Whether it moves readings in time: all other effects then act on the scene of that moment."""
     any_step: bool = False
-    """Of a fault of the code: it is defined for readings in any step. Others act on the bytes of whole centimetres."""
+    """Whether a fault of the code is defined for readings in any step; others act on the bytes of whole centimetres."""
     finding: str = ""
     """What was found of it, in words for a pilot, without a full stop: {of} and its parameters in braces, with the
     formats of `msp_sim.effects.plain`. Empty: the sentence, and the parameters behind it."""

@@ -14,7 +14,7 @@ HALF_POWER_DEG = 18.0
 
 
 def _absorption_db_per_m(scene: Scene) -> Any:
-    """Of the air of each reading; where it is unknown it is the usual one. At 0 deg C it is a third of that at 20."""
+    """Absorption by each reading's air, or by usual air where it is unknown. At 0 deg C it is a third of that at 20."""
     if "absorption" not in scene.kept:
         usual = Atmosphere()
         temperature_c = scene.optional("air_temperature_c", usual.temperature_c)

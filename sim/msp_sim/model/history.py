@@ -38,7 +38,7 @@ class History:
     names: tuple[str, ...]
     """Name of each series."""
     correlation: float
-    """Of two hits that are `spacing_s` apart."""
+    """Correlation of two hits that are `spacing_s` apart."""
     spacing_s: float
     """The time to which `correlation` refers [s]."""
 

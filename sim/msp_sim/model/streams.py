@@ -24,7 +24,7 @@ class RandomStreams(dict[str, np.random.Generator]):
     def __init__(self, rng: np.random.Generator) -> None:
         self._entropy = [int(word) for word in rng.integers(2**32, size=4)]
         self.last_error: dict[str, tuple[float, float]] = {}
-        """Of correlated noise: time [s] and error [standard deviations] of each series' last hit."""
+        """Correlated noise: time [s] and error [standard deviations] of each series' last hit."""
 
     def __missing__(self, name: str) -> np.random.Generator:
         """The stream of this name, which is kept and continues from its present state."""

@@ -154,7 +154,7 @@ def densities(rows: PictureData) -> Densities:
 
 
 def longest_range_cm(rows: PictureData) -> float:
-    """Of the true ranges of the maximum range the one with most readings, and of equal ones the longest [cm]."""
+    """True range with most readings in the experiment of the maximum range; the longest of equal ones [cm]."""
     ranges, counts = np.unique(rows.true_cm[rows.of("maximum_range")], return_counts=True)
     return float(ranges[np.lexsort((ranges, counts))[-1]])
 
