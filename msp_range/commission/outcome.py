@@ -60,7 +60,7 @@ class StepOutcome:
 
     @property
     def passed(self) -> bool:
-        """Whether the step is done: all was measured, a finding is right and none is wrong, and no change is proposed."""
+        """Whether the step is done: all was measured, a finding is right, none is wrong, and no change is proposed."""
         verdicts = [finding.verdict for finding in self.findings]
         return self.complete and not self.proposals and WRONG not in verdicts and RIGHT in verdicts
 

@@ -30,7 +30,7 @@ class Windowed(ABC):
         self._recent: deque[Estimate] = deque(maxlen=window)
 
     def update(self, time_s: float, measured: Estimate) -> Estimate:
-        """Variance of the mean of independent readings: sum of the variances / M^2."""
+        """Update with a reading; the mean of M independent ones has the variance (sum of their variances) / M^2."""
         self._recent.append(measured)
         mean_variance_m2 = sum([each.variance_m2 for each in self._recent]) / len(self._recent) ** 2
         return self.combined([each.range_m for each in self._recent], mean_variance_m2)

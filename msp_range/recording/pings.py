@@ -90,7 +90,7 @@ def read_recorded(
         recorded = _of_table(path, _one_run(path, read_csv(path), run), drivers)
     if not recorded.pings:
         raise RecordingError(f"{path}: no readings to replay")
-    # What no thermometer of the bridge is believed is not believed here.
+    # Values that the bridge would not believe of a thermometer are left out.
     believed = [
         (time_s, air)
         for time_s, air in recorded.air
@@ -134,9 +134,9 @@ def _of_recording(recording: Recording) -> Recorded:
                 ready_s = min(max(0.0, message["read_s"] - message["ping_s"]), LONGEST_READY_S)
                 sensor = topic.removeprefix(RANGE_PREFIX)
                 pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, ready_s))
-    for sensor, each in pings.items():
-        ping_s = np.array([ping.ping_s for ping in each])
-        words = np.array([math.nan if ping.word is None else float(ping.word) for ping in each])
+    for sensor, of_sensor in pings.items():
+        ping_s = np.array([ping.ping_s for ping in of_sensor])
+        words = np.array([math.nan if ping.word is None else float(ping.word) for ping in of_sensor])
         _check(recording.path, sensor, ping_s, words, ("ping_s", "raw"))
     return Recorded(pings, air, sorted(received, key=itemgetter(0)))
 

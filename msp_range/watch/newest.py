@@ -34,7 +34,7 @@ class Newest:
 
     @property
     def state(self) -> str:
-        """The bridge's, by its own verdict; 'unknown' where there is no status of a bridge that runs."""
+        """State of the bridge by its own verdict; 'unknown' where there is no status of a bridge that runs."""
         return str(self.status.get("state", "unknown"))
 
     @property
@@ -45,7 +45,7 @@ class Newest:
         return self.fused[1]
 
     def update(self, packet: Message) -> None:
-        """Take one packet."""
+        """Update with one packet."""
         topic, self.time_s, message = packet
         if topic.startswith(RANGE_PREFIX):
             self.readings[topic.removeprefix(RANGE_PREFIX)] = message

@@ -13,8 +13,8 @@ from msp_range.mavlink.transport.url import TransportUrl
 RETRY_FIRST_S = 0.5
 RETRY_LONGEST_S = 5.0
 
-#: Bytes after which one ``receive`` returns although there may be more: about 160 messages, 6 ms of parsing.
 RECEIVE_BOUND_BYTES = 8192
+"""Bytes after which one ``receive`` returns although there may be more: about 160 messages, 6 ms of parsing."""
 
 
 @dataclass(slots=True)

@@ -10,8 +10,8 @@ from io import FileIO
 from msp_range.mavlink.transport.stream import FRAME_DEADLINE_S, FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import SerialUrl
 
-#: Start bit, eight data bits, stop bit.
 BITS_PER_BYTE = 10
+"""Start bit, eight data bits, stop bit."""
 UARTS = ("/dev/serial0", "/dev/serial1", "/dev/ttyAMA", "/dev/ttyS")
 """Beginnings of the names of a computer's own serial ports, which may have to be switched on."""
 

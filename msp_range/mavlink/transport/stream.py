@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting, TransportStats
 
-#: A frame that has not been started this long after ``send`` is dropped.
 FRAME_DEADLINE_S = 0.25
+"""A frame that has not been started this long after ``send`` is dropped."""
 MOST_WAITING_FRAMES = 64
 
 

@@ -13,15 +13,15 @@ from msp_range.mavlink.transport.peer import PEER_SILENT_S, Peer, longest_silent
 from msp_range.mavlink.transport.stream import FrameStream, StreamTransport
 from msp_range.mavlink.transport.url import NetworkUrl
 
-#: Linux requests a connection after 0, 1 and 3 s; without an answer by then a new attempt starts.
 CONNECT_DEADLINE_S = 4.0
-#: Time without accepted or acknowledged bytes after which a peer is dropped.
+"""Linux requests a connection after 0, 1 and 3 s; without an answer by then a new attempt starts."""
 STUCK_AFTER_S = 5.0
+"""Time without accepted or acknowledged bytes after which a peer is dropped."""
 MOST_CLIENTS = 8
 
-#: Limit of the kernel's buffer for a peer that does not read, because such frames arrive late or never: with this
-#: some 40 kB of small frames, without it 1 MB and more [bytes; the kernel doubles it].
 _SEND_BUFFER_BYTES = 8192
+"""Limit of the kernel's buffer for a peer that does not read, because such frames arrive late or never: with this some
+40 kB of small frames, without it 1 MB and more [bytes; the kernel doubles it]."""
 
 
 def _prepare(tcp: socket.socket) -> None:

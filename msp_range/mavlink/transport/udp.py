@@ -15,15 +15,15 @@ from msp_range.mavlink.transport.url import NetworkUrl
 MOST_PEERS = 4
 """Largest number of peers of ``udpin``: the autopilot and three ground stations or routers. Each costs a system call
 per frame, so with more a port scan would be costly, and with fewer a second ground station would be left out."""
-#: ``udpout`` counts as not connected for this long after a refusal: longer than the bridge's heartbeat takes.
 REFUSED_FOR_S = 1.5
+"""``udpout`` counts as not connected for this long after a refusal [s]: longer than the bridge's heartbeat takes."""
 
 _MOST_DATAGRAMS = 200
 """Largest number of datagrams per ``receive``: 40,000 a second at the link's 5 ms. With fewer a flood fills the
 socket's buffer, which holds some 250, and the autopilot's own datagrams are lost; more make one call longer (200 take
 0.6 ms on a desktop computer)."""
-#: The operating system's buffer is full: this frame is lost, but the socket works.
 _NO_ROOM = (errno.EAGAIN, errno.ENOBUFS)
+"""The operating system's buffer is full: this frame is lost, but the socket works."""
 
 
 class _Udp(Networked):

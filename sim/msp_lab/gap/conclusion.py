@@ -43,31 +43,31 @@ def found_parts(findings: GapFindings) -> list[FoundEffect | UnknownEffect]:
     return sorted([*findings.confirmed, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
 
 
-def share_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> float:
+def share_of(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> float:
     """How often random variation alone gains as much where nothing was fitted: Student's t over runs, or blocks.
 
     It is that of one effect that was fixed before: it is not corrected for how many were asked, of which this one
     explained most.
     """
     units = len(findings.training_runs) + len(findings.held_out_runs) or findings.runs
-    return float(stdtr(max(units - 1, 1), -(each.z or 0.0)))
+    return float(stdtr(max(units - 1, 1), -(finding.z or 0.0)))
 
 
-def how_sure_of(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+def how_sure_of(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
     """How sure a finding is, in words, by its `share_of`."""
     where = "runs" if findings.runs >= rules.MIN_RUNS else "parts of a run"
-    tables = of_tables(share_of(each, findings))
+    tables = of_tables(share_of(finding, findings))
     return f"random variation alone would improve the prediction of {where} that were not fitted as much in {tables}"
 
 
-def is_sure(each: FoundEffect | UnknownEffect, findings: GapFindings) -> bool:
+def is_sure(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> bool:
     """Whether random variation alone gains as much in no more tables than the rate that was asked for."""
-    return share_of(each, findings) <= findings.settings.alpha
+    return share_of(finding, findings) <= findings.settings.alpha
 
 
-def in_words(each: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+def in_words(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
     """What was found, with 'perhaps' where it is not sure."""
-    return each.plain if is_sure(each, findings) else f"perhaps {each.plain}"
+    return finding.plain if is_sure(finding, findings) else f"perhaps {finding.plain}"
 
 
 def of_tables(share: float) -> str:
@@ -230,16 +230,16 @@ def _next_step(findings: GapFindings) -> str:
     return _likely_column(findings) or "look at the slices that are still off in report.html"
 
 
-def _is_ahead(each: FoundEffect) -> bool:
+def _is_ahead(effect: FoundEffect) -> bool:
     """Whether readings come before the reference: a fault of its clock, with which nobody should fly."""
-    delay = each.parameters.get("delay_ms") if each.name == LATENCY.name else None
+    delay = effect.parameters.get("delay_ms") if effect.name == LATENCY.name else None
     return delay is not None and delay.value < 0.0
 
 
-def _next_of_unknown(each: UnknownEffect) -> str:
-    if each.likely_causes:
-        name, column = each.likely_causes[0]
-        over = and_list([name_of(one) for one in each.variables])
+def _next_of_unknown(unknown: UnknownEffect) -> str:
+    if unknown.likely_causes:
+        name, column = unknown.likely_causes[0]
+        over = and_list([name_of(one) for one in unknown.variables])
         return f"record {column}: {effect_label(name, None)} needs it and depends on the same {over}, a likely cause"
     return "look at its curve in report.html; if you know the physics, write it as an effect (docs/developing.md)"
 

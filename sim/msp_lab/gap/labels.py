@@ -86,7 +86,7 @@ def effect_label(name: str, of: str | None) -> str:
     return name.replace("_", " ") + (f" of {of}" if of else "")
 
 
-def finding_label(each: FoundEffect | UnknownEffect) -> str:
+def finding_label(finding: FoundEffect | UnknownEffect) -> str:
     """A finding in a few words, with the alternatives that these data cannot tell from it.
 
     Examples
@@ -94,10 +94,10 @@ def finding_label(each: FoundEffect | UnknownEffect) -> str:
     >>> finding_label(UnknownEffect("bias", ("throttle", "uptime_s"), "", 0.1))
     'an unknown effect on bias over throttle and time since power-up'
     """
-    if isinstance(each, UnknownEffect):
-        return f"an unknown effect on {each.channel} over {' and '.join(map(name_of, each.variables))}"
-    others = (effect_label(one.name, one.of) for one in each.alternatives)
-    return " or ".join([effect_label(each.name, each.of), *others])
+    if isinstance(finding, UnknownEffect):
+        return f"an unknown effect on {finding.channel} over {' and '.join(map(name_of, finding.variables))}"
+    others = (effect_label(one.name, one.of) for one in finding.alternatives)
+    return " or ".join([effect_label(finding.name, finding.of), *others])
 
 
 def unit_after(unit: str) -> str:

@@ -260,14 +260,14 @@ def _plain_decades(axes: Axes) -> None:
     axes.xaxis.set_major_formatter("{x:g}")
 
 
-def _curve(each: UnknownEffect) -> Drawn:
+def _curve(unknown: UnknownEffect) -> Drawn:
     """An unknown effect over its variable, with its band."""
-    figure, axes = new_axes(2.8, axis_label(each.variables[0]), channel_label(each.channel))
-    value, curve, low, high = np.array(each.curve).T
+    figure, axes = new_axes(2.8, axis_label(unknown.variables[0]), channel_label(unknown.channel))
+    value, curve, low, high = np.array(unknown.curve).T
     axes.fill_between(value, low, high, color=PALE, label="95 % band")
     axes.plot(value, curve, color=BLUE, marker="o", label="fitted")
     line_at_zero(axes)
-    return figure, f"No effect of the catalogue explains it. Its formula: {each.formula}."
+    return figure, f"No effect of the catalogue explains it. Its formula: {unknown.formula}."
 
 
 def _draw_residual(axes: Axes, model: Model, both: BeforeAfter, part: Partition, look: dict[str, Any]) -> None:

@@ -242,10 +242,10 @@ def _is_open_ended(term: Term, number: Parameter) -> bool:
     return term.shape is not None or of_some
 
 
-def _off_neutral(each: Term) -> Term:
+def _off_neutral(term: Term) -> Term:
     """A share of exactly nothing has no shape: start a little away from it."""
-    values = dict(each.values)
-    for parameter in each.effect.parameters:
-        if parameter.neutral is not None and values[parameter.name] == parameter.neutral and each.shape is None:
+    values = dict(term.values)
+    for parameter in term.effect.parameters:
+        if parameter.neutral is not None and values[parameter.name] == parameter.neutral and term.shape is None:
             values[parameter.name] = parameter.neutral + parameter.step
-    return replace(each, values=values)
+    return replace(term, values=values)

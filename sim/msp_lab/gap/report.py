@@ -83,10 +83,10 @@ def write_report(
     )
 
 
-def _with_values(each: Term) -> str:
+def _with_values(term: Term) -> str:
     """An effect of a model with its values."""
-    values = ", ".join(f"{name} {value:.4g}" for name, value in each.values.items())
-    return f"{each.stream.replace('_', ' ')} ({values})" if values else each.stream.replace("_", " ")
+    values = ", ".join(f"{name} {value:.4g}" for name, value in term.values.items())
+    return f"{term.stream.replace('_', ' ')} ({values})" if values else term.stream.replace("_", " ")
 
 
 def _not_testable(findings: GapFindings) -> list[tuple[str, list[str]]]:

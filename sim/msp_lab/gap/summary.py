@@ -84,16 +84,16 @@ def _plain(each: FoundEffect) -> str:
     return text
 
 
-def _plain_unknown(each: UnknownEffect) -> str:
-    what = CHANNELS.get(each.channel, each.channel)
-    over = and_list([name_of(one) for one in each.variables])
-    if not each.curve:
+def _plain_unknown(unknown: UnknownEffect) -> str:
+    what = CHANNELS.get(unknown.channel, unknown.channel)
+    over = and_list([name_of(one) for one in unknown.variables])
+    if not unknown.curve:
         return f"{what} depends on {over} in an unknown way"
-    values = [value for _, value, _, _ in each.curve]
+    values = [value for _, value, _, _ in unknown.curve]
     size = max(values) - min(values)
-    unit = f"{digits(size)} cm" if each.channel == "bias" else f"a factor of {digits(math.exp(min(size, 7.0)))}"
-    if each.period is not None:
-        period = f"{each.period:.3g} {unit_of(each.variables[0])}"
+    unit = f"{digits(size)} cm" if unknown.channel == "bias" else f"a factor of {digits(math.exp(min(size, 7.0)))}"
+    if unknown.period is not None:
+        period = f"{unknown.period:.3g} {unit_of(unknown.variables[0])}"
         return f"{what} goes up and down by {unit} with every {period} of {over}, in an unknown way"
     return f"{what} changes by {unit} over the {over} in an unknown way"
 

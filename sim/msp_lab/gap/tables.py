@@ -148,18 +148,18 @@ def shown_slices(findings: GapFindings) -> list[Slice]:
     return [*whole, *sorted((*single, *pairs), key=lambda each: -abs(each.z or 0.0))[: MOST_SLICES - 1]]
 
 
-def slice_with_count(each: Slice) -> str:
+def slice_with_count(cell: Slice) -> str:
     """A slice's label, and how many readings it has."""
-    return f"{slice_label(each.where)} ({each.readings:,})"
+    return f"{slice_label(cell.where)} ({cell.readings:,})"
 
 
-def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
+def _slice_rows(cell: Slice) -> Iterator[tuple[str, ...]]:
     """A row for before, and one for after where it was measured."""
-    known = each.bias_cm is not None and each.bias_se_cm is not None
-    cells = [slice_with_count(each), f"{plus(each.bias_cm, 2)} ± {each.bias_se_cm:.2f}" if known else "?"]
-    later = ["after", plus(each.after.get("bias_cm"), 2)]
+    known = cell.bias_cm is not None and cell.bias_se_cm is not None
+    cells = [slice_with_count(cell), f"{plus(cell.bias_cm, 2)} ± {cell.bias_se_cm:.2f}" if known else "?"]
+    later = ["after", plus(cell.after.get("bias_cm"), 2)]
     for name in ("log_spread", "log_odds_short", "log_odds_missed", "log_odds_random"):
-        value, error, left = getattr(each, name), getattr(each, error_name(name)), each.after.get(name)
+        value, error, left = getattr(cell, name), getattr(cell, error_name(name)), cell.after.get(name)
         if value is None or error is None or error > 1.0:
             cells.append("few")
             later.append("")
@@ -167,9 +167,9 @@ def _slice_rows(each: Slice) -> Iterator[tuple[str, ...]]:
         ratio = float(np.exp(value))
         cells.append(f"{ratio:.2f} ± {ratio * error:.2f}")
         later.append("" if left is None else f"{np.exp(left):.2f}")
-    cells.append(short(max(each.nats or 0.0, 0.0)))
-    cells.append("" if each.p_value is None else "≤ 0.001" if each.p_value <= 0.001 else f"{each.p_value:.3f}")
+    cells.append(short(max(cell.nats or 0.0, 0.0)))
+    cells.append("" if cell.p_value is None else "≤ 0.001" if cell.p_value <= 0.001 else f"{cell.p_value:.3f}")
     yield tuple(cells)
-    if each.after:
-        nats = each.after.get("nats")
+    if cell.after:
+        nats = cell.after.get("nats")
         yield (*later, "" if nats is None else short(max(nats, 0.0)), "")

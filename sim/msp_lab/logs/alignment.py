@@ -47,7 +47,7 @@ class Interval(NamedTuple):
 
     @classmethod
     def of(cls, value: float, drawn: Sequence[float]) -> "Interval":
-        """By values of a bootstrap."""
+        """A value with the interval that values drawn by a bootstrap have."""
         low, high = np.quantile(drawn, (0.025, 0.975)).tolist()
         return cls(value, low, high)
 

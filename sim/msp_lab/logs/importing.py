@@ -356,12 +356,12 @@ def _account(
     )
 
 
-def _found(each: Joined) -> FoundRanger:
-    reading_cm, ranger, alignment, error = each.data["reading_cm"], each.ranger, each.alignment, each.error
+def _found(joined: Joined) -> FoundRanger:
+    reading_cm, ranger, alignment, error = joined.data["reading_cm"], joined.ranger, joined.alignment, joined.error
     answered = np.isfinite(reading_cm)
-    is_no_echo = answered & (reading_cm == each.data[NO_ECHO] if NO_ECHO in each.data else False)
+    is_no_echo = answered & (reading_cm == joined.data[NO_ECHO] if NO_ECHO in joined.data else False)
     known = reading_cm[answered & ~is_no_echo]
-    true_cm = each.data.column(TRUE_RANGE)
+    true_cm = joined.data.column(TRUE_RANGE)
     found = FoundRanger(
         ranger.name,
         ranger.series.source,
@@ -377,7 +377,7 @@ def _found(each: Joined) -> FoundRanger:
         int(np.isfinite(true_cm).sum()),
         _repeated(reading_cm[answered]),
         reference_span_cm=_span(true_cm),
-        notes=each.notes,
+        notes=joined.notes,
     )
     if alignment is not None:
         found = replace(found, **vars(alignment))  # its fields have these names

@@ -1,6 +1,6 @@
 """The command ``msp-sim fly``: fly a scenario, show it meanwhile, and write the results.
 
-Input are the command's options, output are lines on the terminal and files in the folder for results.
+It prints lines on the terminal, and writes files into the folder for results.
 """
 
 from contextlib import ExitStack, closing, nullcontext
@@ -42,7 +42,7 @@ class PlannedFlight:
     title: str
     """Its name for people."""
     given_seed: int
-    """The seed that the command was given: of a sampled flight that of all of them."""
+    """The seed that the command was given; a sampled flight has it in common with all other samples."""
     drawn: dict[str, Any]
     """For the summary of a sampled flight: what was drawn."""
     model: SensorModel | None

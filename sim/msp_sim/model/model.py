@@ -305,18 +305,18 @@ def shifted_by(scene: Scene, known: Any, change: Contribution) -> Scene:
     return scene if change.ago_s is None else scene.at(_where(known, change.ago_s))
 
 
-def applies(scene: Scene, each: Term) -> Any:
+def applies(scene: Scene, term: Term) -> Any:
     """Rows on which a term's required columns are known: True or False for all rows, or an array."""
     known: Any = True
-    for column in each.effect.requires:
+    for column in term.effect.requires:
         here = scene.known(column)
         if here is False:
             return False
         known = here if known is True else known & here
-    if each.effect.per is not None:
-        if each.effect.per not in scene:
+    if term.effect.per is not None:
+        if term.effect.per not in scene:
             return False
-        known = known & (scene[each.effect.per] == each.of)
+        known = known & (scene[term.effect.per] == term.of)
     return known
 
 

@@ -158,15 +158,15 @@ _WORST_COLUMNS = {
 """Columns of the list of the worst flights, with short headings."""
 
 
-def _share(each: Share) -> tuple[str, ...]:
-    percent = f"{100 * each.flights / each.of:.2f}" if each.of else "-"
-    return each.what, str(each.flights), percent, f"{100 * each.low:.2f} to {100 * each.high:.2f}"
+def _share(share: Share) -> tuple[str, ...]:
+    percent = f"{100 * share.flights / share.of:.2f}" if share.of else "-"
+    return share.what, str(share.flights), percent, f"{100 * share.low:.2f} to {100 * share.high:.2f}"
 
 
-def _distribution(each: Distribution) -> list[str]:
-    factor = 100.0 if each.what.endswith("[%]") else 1.0
-    cells = [each.what]
-    for found in each.quantiles:
+def _distribution(distribution: Distribution) -> list[str]:
+    factor = 100.0 if distribution.what.endswith("[%]") else 1.0
+    cells = [distribution.what]
+    for found in distribution.quantiles:
         value, low, high = (
             "?" if one is None else f"{factor * one:.3g}" for one in (found.value, found.low, found.high)
         )

@@ -1,6 +1,6 @@
 """The command ``msp-sim sitl``: fly with an autopilot's own simulator, and write the results.
 
-Input are the command's options, output are lines on the terminal and files in the folder for results.
+It prints lines on the terminal, and writes files into the folder for results.
 """
 
 from collections.abc import Sequence

@@ -186,15 +186,15 @@ def _bars(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
     row.grid(axis="x", visible=False)
 
 
-def _count_above(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
+def _count_above(row: Axes, errors: Errors, ranges_cm: Array, scale: Scale) -> None:
     """Write over each range how many of its readings are missed, and where there are any, how many are far off."""
-    counted = {"missed": each.missed}
-    is_far = scale.is_far(each.error_cm)
+    counted = {"missed": errors.missed}
+    is_far = scale.is_far(errors.error_cm)
     if np.any(is_far):
         counted = {f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis": is_far, **counted}
     shown, words, colours = [], [], []
     for range_cm in ranges_cm:
-        here = each.true_range_cm == range_cm
+        here = errors.true_range_cm == range_cm
         counts = [np.count_nonzero(flags[here]) for flags in counted.values()]
         if any(counts) or (np.any(here) and ranges_cm.size <= MOST_COUNTS):
             of = f"/{np.count_nonzero(here)}" if ranges_cm.size <= MOST_TICKS else ""
@@ -211,9 +211,9 @@ def _count_above(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> Non
     label(row, "\n".join(counted), (0.0, 1.0), (-4, 4), **look)
 
 
-def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
+def _cloud(row: Axes, errors: Errors, _: Array, scale: Scale) -> None:
     """Draw every reading as a dot, and their middle in bins of range."""
-    x, y = each.true_range_cm[~each.missed], each.error_cm[~each.missed]
+    x, y = errors.true_range_cm[~errors.missed], errors.error_cm[~errors.missed]
     look: dict[str, Any] = {"color": OURS, "markersize": 2, "alpha": 0.35, "rasterized": True}
     row.plot(x, np.clip(y, scale.low, scale.high), ".", label="readings", **look)
     if x.size:
@@ -221,8 +221,8 @@ def _cloud(row: Axes, each: Errors, _: Array, scale: Scale) -> None:
         bins = [here for here in index == np.arange(1, 25)[:, None] if np.count_nonzero(here) >= 5]
         middles = [(np.mean(x[here]), *_middle_of(y[here], scale)) for here in bins]
         _middles(row, middles, " in bins", linestyle="-")
-    missed = np.count_nonzero(each.missed)
-    words, colour = f"missed {missed} of {each.missed.size}", REFERENCE if missed else GREY
+    missed = np.count_nonzero(errors.missed)
+    words, colour = f"missed {missed} of {errors.missed.size}", REFERENCE if missed else GREY
     row.text(1.0, 1.01, words, transform=row.transAxes, ha="right", va="bottom", fontsize=7, color=colour)
 
 
