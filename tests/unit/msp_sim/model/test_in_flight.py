@@ -11,6 +11,7 @@ from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import Model, Term
+from tests.support.curves import with_curve
 from tests.support.shipped import CONFIGS
 
 SENSOR = load_sensor_model(CONFIGS / "sensors" / "mb1242.yaml")
@@ -43,11 +44,13 @@ def test_effects_that_change_the_mean_need_no_numbers_nor_does_a_flight_out_of_r
     assert flown(Model.of(SENSOR).adding("prop_wash", log_odds=4.0), true_range_cm=700.0).in_flight is None
 
 
-def test_an_own_effect_that_changes_the_mean_has_numbers_as_the_bridge_does_not_know_it() -> None:
+def test_what_the_bridge_does_not_know_has_numbers_even_if_it_changes_the_mean_only() -> None:
     own = replace(CATALOGUE["range_scale"], name="supply_sag")
-    numbers = flown(Model(SENSOR, (Term(own, {"scale_pct": 2.0}),))).in_flight
-    assert numbers is not None
-    assert numbers.sigma_cm == pytest.approx(SENSOR.reading_model.sigma_cm, rel=0.02)
+    curve = with_curve(Model.of(SENSOR), "bias", ["throttle"], [[0.0, 1.0]], [-2.0, 2.0])
+    for model in (Model(SENSOR, (Term(own, {"scale_pct": 2.0}),)), curve):
+        numbers = flown(model).in_flight
+        assert numbers is not None
+        assert numbers.sigma_cm == pytest.approx(SENSOR.reading_model.sigma_cm, rel=0.02)
 
 
 def test_hits_that_scatter_by_metres_have_no_numbers_by_which_to_watch_them() -> None:
