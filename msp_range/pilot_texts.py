@@ -82,6 +82,30 @@ class Text:
     GROUND = _event("Range {sensor}: ground below")
     NOT_SEEN = _event("Range {sensor}: {what} not seen now")
 
+    # What the belief about the ground doubts, and attitudes beyond 75 deg or that are no numbers.
+    STEEP = Condition(
+        "doubt",
+        "Range: ground seems too steep, maybe a fault",
+        "Range: ground is certain again",
+        renews=True,
+        remedy="look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground",
+    )
+    CHANGE = STEEP._replace(text="Range: sudden change, maybe an object or fault")
+    NO_RESPONSE = STEEP._replace(text="Range: readings do not follow the motion")
+    SCATTER = STEEP._replace(
+        key="scatter",
+        text="Range: readings scatter, as in dust",
+        over="Range: readings are of the ground again",
+        renews=False,
+    )
+    LATE = Condition(
+        "late answers",
+        "Range: answers are those of the ping before",
+        "Range: answers are in time again",
+        remedy="switch the sensors' power off and on; check that pings are acknowledged",
+    )
+    ATTITUDE = Condition("attitude", "Range: attitude makes no sense", "Range: attitude is back")
+
     # A transfer failed, and the device at the address is not the reason.
     BUS = Condition(
         "bus",

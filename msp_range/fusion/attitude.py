@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from msp_range.geometry import Matrix, Vector, down_axis, rotation_matrix
-from msp_range.health import Condition
+from msp_range.pilot_texts import Condition, Text
 
 OLDEST_S = 0.6
 """An attitude this much older than the echo says nothing of it [s]; autopilots send it at 4 Hz or more."""
@@ -47,8 +47,7 @@ class AttitudeTrack:
 
     def condition(self, now_s: float) -> Condition:
         """Attitudes that make no sense, for `msp_range.health.Health.set`."""
-        text = "Range: attitude makes no sense" if self.is_refused(now_s) else None
-        return Condition("attitude", text, "Range: attitude is back")
+        return Text.ATTITUDE.when(self.is_refused(now_s))
 
     def update(self, angles: Angles) -> bool:
         """Take an attitude; False where it is no use: it makes no sense, or comes together with the one before."""

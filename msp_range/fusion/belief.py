@@ -51,15 +51,12 @@ from msp_range.fusion.mounting import View
 from msp_range.fusion.response import MotionResponse
 from msp_range.fusion.vertical import Known, Mark, Rate, VerticalMotion
 from msp_range.fusion.windows import Windows
+from msp_range.pilot_texts import Condition, Text
 
 STEP_STD_M, STEP_CLIMB_STD_M_S = 0.1, 0.3
 """What a new surface leaves uncertain of the height [m] and of its rate [m/s]: the first reading may be of a flank."""
 SURE_STD_M_S, START_CLIMB_STD_M_S = 0.3, 3.0
 """The barometer's rate is used at the start below this deviation [m/s]; else a vehicle may climb by the second."""
-
-CHANGE, NO_RESPONSE = "sudden change, maybe an object or fault", "readings do not follow the motion"
-STEEP = "ground seems too steep, maybe a fault"
-"""Reasons for doubt, as the pilot reads them."""
 
 
 class Surface:
@@ -124,9 +121,9 @@ class Belief:
     noise
         The probability that the readings of all sensors are noise.
     doubt
-        Why what most sensors see is perhaps no ground: `CHANGE`, a ground was known, and this is more probably a fault;
-        `NO_RESPONSE`, it does not follow the vehicle's motion; or `STEEP`, it would be ground, were it level. It lasts
-        until some ground is sure; None: no reason.
+        Why what most sensors see is perhaps no ground: `Text.CHANGE`, a ground was known, and this is more probably a
+        fault; `Text.NO_RESPONSE`, it does not follow the vehicle's motion; or `Text.STEEP`, it would be ground, were it
+        level. It lasts until some ground is sure; None: no reason.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
     """
@@ -143,7 +140,7 @@ class Belief:
         self._is_measured = self._was_no_ground = False
         self.ground: Surface | None = None
         self.sure = self.noise = 0.0
-        self.doubt: str | None = None
+        self.doubt: Condition | None = None
 
     def predict(self, time_s: float) -> None:
         """Move all surfaces on, and forget those that nobody has seen for long."""
@@ -324,11 +321,11 @@ class Belief:
         seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
         share, is_open = weights[most_seen] / total, self.sure < SURE
         if is_there and seen > len(voters) - 0.5 and share < SURE and most_seen.response.log_odds <= UNANSWERED:
-            self.doubt = NO_RESPONSE
+            self.doubt = Text.NO_RESPONSE
         elif is_there and seen > len(voters) and share < SURE < _were_it_level(share, most_seen):
-            self.doubt = STEEP
+            self.doubt = Text.STEEP
         elif is_there and seen > len(voters) and share < 0.5 and self._known and not (is_open and self.doubt):
-            self.doubt = CHANGE
+            self.doubt = Text.CHANGE
         elif not is_open:
             self.doubt = None
         if self.sure < SURE and self.proven is not None and counts[self.proven]:

@@ -44,7 +44,7 @@ from msp_range.fusion.response import LEVEL_RISE
 from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
-from msp_range.health import Condition
+from msp_range.pilot_texts import Condition, Text
 from msp_range.reading import Reading, Status
 
 ROUGH_READINGS = 30.0
@@ -158,15 +158,10 @@ class Fusion:
 
     def conditions(self) -> list[Condition]:
         """Answers a ping late, readings of nothing, and what is perhaps no ground: for `msp_range.health`."""
-        late = "Range: answers are those of the ping before" if self._is_late else None
-        scatter = "Range: readings scatter, as in dust" if self._belief.is_scattered else None
-        power = "switch the sensors' power off and on; check that pings are acknowledged"
-        doubted = self._belief.doubt and f"Range: {self._belief.doubt}"
-        look = "look for what is in the beams (payload, strap, dust); climbing a little shows whether it is ground"
         return [
-            Condition("late answers", late, "Range: answers are in time again", remedy=power),
-            Condition("scatter", scatter, "Range: readings are of the ground again", remedy=look),
-            Condition("doubt", doubted, "Range: ground is certain again", renews=True, remedy=look),
+            Text.LATE.when(self._is_late),
+            Text.SCATTER.when(self._belief.is_scattered),
+            self._belief.doubt or Text.STEEP.when(False),
         ]
 
     @property
