@@ -358,7 +358,7 @@ class Belief:
             off_m = each.filter.height_m - ground.filter.height_m
             each.prior = 0.0 if each is ground else ground_prior(off_m, RETURNS_M, each.filter.height_m)
         ground.same, ground.raw = 0.0, None
-        ground.common = _common(ground)
+        ground.common = max(ground.common, _common(ground))
         ground.response.is_in_doubt = ground.common > math.log(COMMON)
 
     def forget(self, surface: Surface) -> None:

@@ -9,8 +9,20 @@ import numpy as np
 import pytest
 
 from msp_range.fusion import AttitudeTrack, DownwardSensor, Fusion, Windows
-from msp_range.fusion.modes import SensorMode, ground_prior, noise_density, object_prior
-from msp_range.fusion.vertical import VerticalMotion
+from msp_range.fusion.belief import Belief, Surface
+from msp_range.fusion.ground_filter import GroundFilter
+from msp_range.fusion.modes import (
+    COMMON,
+    COMMON_AGAIN,
+    COMMON_LOW,
+    START,
+    SensorMode,
+    ground_prior,
+    noise_density,
+    object_prior,
+)
+from msp_range.fusion.response import MotionResponse
+from msp_range.fusion.vertical import Rate, VerticalMotion
 from msp_range.reading import Reading, Status
 from tests.unit.msp_range.fusion.test_fusion import (
     CORNERS,
@@ -438,3 +450,15 @@ def test_noise_is_less_likely_the_farther_it_is_and_has_no_gap() -> None:
     assert all(far <= near for near, far in pairwise(densities))
     assert densities[-1] > 0.05
     assert densities[0] > 0.9
+
+
+@pytest.mark.parametrize(("was", "becomes"), [(COMMON_AGAIN, COMMON_AGAIN), (COMMON, COMMON_LOW * COMMON)])
+def test_what_was_rather_part_of_the_vehicle_still_is_when_it_becomes_the_ground(was: float, becomes: float) -> None:
+    """By readings that agree, which those of a strap do; 40 cm is near without any such suspicion."""
+    motion = VerticalMotion()
+    strap = Surface(GroundFilter(0.4, 1e-4, Rate(0.0, 0.01)), START, math.log(was), MotionResponse(motion, 0.4))
+    belief = Belief([], motion, Windows())
+    belief.surfaces = [strap]
+    belief._prove(strap)
+    assert belief.proven is strap
+    assert math.exp(strap.common) == pytest.approx(becomes)
