@@ -11,6 +11,7 @@ from importlib import import_module
 
 EVALUATIONS = {
     "bench": ("benchmarks.command", "times, memory and figures of the product, into docs/figures.md"),
+    "benchmark": ("benchmark.command", "frozen tables with hidden effects, for this and other methods"),
     "blind": ("blind.command", "tables computed from sound, with hidden effects, for the gap workflow"),
     "blind_peers": ("blind_peers.command", "the same tables for other methods that detect or name effects"),
     "closure": ("closure.command", "how much of a gap is closed in blind tables, by a classifier and by KS"),

@@ -68,7 +68,7 @@ def fly_plain(
         for key, column in columns.items()
     ):
         return before
-    return Plain(columns, *_fly_once(_repeat(columns, replicates), ways, mechanism.without, size, (seed, 99)))
+    return Plain(columns, *fly_once(_repeat(columns, replicates), ways, mechanism.without, size, (seed, 99)))
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def measure(columns: Columns, ways: Habits, name: str, size: float, seed: int, p
     mechanism = MECHANISMS[name]
     plain = plain or fly_plain(columns, ways, name, size, seed, REPLICATES)
     replicates = plain.flight.rows // len(plain.columns["run"])
-    _, changed = _fly_once(_repeat(plain.columns, replicates), ways, mechanism.act, size, (seed, 99))
+    _, changed = fly_once(_repeat(plain.columns, replicates), ways, mechanism.act, size, (seed, 99))
     shape = (replicates, -1)
     true_cm = plain.flight["true_range_cm"].reshape(shape)
     readings = [reading.reshape(shape) for reading in (plain.reading_cm, changed)]
@@ -159,9 +159,10 @@ def _next(found: list[tuple[float, float]], wanted: float) -> float:
     return float(last * np.clip(wanted / max(has, 1e-3), 0.3, 3.0))
 
 
-def _fly_once(
+def fly_once(
     columns: Columns, ways: Habits, act: Act | None, size: float, seed: tuple[int, ...]
 ) -> tuple[Flight, Array]:
+    """Fly these contexts as they are, with what a mechanism does to the flights."""
     base, own, hearing = np.random.SeedSequence(seed).spawn(3)
     flight = fly(columns, ways, default_rng(base))
     if act is not None:

@@ -8,7 +8,7 @@ the gap workflow, and no statistics.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,25 @@ LEAST = 1e-12
 LEAST_WEIGHT = 1e-6
 """Of each kind of reading: one that the base does not have may still be there."""
 LEAST_SATURATED = 1e-3
-MOST_WORDS = 12
+MOST_WORDS = 20
 ROUNDS = 20
 BASE_STEP = 0.02
 """Of the base's parameters, for derivatives."""
 DAMPING = 0.5
 """Of a step of the base's fit: what no reading speaks of stays where it is."""
+
+
+class Entry(NamedTuple):
+    """An effect, the word that it concerns, its parameters where it does nothing, and the one that is varied."""
+
+    effect: Effect
+    of: str | None
+    values: Mapping[str, float]
+    parameter: Parameter
+
+    def added_to(self, model: Model, value: float) -> Model:
+        """The model with this value of the parameter."""
+        return model.adding(self.effect.name, self.of, **{**self.values, self.parameter.name: value})
 
 
 @dataclass(frozen=True)
@@ -67,15 +80,15 @@ def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Lib
     reading_cm
         Readings [cm], shape (n,), all known.
     """
-    contexts = {**contexts, "previous_reading_cm": previous(contexts, reading_cm)}
+    contexts = with_previous(contexts, reading_cm)
     model = fitted(model, contexts, reading_cm)
     base = _base_scores(model, contexts, reading_cm)
-    here = _log_prob(model, contexts, reading_cm)
+    here = log_prob(model, contexts, reading_cm)
     columns, names, one_sided, moves = [], [], [], []
-    for effect, of, values, parameter in _entries(contexts):
-        start = parameter.neutral or 0.0
-        changed = model.adding(effect.name, of, **{**values, parameter.name: start + parameter.step})
-        score = np.expm1(_log_prob(changed, contexts, reading_cm) - here)
+    for entry in entries_of(contexts):
+        effect, parameter = entry.effect, entry.parameter
+        stepped = entry.added_to(model, (parameter.neutral or 0.0) + parameter.step)
+        score = np.expm1(log_prob(stepped, contexts, reading_cm) - here)
         size = np.sqrt(np.sum(score**2))
         if size > 0.0:
             columns.append(score / size)
@@ -83,6 +96,11 @@ def library(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Lib
             one_sided.append(parameter.low >= 0.0)
             moves.append({"bias", "spread"} >= set(effect.channels))
     return Library(base[:, :6], np.column_stack(columns), tuple(names), np.array(one_sided), np.array(moves), here)
+
+
+def with_previous(contexts: Mapping[str, Any], reading_cm: Array) -> dict[str, Any]:
+    """The contexts with the reading before, which some effects repeat."""
+    return {**contexts, "previous_reading_cm": previous(contexts, reading_cm)}
 
 
 def previous(contexts: Mapping[str, Any], reading_cm: Array) -> Array:
@@ -96,12 +114,13 @@ def previous(contexts: Mapping[str, Any], reading_cm: Array) -> Array:
 
 
 def _base_scores(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Array:
-    here = _log_prob(model, contexts, reading_cm)
-    changed = [_changed(model, BASE_STEP * unit) for unit in np.eye(7)]
-    return np.column_stack([np.expm1(_log_prob(each, contexts, reading_cm) - here) for each in changed]) / BASE_STEP
+    here = log_prob(model, contexts, reading_cm)
+    steps = [changed(model, BASE_STEP * unit) for unit in np.eye(7)]
+    return np.column_stack([np.expm1(log_prob(each, contexts, reading_cm) - here) for each in steps]) / BASE_STEP
 
 
-def _log_prob(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Array:
+def log_prob(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Array:
+    """Log probability of each reading, with a floor for one that cannot be, (n,)."""
     return np.maximum(model.log_prob(reading_cm, contexts), np.log(LEAST))
 
 
@@ -117,13 +136,13 @@ def _some_of_each(model: Model) -> Model:
 def fitted(model: Model, contexts: Mapping[str, Any], reading_cm: Array) -> Model:
     """With the base's parameters at the readings' maximum of the likelihood, by damped steps of Gauss and Newton."""
     model = _some_of_each(model)
-    best = _log_prob(model, contexts, reading_cm).sum()
+    best = log_prob(model, contexts, reading_cm).sum()
     for _ in range(ROUNDS):
         base = _base_scores(model, contexts, reading_cm)
         step = np.linalg.solve(base.T @ base + DAMPING * np.eye(base.shape[1]), base.sum(axis=0))
         for _ in range(6):
-            tried = _changed(model, step)
-            reached = _log_prob(tried, contexts, reading_cm).sum()
+            tried = changed(model, step)
+            reached = log_prob(tried, contexts, reading_cm).sum()
             if reached > best:
                 break
             step = 0.3 * step
@@ -138,7 +157,7 @@ def _sum_to_one(mixture: MixtureParameters, shares: Mapping[str, float]) -> Weig
     return mixture.weights.model_copy(update={name: share / total for name, share in shares.items()})
 
 
-def _changed(model: Model, by: Array) -> Model:
+def changed(model: Model, by: Array) -> Model:
     """The model with its base's parameters changed by so much: the offset [cm], logarithms of the rest."""
     sensor, mixture = model.sensor, model.sensor.reading_model
     factors = dict(zip(("hit", "short", "missed", "random"), np.exp([0.0, *by[2:5]]), strict=True))
@@ -158,7 +177,7 @@ def _changed(model: Model, by: Array) -> Model:
     return Model(sensor.model_copy(update={"reading_model": mixture.model_copy(update=update)}), model.effects)
 
 
-def _entries(contexts: Mapping[str, Any]) -> Iterator[tuple[Effect, str | None, dict[str, float], Parameter]]:
+def entries_of(contexts: Mapping[str, Any]) -> Iterator[Entry]:
     """Entries of the catalogue whose columns are there, in each shape that it is to be tried in."""
     for effect in CATALOGUE.values():
         if not all(_says(contexts, name) for name in (*effect.requires, *([effect.per] if effect.per else []))):
@@ -175,7 +194,7 @@ def _entries(contexts: Mapping[str, Any]) -> Iterator[tuple[Effect, str | None, 
                 held = {shape.name: float(value or 0.0) for shape, value in zip(shapes, tried, strict=True)}
                 held |= {number.name: number.neutral or 0.0 for number in numbers}
                 for number in numbers:
-                    yield effect, word, held, number
+                    yield Entry(effect, word, held, number)
 
 
 def _says(contexts: Mapping[str, Any], name: str) -> bool:

@@ -132,6 +132,30 @@ def case(kind: str, seed: int) -> Case:
     ValueError
         There is no such kind.
     """
+    table, hidden, size, rng = drawn(kind, seed)
+    moved_cm = size * hidden.moves(table) if hidden is not None else 0.0
+    effects = []
+    if hidden is not None:
+        effects = [{"title": hidden.title, "names": sorted(hidden.names), "variable": hidden.variable, "size": size}]
+    noise = table.noise
+    truth = {
+        "kind": kind,
+        "seed": seed,
+        "rows": table.run.size,
+        "runs": int(table.run.max()) + 1,
+        "white_cm": noise.white_cm,
+        "lasting_cm": noise.lasting_cm,
+        "lasts_s": noise.lasts_s,
+        "of_runs_cm": noise.of_runs_cm,
+        "effects": effects,
+    }
+    seen_cm = table.true_cm + moved_cm + error_cm(rng, table)
+    at_bench = bench(rng, noise)
+    return Case(at_bench, table.columns | {"reading_cm": read(rng, seen_cm)}, truth)
+
+
+def drawn(kind: str, seed: int) -> tuple[Table, Hidden | None, float, Generator]:
+    """What a case is made of before its readings are drawn: the table, the effect, its size, and the randomness."""
     if kind not in KINDS:
         raise ValueError(f"kind {kind!r}: expected one of {', '.join(KINDS)}")
     family, _, title = kind.partition(":")
@@ -146,30 +170,7 @@ def case(kind: str, seed: int) -> Case:
                 size = abs(size)
             if abs(size) > hidden.largest:
                 continue
-        break
-    moved_cm = size * hidden.moves(table) if hidden is not None else 0.0
-    effects = []
-    if hidden is not None:
-        effects = [{"title": title, "names": sorted(hidden.names), "variable": hidden.variable, "size": size}]
-    noise = table.noise
-    truth = {
-        "kind": kind,
-        "seed": seed,
-        "rows": table.run.size,
-        "runs": int(table.run.max()) + 1,
-        "white_cm": noise.white_cm,
-        "lasting_cm": noise.lasting_cm,
-        "lasts_s": noise.lasts_s,
-        "of_runs_cm": noise.of_runs_cm,
-        "effects": effects,
-    }
-    error_cm = np.empty(table.run.size)
-    for run in np.unique(table.run):
-        rows = table.run == run
-        error_cm[rows] = _drawn(rng, noise, table.time_s[rows])
-    return Case(
-        _bench(rng, noise), table.columns | {"reading_cm": _read(rng, table.true_cm + moved_cm + error_cm)}, truth
-    )
+        return table, hidden, size, rng
 
 
 def _standard_error(table: Table, moves_cm: Array) -> float:
@@ -185,11 +186,17 @@ def _standard_error(table: Table, moves_cm: Array) -> float:
     return float(np.sqrt(np.linalg.inv(information)[0, 0]))
 
 
-def _drawn(rng: Generator, noise: Noise, time_s: Array) -> Array:
-    return np.linalg.cholesky(noise.covariance(time_s)) @ rng.standard_normal(time_s.size)
+def error_cm(rng: Generator, table: Table) -> Array:
+    """Noise of a table's readings, (n,)."""
+    drawn_cm = np.empty(table.run.size)
+    for run in np.unique(table.run):
+        rows = table.run == run
+        covariance = table.noise.covariance(table.time_s[rows])
+        drawn_cm[rows] = np.linalg.cholesky(covariance) @ rng.standard_normal(len(covariance))
+    return drawn_cm
 
 
-def _read(rng: Generator, seen_cm: Array) -> Array:
+def read(rng: Generator, seen_cm: Array) -> Array:
     """Whole centimetres, one in a hundred without an echo and one in two hundred too short."""
     which = rng.random(seen_cm.size)
     short = rng.uniform(20.0, seen_cm)
@@ -264,13 +271,13 @@ def _joined(columns: list[Columns], noise: Noise) -> Table:
     return Table({**joined, "sensor": np.full(run.size, "down")}, run, noise)
 
 
-def _bench(rng: Generator, noise: Noise) -> Columns:
+def bench(rng: Generator, noise: Noise) -> Columns:
     """Forty ranges of fifty readings each."""
     true_cm = np.repeat(np.linspace(50.0, 500.0, 40), 50)
     return {
         "time_s": np.round(0.1 * np.arange(true_cm.size), 1),
         "sensor": np.full(true_cm.size, "down"),
         "run": np.char.add("bench", (np.arange(true_cm.size) // 50).astype(str)),
-        "reading_cm": _read(rng, true_cm + noise.white_cm * rng.standard_normal(true_cm.size)),
+        "reading_cm": read(rng, true_cm + noise.white_cm * rng.standard_normal(true_cm.size)),
         "true_range_cm": true_cm,
     }

@@ -28,6 +28,8 @@ class Design:
     """Number of sensors in the table; 0 draws it."""
     many_runs: bool = False
     """At least 12 runs: the effect varies between runs only."""
+    longest: int = 600
+    """Most rows of a run."""
 
     def __or__(self, other: "Design") -> "Design":
         return Design(
@@ -36,6 +38,7 @@ class Design:
             self.smooth or other.smooth,
             max(self.sensors, other.sensors),
             self.many_runs or other.many_runs,
+            min(self.longest, other.longest),
         )
 
 
@@ -57,7 +60,7 @@ CONTEXT_SHARE = 0.6
 
 
 def draw_flights(rng: Generator, design: Design) -> Rows:
-    """Draw the runs of a table: 6 to 20 of 100 to 600 rows."""
+    """Draw the runs of a table: 6 to 20 of 100 rows to the longest."""
     runs = int(rng.integers(12 if design.many_runs else 6, 21))
     sensors = design.sensors or (2 if rng.random() < 0.25 else 1)
     spacing = rng.uniform(0.06, 0.15)
@@ -67,7 +70,7 @@ def draw_flights(rng: Generator, design: Design) -> Rows:
     wires = rng.uniform(0, 12)
     parts, profiles = [], []
     for run in range(runs):
-        count = int(rng.integers(100, 601))
+        count = int(rng.integers(100, design.longest + 1))
         time = _ping_times(rng, count, spacing, jitter)
         profile, rate = _profile(rng, time[-1], design.low, ground_steps)
         contexts = _contexts(rng, time, profile, rate, wires, run)

@@ -91,7 +91,19 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
     ValueError
         There is no such kind.
     """
+    return _finish(kind, seed, *drawn(kind, seed, final))
+
+
+def drawn(kind: str, seed: int, final: bool = False, within: Design | None = None) -> tuple[Hidden, Generator]:
+    """What a case is made of, before its readings are drawn, and the source of their randomness; errors as `case`.
+
+    Parameters
+    ----------
+    within
+        What is asked of the runs besides what the effects ask.
+    """
     check_seed(seed, final)
+    within = within or Design()
     family, _, rest = kind.partition(":")
     number, _, correlation = rest.partition("@")
     if not re.fullmatch(rf"null:(drift|{NUMBER})|({'|'.join(COUNTS)}):{NUMBER}(@{NUMBER})?", kind):
@@ -100,10 +112,11 @@ def case(kind: str, seed: int, final: bool = False) -> Case:
     if family == "null":
         drift = number == "drift"
         base = draw_base(rng, rng.choice([0.0, 0.3]) if drift else float(number), drift)
-        rows = draw_flights(rng, Design())
-        return _finish(kind, seed, rng, Hidden(draw_bench(rng, rows), rows, base))
+        rows = draw_flights(rng, within)
+        return Hidden(draw_bench(rng, rows), rows, base), rng
     given = float(correlation) if correlation else None
-    return _hidden(kind, seed, rng, UNKNOWN if family == "unknown" else KNOWN, COUNTS[family], float(number), given)
+    known = UNKNOWN if family == "unknown" else KNOWN
+    return _hidden(kind, seed, rng, known, COUNTS[family], float(number), given, within), rng
 
 
 def _hidden(
@@ -114,7 +127,8 @@ def _hidden(
     count: int,
     asked: float,
     correlation: float | None,
-) -> Case:
+    within: Design,
+) -> Hidden:
     # The seed goes round the list, so that every effect comes up equally often in a block of seeds.
     for attempt in range(ATTEMPTS):
         first = (seed + attempt // ATTEMPTS_OF_ONE) % len(table)
@@ -123,13 +137,13 @@ def _hidden(
         if _same_thing(picked):
             continue
         base = draw_base(rng, correlation)
-        design = reduce(or_, (each.design for each in picked))
+        design = reduce(or_, (each.design for each in picked), within)
         rows = draw_flights(rng, design)
         bench = draw_bench(rng, rows)
         effects = [each.draw(rng, rows) for each in picked]
         sizes = sizes_of(rows, bench, base, effects, asked, seed % 2**31)
         if sizes is not None:
-            return _finish(kind, seed, rng, Hidden(bench, rows, base, effects, sizes, asked, attempt))
+            return Hidden(bench, rows, base, effects, sizes, asked, attempt)
     raise RuntimeError(f"{kind} {seed}: no possible size in {ATTEMPTS} draws")
 
 
@@ -139,7 +153,7 @@ def _same_thing(picked: list[Kind]) -> bool:
     return any(len(titles & pair) > 1 for pair in ({"scale", "thermometer_bias"}, {"slant_axis", "slant_beam_edge"}))
 
 
-def _finish(kind: str, seed: int, rng: Generator, hidden: Hidden) -> Case:
+def _finish(kind: str, seed: int, hidden: Hidden, rng: Generator) -> Case:
     rows, bench, base = hidden.rows, hidden.bench, hidden.base
     truth = {
         "kind": kind,
