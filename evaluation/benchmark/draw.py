@@ -272,7 +272,7 @@ def make(what: str, seed: int, name: str, folder: Path) -> dict[str, Any]:
         raise RuntimeError(f"{what} {seed}: {wrong}")
     model, rng = load_model(path), default_rng([SEED, seed])
     digits = {"time_s": 9, "true_range_cm": 4, "model_cm": 4, "model_sigma_cm": 3}
-    digits |= {"reading_cm": 6, "model_pit": 4, "neighbour_lag_ms": 4, "neighbour_range_cm": 4}
+    digits |= {"reading_cm": 6, "model_pit": 4, "neighbour_lag_ms": 4, "neighbour_range_cm": 4, "uptime_s": 6}
     columns = table.columns | predicted(model, table.columns, rng)
     cells = {column: cells_of(each, digits.get(column, DIGITS[generator])) for column, each in columns.items()}
     text = io.StringIO()

@@ -270,8 +270,13 @@ def scored(paths: Sequence[Path], folder: Path = HERE) -> dict[str, Score]:
     tables = {name: read_columns(folder / "tables" / f"{name}.csv.gz") for name in answers}
     with (folder / "names.csv").open(encoding="utf-8", newline="") as file:
         names = frozenset(row["name"] for row in csv.DictReader(file))
-    read = [read_findings(path, tables, names) for path in paths]
-    return {each["method"]: score(each, answers, tables) for each in read}
+    scores: dict[str, Score] = {}
+    for path in paths:
+        findings = read_findings(path, tables, names)
+        if findings["method"] in scores:
+            raise FindingsError(f"{path}: method: found {findings['method']!r}, as in another file; expected its own")
+        scores[findings["method"]] = score(findings, answers, tables)
+    return scores
 
 
 def main(words: Sequence[str]) -> int:

@@ -23,9 +23,8 @@ ROUNDS = 40
 """Most steps of a fit."""
 LEAST_NATS = 1e-2
 """A step that gains less is the last of a fit."""
-LOOKED_AT, TRIED = 30, 3
-"""Candidates that are looked at, those with the largest slopes in their standard errors; and of these the ones that are
-fitted, which gain most by one step of Newton's. Looking at all takes twice as long."""
+TRIED = 3
+"""Candidates of a step that are fitted: those that gain most by one step of Newton's."""
 MOST_TERMS = 8
 """Terms after which a search ends; tables have two effects at most. AIC alone comes there."""
 
@@ -92,8 +91,7 @@ def search(
     a_term = price(reading_cm.size, len(pool))
     alone = best = fit(problem, (), np.zeros(BASE))
     while len(best.entries) < MOST_TERMS:
-        seen = _by_slope(problem, best, pool)[:LOOKED_AT]
-        ahead = sorted((_stepped(problem, best, entry) for entry in seen), key=lambda each: -each[0])[:TRIED]
+        ahead = sorted((_stepped(problem, best, entry) for entry in pool), key=lambda each: -each[0])[:TRIED]
         further = max((fit(problem, (*best.entries, entry), at) for _, entry, at in ahead), key=lambda each: each.total)
         if further.total - best.total <= a_term:
             break
@@ -122,21 +120,6 @@ def fit(problem: Problem, entries: tuple[Entry, ...], at: Array) -> Fit:
         if 0.0 < gain < LEAST_NATS or damping > 1e6:
             break
     return Fit(entries, at, here, slopes)
-
-
-def _by_slope(problem: Problem, best: Fit, pool: Sequence[Entry]) -> list[Entry]:
-    """The entries by how many standard errors their slopes are from zero, next to what is fitted, the largest first."""
-    across, _ = np.linalg.qr(best.slopes)
-
-    def z(entry: Entry) -> float:
-        entries, at = (*best.entries, entry), np.append(best.at, entry.parameter.neutral or 0.0)
-        slope = _slope(problem, entries, at, best.log_p, at.size - 1)
-        left = slope - across @ (across.T @ slope)
-        return float(left.sum() / (np.sqrt(left @ left) + 1e-9)) * (
-            1.0 if entry.parameter.low >= 0.0 else np.sign(left.sum())
-        )
-
-    return sorted(pool, key=z, reverse=True)
 
 
 def _stepped(problem: Problem, best: Fit, entry: Entry) -> tuple[float, Entry, Array]:

@@ -17,7 +17,7 @@ from evaluation import ROOT
 from evaluation.benchmark.score import FindingsError, Score, main, scored, show
 
 HERE = ROOT / "evaluation" / "benchmark"
-FROZEN = "8ad65c87235073bcaade5ace7580e309719325873ab507d1552b31b868215516"
+FROZEN = "0b1ea9443e0c46ff1cfd8de365725b69e02a20835224ed2d67356b3f7b620a71"
 """Of all tables, models and answers."""
 SCALE = {"title": "scale", "names": {"range_scale": 2.0}, "channel": "bias", "columns": [], "standard_errors": 5.0}
 LATE = {"title": "late", "names": {"latency": 50.0}, "channel": "bias", "columns": [], "standard_errors": 10.0}
@@ -160,6 +160,12 @@ def test_broken_file_is_explained(text: str | dict[str, Any], says: str, folder:
         scored([path], folder)
     assert says in str(error.value)
     assert str(path) in str(error.value)
+
+
+def test_two_methods_have_two_names(folder: Path, of: Scorer) -> None:
+    of({})
+    with pytest.raises(FindingsError, match="'mine', as in another file"):
+        scored([folder / "findings.json"] * 2, folder)
 
 
 def test_command_line_scores_the_frozen_tables_without_the_project(tmp_path: Path) -> None:
