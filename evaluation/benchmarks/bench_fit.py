@@ -19,7 +19,8 @@ from evaluation import CONFIGS
 from evaluation.benchmarks.figure import Figures, at_least, at_most, figure
 from msp_lab.mixture_fit.fit import fit_readings
 from msp_lab.mixture_fit.grid import ReadingGrid
-from msp_lab.mixture_fit.likelihood import Likelihood, Numbers
+from msp_lab.mixture_fit.likelihood import Likelihood
+from msp_lab.mixture_fit.parameters import Numbers
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel, load_sensor_model
 

@@ -16,9 +16,9 @@ from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementEr
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
 from msp_lab.mixture_fit.fit import fit_readings
-from msp_lab.mixture_fit.fit_result import KINDS, FitError, FitResult, with_floors
+from msp_lab.mixture_fit.fit_result import FitError, FitResult
 from msp_lab.mixture_fit.grid import ReadingGrid
-from msp_lab.mixture_fit.likelihood import MIN_WEIGHT
+from msp_lab.mixture_fit.parameters import KINDS, MIN_WEIGHT, PARAMETERS, with_floors
 from msp_lab.mixture_fit.pit import goodness_of_fit
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
@@ -27,15 +27,6 @@ from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParame
 
 ENOUGH_HITS = 50
 """Set-ups with fewer hits are fitted about the reference: their own mean would lower the variance by 2 % or more."""
-
-UNIT = {
-    "sigma_cm": "cm",
-    "short_rate_per_m": "1/m",
-    "sigma_growth_cm_per_m": "cm/m",
-    "missed_growth_per_m": "1/m",
-}
-GROWTH = {"sigma_growth_cm_per_m": "the spread", "missed_growth_per_m": "the odds of a missed echo"}
-"""Parameters that are 0 where nothing depends on range, and what they change."""
 
 
 def fit_mixture(
@@ -155,13 +146,13 @@ def _parameter(name: str, result: FitResult, before: MixtureParameters, at_bound
     except ValueError:
         # The profile of the likelihood has no end here.
         low, high = None, None
-    estimate = IntervalEstimate(result.estimates[name], low, high, UNIT.get(name, ""), result.readings)
+    estimate = IntervalEstimate(result.estimates[name], low, high, PARAMETERS[name].unit, result.readings)
     full_name = f"weights.{name}" if name in KINDS else name
     return MixtureParameter(full_name, estimate, attrgetter(full_name)(before), at_bound)
 
 
 def _conditional(result: FitResult, expected_cm: Array) -> str:
-    grown = [words for name, words in GROWTH.items() if result.estimates.get(name, 0.0) != 0.0]
+    grown = [PARAMETERS[name].grows for name, value in result.estimates.items() if PARAMETERS[name].grows and value]
     if not grown:
         return "nothing depends on range (by BIC)"
     growing = f"{' and '.join(grown)} depend{'s' if len(grown) == 1 else ''} on range (by BIC)"

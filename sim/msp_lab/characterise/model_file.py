@@ -17,7 +17,7 @@ from pydantic_core import to_jsonable_python
 from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.mixture_fit.likelihood import MIN_WEIGHT
+from msp_lab.mixture_fit.parameters import MIN_WEIGHT
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.error import new_file
 from msp_range.yaml_file import ConfigError

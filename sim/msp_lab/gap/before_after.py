@@ -19,6 +19,7 @@ from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.slices import ranked, remeasured
 from msp_lab.gap.verdict import verdict
+from msp_lab.mixture_fit.parameters import MIN_WEIGHT
 from msp_sim.model.model import Model
 
 
@@ -102,7 +103,7 @@ def _gap(measured: Measures, impossible: float, before: Gap | None = None) -> Ga
             return Measure(value, None, floor, low, high)
         return Measure(before.measures[name].before, value, floor, low, high)
 
-    odds_of_code = 1.0 + impossible / rules.MIN_WEIGHT
+    odds_of_code = 1.0 + impossible / MIN_WEIGHT
     code = Measure(odds_of_code, None, 1.0) if before is None else replace(before.odds.code, after=odds_of_code)
     odds = OddsMeasures(number("odds_short"), number("odds_missed"), number("odds_random"), code)
     return Gap(number("nats_per_reading"), number("bias_cm"), number("spread_ratio"), odds)

@@ -6,6 +6,7 @@ They are those of the validated terms in the fit of all runs.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from scipy.special import stdtrit
@@ -28,6 +29,17 @@ from msp_sim.effects.curve import Ripple, hats
 from msp_sim.effects.plain import MOST_TIMES
 from msp_sim.model.model import Term
 
+NUMBERS = (
+    "offset_cm",
+    "sigma_cm",
+    "weights.short",
+    "weights.missed",
+    "weights.random",
+    "short_rate_per_m",
+    "saturated_fraction",
+    "correlation",
+)
+"""What the base's numbers change, in their order, as in a sensor model file."""
 UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
 STEP_SHARE = 0.01
 """Two knots that are closer than this share of the column's span are a step, and are written as one."""
@@ -253,18 +265,8 @@ def calibrated(problem: Problem, final: FinalFit, training: JointFit) -> list[Ca
     # The shares' sum, which is 1 again in the file.
     total = shares.hit + float(np.array([shares.short, shares.missed, shares.random]) @ np.exp(base[2:5]))
     found = []
-    given = {
-        "offset_cm": 0.0,
-        "sigma_cm": mixture.sigma_cm,
-        "weights.short": shares.short,
-        "weights.missed": shares.missed,
-        "weights.random": shares.random,
-        "short_rate_per_m": mixture.short_rate_per_m,
-        "saturated_fraction": mixture.saturated_fraction,
-        "correlation": mixture.correlation,
-    }
-    for k, (name, before) in enumerate(given.items()):
-        half = final.half_widths[k]
+    for k, name in enumerate(NUMBERS):
+        before, half = attrgetter(name)(mixture) if k else 0.0, final.half_widths[k]
         z = float(base[k] * final.width / half) if half > 0.0 else 0.0
         if abs(z) < rules.CALIBRATION_Z or np.sign(training.base[k]) != np.sign(base[k]):
             continue

@@ -19,6 +19,7 @@ from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
 from msp_lab.gap.runs import known_values, places_in, sample, taken
 from msp_lab.gap.splits import Splits, draw_splits
+from msp_lab.mixture_fit.parameters import MIN_WEIGHT, with_floors
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
 from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
@@ -177,21 +178,14 @@ class Comparison:
 
 def with_least_weights(model: Model) -> tuple[Model, list[str]]:
     """The model with no kind of reading at a share of 0, and a message if that changed it."""
-    weights = model.sensor.reading_model.weights
-    shares = weights.model_dump()
-    missing = [name for name, share in shares.items() if share < rules.MIN_WEIGHT]
+    mixture, missing = with_floors(model.sensor.reading_model, saturates=False)
     if not missing:
         return model, []
-    raised = {name: max(share, rules.MIN_WEIGHT) for name, share in shares.items()}
-    total = sum(raised.values())
-    changed = weights.model_copy(update={name: share / total for name, share in raised.items()})
-    mixture = model.sensor.reading_model.model_copy(update={"weights": changed})
-    sensor = model.sensor.model_copy(update={"reading_model": mixture})
     text = (
-        f"The model gives {' and '.join(missing)} readings a share of 0; {rules.MIN_WEIGHT:g} is used, since a reading "
+        f"The model gives {' and '.join(missing)} readings a share of 0; {MIN_WEIGHT:g} is used, since a reading "
         "of probability 0 would decide the comparison alone."
     )
-    return replace(model, sensor=sensor), [text]
+    return replace(model, sensor=model.sensor.model_copy(update={"reading_model": mixture})), [text]
 
 
 def _about_noise(path: Column | None) -> list[str]:

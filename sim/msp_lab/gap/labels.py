@@ -5,6 +5,7 @@ import re
 import numpy as np
 
 from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect
+from msp_lab.mixture_fit.parameters import PARAMETERS
 from msp_sim.effects.plain import digits
 
 _UNITS = {
@@ -22,15 +23,8 @@ _UNITS = {
 }
 _NUMBERS = {
     "offset_cm": "constant offset",
-    "sigma_cm": "scatter (sigma)",
-    "short": "short readings",
-    "missed": "missed echoes",
-    "random": "random readings",
-    "short_rate_per_m": "range of short readings",
-    "saturated_fraction": "readings of 255",
     "correlation": "correlation of neighbouring errors",
-    "sigma_growth_cm_per_m": "growth of scatter with range",
-    "missed_growth_per_m": "growth of missed echoes with range",
+    **{name: each.label for name, each in PARAMETERS.items()},
 }
 _SPECIAL = {
     "range_rate_cm_s": "rate of the range",

@@ -153,9 +153,6 @@ more: dependent neighbours count as independent."""
 MIN_BLOCK_READINGS = 5
 """A block has at least so many readings. Noise that is correlated over five pings stays in one. Fewer: as for more
 blocks."""
-MIN_WEIGHT = 1e-4
-"""A kind of reading that the model gives a smaller share gets this one. A reading of probability 0 would decide the
-whole comparison alone. Larger: the model is judged by what it is not."""
 MAX_MEASURED = 12_000
 """The measures are taken on a sample of at most so many held-out readings. Their errors are then a tenth of the
 bounds. More: slower."""

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from msp_lab.mixture_fit.fit_result import FitError, FitResult, columns, result_of
 from msp_lab.mixture_fit.grid import ReadingGrid
-from msp_lab.mixture_fit.likelihood import HIGHEST, MIN_WEIGHT, NAMES, Likelihood, Numbers, Optimum, bounds_of
-from msp_range.arrays import Array
+from msp_lab.mixture_fit.likelihood import Likelihood, Optimum
+from msp_lab.mixture_fit.parameters import HIGHEST, MIN_WEIGHT, NAMES, Numbers, bounds_of
 from msp_range.reading_model.kernel import NO_ECHO_CENTRE
 
 FEWEST_READINGS = 50
@@ -49,7 +49,8 @@ def fit_readings(
     ----------
     reading_cm, expected_cm
         Readings and codes as the sensor reported them [cm], (n,), and the mean reading of a hit [cm], (n,): the true
-        range, or `Calibration.forward` of it. Infinite if there is no echo.
+        range, or `Calibration.forward` of it. Infinite if there is no echo. All are known, and the readings are those
+        that the sensor can report: the intake has refused others.
     grid
         The possible readings.
     growth
@@ -62,7 +63,7 @@ def fit_readings(
     Raises
     ------
     FitError
-        There are too few readings, or they or their ranges are implausible.
+        There are too few readings or hits.
 
     Examples
     --------
@@ -76,67 +77,35 @@ def fit_readings(
     >>> print("{:.3f} {:.3f}".format(*result.interval("missed")), result.at_bound)
     0.044 0.056 ('short', 'random')
     """
-    reading, expected = columns(reading_cm, expected_cm)
-    _check(reading, expected, grid)
-    rows = _counted(grid, grid.nearest(reading), expected, reference_std_cm)
+    rows = _counted(grid, reading_cm, expected_cm, reference_std_cm)
     moving = [name for name in NAMES[:6] if grid.saturates or name != "saturated"]
     mean_length_m = _mean_length_m(rows)
     best = rows.optimum(_start(rows.sample(START_ROWS), moving, mean_length_m), moving, SAMPLE_ROWS)
     if growth and (kept := _growth(rows, best, moving)):
-        start, moving = _growing(best.numbers, kept), [*moving, *kept]
-        best = rows.optimum(start, moving, SAMPLE_ROWS)
+        moving = [*moving, *kept]
+        best = rows.optimum(_growing(best.numbers, kept), moving, SAMPLE_ROWS)
     if best.left_nats > MOST_LEFT_NATS:
-        raise FitError(f"the fit of {reading.size} readings does not converge: {best.left_nats:.2g} nats are left")
+        raise FitError(f"the fit of {rows.readings:.0f} readings does not converge: {best.left_nats:.2g} nats are left")
     result = result_of(rows, best, moving, mean_length_m)
-    hits, sigma_cm = result.estimates["hit"] * reading.size, result.estimates["sigma_cm"]
+    hits, sigma_cm = result.estimates["hit"] * rows.readings, result.estimates["sigma_cm"]
     if hits < FEWEST_HITS or best.numbers.log_sigma >= HIGHEST.log_sigma:
         raise FitError(
-            f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {reading.size} readings, expected at least "
+            f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {rows.readings:.0f} readings, expected at least "
             f"{FEWEST_HITS} around their ranges; do the ranges belong to these readings, and are they in centimetres?"
         )
     return result
 
 
-def _check(reading: Array, expected: Array, grid: ReadingGrid) -> None:
-    """Raise a FitError for readings or ranges that are implausible."""
+def _counted(
+    grid: ReadingGrid, reading_cm: ArrayLike, expected_cm: ArrayLike, reference_std_cm: ArrayLike
+) -> Likelihood:
+    """The likelihood of the rows; equal ones are combined if there are few ranges, and these are exact."""
+    reading, expected = columns(reading_cm, expected_cm)
+    reading = grid.nearest(reading)
     if reading.size < FEWEST_READINGS:
         raise FitError(f"found {reading.size} readings, expected at least {FEWEST_READINGS}; take more")
-    for name, column in (("readings", reading), ("expected ranges", expected)):
-        unknown = int(np.isnan(column).sum())
-        if unknown:
-            raise FitError(f"found {unknown} {name} that are unknown (NaN), expected none; leave out their rows")
-    odd = np.flatnonzero(~grid.can_report(reading))
-    codes = [f"{code:g}" for code in grid.codes_cm]
-    limits = f"{grid.minimum_cm:g} to {grid.maximum_cm:g} cm by {grid.resolution_cm:g}"
-    if odd.size:
-        inside = (reading[odd] >= grid.minimum_cm) & (reading[odd] <= grid.maximum_cm)
-        if np.median(reading) < 0.05 * np.median(expected):
-            advice = "they look like metres: give centimetres"
-        elif inside.all():
-            advice = "give the resolution with which they were written, or round them with grid.nearest"
-        else:
-            advice = "widen the limits or name the code"
-        raise FitError(
-            f"found {odd.size} of {reading.size} readings that the sensor cannot report, such as "
-            f"{reading[odd[0]]:g}, expected {limits} and codes {', '.join(codes)}; {advice}"
-        )
-    is_range = ~np.isin(grid.nearest(reading), grid.codes_cm)
-    if not is_range.any():
+    if np.isin(reading, grid.codes_cm).all():
         raise FitError(f"found nothing but codes for 'no echo' in {reading.size} readings, expected ranges")
-    usable = is_range & (expected < NO_ECHO_CENTRE)
-    if not usable.any():
-        raise FitError("found no reading with a finite expected range, expected some")
-    some = np.flatnonzero(usable)[:: max(usable.size // START_ROWS, 1)]
-    middles = float(np.median(reading[some])), float(np.median(expected[some]))
-    if middles[0] > 30.0 * abs(middles[1]):
-        raise FitError(
-            f"found expected ranges with a median of {middles[1]:.3g} for readings with one of {middles[0]:.3g} cm, "
-            "expected centimetres for both; the ranges look like metres"
-        )
-
-
-def _counted(grid: ReadingGrid, reading: Array, expected: Array, reference_std_cm: ArrayLike) -> Likelihood:
-    """The likelihood of the rows; equal ones are combined if there are few ranges, and these are exact."""
     reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
     some = expected[:: max(expected.size // 5_000, 1)]
     if reference_cm2.any() or np.unique(some).size > FEW_RANGES * some.size:

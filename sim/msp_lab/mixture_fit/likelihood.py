@@ -7,12 +7,13 @@ Readings with their expected ranges enter, with counts of equal pairs. The distr
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from msp_lab.mixture_fit.grid import ReadingGrid
 from msp_lab.mixture_fit.maximise import held_numbers, maximise
+from msp_lab.mixture_fit.parameters import MIN_WEIGHT, NAMES, Numbers, bounds_of
 from msp_range.arrays import Array
 from msp_range.reading_model.rows import FREE, MIN_PROBABILITY, Base, MixtureRows
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
@@ -26,41 +27,6 @@ curvature takes the place of the outer product of the scores, and errors are squ
 CURVATURE_ROWS = 100_000
 """Rows from which errors are computed, about; of twice as many and more the others are taken to be alike. The curvature
 takes eight times as long as a step. Fewer: errors of rare kinds of reading are known badly."""
-LEAST_LOG_ODDS = float(np.log(1e-7))
-"""Log odds of a kind of reading that never came: of a million readings a tenth had one."""
-MIN_WEIGHT = 1e-4
-"""Floor of a weight in a sensor model file, and of the odds of missed echoes at 3 m that depend on range. A kind of
-reading with a share of 0 could never be compared with any reading, and an outlier in flight would have no probability.
-20,000 readings without one of a kind are compatible with this share; a smaller floor lets a fit whose missed echoes are
-all near move the share at 3 m to 1e-30, and the growth with it."""
-MAX_GROWTH_PER_M = 10.0
-"""Largest growth of the log odds of missed echoes with range [1/m]: from `MIN_WEIGHT` to certainty within 1.5 m. With a
-larger one the share at one range says nothing of another, and its derivatives overflow."""
-
-
-class Numbers(NamedTuple):
-    """The numbers of a fit."""
-
-    log_sigma: Any
-    """Of the hits' spread in cm."""
-    log_odds_short: Any
-    log_odds_missed: Any
-    log_odds_random: Any
-    """Against hits; that of missed echoes at `WEIGHTS_RANGE_CM`."""
-    rate: Any
-    """lambda [1/m]: not its logarithm, since short readings that hardly get rarer with range have next to none."""
-    saturated: Any
-    """Share of no-echo codes that arrive as 255."""
-    sigma_growth_2: Any
-    """Square of the spread's growth with range [(cm/m)^2]."""
-    missed_growth: Any
-    """Growth of the log odds of a missed echo with range [1/m]."""
-
-
-NAMES = Numbers._fields
-LOWEST = Numbers(np.log(0.01), LEAST_LOG_ODDS, LEAST_LOG_ODDS, LEAST_LOG_ODDS, 1e-3, 0.0, 0.0, -MAX_GROWTH_PER_M)
-HIGHEST = Numbers(np.log(100.0), -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, 1e3, 1.0, 1e4, MAX_GROWTH_PER_M)
-"""Where the numbers may be: within what a sensor model file takes, and any share of each kind of reading."""
 
 
 Maximum: TypeAlias = tuple[Array, float, tuple[Array, Array]]
@@ -192,13 +158,3 @@ class Likelihood:
         inside = tuple(name for name, is_held in zip(NAMES, held, strict=True) if not is_held)
         step = np.linalg.lstsq(curvature[np.ix_(~held, ~held)], gradient[~held], rcond=None)[0]
         return Optimum(Numbers(*at.tolist()), value, curvature, inside, 0.5 * abs(float(gradient[~held] @ step)))
-
-
-def bounds_of(start: Numbers, moving: Sequence[str]) -> tuple[Array, Array]:
-    """Bounds of the numbers of which these move: with growth, missed echoes are possible anywhere."""
-    low, high = LOWEST, HIGHEST
-    if "missed_growth" in moving:
-        low = low._replace(log_odds_missed=float(np.log(MIN_WEIGHT)))
-        high = high._replace(log_odds_missed=-float(np.log(MIN_WEIGHT)))
-    fixed = {name: getattr(start, name) for name in NAMES if name not in moving}
-    return np.array(low._replace(**fixed)), np.array(high._replace(**fixed))

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from msp_lab.characterise.estimates import wilson
 from msp_lab.characterise.findings import Mixture
-from msp_lab.characterise.mixture import KINDS
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import interval
+from msp_lab.mixture_fit.parameters import KINDS
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.mixture import ReadingModel

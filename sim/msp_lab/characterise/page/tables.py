@@ -4,6 +4,7 @@ from msp_lab.characterise.findings import CompensationRow, FactorEffect, Finding
 from msp_lab.characterise.page.text import interval
 from msp_lab.characterise.point_findings import PointResult
 from msp_lab.characterise.questions import SHARE_BOUND
+from msp_lab.mixture_fit.parameters import PARAMETERS
 from msp_sim.page.table import PageTable
 from msp_sim.page.text import number, p_text, sentence
 
@@ -15,15 +16,6 @@ METRICS: dict[Metric, str] = {
 }
 MAX_POINTS = 400
 """Set-ups that the page lists at most; the others are in findings.json."""
-_SYMBOLS = {
-    "weights.hit": "z_hit",
-    "weights.short": "z_short",
-    "weights.missed": "z_max",
-    "weights.random": "z_rand",
-    "sigma_cm": "σ_hit",
-    "short_rate_per_m": "λ_short",
-}
-"""Parameter -> its symbol in Probabilistic Robotics (Thrun, Burgard & Fox 2005, section 6.3)."""
 
 
 def effects_table(findings: Findings) -> PageTable:
@@ -106,7 +98,7 @@ def mixture_table(findings: Findings) -> PageTable:
         rows=tuple(
             (
                 each.name,
-                _SYMBOLS.get(each.name, "–"),
+                PARAMETERS[each.name.removeprefix("weights.")].symbol,
                 interval(each.fitted) + (" at its bound" if each.at_bound else ""),
                 "–" if each.before is None else f"{each.before:.4g}",
             )

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from msp_lab.mixture_fit.grid import ReadingGrid
-from msp_lab.mixture_fit.likelihood import NAMES, Likelihood, Numbers, bounds_of
+from msp_lab.mixture_fit.likelihood import Likelihood
+from msp_lab.mixture_fit.parameters import NAMES, Numbers, bounds_of
 from msp_range.reading_model.kernel import NO_ECHO_CENTRE
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import MixtureParameters
