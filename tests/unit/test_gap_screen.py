@@ -243,7 +243,7 @@ def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, asked: 
     simulated = replicate(MODEL, base, [], contexts, np.random.default_rng(5))
     information = information_of(simulated, base, [], TESTED)
     unit = np.zeros(reading_cm.size, dtype=np.intp)
-    readings = ReadingsAtFit(MODEL, base, [], contexts, reading_cm)
+    readings = ReadingsAtFit(Prepared.of(MODEL, contexts, reading_cm), base, [])
     return score_sums(readings, TESTED, unit, information).profile(np.array(asked))
 
 
@@ -285,7 +285,7 @@ def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: 
     asked = np.array([j for j, each in enumerate(tested) if each.is_rare and not each.is_base and acts[j]], np.intp)
     unit = np.arange(800) % 3
     monkeypatch.setattr("msp_lab.gap.prepared.CHUNK", 300)
-    readings = ReadingsAtFit(MODEL, base, [], contexts, reading_cm)
+    readings = ReadingsAtFit(Prepared.of(MODEL, contexts, reading_cm), base, [])
     sums = score_sums(readings, tested, unit, information, prior=0.01)
     prior = np.append(0.01 * np.array(base) * 800 / 3, np.zeros(len(tested)))
     assert sums.by_unit == pytest.approx(np.array([scores[unit == k].sum(axis=0) - prior for k in range(3)]))

@@ -15,7 +15,6 @@ from msp_lab.gap import rules
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit, inverse, refit
-from msp_lab.gap.runs import taken
 from msp_lab.gap.splits import Splits
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
@@ -45,10 +44,8 @@ class Parts:
     def readings(self, split: int, part: int, fitted: bool) -> Prepared:
         """Readings of a part, or those that are fitted without it."""
         if (split, part, fitted) not in self.prepared:
-            mask, some = (self.runs(split, part) ^ fitted)[self.problem.unit], self.problem.readings
-            contexts = taken(self.problem.contexts, mask)
-            prepared = Prepared.of(self.problem.model, contexts, some.reading_cm[mask], some.spacing_s)
-            self.prepared[split, part, fitted] = prepared
+            mask = (self.runs(split, part) ^ fitted)[self.problem.unit]
+            self.prepared[split, part, fitted] = self.problem.readings.take(mask)
         return self.prepared[split, part, fitted]
 
 

@@ -34,8 +34,10 @@ class Prepared:
 
     model: Model
     """The given model, with its effects."""
+    contexts: Mapping[str, Any]
+    """Columns of the readings, (n,) each."""
     scene: Scene
-    """Contexts of the readings, of when the given model has them."""
+    """The same, of when the given model has them."""
     rows: ModelRows
     """The given model's distribution of each reading."""
     reading_cm: Array
@@ -57,10 +59,14 @@ class Prepared:
             spacing_s = given.correlation_spacing_s
         elif spacing_s is not None:
             rows = replace(rows, history=history_of(scene, 0.0, spacing_s))
-        return cls(model, shifted(scene, model.effects), rows, reading_cm, spacing_s)
+        return cls(model, contexts, shifted(scene, model.effects), rows, reading_cm, spacing_s)
 
     def __len__(self) -> int:
         return self.reading_cm.size
+
+    def take(self, rows: Any) -> "Prepared":
+        """Some of the readings."""
+        return Prepared.of(self.model, taken(self.contexts, rows), self.reading_cm[rows], self.spacing_s)
 
     def at(self, base: Base, effects: Sequence[Term]) -> ModelRows:
         """The distribution with the base's numbers changed by this much, and with these effects."""
@@ -206,18 +212,14 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
 class ReadingsAtFit:
     """All readings at a fit, of which a part at a time fits into a processor's cache."""
 
-    model: Model
+    readings: Prepared
     base: Base
     effects: Sequence[Term]
     """What was fitted."""
-    contexts: Mapping[str, Any]
-    reading_cm: Array
-    spacing_s: float | None = None
-    """As in `Prepared`."""
 
     def parts(self) -> Iterator[tuple[slice, Prepared, ChannelSlopes]]:
         """Which readings, prepared, and their slopes."""
-        for start in range(0, self.reading_cm.size, CHUNK):
+        for start in range(0, len(self.readings), CHUNK):
             part = slice(start, start + CHUNK)
-            prepared = Prepared.of(self.model, taken(self.contexts, part), self.reading_cm[part], self.spacing_s)
+            prepared = self.readings.take(part)
             yield part, prepared, prepared.slopes(self.base, self.effects)

@@ -273,10 +273,7 @@ def screened(problem: Problem, state: State, by_run: bool = False, sums: ScoreSu
 
 def scores_at(problem: Problem, state: State) -> ScoreSums:
     """Sums of the scores by run, at a state."""
-    fit, spacing_s = state.fit, problem.readings.spacing_s
-    readings = ReadingsAtFit(
-        problem.model, fit.base, fit.effects, problem.contexts, problem.readings.reading_cm, spacing_s
-    )
+    readings = ReadingsAtFit(problem.readings, state.fit.base, state.fit.effects)
     return score_sums(readings, problem.candidates, problem.unit, state.information, problem.prior)
 
 

@@ -4,16 +4,16 @@ It is the gain of each of some candidates in log-likelihood over a fit, along it
 score that rests on a few improbable readings promises more than that.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from msp_lab.gap.candidates import CandidateEffect, score_of
-from msp_lab.gap.prepared import BASE, ChannelSlopes, ReadingsAtFit, templates
+from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit, templates
 from msp_range.arrays import Array
 from msp_sim.effects.base import Scene
-from msp_sim.model.model import Model, applies
+from msp_sim.model.model import applies
 
 Gains: TypeAlias = tuple[Array, Array]
 """Largest gain of each candidate [nat], and its number there, each (candidates,)."""
@@ -50,7 +50,7 @@ def largest_gains(
     # The gain along a score is concave: it is below nothing on the side to which the score does not point.
     forward = np.where(total[own] - cross @ total[ODDS] > 0.0, 1.0, -1.0)
     steps = SCORE_STEPS[:, None] * forward / np.sqrt(np.maximum(left, 1e-12))
-    sizes, means = _odds_scales(readings.model, candidates, readings.contexts)
+    sizes, means = _odds_scales(readings.readings, candidates)
     gains = np.zeros((len(candidates), 2 * ODDS_STEPS.size))
     along = np.zeros(steps.shape)
     for _, prepared, here in readings.parts():
@@ -92,11 +92,9 @@ def _odds_template(candidate: CandidateEffect, scene: Scene) -> Array:
     return np.broadcast_to(template / candidate.parameter.step, shape)
 
 
-def _odds_scales(
-    model: Model, candidates: Sequence[CandidateEffect], contexts: Mapping[str, Any]
-) -> tuple[Array, Array]:
+def _odds_scales(readings: Prepared, candidates: Sequence[CandidateEffect]) -> tuple[Array, Array]:
     """For odds, the number that changes them by one where it acts most, and its mean template."""
-    scene = Scene(model.sensor, contexts)
+    scene = Scene(readings.model.sensor, readings.contexts)
     sizes, means = np.ones(len(candidates)), np.zeros(len(candidates))
     for j, candidate in enumerate(candidates):
         if candidate.odds is not None:

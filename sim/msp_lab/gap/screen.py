@@ -56,7 +56,7 @@ def score_sums(
     only the prior holds a number, that one's scores do not sum to zero without it, and a projection on them would
     remove what other scores show.
     """
-    units, rows = int(unit.max()) + 1, readings.reading_cm.size
+    units, rows = int(unit.max()) + 1, len(readings.readings)
     total = np.zeros((units, len(BASE) + len(candidates)))
     products = np.zeros((total.shape[1], total.shape[1]))
     for part, prepared, here in readings.parts():
