@@ -14,7 +14,7 @@ import itertools
 import math
 import os
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -133,23 +133,60 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
         It names the file, line, column, what was found and what was expected.
     """
     path = Path(path)
-    rows = csv_rows(path)
-    header = [name.strip() for name in next(rows, (0, []))[1]]
+    header = csv_header(path)
     _check_header(path, header, required)
-    parts: list[list[Column]] = [[] for _ in header]
-    while block := list(itertools.islice(rows, BLOCK)):
-        for line, row in block:
+
+    def rows() -> Iterator[tuple[int, Sequence[str]]]:
+        for line, row in itertools.islice(csv_rows(path), 1, None):
             if len(row) != len(header):
                 raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {len(header)} as in the header")
-        lines, block_rows = zip(*block, strict=True)
-        for name, cells, column in zip(header, zip(*block_rows, strict=True), parts, strict=True):
-            column.append(_column(path, name, cells, lines))
+            yield line, row
+
+    return read_columns(path, rows, dict(zip(header, header, strict=True)), NEVER_EMPTY)
+
+
+def read_columns(
+    path: Path,
+    rows: Callable[[], Iterator[tuple[int, Sequence[str]]]],
+    headings: Mapping[str, str],
+    never_empty: Container[str] = (),
+    words: Container[str] = WORD_COLUMNS,
+) -> MeasuredData:
+    """Columns of a table, block by block.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    rows
+        Each row with its line, without the header; called again where a column turns out to hold words.
+    headings
+        Name of each column -> what the file calls it.
+    never_empty
+        Columns of which every cell has to hold something.
+    words
+        Columns that hold words, whatever they look like.
+
+    Raises
+    ------
+    RecordingError
+        A cell of a known column is no number; as `rows`.
+    """
+    parts: dict[str, list[Column]] = {name: [] for name in headings}
+    read = rows()
+    while block := list(itertools.islice(read, BLOCK)):
+        lines, cells = zip(*block, strict=True)
+        for name, column in zip(headings, zip(*cells, strict=True), strict=True):
+            if name in never_empty and "" in column:
+                place = f"{path}:{lines[column.index('')]}: column {headings[name]!r}"
+                raise RecordingError(f"{place}: found nothing, expected a {'number' if name == 'time_s' else 'name'}")
+            found = None if name in words else _numbers(path, name, headings[name], column, lines, name in never_empty)
+            parts[name].append(word_column(str(path), name, column) if found is None else found)
     columns = {}
-    for index, (name, blocks) in enumerate(zip(header, parts, strict=True)):
+    for index, (name, blocks) in enumerate(parts.items()):
         if len({each.dtype.kind for each in blocks}) > 1:
             # Numbers at first, and words further on: it was words all along.
-            words = [row[index] for _, row in itertools.islice(csv_rows(path), 1, None)]
-            columns[name] = word_column(str(path), name, words)
+            columns[name] = word_column(str(path), name, [cells[index] for _, cells in rows()])
         else:
             columns[name] = join_columns(str(path), name, blocks)
         # Many readings are there once, and not twice.
@@ -177,6 +214,11 @@ def write_csv(path: Path | str, columns: Mapping[str, Column] | MeasuredData, *,
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow(names)
         writer.writerows(zip(*cells, strict=True))
+
+
+def csv_header(path: Path, delimiter: str = ",") -> list[str]:
+    """The headings of a table, none of an empty one; raises as `csv_rows`."""
+    return [name.strip() for name in next(csv_rows(path, delimiter), (0, []))[1]]
 
 
 def csv_rows(path: Path, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
@@ -224,6 +266,15 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
             if len(rest) > LONGEST_LINE:
                 raise RecordingError(f"{path}:{number}: found a line of more than {LONGEST_LINE} characters")
         yield from io.StringIO(rest)
+
+
+def picked_cells(path: Path, places: Collection[int | None], delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
+    """The cells at these places of each row below the header, without blanks around them, with its line.
+
+    Empty where there is no place, or the row is shorter.
+    """
+    for line, row in itertools.islice(csv_rows(path, delimiter), 1, None):
+        yield line, [row[at].strip() if at is not None and at < len(row) else "" for at in places]
 
 
 def short_list(names: Sequence[str]) -> str:
@@ -289,27 +340,31 @@ def _check_words(source: str, name: str, count: int, longest: int) -> None:
         raise RecordingError(f"{found} in a table of {count} rows, expected {MOST_WORD_BYTES // (4 * count)} at most")
 
 
-def _column(path: Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> Column:
-    """The cells of a block as a column, with the line of each."""
+def _numbers(
+    path: Path, name: str, heading: str, cells: Sequence[str], lines: Sequence[int], never_empty: bool
+) -> Column | None:
+    """The cells of a block as numbers, with the line of each; None where a column of one's own holds words."""
     parse = to_time_s if name == "time_s" else to_number
+    try:
+        numbers = np.array([parse(cell) if cell else math.nan for cell in cells], dtype=float)
+        if not (np.abs(numbers) > LARGEST_NUMBER).any() and not (never_empty and np.isnan(numbers).any()):
+            return numbers
+    except ValueError:
+        pass
+    if name not in KNOWN_COLUMNS:
+        return None
+    row = next(row for row, cell in enumerate(cells) if not is_number(cell, parse))
+    or_else = "a time of ISO 8601" if name == "time_s" else "nothing where it is unknown"
+    commas = '. With decimal commas: a map file with decimal: ","' * is_number(with_point(cells[row]))
+    raise RecordingError(
+        f"{path}:{lines[row]}: column {heading[:LONGEST_CELL]!r}: found {cells[row][:LONGEST_CELL]!r}, expected a "
+        f"number, or {or_else}{commas}"
+    )
 
-    def error(row: int, found: str, expected: str) -> RecordingError:
-        return RecordingError(f"{path}:{lines[row]}: column {name!r}: found {found}, expected {expected}")
 
-    if name in NEVER_EMPTY and "" in cells:
-        raise error(cells.index(""), "nothing", "a number" if name == "time_s" else "a name")
-    if name not in WORD_COLUMNS:
-        try:
-            numbers = np.array([parse(cell) if cell else math.nan for cell in cells], dtype=float)
-            if not (np.abs(numbers) > LARGEST_NUMBER).any() and not (name == "time_s" and np.isnan(numbers).any()):
-                return numbers
-        except ValueError:
-            pass
-        if name in KNOWN_COLUMNS:
-            row = next(row for row, cell in enumerate(cells) if not is_number(cell, parse))
-            or_else = "a time of ISO 8601" if name == "time_s" else "nothing where it is unknown"
-            raise error(row, repr(cells[row][:LONGEST_CELL]), f"a number, or {or_else}")
-    return word_column(str(path), name, cells)
+def with_point(cell: str) -> str:
+    """A cell with a decimal point in place of a comma."""
+    return cell.replace(",", ".")
 
 
 def to_number(cell: str) -> float:

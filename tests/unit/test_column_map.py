@@ -1,14 +1,13 @@
 """Other people's names and units, and what is reported where a map does not fit."""
 
 import gzip
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from msp_lab.readings.column_map import load_map, read_mapped
-from msp_range.recording.csv_form import MeasuredData, csv_rows, to_number
+from msp_range.recording.csv_form import MeasuredData, to_number
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
@@ -55,7 +54,7 @@ def test_decimal_commas(tmp_path: Path) -> None:
     assert data["true_range_cm"] == pytest.approx([101.0, 200.0])
     assert data["note"].tolist() == ["left, wet", "dry"]
     assert data["supply_v"] == pytest.approx([4.9, -0.5])
-    with pytest.raises(RecordingError, match=r"expected a number, or nothing\. With decimal commas"):
+    with pytest.raises(RecordingError, match=r"nothing where it is unknown\. With decimal commas"):
         mapped(tmp_path, table, f"delimiter: ';'\ncolumns: {columns}\n")
 
 
@@ -192,19 +191,6 @@ def test_parts_with_words_and_with_numbers_keep_both(tmp_path: Path) -> None:
     assert data["mark"] == pytest.approx([3.0, np.nan, 1.0, 2.0], nan_ok=True)
 
 
-def test_a_file_of_parts_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read: list[Path] = []
-
-    def counted(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
-        read.append(path)
-        return csv_rows(path, delimiter)
-
-    monkeypatch.setattr("msp_lab.readings.column_map.csv_rows", counted)
-    parts = "[{columns: {reading_cm: a}}, {columns: {reading_cm: b}}, {columns: {reading_cm: c}}]"
-    assert len(mapped(tmp_path, "a,b,c\n100,200,300\n", f"parts: {parts}\n")) == 3
-    assert len(read) == 1
-
-
 def test_a_constant_is_parsed_once_for_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Once for a block of rows; where it is no number it is named with a line."""
     parsed: list[str] = []
@@ -213,7 +199,7 @@ def test_a_constant_is_parsed_once_for_many_rows(tmp_path: Path, monkeypatch: py
         parsed.append(cell)
         return to_number(cell)
 
-    monkeypatch.setattr("msp_lab.readings.column_map.to_number", counted)
+    monkeypatch.setattr("msp_range.recording.csv_form.to_number", counted)
     table = "a\n" + "100\n" * 3000
     columns = "reading_cm: a, air_temperature_c: {value: 68, unit: F}, target: {value: wood}, mark: {value: '7'}"
     data = mapped(tmp_path, table, f"columns: {{{columns}}}\n")

@@ -266,7 +266,7 @@ def test_what_only_python_takes_for_a_number_is_none(tmp_path: Path, cell: str) 
     with pytest.raises(RecordingError, match=r"a\.csv:2: column 'dist': found .*, expected a number"):
         read_mapped(path, load_map(["reading_cm=dist"]), 765.0)
     path.write_text(f"t,z\n{cell},1\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"a\.csv:2: expected numbers in the columns"):
+    with pytest.raises(RecordingError, match=r"a\.csv:2: column 't': found .*, expected a number"):
         _column(path, Truth("column", "z"))
     # In a column of one's own it is a word.
     path.write_text(f"time_s,sensor,reading_cm,own\n1,a,3,{cell}\n", encoding="utf-8")

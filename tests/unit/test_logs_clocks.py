@@ -87,7 +87,7 @@ def test_a_reference_in_a_table_with_another_clock(tmp_path: Path) -> None:
     [
         ("mocap@{csv}", "of a CSV file --truth needs the column"),
         ("column:height@{csv}", "there is no column 'height'"),
-        ("column:word@{csv}", "expected numbers in the columns 't', 'word'"),
+        ("column:word@{csv}", "column 'word': found 'up', expected a number"),
         ("others@{csv}", "expected a reference that another file has"),
         ("rtk@{px4}", "no rtk in this log"),
         ("column:flat@{csv}", "do not show the same flight"),

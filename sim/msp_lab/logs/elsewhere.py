@@ -16,7 +16,7 @@ from msp_lab.logs.log import Series, TruthSource, VehicleLog, series
 from msp_lab.logs.opening import TABLE, format_of, open_log
 from msp_lab.logs.truth import Truth, choose
 from msp_range.arrays import Array
-from msp_range.recording.csv_form import csv_rows, short_list, to_number, to_time_s
+from msp_range.recording.csv_form import csv_header, picked_cells, read_columns, short_list
 from msp_range.recording.error import RecordingError
 
 TIME_NAMES = ("time_s", "time", "timestamp", "stamp", "t")
@@ -76,26 +76,16 @@ def _later(found: Series, by_s: float) -> Series:
 
 def _column(path: Path, truth: Truth) -> Series:
     """A column of a CSV file over its time [m]."""
-    rows = csv_rows(path)
-    header = [name.strip() for name in next(rows, (0, []))[1]]
+    header = csv_header(path)
     if truth.name not in header:
         raise RecordingError(f"{path}: there is no column {truth.name!r}. Columns: {short_list(header)}")
-    at = header.index(truth.name)
-    named = [header.index(name) for name in TIME_NAMES if name in header]
-    time_at = named[0] if named else 0
-    time_s, values = [], []
-    for line, row in rows:
-        try:
-            cell = row[at].strip()
-            time_s.append(to_time_s(row[time_at].strip()))
-            values.append(to_number(cell) if cell else np.nan)
-        except (ValueError, IndexError):
-            raise RecordingError(
-                f"{path}:{line}: expected numbers in the columns {header[time_at]!r}, {truth.name!r}"
-            ) from None
-    stamps = np.array(time_s)
+    time_at = next((header.index(name) for name in TIME_NAMES if name in header), 0)
+    places = {"time_s": time_at, "true_range_cm": header.index(truth.name)}
+    headings = {name: header[at] for name, at in places.items()}
+    read = read_columns(path, lambda: picked_cells(path, places.values()), headings, ("time_s",))
+    stamps = read["time_s"]
     factor_s = next((unit_s for least, unit_s in _UNITS_S if stamps.size and np.median(stamps) > least), 1.0)
-    return series(truth.name, factor_s * stamps, truth.factor * np.array(values))
+    return series(truth.name, factor_s * stamps, truth.factor * read["true_range_cm"])
 
 
 def clock_difference_s(readings: Series, height: Series) -> float:

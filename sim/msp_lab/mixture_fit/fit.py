@@ -91,7 +91,8 @@ def fit_readings(
     if hits < FEWEST_HITS or best.numbers.log_sigma >= HIGHEST.log_sigma:
         raise FitError(
             f"found {hits:.0f} hits with a spread of {sigma_cm:.3g} cm in {rows.readings:.0f} readings, expected at "
-            f"least {FEWEST_HITS} around their ranges; do the ranges belong to these readings, and are they in centimetres?"
+            f"least {FEWEST_HITS} around their ranges; do the ranges belong to these readings, and are they in "
+            "centimetres?"
         )
     return result
 

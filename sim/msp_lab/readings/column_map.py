@@ -6,11 +6,10 @@ of the map.
 """
 
 import difflib
-import itertools
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,19 +17,18 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from msp_range.input_file import CONTROL
-from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
+from msp_range.recording.columns import BASE_COLUMNS, BRIDGE_COLUMNS, CONTEXT_COLUMNS, WORD_COLUMNS
 from msp_range.recording.csv_form import (
-    BLOCK,
     Column,
     MeasuredData,
-    csv_rows,
+    csv_header,
     is_number,
-    join_columns,
+    join_tables,
+    picked_cells,
+    read_columns,
     read_csv,
     short_list,
-    to_number,
-    to_time_s,
-    word_column,
+    with_point,
 )
 from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError, Section, load
@@ -243,23 +241,20 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     RecordingError
         The file cannot be read, lacks a column, or a cell is no number; with file, line and column.
     """
-    rows = csv_rows(path, column_map.delimiter)
-    header = [name.strip() for name in next(rows, (0, []))[1]]
+    header = csv_header(path, column_map.delimiter)
     if not header:
         raise RecordingError(f"{path}: empty, expected a header")
     # What already has a name of the CSV form keeps it.
     known = [name for name in header if name in KNOWN and header.count(name) == 1]
     shared = {name: MappedColumn(column=name) for name in known} | column_map.columns
     own = [part.columns for part in column_map.parts] or [{}]
-    parts = [_TablePart(path, header, shared | each) for each in own]
-    while block := list(itertools.islice(rows, BLOCK)):
-        for part in parts:
-            part.read(block, column_map, maximum_cm)
-    columns = {}
-    for name in dict.fromkeys(name for part in parts for name in part.places):
-        is_word = name in WORD_COLUMNS or any(part.has_words(name) for part in parts)
-        columns[name] = join_columns(str(path), name, [piece for part in parts for piece in part.column(name, is_word)])
-    data = _with_times(path, MeasuredData(columns))
+    parts = [shared | each for each in own]
+    tables = [_read_part(path, header, places, column_map, maximum_cm) for places in parts]
+    # What is words in one part is words in all.
+    words = {name for table in tables for name, column in table.columns.items() if column.dtype.kind == "U"}
+    if any(table[name].dtype.kind != "U" for table in tables for name in words & table.columns.keys()):
+        tables = [_read_part(path, header, places, column_map, maximum_cm, words) for places in parts]
+    data = _with_times(path, join_tables(tables))
     for name, values in column_map.leave_out.items():
         if name not in data:
             raise RecordingError(f"{path}: the map leaves out rows by {name}, but has no column for it")
@@ -277,91 +272,63 @@ def _with_times(path: Path, table: MeasuredData) -> MeasuredData:
     return MeasuredData(columns)
 
 
-class _TablePart:
-    """One of the tables side by side in a file, read block by block."""
+def _read_part(
+    path: Path,
+    header: list[str],
+    places: Mapping[str, MappedColumn],
+    column_map: ColumnMap,
+    maximum_cm: float,
+    words: Container[str] = WORD_COLUMNS,
+) -> MeasuredData:
+    """One of the tables side by side in a file; ``words`` are columns of words."""
+    if "reading_cm" not in places:
+        raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
+    where = {
+        name: _index(path, header, name, place.column) for name, place in places.items() if place.column is not None
+    }
+    values = {name: str(place.value) for name, place in places.items() if name not in where}
 
-    def __init__(self, path: Path, header: list[str], places: dict[str, MappedColumn]) -> None:
-        if "reading_cm" not in places:
-            raise RecordingError(f"{path}: the map has no column for reading_cm. Columns: {short_list(header)}")
-        self.places = places
-        self._path = path
-        self._header = header
-        self._where = {name: _index(path, header, name, place) for name, place in places.items()}
-        self._pieces: dict[str, list[Column]] = {name: [] for name in places}
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for line, cells in picked_cells(path, where.values(), column_map.delimiter):
+            # A table next to a longer one ends where all its cells are empty.
+            if any(cells):
+                yield line, [pointed(name, cell) for name, cell in zip(where, cells, strict=True)]
 
-    def read(self, block: list[tuple[int, list[str]]], column_map: ColumnMap, maximum_cm: float) -> None:
-        """Read some rows, each with the number of its line."""
-        # A table next to a longer one ends where all its cells are empty.
-        used = [(line, row) for line, row in block if any(_cell(row, index) for index in self._where.values())]
-        if not used:
-            return
-        lines = [line for line, _ in used]
-        for name, place in self.places.items():
-            index = self._where[name]
-            if index is None:
-                constant = self._read_cells(name, [str(place.value)], lines[:1], column_map, maximum_cm)
-                piece = np.full(len(used), constant[0])
-            else:
-                cells = [_cell(row, index) for _, row in used]
-                piece = self._read_cells(name, cells, lines, column_map, maximum_cm)
-            self._pieces[name].append(piece)
+    def pointed(name: str, cell: str) -> str:
+        has_comma = column_map.decimal == "," and name not in WORD_COLUMNS and is_number(with_point(cell))
+        return with_point(cell) if has_comma else cell
 
-    def has_words(self, name: str) -> bool:
-        """Whether a column of one's own holds anything but numbers, which is known when all of it is read."""
-        pieces = [] if name in KNOWN else self._pieces.get(name, [])
-        return not all(is_number(cell) for piece in pieces for cell in np.unique(piece).tolist())
-
-    def column(self, name: str, is_word: bool) -> list[Column]:
-        """Pieces of a column, one after the other; unknown where this table does not have it."""
-        if name not in self.places:
-            return [np.full(len(piece), "" if is_word else math.nan) for piece in self._pieces["reading_cm"]]
-        pieces = self._pieces[name]
-        if is_word or name in KNOWN:
-            return pieces
-        numbers = [np.where(piece == "", "nan", piece).astype(float) for piece in pieces]
-        return [_converted(name, self.places[name], number) for number in numbers]
-
-    def _read_cells(
-        self, name: str, cells: list[str], lines: list[int], column_map: ColumnMap, maximum_cm: float
-    ) -> Column:
-        """Cells as a column, each with its line."""
-        if column_map.decimal == "," and name not in WORD_COLUMNS:
-            cells = [_with_point(cell) if is_number(_with_point(cell)) else cell for cell in cells]
-        if name in WORD_COLUMNS or name not in KNOWN:
-            return word_column(str(self._path), name, cells)
-        index = self._where[name]
-        heading = name if index is None else self._header[index] or f"number {index + 1}"
-        numbers = [_number(self._path, line, heading, cell, name) for cell, line in zip(cells, lines, strict=True)]
-        converted = _converted(name, self.places[name], np.array(numbers, dtype=float))
-        if name == "reading_cm":
-            converted[np.isin(numbers, column_map.codes.no_echo)] = maximum_cm
-            converted[np.isin(numbers, column_map.codes.no_answer)] = math.nan
-        return converted
+    headings = {name: header[at] or f"number {at + 1}" for name, at in where.items()}
+    found = read_columns(path, rows, headings, words=words)
+    constant = read_columns(path, lambda: iter([(2, [*values.values()])]), {name: name for name in values}, words=words)
+    columns = {}
+    for name, place in places.items():
+        numbers = found[name] if name in found else np.repeat(constant[name], len(found))
+        columns[name] = numbers
+        if numbers.dtype.kind == "f":
+            columns[name] = _converted(name, place, numbers)
+            if name == "reading_cm":
+                columns[name][np.isin(numbers, column_map.codes.no_echo)] = maximum_cm
+                columns[name][np.isin(numbers, column_map.codes.no_answer)] = math.nan
+    return MeasuredData(columns)
 
 
-def _cell(row: Sequence[str], index: int | None) -> str:
-    """A cell without blanks around it; empty where the row is shorter."""
-    return row[index].strip() if index is not None and index < len(row) else ""
-
-
-def _index(path: Path, header: list[str], name: str, place: MappedColumn) -> int | None:
-    if place.column is None:
-        return None
-    if isinstance(place.column, int):
-        if not 1 <= place.column <= len(header):
-            raise RecordingError(f"{path}: found {len(header)} columns, expected a number {place.column} for {name}")
-        return place.column - 1
-    count = header.count(place.column)
+def _index(path: Path, header: list[str], name: str, column: str | int) -> int:
+    if isinstance(column, int):
+        if not 1 <= column <= len(header):
+            raise RecordingError(f"{path}: found {len(header)} columns, expected a number {column} for {name}")
+        return column - 1
+    count = header.count(column)
     if count == 1:
-        return header.index(place.column)
+        return header.index(column)
     if count:
-        raise RecordingError(f"{path}: the column {place.column!r} occurs {count} times; give its number from 1")
-    near = difflib.get_close_matches(place.column[:64], [each[:64] for each in header], n=1, cutoff=0.4)
+        raise RecordingError(f"{path}: the column {column!r} occurs {count} times; give its number from 1")
+    near = difflib.get_close_matches(column[:64], [each[:64] for each in header], n=1, cutoff=0.4)
     hint = f" Did you mean {near[0]!r}?" if near else ""
     if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
         hint = f" Are the columns separated by {other!r}? Give a map file with delimiter: {json.dumps(other)}."
     there = short_list([each or "(no name)" for each in header])
-    raise RecordingError(f"{path}: there is no column {place.column!r} for {name}.{hint} Columns: {there}")
+    raise RecordingError(f"{path}: there is no column {column!r} for {name}.{hint} Columns: {there}")
 
 
 def _converted(name: str, place: MappedColumn, numbers: Column) -> Column:
@@ -376,21 +343,3 @@ def _converted(name: str, place: MappedColumn, numbers: Column) -> Column:
 def _units(name: str) -> dict[str, tuple[float, float]]:
     endings = sorted((ending for ending in _KINDS if name.endswith(ending)), key=len)
     return _KINDS[endings[-1]] if endings else {}
-
-
-def _number(path: Path, line: int, column: str, cell: str, name: str) -> float:
-    parse = to_time_s if name == "time_s" else to_number
-    try:
-        number = parse(cell) if cell else math.nan
-    except ValueError:
-        number = math.inf
-    if abs(number) > LARGEST_NUMBER:
-        hint = '. With decimal commas: a map file with decimal: ","' if is_number(_with_point(cell)) else ""
-        raise RecordingError(
-            f"{path}:{line}: column {column[:80]!r}: found {cell[:80]!r}, expected a number, or nothing{hint}"
-        )
-    return number
-
-
-def _with_point(cell: str) -> str:
-    return cell.replace(",", ".")
