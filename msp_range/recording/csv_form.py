@@ -325,11 +325,16 @@ def word_column(source: str, name: str, words: Sequence[str]) -> Column:
     return np.array(words, dtype=str)
 
 
-def column_of(source: str, name: str, values: Sequence[Any]) -> Column:
-    """A column of words or numbers, in which None is an empty word or NaN."""
-    if name in WORD_COLUMNS or any(isinstance(value, str) for value in values):
-        return word_column(source, name, ["" if value is None else str(value) for value in values])
-    return np.array(values, dtype=float)
+def table_of(source: str, rows: Sequence[Mapping[str, Any]], names: Iterable[str]) -> MeasuredData:
+    """Records as columns of words or numbers, in which what is None or not there is an empty word or NaN."""
+    columns: dict[str, Column] = {}
+    for name in names:
+        values = [row.get(name) for row in rows]
+        if name in WORD_COLUMNS or any(isinstance(value, str) for value in values):
+            columns[name] = word_column(source, name, ["" if value is None else str(value) for value in values])
+        else:
+            columns[name] = np.array(values, dtype=float)
+    return MeasuredData(columns)
 
 
 def _check_words(source: str, name: str, count: int, longest: int) -> None:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from msp_range.acoustics.air import FIXED, HELD
-from msp_range.arrays import Column
+from msp_range.arrays import Column, numbered
 from msp_range.reading import Status
-from msp_range.recording.csv_form import MeasuredData, column_of, write_csv
+from msp_range.recording.csv_form import MeasuredData, table_of, write_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
@@ -82,16 +82,15 @@ def measured_data(recording: Recording, *, faults: bool = True, stages: bool = F
             variance_m2 = message.get("variance_m2", -1.0)
             std_m = math.sqrt(variance_m2) if variance_m2 >= 0.0 else None
             rows[-1] |= {"fused_cm": _cm(message.get("range_m")), "fused_std_cm": _cm(std_m)}
-    sensors, runs = [row["sensor"] for row in rows], np.zeros(len(rows))
-    lags_ms = neighbour_lags_ms(np.array(pings_s, dtype=float), sensors, runs)
+    sensors, runs = ([row[key] for row in rows] for key in ("sensor", "run"))
+    lags_ms = neighbour_lags_ms(np.array(pings_s, dtype=float), sensors, numbered(np.array(runs)))
     for row, lag_ms in zip(rows, lags_ms.tolist(), strict=True):
         row.setdefault("neighbour_lag_ms", round(lag_ms, 3))
     names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])
     names |= dict.fromkeys(name for row in rows for name in row)
     if len(names) > MOST_COLUMNS:
         raise RecordingError(f"{recording.path}: found {len(names)} kinds of context, expected at most {MOST_COLUMNS}")
-    columns = {name: column_of(str(recording.path), name, [row.get(name) for row in rows]) for name in names}
-    return MeasuredData(columns)
+    return table_of(str(recording.path), rows, names)
 
 
 def _cm(value_m: float | None) -> float | None:

@@ -7,11 +7,12 @@ recordings, in the order of the plan: for each point its last complete attempt, 
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
 
 from msp_lab.campaigns.bench import KnownRanging
@@ -19,8 +20,9 @@ from msp_lab.campaigns.plan import Point
 from msp_range.clock import Clock
 from msp_range.reading import Status
 from msp_range.recording.columns import CONTEXT_COLUMNS
-from msp_range.recording.csv_form import MeasuredData, column_of, write_csv
+from msp_range.recording.csv_form import MeasuredData, join_tables, write_csv
 from msp_range.recording.error import RecordingError
+from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording
 from msp_range.recording.stages import answer_of
 from msp_range.recording.topics import CAMPAIGN_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
@@ -159,14 +161,11 @@ class Store:
             complete = [attempt for attempt in attempts if attempt.done]
             for chosen in (complete or attempts)[-1:]:
                 rank |= {run: len(rank) + number for number, run in enumerate(chosen.runs)}
-        rows = [row for path in self.recordings for row in _rows(Recording(path)) if row.get("run") in rank]
-        rows.sort(key=lambda row: rank[row["run"]])
-        names = ["time_s", "sensor", "run", "reading_cm", "true_range_cm"]
-        found = {name for row in rows for name in row}
-        names += [name for name in CONTEXT_COLUMNS if name in found]
-        return MeasuredData(
-            {name: column_of(str(self.folder), name, [row.get(name) for row in rows]) for name in names}
-        )
+        data = join_tables([measured_data(Recording(path), faults=False) for path in self.recordings])
+        place = np.array([rank.get(run, -1) for run in data["run"].tolist()])
+        data = data.select(np.argsort(place, kind="stable")[np.count_nonzero(place < 0) :])
+        # A number that is not known is not equal to itself.
+        return data.without(*(name for name in CONTEXT_COLUMNS if name in data and (data[name] != data[name]).all()))
 
     def write_table(self) -> tuple[Path, int]:
         """Write ``readings.csv`` if anything was read; return its path and its number of rows."""
@@ -252,16 +251,3 @@ def _changed(planned: str, point: Point) -> str:
 
 def _planned(point: Point) -> str:
     return json.dumps({**point.columns, "sensors": point.setup.sensors, "readings": point.readings}, sort_keys=True)
-
-
-def _rows(recording: Recording) -> Iterator[dict[str, Any]]:
-    known: dict[str, dict[str, Any]] = {}
-    for topic, _, message in recording:
-        if topic.startswith(TRUTH_PREFIX):
-            known[topic.removeprefix(TRUTH_PREFIX)] = message
-        elif topic.startswith(RANGE_PREFIX):
-            sensor = topic.removeprefix(RANGE_PREFIX)
-            row = known.pop(sensor, None)
-            if row is not None:
-                reading_cm = None if message["status"] in _FAULTS else message.get("raw")
-                yield row | {"time_s": message["time_s"], "sensor": sensor, "reading_cm": reading_cm}

@@ -20,7 +20,7 @@ from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.no_echo import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.csv_form import column_of
+from msp_range.recording.csv_form import table_of
 from msp_sim.device.emulated import Surroundings, ping_contexts
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.flight.autopilot import REBOOT_S, AutopilotSection
@@ -276,7 +276,7 @@ def _error_numbers(errors_cm: Sequence[float]) -> Numbers:
 
 def _drawn(model: SensorModel, contexts: Sequence[Mapping[str, Any]], seed: int) -> Array:
     """Time [s], reading, truth (NaN where no echo is expected) and code of no echo [cm] of a sensor's pings, (4, n)."""
-    columns = {name: column_of("drawn", name, [context.get(name) for context in contexts]) for name in contexts[0]}
+    columns = dict(table_of("drawn", contexts, contexts[0]).columns)
     columns["time_s"] = columns["uptime_s"]
     reading_cm = sample_in_order(Model.of(model), columns, seed)
     maximum_cm = np.full(reading_cm.shape, float(model.maximum_cm))
