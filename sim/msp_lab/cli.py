@@ -101,9 +101,7 @@ def collect(
         raise ConfigError("--bus and --simulate: give one of them")
     require("sim", "msp-lab collect --simulate")
     from msp_lab.campaigns.collecting import collect_campaign, fly_flights
-    from msp_sim.effects.own import add_own_effects
 
-    add_own_effects(own_effects or ())
     seed = 1 if seed is None else seed
     if collection is None:
         fly_flights(campaign_file, out, model, seed, show_plan)
@@ -313,12 +311,9 @@ def effects(
     own_effects: OwnEffects = None,
 ) -> None:
     """List the effects that a sensor model file may name: what each is, what it requires, and how it shows."""
-    require("sim", "msp-lab effects")
     from msp_sim.effects import CATALOGUE
     from msp_sim.effects.listing import as_data, as_text
-    from msp_sim.effects.own import add_own_effects
 
-    add_own_effects(own_effects or ())
     print(json.dumps(as_data(CATALOGUE), indent=2) if as_json else as_text(CATALOGUE))
 
 

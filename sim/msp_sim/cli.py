@@ -17,10 +17,24 @@ SensorModelOption = Annotated[
     Path | None,
     typer.Option(help="use this sensor model for all sensors, instead of the airframe's"),
 ]
+
+
+def _add_effects(context: typer.Context, files: list[Path] | None) -> list[Path] | None:
+    if context.params.get("simulate", True):  # 'collect' at a real bench draws no readings.
+        require("sim", context.command_path, but=DRAWING)
+        from msp_sim.effects.own import add_own_effects
+
+        add_own_effects(files or ())
+    return files
+
+
 OwnEffects = Annotated[
     list[Path] | None,
-    typer.Option("--effects", metavar="FILE.py", help="file with effects of your own; may be repeated"),
+    typer.Option(
+        "--effects", metavar="FILE.py", callback=_add_effects, help="file with effects of your own; may be repeated"
+    ),
 ]
+"""They are in the catalogue before the command starts, and those of installed packages too."""
 
 Jobs = Annotated[int, typer.Option(min=1, help="number of processes on this machine; more than 1 need the extra fleet")]
 Scheduler = Annotated[
@@ -93,8 +107,6 @@ def fly(
     In --out: summary.json (the numbers of the table), flight.mcap (every stage of every reading, for Foxglove or
     'msp-range replay'), link.tlog (all messages sent, for a ground station), flight.png, and the scenario.
     """
-    require("sim", "msp-sim fly", but=DRAWING)
-    from msp_sim.effects.own import add_own_effects
     from msp_sim.flight.flying import fly_scenario, planned_flight
     from msp_sim.flight.results import Results
 
@@ -104,7 +116,6 @@ def fly(
         parse_listen(web)
         require("web", "msp-sim fly --web")
         speed = speed if speed is not None or realtime else 1.0
-    add_own_effects(effects or ())
     planned = planned_flight(scenario_file, model, seed, sample)
     fly_scenario(planned, None if out is None else Results(out, force), link, realtime, speed, web)
 
@@ -139,12 +150,9 @@ def monte_carlo(
 
     Exit code 4: some flights could not be flown; they are named, and flown again by the same command.
     """
-    require("sim", "msp-sim monte-carlo", but=DRAWING)
-    from msp_sim.effects.own import add_own_effects
     from msp_sim.monte_carlo.command import FlightOptions, fly_monte_carlo
     from msp_sim.workers import workers
 
-    add_own_effects(effects or ())
     options = FlightOptions(scenario_file, seed, model, effects or ())
     fly_monte_carlo(options, flights, out, model_only, workers(jobs, scheduler, "msp-sim monte-carlo"))
 
@@ -187,13 +195,10 @@ def sitl(
     vehicle is disarmed and stands on the ground, because heights are counted from there. docs/sitl.md has the commands
     and parameters.
     """
-    require("sim", "msp-sim sitl", but=DRAWING)
     from msp_range.config import load_airframe
-    from msp_sim.effects.own import add_own_effects
     from msp_sim.flight.results import Results
     from msp_sim.sitl.flying import fly_sitl, load_scene
 
-    add_own_effects(effects or ())
     airframe = load_airframe(airframe_file).changed(link=link, autopilot=autopilot)
     scene = load_scene(ground, ground_clearance, airframe, airframe_file)
     fly_sitl(airframe, scene, model, seed, duration, record, None if out is None else Results(out, force))
@@ -214,14 +219,11 @@ def sample(
     Columns that the model uses and the CSV lacks are computed from others where that is possible: the rate of the
     range, the time in the run, the incidence from roll_deg and pitch_deg. The previous reading is the one drawn before.
     """
-    require("sim", "msp-sim sample")
     from msp_range.recording.context_limits import check_contexts
     from msp_range.recording.csv_form import read_csv, write_csv
-    from msp_sim.effects.own import add_own_effects
     from msp_sim.model.derived import PREVIOUS, derived_columns, sample_in_order
     from msp_sim.model.model import load_model
 
-    add_own_effects(effects or ())
     readings = load_model(model)
     given = read_csv(contexts, required=("true_range_cm",))
     check_contexts(str(contexts), given)

@@ -53,12 +53,10 @@ def _design(
     from msp_lab.design.show import print_plans
     from msp_lab.gap.findings_file import read_findings
     from msp_lab.gap.terminal import ProgressBar
-    from msp_sim.effects.own import add_own_effects
 
     out = out or gap / "design"
     read_findings(gap)  # An error in it comes before a folder is made.
     prepare_folder(out, force)
-    add_own_effects(effects or ())
     with ProgressBar() as progress:
         options = Options(bench, max_minutes, power, sessions, seed, airframe)
         findings, plans = plan_sessions(gap, options, progress.clock, progress.report)

@@ -124,9 +124,9 @@ def _from_readings(last: LastStep) -> Callable[..., None]:
         if truth == "others":
             if until not in ("add", "show") or last != "show":
                 raise ConfigError("--truth others: 'gap' does it, up to the step add or show")
-            _run_sensors(measured, settings, out, effects, until == "show")
+            _run_sensors(measured, settings, out, until == "show")
         else:
-            _run(out, effects, lambda steps: steps.all(measured, settings, until))
+            _run(out, lambda steps: steps.all(measured, settings, until))
 
     return command
 
@@ -135,26 +135,24 @@ def _in_folder(step: "Callable[[Steps], GapFindings]") -> Callable[..., None]:
     """A command that continues with what an earlier one left in a folder."""
 
     def command(out: OutArgument, effects: OwnEffects = None) -> None:
-        _run(out, effects, step)
+        _run(out, step)
 
     return command
 
 
 @contextmanager
-def _progress(effects: list[Path] | None = None) -> Iterator["ProgressBar"]:
-    """The progress of a command on the terminal, once the user's own effects are known."""
+def _progress() -> Iterator["ProgressBar"]:
+    """The progress of a command on the terminal."""
     require("lab", "The gap workflow")
     from msp_lab.gap.terminal import ProgressBar
-    from msp_sim.effects.own import add_own_effects
 
-    add_own_effects(effects or ())
     with ProgressBar() as progress:
         yield progress
 
 
-def _run(out: Path, effects: list[Path] | None, step: "Callable[[Steps], GapFindings]") -> None:
+def _run(out: Path, step: "Callable[[Steps], GapFindings]") -> None:
     """Do a step with its progress on the terminal, and print what it found."""
-    with _progress(effects) as progress:
+    with _progress() as progress:
         from msp_lab.gap.steps import Steps
         from msp_lab.gap.terminal import print_files
 
@@ -168,13 +166,11 @@ def _run_separately(
     """Compare each log or sensor on its own, and print a row for each; exit code 4 if some could not be compared."""
     from msp_lab.gap.separate import TABLE, SeparateGap, jobs_of, separate_gap
     from msp_lab.gap.terminal import print_separate_gaps
-    from msp_sim.effects.own import add_own_effects
     from msp_sim.terminal import make_folder
     from msp_sim.workers import exit_if_failed, workers
 
     if common.truth == "others":
         raise ConfigError("--each: --truth others compares the sensors with each other; give one of them")
-    add_own_effects(common.effects)
     make_folder(out)
     with workers(jobs, scheduler, "msp-lab gap") as where:
         separate = jobs_of(measured, each, common.settings, out)
@@ -183,9 +179,9 @@ def _run_separately(
     exit_if_failed(found)
 
 
-def _run_sensors(measured: list[Path], settings: Settings, out: Path, effects: list[Path] | None, draw: bool) -> None:
+def _run_sensors(measured: list[Path], settings: Settings, out: Path, draw: bool) -> None:
     """Compare each sensor with the others, and print what was found at each."""
-    with _progress(effects) as progress:
+    with _progress() as progress:
         from msp_lab.gap.sensors import compare_sensors
         from msp_lab.gap.steps import Steps
         from msp_lab.gap.terminal import print_sensors
