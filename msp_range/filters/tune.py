@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import differentiate
 from scipy.optimize import minimize
 
 from msp_range.filters.chain import MEMORY_S
@@ -156,15 +157,10 @@ def _differences(tracks: Sequence[Track]) -> float:
 
 def _reach(cost: Callable[[np.ndarray], float], best: np.ndarray) -> np.ndarray:
     """Half widths of the 95 % intervals of the logarithms, from the matrix of second derivatives; infinite if flat."""
-    step = 0.05
-    here = cost(best)
-    hessian = np.empty((2, 2))
-    ahead = np.eye(2) * step
-    for i in range(2):
-        hessian[i, i] = (cost(best + ahead[i]) - 2 * here + cost(best - ahead[i])) / step**2
-    both, apart = ahead[0] + ahead[1], ahead[0] - ahead[1]
-    mixed = cost(best + both) + cost(best - both) - cost(best + apart) - cost(best - apart)
-    hessian[0, 1] = hessian[1, 0] = mixed / (4 * step**2)
+    found = differentiate.hessian(
+        lambda logs: np.apply_along_axis(cost, 0, logs), best, initial_step=0.05, order=2, maxiter=1
+    )
+    hessian = found.ddf
     if np.diag(hessian).min() <= 0 or np.linalg.det(hessian) <= 0:
         alone = np.where(np.diag(hessian) > 1e-3, np.diag(hessian), 0.0)
         with np.errstate(divide="ignore"):
