@@ -160,7 +160,7 @@ def _reach(cost: Callable[[np.ndarray], float], best: np.ndarray) -> np.ndarray:
     found = differentiate.hessian(
         lambda logs: np.apply_along_axis(cost, 0, logs), best, initial_step=0.05, order=2, maxiter=1
     )
-    hessian = found.ddf
+    hessian = np.asarray(found.ddf, dtype=np.float64)
     if np.diag(hessian).min() <= 0 or np.linalg.det(hessian) <= 0:
         alone = np.where(np.diag(hessian) > 1e-3, np.diag(hessian), 0.0)
         with np.errstate(divide="ignore"):

@@ -260,9 +260,9 @@ def _characterise_each(
 ) -> None:
     """Make a model of each sensor, and print a row for each; exit code 4 if some could not be made."""
     from msp_lab.characterise.sensors import TABLE, EachSensor, OfSensor, characterise_sensor
-    from msp_lab.characterise.show import show_sensors
+    from msp_lab.characterise.show import sensors_table
     from msp_sim.terminal import make_folder
-    from msp_sim.workers import exit_if_failed, workers
+    from msp_sim.workers import workers
 
     make_folder(out)
     how = replace(how, data=tuple(path.resolve() for path in how.data), start=how.start.resolve())
@@ -270,8 +270,7 @@ def _characterise_each(
     common = EachSensor(how, out.resolve(), report.resolve() if report is not None else None)
     with workers(jobs, scheduler, "msp-lab characterise") as where:
         found = where.rows(characterise_sensor, sensors, common, out / TABLE, OfSensor, what="sensors")
-    show_sensors(found, where.died, out)
-    exit_if_failed(found)
+    where.show_rows(found, sensors_table(found), ": no model", f"in {out}: a sensor model for each, and {TABLE}")
 
 
 def _is_date(text: str) -> bool:

@@ -17,9 +17,9 @@ import pickle
 import platform
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from functools import lru_cache
 from itertools import count
 from math import inf
@@ -30,12 +30,13 @@ import numpy
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
+from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from msp_range import __version__
 from msp_range.errors import UserError
 from msp_range.extras import require
-from msp_range.terminal import Bar, PlainConsole
+from msp_range.terminal import Bar, PlainConsole, console
 from msp_range.yaml_file import ConfigError
 
 EXIT_SOME_FAILED = 4
@@ -180,6 +181,19 @@ class Workers:
                 file.flush()
         return rows
 
+    def show_rows(self, rows: Sequence[Any], table: Table, failed: str, files: str) -> None:
+        """End a command: a table of rows, why some ``failed`` with `EXIT_SOME_FAILED`, and where the files are."""
+        out = console()
+        out.print(table)
+        errors = [f"{astuple(row)[0]}{failed}: {row.error}" for row in rows if row.error]
+        for error in errors:
+            out.print(error, style="red")
+        if self.died:
+            out.print(f"{self.died} worker processes died; what they computed was computed again")
+        out.print(files, soft_wrap=True)
+        if errors:
+            raise typer.Exit(EXIT_SOME_FAILED)
+
     def _on_cluster(
         self, function: Callable[[Any, Item], Result], items: Sequence[Item], shared: Any, what: str
     ) -> Iterator[ItemOutcome[Result]]:
@@ -242,12 +256,6 @@ class Workers:
         message = event[1]
         if isinstance(message, dict) and message.get("action") == "remove-worker" and not message.get("expected"):
             self.died += 1
-
-
-def exit_if_failed(rows: Iterable[Any]) -> None:
-    """End a command with `EXIT_SOME_FAILED` if a row has an ``error``."""
-    if any(row.error for row in rows):
-        raise typer.Exit(EXIT_SOME_FAILED)
 
 
 @contextmanager

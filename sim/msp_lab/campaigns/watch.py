@@ -5,12 +5,12 @@ and the fit decides what it is.
 """
 
 import math
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import accumulate
 from typing import Any
+
+import numpy as np
 
 from msp_range.reading import Reading, Status
 
@@ -138,8 +138,5 @@ class PointWatch:
 
 
 def _median(counts: Mapping[Any, int]) -> float:
-    """Median of values with counts, at least one; there are as few values as a sensor has centimetres."""
-    values = sorted(counts)
-    passed = list(accumulate(counts[value] for value in values))
-    low, high = (values[bisect_right(passed, place)] for place in ((passed[-1] - 1) // 2, passed[-1] // 2))
-    return float(low + high) / 2.0
+    """Median of values with counts, at least one."""
+    return float(np.median(np.repeat(list(counts), list(counts.values()))))

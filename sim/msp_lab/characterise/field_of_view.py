@@ -182,7 +182,7 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
         return float(np.std(left - starts @ (left @ starts / starts.sum(axis=0))))
 
     low, high = slope.ends
-    reason = f"readings grow by {slope.value:.2f} ({low:.2f} to {high:.2f}) of what the slant range does"
+    reason = f"readings grow by {slope.words('.2f')} of what the slant range does"
     verdict: Literal["slant", "nearest", "unknown"] = "slant" if low > 0.5 else "nearest" if high < 0.5 else "unknown"
     reason += ", which may be nearer to either" if verdict == "unknown" else ""
     return Oblique(verdict, slope, rms_cm(1.0), rms_cm(0.0), reason)

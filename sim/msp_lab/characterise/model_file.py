@@ -155,8 +155,7 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
 
 
 def _interval(estimate: IntervalEstimate, digits: int) -> str:
-    low, high = ("?" if end is None else f"{round(end, digits):g}" for end in (estimate.low, estimate.high))
-    return f"{round(estimate.value, digits):g} ({low} to {high})"
+    return estimate.mapped(lambda end: round(end, digits)).words("g")
 
 
 def _yaml(name: str, value: Any) -> str:

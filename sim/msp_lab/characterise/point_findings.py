@@ -49,6 +49,17 @@ class IntervalEstimate:
         low, high = (None if end is None else change(end) for end in (self.low, self.high))
         return replace(self, value=change(self.value), low=low, high=high)
 
+    def words(self, form: str, unit: str = "") -> str:
+        """The numbers in this format, and ``?`` for an end that is not known.
+
+        Examples
+        --------
+        >>> IntervalEstimate(1.512, 1.06).words(".1f", " cm")
+        '1.5 cm (1.1 to ?)'
+        """
+        low, high = ("?" if end is None else f"{end:{form}}" for end in (self.low, self.high))
+        return f"{self.value:{form}}{unit} ({low} to {high})"
+
     def root(self, known: float = 0.0) -> "IntervalEstimate":
         """The standard deviation of this variance, without a part that is known."""
         return self.mapped(lambda end: math.sqrt(max(end - known, 0.0)))

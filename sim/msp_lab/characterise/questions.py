@@ -283,10 +283,9 @@ def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
 def _size(effect: FactorEffect) -> str:
     estimate = effect.estimate
     assert estimate is not None
-    low, high = estimate.low, estimate.high
     if effect.metric == "bias":
-        return f"bias {estimate.value:+.2f} cm ({low:+.2f} to {high:+.2f})"
-    return f"{NAMES[effect.metric]} times {estimate.value:.3g} ({low:.3g} to {high:.3g})"
+        return f"bias {estimate.words('+.2f', ' cm')}"
+    return f"{NAMES[effect.metric]} times {estimate.words('.3g')}"
 
 
 def _doubt(effect: FactorEffect) -> str:

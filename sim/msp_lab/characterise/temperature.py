@@ -94,8 +94,8 @@ def _hot_box(question: Question, calibration_c: float) -> Iterator[HotBox]:
         rows=tuple(map(HotBoxRow, range_cm.tolist(), shifts, *(idea.tolist() for idea in ideas.values()))),
         best=best,
         answer=(
-            f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by {mean.value:+.2f} cm "
-            f"({mean.low:+.2f} to {mean.high:+.2f}) over {range_cm.min():g} to {range_cm.max():g} cm, which is "
+            f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by "
+            f"{mean.words('+.2f', ' cm')} over {range_cm.min():g} to {range_cm.max():g} cm, which is "
             f"{per_cent.value:.1f} % of range {compared} the {uniform_per_cent:.1f} % of air like that all the way; "
             f"{_explanation(best, depth)}"
         ),

@@ -165,9 +165,9 @@ def _run_separately(
 ) -> None:
     """Compare each log or sensor on its own, and print a row for each; exit code 4 if some could not be compared."""
     from msp_lab.gap.separate import TABLE, SeparateGap, jobs_of, separate_gap
-    from msp_lab.gap.terminal import print_separate_gaps
+    from msp_lab.gap.terminal import separate_gaps_table
     from msp_sim.terminal import make_folder
-    from msp_sim.workers import exit_if_failed, workers
+    from msp_sim.workers import workers
 
     if common.truth == "others":
         raise ConfigError("--each: --truth others compares the sensors with each other; give one of them")
@@ -175,8 +175,9 @@ def _run_separately(
     with workers(jobs, scheduler, "msp-lab gap") as where:
         separate = jobs_of(measured, each, common.settings, out)
         found = where.rows(separate_gap, separate, common, out / TABLE, SeparateGap, what="gaps")
-    print_separate_gaps(found, where.died, out)
-    exit_if_failed(found)
+    where.show_rows(
+        found, separate_gaps_table(found), " could not be compared", f"in {out}: a folder for each, and {TABLE}"
+    )
 
 
 def _run_sensors(measured: list[Path], settings: Settings, out: Path, draw: bool) -> None:

@@ -23,7 +23,7 @@ from msp_lab.gap.labels import (
 )
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.sensors import SensorGap
-from msp_lab.gap.separate import TABLE, SeparateGap
+from msp_lab.gap.separate import SeparateGap
 from msp_lab.gap.tables import measures_table
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import Bar, PlainConsole, console, plain_table
@@ -77,21 +77,14 @@ def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     console().print(plain_table(header, rows, "llrrl"))
 
 
-def print_separate_gaps(gaps: Sequence[SeparateGap], died: int, folder: Path) -> None:
-    """What was found at each of many logs or sensors, and which could not be compared."""
-    out = console()
+def separate_gaps_table(gaps: Sequence[SeparateGap]) -> Table:
+    """What was found at each of many logs or sensors."""
     header = ("", "verdict", "named", "readings", "nats before", "after")
     rows = [
         (one.name, one.verdict, one.named, f"{one.readings:,}", short(one.before_nats, "-"), short(one.after_nats, "-"))
         for one in gaps
     ]
-    out.print(plain_table(header, rows, "lllr"))
-    for each in gaps:
-        if each.error:
-            out.print(f"{each.name} could not be compared: {each.error}", style="red")
-    if died:
-        out.print(f"{died} worker processes died; what they computed was computed again")
-    out.print(f"in {folder}: a folder for each, and {TABLE}", soft_wrap=True)
+    return plain_table(header, rows, "lllr")
 
 
 def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Path) -> None:

@@ -28,8 +28,7 @@ def interval(estimate: IntervalEstimate | None) -> str:
     if ends and 0.0 < abs(estimate.value) < 0.1 * reach:
         # With a wide interval the value itself needs more digits than the interval.
         digits = max(digits, _digits(abs(estimate.value)))
-    low, high = ("?" if end is None else f"{end:.{digits}f}" for end in (estimate.low, estimate.high))
-    return minus(f"{estimate.value:.{digits}f} ({low} to {high}){unit}")
+    return minus(estimate.words(f".{digits}f") + unit)
 
 
 def _digits(size: float) -> int:
