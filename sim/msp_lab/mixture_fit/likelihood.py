@@ -15,7 +15,7 @@ from msp_lab.mixture_fit.grid import ReadingGrid
 from msp_lab.mixture_fit.maximise import held_numbers, maximise
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, NAMES, Numbers, bounds_of
 from msp_range.arrays import Array
-from msp_range.reading_model.rows import FREE, MIN_PROBABILITY, Base, MixtureRows
+from msp_range.reading_model.rows import FREE, Base, MixtureRows
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 CHUNK = 1 << 13
@@ -102,22 +102,18 @@ class Likelihood:
         numbers = Numbers(*at)
         for part in self._chunks:
             rows = part.rows(numbers)
-            parts = rows.of_readings(part.reading_cm, MixtureRows.slopes)
-            p = np.maximum(parts[0], MIN_PROBABILITY)
-            # As `MixtureRows.scores`, but with a row for each number and in place: half of the time is memory.
-            scores = np.empty((at.size, p.size))
+            # The first row is by an offset, which is no number of this fit.
+            found = np.empty((1 + at.size, len(part)))
+            log_p = rows.scores_into(found[: len(FREE)], part.reading_cm)
+            scores = found[1:]
             by = Numbers(*scores)
-            np.divide(parts[2:], p, out=scores[: len(FREE) - 1])
-            impossible = parts[0] <= MIN_PROBABILITY
-            if impossible.any():
-                scores[:, impossible] = 0.0
             by_variance = by.log_sigma / rows.sigma_cm**2
             np.multiply(by_variance, 0.5 * part._within_m**2, out=by.sigma_growth_2)
             np.multiply(by_variance, np.exp(2.0 * numbers.log_sigma), out=by.log_sigma)
             np.multiply(by.log_odds_missed, part._within_m - WEIGHTS_RANGE_CM / 100.0, out=by.missed_growth)
             np.divide(by.rate, numbers.rate, out=by.rate)
             counted = scores * part.count
-            value += float(part.count @ np.log(p))
+            value += float(part.count @ log_p)
             gradient += counted.sum(axis=1)
             outer += counted @ scores.T
         return value, (gradient, outer)

@@ -68,8 +68,7 @@ PARAMETERS = {
             0.0,
             100.0,
             "cm/m",
-            "–",
-            "the spread",
+            grows="the spread",
         ),
         Parameter(
             "missed_growth_per_m",
@@ -78,8 +77,7 @@ PARAMETERS = {
             -math.inf,
             math.inf,
             "1/m",
-            "–",
-            "the odds of a missed echo",
+            grows="the odds of a missed echo",
         ),
     )
 }
