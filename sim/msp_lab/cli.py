@@ -11,12 +11,13 @@ import typer
 
 from msp_lab.design.cli import app as design_app
 from msp_lab.fleet.cli import app as fleet_app
+from msp_lab.gap.cli import ColumnMaps, Of
 from msp_lab.gap.cli import app as gap_app
 from msp_lab.logs.cli import app as import_app
 from msp_range.extras import require
 from msp_range.user_errors import Commands
 from msp_range.yaml_file import ConfigError
-from msp_sim.cli import Jobs, OwnEffects, Scheduler, choose_figures
+from msp_sim.cli import Jobs, OwnEffects, Scheduler, Seed, choose_figures
 
 if TYPE_CHECKING:
     from msp_lab.characterise.sensors import Characterisation
@@ -122,16 +123,6 @@ StartModel = Annotated[
         help="starting model: limits, codes, and what the data do not determine; default: the first driver's",
     ),
 ]
-ColumnMapOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--map", metavar="MAP", help="other column names and units: a YAML file, or NAME=COLUMN*FACTOR, repeatedly"
-    ),
-]
-OnlySensors = Annotated[
-    list[str] | None,
-    typer.Option(metavar="SENSOR", help="use only the readings of this sensor (column sensor); may be repeated"),
-]
 TruthOption = Annotated[
     Literal["recorded", "others"],
     typer.Option(
@@ -174,14 +165,14 @@ def characterise(
         Path | None, typer.Option(metavar="DIR", help="folder for the page, its pictures, and all numbers")
     ] = None,
     sensor: StartModel = None,
-    column_map: ColumnMapOption = None,
-    of: OnlySensors = None,
+    column_map: ColumnMaps = None,
+    of: Of = None,
     truth: TruthOption = "recorded",
     reference_std_cm: ReferenceStd = None,
     set_up_std_cm: SetUpStd = None,
     compare_with_report: CompareWithReport = False,
     date: Annotated[str | None, typer.Option(help="date to record, YYYY-MM-DD (default: today)")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="random seed of the goodness-of-fit test")] = 1,
+    seed: Seed = 1,
     each: EachOption = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
@@ -362,7 +353,7 @@ def filters(
         Path | None, typer.Option(help="CSV of error statistics to explain, instead of the report's tables 5.4-5.6")
     ] = None,
     seeds: Annotated[int, typer.Option(min=10, max=5000, help="number of runs of each scenario")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
+    seed: Seed = 1,
     out: Annotated[Path | None, typer.Option(help="folder for figures 5.7-5.15 and the tables as CSV and JSON")] = None,
 ) -> None:
     """The report's filter study: its nine filters in its three scenarios, what explains its rows, and a better filter.

@@ -28,6 +28,7 @@ def _add_effects(context: typer.Context, files: list[Path] | None) -> list[Path]
     return files
 
 
+Seed = Annotated[int, typer.Option(min=0, help="random seed: the same gives the same result")]
 OwnEffects = Annotated[
     list[Path] | None,
     typer.Option(
@@ -77,7 +78,7 @@ app.callback()(choose_figures)
 def fly(
     scenario_file: ScenarioFile,
     model: SensorModelOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="random seed: the same seed gives the same flight")] = 1,
+    seed: Seed = 1,
     out: Annotated[Path | None, typer.Option(help="folder for summary, recording, link log and picture")] = None,
     link: Annotated[
         str | None, typer.Option(help="share the link with a ground station, e.g. udpout:127.0.0.1:14550")
@@ -127,7 +128,7 @@ def monte_carlo(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="folder for table, summary and picture; flights in it are kept")
     ],
-    seed: Annotated[int, typer.Option(min=0, help="random seed: the same seed gives the same flights")] = 1,
+    seed: Seed = 1,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
     model: SensorModelOption = None,
@@ -167,7 +168,7 @@ def sitl(
         Literal["ardupilot", "px4"] | None, typer.Option(help="type of the autopilot; default: the airframe's")
     ] = None,
     model: SensorModelOption = None,
-    seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
+    seed: Seed = 1,
     ground: Annotated[
         Path | None,
         typer.Option(
@@ -211,7 +212,7 @@ def sample(
         Path, typer.Option(help="CSV with the contexts of the readings, one per row (true_range_cm and more)")
     ],
     out: Annotated[Path, typer.Option(help="CSV to write: the contexts with reading_cm filled in")],
-    seed: Annotated[int, typer.Option(min=0, help="random seed")] = 1,
+    seed: Seed = 1,
     effects: OwnEffects = None,
 ) -> None:
     """Draw one reading from a sensor model for each row of a CSV.

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from msp_lab.gap.cli import Seed
 from msp_range.extras import require
-from msp_sim.cli import OwnEffects
+from msp_sim.cli import OwnEffects, Seed
 
 app = typer.Typer()
 

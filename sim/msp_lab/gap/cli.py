@@ -15,6 +15,7 @@ from msp_lab.gap.findings import GapFindings, LastStep, Settings
 from msp_range.extras import require
 from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.cli import Jobs, OwnEffects, Scheduler
+from msp_sim.cli import Seed as Seed
 
 if TYPE_CHECKING:
     from msp_lab.gap.separate import Common, Each
@@ -38,7 +39,6 @@ Reference = Annotated[
 ]
 Alpha = Annotated[float, typer.Option(min=0.0001, max=0.5, help="family-wise false-positive rate")]
 MaxEffects = Annotated[int, typer.Option(min=0, max=100, help="largest number of effects to add")]
-Seed = Annotated[int, typer.Option(min=0, help="random seed; the same seed gives the same answer")]
 RunColumn = Annotated[str | None, typer.Option(help="column that names the runs (default: 'run', else each file)")]
 ColumnMaps = Annotated[
     list[str] | None,

@@ -13,7 +13,7 @@ import typer
 from msp_range.extras import require
 from msp_range.input_file import printable
 from msp_range.recording.error import RecordingError
-from msp_sim.cli import Jobs, Scheduler
+from msp_sim.cli import Jobs, Scheduler, Seed
 
 if TYPE_CHECKING:
     from msp_lab.logs.importing import Import, Imported
@@ -43,7 +43,7 @@ def _import(
         ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="print what was found as JSON")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="random seed of the intervals")] = 1,
+    seed: Seed = 1,
     jobs: Jobs = 1,
     scheduler: Scheduler = None,
 ) -> None:
