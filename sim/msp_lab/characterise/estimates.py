@@ -16,10 +16,8 @@ from scipy.special import logsumexp, ndtr
 
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.arrays import Array
-from msp_sim.intervals import CONFIDENCE, Z, wilson
+from msp_sim.intervals import CONFIDENCE, LIKELIHOOD_DROP, Z, wilson
 
-LIKELIHOOD_DROP = Z**2 / 2
-"""By so much the log likelihood is below its top at the ends of an interval: 1.92, half of chi squared's quantile."""
 DITHERED = 0.6
 """Rounded readings that scatter by more than this many of their steps lose nothing by it: before rounding that is
 sqrt(0.36 - 1 / 12) = 0.53, and the average's bias is under exp(-2 pi^2 0.277) / pi = 0.0014 steps."""

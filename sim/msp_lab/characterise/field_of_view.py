@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import xlogy
 
-from msp_lab.characterise.estimates import LIKELIHOOD_DROP, fit_points, half_of_mean, share
+from msp_lab.characterise.estimates import fit_points, half_of_mean, share
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
@@ -22,6 +22,7 @@ from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.acoustics.slant import slant_range
+from msp_sim.intervals import LIKELIHOOD_DROP
 
 RELIABLE_SHARE = 0.8
 """Smallest share of readings of the wall at a reliable angle. Echoes end within about one step of 1.8 deg, so that any

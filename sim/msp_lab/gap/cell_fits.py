@@ -5,6 +5,7 @@ maximum likelihood to the distribution of readings, with what they gain and how 
 errors are those of the units: the runs or blocks of readings that depend on each other.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import NamedTuple
@@ -253,8 +254,8 @@ def _robust_start(cells: _Cells) -> tuple[Array, Array]:
     off = (cells.reading_cm - rows.centre_cm)[usual] / rows.sigma_cm[usual]
     cell = np.repeat(np.arange(cells.counts.size), cells.counts)
     hits = np.bincount(cell[usual], minlength=cells.counts.size)
-    low, middle, high = _quantiles(off, hits, (0.25, 0.5, 0.75))
-    (usual_cm,) = _quantiles(rows.centre_cm[usual], hits, (0.5,))
+    low, middle, high = quantiles_of(off, hits, (0.25, 0.5, 0.75))
+    (usual_cm,) = quantiles_of(rows.centre_cm[usual], hits, (0.5,))
     sigma_cm = np.bincount(cell, rows.sigma_cm, cells.counts.size) / np.maximum(cells.counts, 1)
     most = (rules.CELL_MAX_BIAS_CM + rules.CELL_MAX_BIAS_SHARE * np.maximum(usual_cm, 0.0)) / np.maximum(sigma_cm, 1e-9)
     known = (hits >= rules.CELL_MIN_HITS) & (np.abs(middle) <= most)
@@ -265,10 +266,10 @@ def _robust_start(cells: _Cells) -> tuple[Array, Array]:
     return numbers, most
 
 
-def _quantiles(values: Array, counts: Indices, shares: tuple[float, ...]) -> Array:
-    """Quantiles of the values cell by cell, of which each has so many, 0 in one without any, (len(shares), cells)."""
+def quantiles_of(values: Array, counts: Indices, shares: Sequence[float], of_none: float = 0.0) -> Array:
+    """Quantiles of the values cell by cell, of which each has so many, (len(shares), cells); NaN are left out."""
     of_cells = np.split(values, np.cumsum(counts)[:-1])
-    return np.transpose([np.quantile(each, shares) if each.size else np.zeros(len(shares)) for each in of_cells])
+    return np.transpose([np.nanquantile(each, shares) if each.size else [of_none] * len(shares) for each in of_cells])
 
 
 def scale_of(stack: Stack, sigma_cm: Array) -> Array:

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from msp_lab.gap.autocorrelation import places, residual_autocorrelation
+from msp_lab.gap.cell_fits import quantiles_of
 from msp_lab.gap.cells import Partition, partitions
 from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect, error_name
 from msp_lab.gap.labels import axis_label, channel_label, name_of, step_name
@@ -340,16 +341,12 @@ def _draw_expected(axes: Axes, part: Partition, expected: Array, words: str) -> 
 def _of_bins(residual: Array, part: Partition) -> tuple[Array, Array, Array, Array]:
     """The quantiles 1/6, 1/2 and 5/6 of each bin, and the standard error of the middle one."""
     order = np.argsort(part.cell, kind="stable")
-    pieces = np.split(order, np.cumsum(part.counts)[:-1])
-    quantiles = np.array(
-        [
-            np.nanquantile(residual[rows], [1 / 6, 0.25, 0.5, 0.75, 5 / 6]) if rows.size else [np.nan] * 5
-            for rows in pieces
-        ]
+    first, lower, middle, upper, last = quantiles_of(
+        residual[order], part.counts, (1 / 6, 0.25, 0.5, 0.75, 5 / 6), np.nan
     )
-    spread = (quantiles[:, 3] - quantiles[:, 1]) / 1.349
+    spread = (upper - lower) / 1.349
     error = 1.2533 * np.maximum(spread, 0.3) / np.sqrt(np.maximum(part.counts, 1))
-    return quantiles[:, 0], quantiles[:, 2], quantiles[:, 4], error
+    return first, middle, last, error
 
 
 def _centre(model: Model, readings: HeldOutReadings) -> Array:

@@ -19,10 +19,8 @@ from msp_lab.mixture_fit.parameters import KINDS, NAMES, PARAMETERS, Numbers, bo
 from msp_range.arrays import Array
 from msp_range.reading_model.kernel import NO_ECHO_CENTRE
 from msp_range.reading_model.sensor_model import MixtureParameters
-from msp_sim.intervals import Z
+from msp_sim.intervals import LIKELIHOOD_DROP, Z
 
-DROP = Z * Z / 2.0
-"""Drop of the log-likelihood at the ends of a 95 % interval by its profile: half of chi-square's quantile."""
 NEAR_BOUND = 4.0
 """Within this many standard errors of a bound the interval is computed from the profile likelihood."""
 UNKNOWN_FRACTION = 0.5
@@ -99,14 +97,14 @@ class FitResult:
         return value - Z * error, value + Z * error
 
     def _profile(self, name: str, sign: float) -> float:
-        """Where the log-likelihood has dropped by `DROP`, the other numbers refitted; the bound if it does not."""
+        """Where the log-likelihood has dropped so far, the other numbers refitted; the bound if it does not."""
         _, _, number, *ends = PARAMETERS[name][:5]
         k = NAMES.index(number)
         best = self._optimum
         bound = bounds_of(best.numbers, self._moving)[sign > 0.0][k]
         others = [each for each in self._moving if each != number]
         centre = best.numbers[k]
-        known = {centre: -DROP}
+        known = {centre: -LIKELIHOOD_DROP}
         last = best.numbers
 
         def excess(place: float) -> float:
@@ -114,7 +112,7 @@ class FitResult:
             if place not in known:
                 start = last._replace(**{number: place})
                 at, value, _ = self._likelihood.maximum(start, bounds_of(start, others))
-                last, known[place] = Numbers(*at.tolist()), best.value - value - DROP
+                last, known[place] = Numbers(*at.tolist()), best.value - value - LIKELIHOOD_DROP
             return known[place]
 
         step = sign / math.sqrt(max(best.information[k, k], 4.0))
@@ -190,7 +188,7 @@ def _share_interval(share: float, error: float, readings: int) -> tuple[float, f
 
     def excess(other: float) -> float:
         gain = xlogy(share, share) + xlogy(missing, missing) - xlogy(share, other) - xlog1py(missing, -other)
-        return float(trials * gain - DROP)
+        return float(trials * gain - LIKELIHOOD_DROP)
 
     lowest, highest = 1e-12, 1.0 - 1e-12
     low = float(brentq(excess, lowest, share)) if share > lowest and excess(lowest) > 0.0 else 0.0
