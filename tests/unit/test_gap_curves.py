@@ -228,7 +228,7 @@ def test_an_experiment_that_is_named_separates_the_two() -> None:
     together = effect_of(one_air(5, 15.0, 15.0), 5)
     names = {together.name, *(other.name for other in together.alternatives)}
     assert {"range_scale", "air_temperature"} <= names
-    found = re.search(r"air_temperature[^;]*vary air_temperature_c evenly from (\S+) to (\S+) C", together.experiment)
+    found = re.search(r"air_temperature[^;]*vary air_temperature_c evenly from (\S+) to (\S+) °C", together.experiment)
     assert found is not None, together.experiment
     low_c, high_c = float(found[1]), float(found[2])
     # 0.8 % of ranges that scatter by 84 cm are 15 standard errors of 2000 readings. Of air about 15 C, 7.5 from that of

@@ -15,6 +15,7 @@ import numpy as np
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.plan import SETUP_S, Point, make_plan, reading_interval_s, reading_s, setup_s
 from msp_lab.design.session import Columns, PlannedSession, chosen
+from msp_lab.gap.labels import unit_of
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.yaml_file import check
@@ -38,18 +39,8 @@ FIRING = {0.4: "simultaneous", 100.0: "sequential"}
 """How a campaign file says that a sensor's neighbour pinged so many milliseconds before it."""
 USUAL = {"true_range_cm": 200.0, "air_temperature_c": 20.0}
 """Values of what is not varied."""
-UNITS = {
-    "true_range_cm": "cm",
-    "incidence_deg": "deg",
-    "air_temperature_c": "C",
-    "target_temperature_c": "C warmer than at the sensor",
-    "humidity_pct": "%",
-    "vibration_hz": "Hz",
-    "range_rate_cm_s": "cm/s",
-    "target_size_cm": "cm",
-    "external_level_db": "dB",
-    "neighbour_lag_ms": "ms after the other sensor's ping",
-}
+MEANT = {"target_temperature_c": " warmer than at the sensor", "neighbour_lag_ms": " after the other sensor's ping"}
+"""What is said of a value behind its unit."""
 REFERENCE_CM = 0.2
 """Standard deviation of a placement's true range: a steel tape. Offsets below it need many placements."""
 FARTHEST_SHARE = 0.6
@@ -110,7 +101,10 @@ class BenchSessions:
         setups_s = [setup_s(before, point) for before, point in zip([None, *points], points, strict=False)]
         # A point that follows itself is placed anew too.
         seconds += sum(each or SETUP_S["range_cm"] for each in setups_s)
-        words = {name: f"{', '.join(f'{each:g}' for each in levels[name])} {UNITS[name]}" for name in varied}
+        words = {
+            name: f"{', '.join(f'{each:g}' for each in levels[name])} {unit_of(name)}{MEANT.get(name, '')}"
+            for name in varied
+        }
         contexts = _contexts(campaign, points)
         return PlannedSession(
             "bench", words, contexts, campaign.readings, visits, seconds / 60.0, content, offset_cm=REFERENCE_CM

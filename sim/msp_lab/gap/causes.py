@@ -76,5 +76,5 @@ def _varied(column: str, contexts: Mapping[str, Any]) -> bool:
     spread = float(np.ptp(np.quantile(values, [0.05, 0.95])))
     if column not in SPANS:
         return spread > 0.0
-    low, high, _ = SPANS[column]
+    low, high = SPANS[column]
     return spread >= VARIED_SHARE * (high - low)

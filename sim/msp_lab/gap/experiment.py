@@ -12,6 +12,7 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.exchange import AlternativeTerm
+from msp_lab.gap.labels import unit_of
 from msp_lab.gap.prepared import CHANNELS, templates
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -20,17 +21,17 @@ from msp_sim.effects.base import WORD_COLUMNS, Scene
 from msp_sim.model.model import Term, applies
 
 SPANS = {
-    "true_range_cm": (20.0, 765.0, "cm"),
-    "air_temperature_c": (-10.0, 45.0, "C"),
-    "target_temperature_c": (-10.0, 60.0, "C"),
-    "humidity_pct": (5.0, 95.0, "%"),
-    "incidence_deg": (-40.0, 40.0, "deg"),
-    "range_rate_cm_s": (-300.0, 300.0, "cm/s"),
-    "throttle": (0.0, 1.0, ""),
-    "vibration_hz": (0.0, 200.0, "Hz"),
-    "uptime_s": (0.0, 3600.0, "s"),
+    "true_range_cm": (20.0, 765.0),
+    "air_temperature_c": (-10.0, 45.0),
+    "target_temperature_c": (-10.0, 60.0),
+    "humidity_pct": (5.0, 95.0),
+    "incidence_deg": (-40.0, 40.0),
+    "range_rate_cm_s": (-300.0, 300.0),
+    "throttle": (0.0, 1.0),
+    "vibration_hz": (0.0, 200.0),
+    "uptime_s": (0.0, 3600.0),
 }
-"""How far a context can reasonably be varied, with its unit."""
+"""How far a context can reasonably be varied."""
 SHARES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
 """Shares of those spans; the smallest that is enough is suggested."""
 
@@ -45,7 +46,7 @@ def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
     for column in sorted((own.effect.columns | other.effect.columns) - WORD_COLUMNS):
         if column not in SPANS or column not in problem.contexts:
             continue
-        low, high, unit = SPANS[column]
+        low, high = SPANS[column]
         values = np.asarray(problem.contexts[column], dtype=float)
         middle = float(np.clip(np.nanmedian(values), low, high))
         for share in SHARES:
@@ -53,7 +54,7 @@ def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
             drawn = start + (end - start) * _even(values.size)
             if _separation(problem, base, own, other, {**problem.contexts, column: drawn}) >= rules.SEPARABLE_Z:
                 if best is None or share < best[0]:
-                    text = f"vary {column} evenly from {start:.3g} to {end:.3g} {unit}".rstrip()
+                    text = f"vary {column} evenly from {start:.3g} to {end:.3g} {unit_of(column)}".rstrip()
                     now = float(np.nanmax(values) - np.nanmin(values))
                     best = share, f"{text} (by {end - start:.3g}; here by {now:.3g}) in as many readings"
                 break
