@@ -193,7 +193,7 @@ def _cautious(fit: JointFit, alone: bool = False) -> Term:
     strength = strength_of(term.effect)
     neutral = strength.neutral or 0.0
     left = 1.0 - min(_doubt(fit, alone), LARGEST_DOUBT)
-    return replace(term, values={**term.values, strength.name: neutral + left * (term.values[strength.name] - neutral)})
+    return term.having({strength.name: neutral + left * (term.values[strength.name] - neutral)})
 
 
 def with_strength(
@@ -208,7 +208,7 @@ def with_strength(
     without = extended(given, answer.base, answer.terms[:-1], None)
     for share in np.geomspace(1e-5, 1.0, 41):
         value = min(neutral + share * (strength.high - strength.low), strength.high)
-        stronger = replace(term, values={**term.values, strength.name: float(value)})
+        stronger = term.having({strength.name: float(value)})
         model = extended(given, answer.base, [*answer.terms[:-1], stronger], None)
         drawn = model.sample(contexts, rng)
         gained = np.maximum(model.log_prob(drawn, contexts), -30.0) - np.maximum(

@@ -8,6 +8,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.cells import Stack
+from msp_lab.gap.refit import sums_by
 from msp_range.arrays import Array, Flags, Indices, numbered
 
 
@@ -26,8 +27,7 @@ def unit_sums(scores: Array, unit: Indices, stack: Stack) -> tuple[Array, Array,
     unit = _pooled(unit)
     cells, units = len(stack), int(unit.max()) + 1
     key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
-    sums = [np.bincount(key, column, cells * units) for column in scores.T]
-    per_cell: Array = np.stack(sums, axis=1, dtype=np.float64).reshape(cells, units, scores.shape[1])
+    per_cell = sums_by(key, scores, cells * units).reshape(cells, units, scores.shape[1])
     size = np.bincount(key, minlength=cells * units).reshape(cells, units).astype(float)
     there = (size > 0.0).sum(axis=1).astype(np.intp)
     mean = per_cell.sum(axis=1) / np.maximum(stack.counts, 1)[:, None]
@@ -51,10 +51,8 @@ def unit_variance(scores: Array, unit: Indices, stack: Stack, given: Array) -> t
     found *= (there / np.maximum(there - 1, 1))[:, None, None]
     few = there < rules.MIN_CELL_UNITS
     if few.all():
-        number = numbered(unit)
-        units = int(number.max()) + 1
-        sums = np.stack([np.bincount(number, column, units) for column in (given - given.mean(axis=0)).T], axis=1)
-        usual = sums.T @ sums * (units / max(units - 1, 1) / len(given))
+        sums = sums_by(numbered(unit), given - given.mean(axis=0))
+        usual = sums.T @ sums * (len(sums) / max(len(sums) - 1, 1) / len(given))
     else:
         # Of scores at the free fit: at the model as it is, the gap itself would look like scatter.
         usual = found[~few].sum(axis=0) / stack.counts[~few].sum()

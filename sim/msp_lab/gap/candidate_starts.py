@@ -5,7 +5,6 @@ Each start is the candidate with its values, with the base that goes with it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -83,7 +82,7 @@ def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, v
     here = candidate.at(value)
 
     def best(*changes: Mapping[str, float]) -> Term:
-        terms = [here, *(replace(here, values={**here.values, **each}) for each in changes)]
+        terms = [here, *map(here.having, changes)]
         return max(terms, key=lambda each: _height(prepared, fit, each, base))
 
     here = best(*shapes_of(candidate))

@@ -158,7 +158,7 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
     k = final.fit.effects.index(active)
     heights = []
     for each in grid:
-        changed = replace(active, values={**active.values, parameter.name: float(each)})
+        changed = active.having({parameter.name: float(each)})
         effects = [*final.fit.effects[:k], changed, *final.fit.effects[k + 1 :]]
         heights.append(final.readings.log_likelihood(final.fit.base, effects))
     inside = grid[np.array(heights) > max(heights) - 0.5 * final.width**2]

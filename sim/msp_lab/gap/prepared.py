@@ -99,7 +99,7 @@ class Prepared:
         step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
         if value + step > parameter.high:
             step = -step
-        there = replace(each, values={**each.values, parameter.name: value + step})
+        there = each.having({parameter.name: value + step})
         if each.effect.channels == ("component",):
             return (self._with_component(each, there, here) - here.log_p) / step
         if "code" in each.effect.channels or each.effect.name == "run_offsets":

@@ -5,7 +5,7 @@ of the mixture's fit, with the outer product of the scores as information.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -109,10 +109,10 @@ def free_numbers(effects: Sequence[Term]) -> list[tuple[int, Parameter]]:
 
 def with_values(effects: Sequence[Term], numbers: Sequence[tuple[int, Parameter]], values: Array) -> tuple[Term, ...]:
     """Effects with these values of their numbers, which are as from `free_numbers`."""
-    placed: list[dict[str, float]] = [dict(each.values) for each in effects]
+    placed: list[dict[str, float]] = [{} for _ in effects]
     for (k, parameter), value in zip(numbers, values.tolist(), strict=True):
         placed[k][parameter.name] = value
-    return tuple(replace(each, values=own) for each, own in zip(effects, placed, strict=True))
+    return tuple(map(Term.having, effects, placed))
 
 
 def fit_base(prepared: Prepared) -> JointFit:
@@ -244,8 +244,7 @@ def _is_open_ended(term: Term, number: Parameter) -> bool:
 
 def _off_neutral(term: Term) -> Term:
     """A share of exactly nothing has no shape: start a little away from it."""
-    values = dict(term.values)
-    for parameter in term.effect.parameters:
-        if parameter.neutral is not None and values[parameter.name] == parameter.neutral and term.shape is None:
-            values[parameter.name] = parameter.neutral + parameter.step
-    return replace(term, values=values)
+    numbers = each.effect.parameters if each.shape is None else ()
+    return each.having(
+        {p.name: p.neutral + p.step for p in numbers if p.neutral is not None and each.values[p.name] == p.neutral}
+    )

@@ -10,7 +10,7 @@ gives them no weight. Of that noise on any times the precision is tridiagonal, s
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -91,8 +91,7 @@ class Shift:
 
     def at(self, value: float) -> list[Term]:
         """The effects with another value of its number."""
-        own = self.effects[self.k]
-        changed = replace(own, values={**own.values, self.parameter.name: value})
+        changed = self.effects[self.k].having({self.parameter.name: value})
         return [*self.effects[: self.k], changed, *self.effects[self.k + 1 :]]
 
     def next_to(self, value: float) -> float:

@@ -63,6 +63,10 @@ class Term:
             return f"{what} of {self.shape[0]} over {' and '.join(self.shape[1])}"
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
 
+    def having(self, values: Mapping[str, float]) -> "Term":
+        """With other values of some of its parameters."""
+        return replace(self, values={**self.values, **values})
+
     def change(self, scene: Scene) -> Contribution:
         """What it changes; where its contexts make no sense, NaN without a warning."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
