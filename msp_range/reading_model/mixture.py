@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from msp_range.arrays import Array
 from msp_range.correction.calibration import IDENTITY, Calibration
-from msp_range.reading_model.rows import MixtureRows
+from msp_range.reading_model.rows import MixtureRows, shares_of
 from msp_range.reading_model.sensor_model import (
     SATURATED_CM,
     WEIGHTS_RANGE_CM,
@@ -173,11 +173,9 @@ class ReadingModel:
             return parameters.sigma_cm
         return np.hypot(parameters.sigma_cm, parameters.sigma_growth_cm_per_m / 100.0 * self._within(true_range_cm))
 
-    def shares(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
+    def shares(self, true_range_cm: Any) -> list[Any]:
         """Shares of hit, short, missed and random, for one range or an array of them [cm]."""
-        hit, short, missed, random = (np.exp(log_weight) for log_weight in self.log_weights(true_range_cm))
-        total = hit + short + missed + random
-        return hit / total, short / total, missed / total, random / total
+        return shares_of(self.log_weights(true_range_cm))
 
     def log_weights(self, true_range_cm: Any) -> tuple[Any, Any, Any, Any]:
         """log of the shares of hit, short, missed and random, but for a common summand: numbers or arrays."""

@@ -60,6 +60,13 @@ def among(some: Array, rows: Indices, size: int) -> Array:
     return parts
 
 
+def shares_of(log_weights: Sequence[Any]) -> list[Any]:
+    """Shares of hit, short, missed and random by the logarithms of their weights, numbers or (n,)."""
+    weights = [np.exp(each) for each in log_weights]
+    total = sum(weights)
+    return [weight / total for weight in weights]
+
+
 @dataclass(frozen=True)
 class MixtureRows:
     """Distribution of n readings: hit, short, missed and random readings by their weights, as `ReadingModel` has
@@ -201,9 +208,7 @@ class MixtureRows:
     def slopes(self, first: Array, last: Array) -> Array:
         """q and its derivatives in the order of `FREE`, (8, n); that by the saturated fraction is 0."""
         of_hit, of_short, of_missed, of_random = self.kinds(first, last)
-        weights = self.weights()
-        total = sum(weights)
-        hit, short, missed, random = (weight / total for weight in weights)
+        hit, short, missed, random = shares_of(self.log_weights)
         parts = np.zeros((1 + len(FREE), first.size))
         q = parts[0]
         q += hit * of_hit.p + missed * of_missed.p + random * of_random.p

@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.gap.runs import taken
 from msp_range.arrays import Array
-from msp_range.reading_model.rows import MIN_PROBABILITY, Base
+from msp_range.reading_model.rows import MIN_PROBABILITY, Base, shares_of
 from msp_sim.effects.base import Contribution, Parameter, Scene
 from msp_sim.effects.curve import FIELDS, CurveChannel, Knots, hats
 from msp_sim.model.model import Model, Term, applies, apply_terms, base_rows, history_of, shifted
@@ -204,8 +204,8 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
     if carry is not None:
         by[:, 0] *= 1.0 - carry.factor
         by[:, 7] = own_centre * carry.correlation_shift_cm + by[:, 1] * carry.log_sigma_slope
-    weights = np.stack([np.broadcast_to(np.exp(each), reading_cm.shape) for each in rows.log_weights], axis=1)
-    return ChannelSlopes(log_p, by, weights[:, 1:] / weights.sum(axis=1, keepdims=True), rows, own_centre, carry)
+    shares = [np.broadcast_to(each, reading_cm.shape) for each in shares_of(rows.log_weights)[1:]]
+    return ChannelSlopes(log_p, by, np.stack(shares, axis=1), rows, own_centre, carry)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_range.arrays import Array, Column, Flags, Indices
 from msp_range.reading_model.kernel import Hit
-from msp_range.reading_model.rows import MIN_PROBABILITY, Base, MixtureRows, Part, among, take
+from msp_range.reading_model.rows import MIN_PROBABILITY, Base, MixtureRows, Part, among, shares_of, take
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Code, Component, Hits
@@ -171,10 +171,10 @@ class ModelRows(MixtureRows):
     def _is_code(self, reading_cm: Array, off_sigmas: Array, sigma_cm: Array) -> Flags:
         """Readings that are rather the code of a component than hits, (n,): a repeated one has no error of its own."""
         found = np.zeros(reading_cm.size, dtype=bool)
-        weights = self.weights()
+        hits = shares_of(self.log_weights)[0]
         for odds, component, _ in self.added:
             if isinstance(component, Code):
-                share = weights[0] / sum(weights) * Hit.density(off_sigmas**2, 1.0) * self.step_cm / sigma_cm
+                share = hits * Hit.density(off_sigmas**2, 1.0) * self.step_cm / sigma_cm
                 with np.errstate(invalid="ignore"):
                     found |= (component.code_cm == reading_cm) & (odds > share)
         return found
