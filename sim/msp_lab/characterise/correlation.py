@@ -49,7 +49,7 @@ def hit_correlation(points: Sequence[PointReadings], data: MeasuredData) -> HitC
     """
     if "time_s" not in data:
         return None
-    time_s = np.asarray(data["time_s"], dtype=np.float64)
+    time_s = data["time_s"]
     step_s, one_cm, other_cm, hits = np.concatenate([np.empty((4, 0)), *(_steps(p, time_s) for p in points)], axis=1)
     if not step_s.size or not np.median(step_s) > 0.0:
         return None

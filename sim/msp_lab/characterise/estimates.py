@@ -101,7 +101,7 @@ def mean_of_points(
 def _least_squares(design: Array, y: Array, variance: Array | float) -> tuple[Array, Array, float]:
     """Coefficients of weighted least squares, their covariance, and the weighted sum of squared residuals."""
     weight = np.full(y.size, 1.0 / (variance + 1e-12))
-    covariance = np.linalg.inv(design.T * weight @ design).astype(np.float64)
+    covariance = np.linalg.inv(design.T * weight @ design)
     coefficients: Array = covariance @ (design.T * weight @ y)
     return coefficients, covariance, float(weight @ (y - design @ coefficients) ** 2)
 

@@ -96,8 +96,8 @@ def _places(old: OldReadings, question: OpenQuestion, options: Options) -> list[
 
 def _sensors(old: OldReadings, question: OpenQuestion) -> tuple[str, ...]:
     """The sensors of the old readings where an answer is about one of them, two for neighbours, else the first."""
-    names = [str(each) for each in np.unique(np.asarray(old.columns["sensor"]))] if "sensor" in old.columns else []
-    names = [name for name in names if re.fullmatch(NAME, name)] or ["sensor_1"]
+    names = [str(each) for each in np.unique(old.columns["sensor"])] if "sensor" in old.columns else []
+    names = [each for each in names if re.fullmatch(NAME, each)] or ["sensor_1"]
     if "neighbour_lag_ms" in question.columns and len(names) < 2:
         names.append("neighbour")
     return tuple(names if "sensor" in question.columns else names[: 2 if "neighbour_lag_ms" in question.columns else 1])

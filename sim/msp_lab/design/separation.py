@@ -123,7 +123,7 @@ def separation(
     right_rows, wrong_rows = prepared.at(right.base, right.effects), prepared.at(wrong.base, wrong.effects)
     sigma_cm = np.broadcast_to(right_rows.sigma_cm, reading_cm.shape)
     shift = np.nan_to_num((right_rows.centre_cm - wrong_rows.centre_cm) / sigma_cm)
-    unit = numbered(np.asarray(columns["run"]))
+    unit = numbered(columns["run"])
     counts = np.bincount(unit)
     # Offsets hide shifts alone, not a wider scatter. A shift of many sigma makes a reading an outlier, and counts for
     # less than its square.

@@ -56,7 +56,7 @@ def mean_hold_s(model: Model, readings: HeldOutReadings) -> float:
     n = len(readings)
     before, elapsed_s = reading_before(readings.contexts, n)
     hold_s = np.zeros(n)
-    for i in np.argsort(np.asarray(readings.contexts["time_s"], dtype=float), kind="stable").tolist():
+    for i in np.argsort(readings.contexts["time_s"], kind="stable").tolist():
         j = int(before[i])
         if j >= 0 and readings.reading_cm[i] == readings.reading_cm[j]:
             hold_s[i] = repeat[i] * (hold_s[j] + elapsed_s[i])

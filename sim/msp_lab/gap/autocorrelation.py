@@ -43,7 +43,7 @@ def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.ra
     residual -= residual.mean()
     variance = max(float(np.mean(residual**2)), 1e-12)
     before, _ = reading_before(readings.contexts, n)
-    time_s = np.asarray(readings.contexts["time_s"], dtype=float) if "time_s" in readings.contexts else None
+    time_s = readings.contexts.get("time_s")
     apart, value, pairs = [], [], []
     back = np.arange(n)
     for lag in range(1, LAGS + 1):

@@ -28,7 +28,7 @@ def unit_sums(scores: Array, unit: Indices, stack: Stack) -> tuple[Array, Array,
     cells, units = len(stack), int(unit.max()) + 1
     key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
     per_cell = sums_by(key, scores, cells * units).reshape(cells, units, scores.shape[1])
-    size = np.bincount(key, minlength=cells * units).reshape(cells, units).astype(float)
+    size = np.bincount(key, minlength=cells * units).reshape(cells, units)
     there = (size > 0.0).sum(axis=1).astype(np.intp)
     mean = per_cell.sum(axis=1) / np.maximum(stack.counts, 1)[:, None]
     # A gap must not look like scatter.

@@ -13,7 +13,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import JointFit
-from msp_range.arrays import Array
+from msp_range.arrays import Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.model.model import Term
 
@@ -56,9 +56,9 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     near = np.sort(prepared.reading_cm[far & (prepared.reading_cm > sensor.minimum_cm)])
     places = np.unique(near)
 
-    def within(cm: float) -> Array:
+    def within(cm: float) -> Indices:
         first, after = np.searchsorted(near, places - cm, "left"), np.searchsorted(near, places + cm, "right")
-        return (after - first).astype(np.float64)
+        return after - first
 
     own, expected = within(rules.GATHERED_CM), np.maximum(within(10.0 * rules.GATHERED_CM) / 10.0, 0.5)
     gains = np.where(own > expected, own * np.log(own / expected) - (own - expected), 0.0)

@@ -174,7 +174,7 @@ def candidates_of(
     gathers readings is searched at `gathered_cm`, the ranges at which they do, and at those of its own grid if there
     are none.
     """
-    of_others = bool(np.any(np.asarray(contexts.get(REFERENCE, "")) == OTHERS))
+    of_others = bool(np.any(contexts.get(REFERENCE, "") == OTHERS))
     found: list[CandidateEffect] = []
     missing: list[tuple[str, tuple[str, ...]]] = []
     for effect in CATALOGUE.values():
@@ -189,7 +189,7 @@ def candidates_of(
             continue
         words: Sequence[str | None] = (None,)
         if effect.per is not None:
-            words = [str(word) for word in np.unique(np.asarray(contexts[effect.per])) if word]
+            words = [str(word) for word in np.unique(contexts[effect.per]) if word]
             if len(words) < 2:
                 continue
             if effect.per == "run" and not rules.MIN_RUNS <= len(words) <= rules.MAX_RUN_CANDIDATES:
@@ -210,7 +210,7 @@ def candidates_of(
 
 
 def _is_recorded(contexts: Mapping[str, Any], name: str) -> bool:
-    return name in contexts and known_values(np.asarray(contexts[name])).size > 0
+    return name in contexts and known_values(contexts[name]).size > 0
 
 
 def score_of(candidate: CandidateEffect, prepared: Prepared, here: ChannelSlopes) -> Array:

@@ -70,7 +70,7 @@ def _special(effect: Effect) -> list[str]:
 def _varied(column: str, contexts: Mapping[str, Any]) -> bool:
     if column not in contexts:
         return False
-    values = known_values(np.asarray(contexts[column], dtype=float))
+    values = known_values(contexts[column])
     if not values.size:
         return False
     spread = float(np.ptp(np.quantile(values, [0.05, 0.95])))

@@ -67,7 +67,7 @@ class CellFits:
             return 0.0, np.inf
         values, variance = values[known], variance[known]
         # Odds of rare outliers are known much better in some cells than in others.
-        weight = self.counts[known].astype(float) if channel in ("bias", "spread") else 1.0 / variance
+        weight = self.counts[known] if channel in ("bias", "spread") else 1.0 / variance
         weight = weight / weight.sum()
         square = float((weight * (values**2 - variance)).sum())
         error = float(np.sqrt((weight**2 * (2.0 * variance**2 + 4.0 * variance * values**2)).sum()))

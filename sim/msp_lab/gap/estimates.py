@@ -244,7 +244,7 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
         text = ", ".join(f"{knot}: {value:.3g}" for knot, value in zip(first, values, strict=True))
     else:
         at = np.array(first, dtype=float)
-        place = np.asarray(readings.scene[variables[0]], dtype=float)
+        place = readings.scene[variables[0]]
         low, high = float(np.nanmin(place)), float(np.nanmax(place))
         if at.size == 2 and at[1] - at[0] < STEP_SHARE * (high - low):
             rise = values[1] - values[0]

@@ -40,7 +40,7 @@ class _Offsets:
 
 def _offsets(fit: JointFit, unit: Indices) -> _Offsets:
     slope = fit.offset_slope
-    counts = np.bincount(unit).astype(float)
+    counts = np.bincount(unit)
     mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
     between = counts * mean**2
     within = float((slope**2).sum() - between.sum())

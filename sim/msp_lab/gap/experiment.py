@@ -47,7 +47,7 @@ def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
         if column not in SPANS or column not in problem.contexts:
             continue
         low, high = SPANS[column]
-        values = np.asarray(problem.contexts[column], dtype=float)
+        values = problem.contexts[column]
         middle = float(np.clip(np.nanmedian(values), low, high))
         for share in SHARES:
             start, end = middle - share * (middle - low), middle + share * (high - middle)

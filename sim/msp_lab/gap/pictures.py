@@ -277,7 +277,7 @@ def _draw_residual(axes: Axes, model: Model, both: BeforeAfter, part: Partition,
     centre = _centre(model, readings)
     residual = readings.reading_cm - centre
     numbers = part.centres is not None
-    x = np.asarray(readings.contexts[part.variables[0]] if numbers else part.cell, dtype=float)
+    x = readings.contexts[part.variables[0]] if numbers else part.cell
     low, middle, high, error = _of_bins(residual, part)
     drawn = [_of_bins(model.sample(readings.contexts, rng) - centre, part)[:3] for _ in range(REPLICATES)]
     expected = np.mean(drawn, axis=0)

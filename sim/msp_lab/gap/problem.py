@@ -95,7 +95,7 @@ class Problem:
         readings = Prepared.of(model, contexts, reading_cm)
         base = fit_base(readings)
         if readings.spacing_s is None:
-            neighbours = dependence(base.offset_slope, unit, _time_s(contexts))
+            neighbours = dependence(base.offset_slope, unit, contexts.get("time_s"))
             # Neighbouring readings have the error of the other sensors in common.
             if neighbours.lag_z > rules.DEPENDENT_LAG_Z or REFERENCE in contexts:
                 readings = Prepared.of(model, contexts, reading_cm, spacing_s(whole))
@@ -103,7 +103,7 @@ class Problem:
         candidates, untestable = candidates_of(model, contexts, gathered_cm(readings, base))
 
         def moved_cm() -> Array:
-            true_cm = np.asarray(whole[TRUE_RANGE], dtype=np.float64)
+            true_cm: Array = whole[TRUE_RANGE]
             return np.abs(true_cm - previous(whole, true_cm))[rows]
 
         return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, rng)
@@ -146,7 +146,7 @@ class Problem:
 
     def dependence(self, fit: JointFit) -> Dependence:
         """Dependence of the readings inside runs at a fit."""
-        return dependence(fit.offset_slope, self.unit, _time_s(self.contexts))
+        return dependence(fit.offset_slope, self.unit, self.contexts.get("time_s"))
 
     def depends(self, fit: JointFit) -> bool:
         """Whether readings of a run depend on each other at a fit, so that the run is the unit of evidence."""
@@ -175,7 +175,7 @@ class Problem:
         if PREVIOUS in candidate.effect.requires:
             gained = min(gained, self.gain_where_truth_moves(smaller, larger))
         if candidate.effect.per == "run" and not by_run:
-            gained = of_one_run(gained, larger, self.unit, np.asarray(self.contexts["run"]) == candidate.of)
+            gained = of_one_run(gained, larger, self.unit, self.contexts["run"] == candidate.of)
         share = larger.effects[-1].values[candidate.parameter.name]
         # What changes most readings shows by those that it leaves, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
@@ -243,10 +243,6 @@ class State:
     def keys(self) -> frozenset[tuple[str, str | None]]:
         """Which terms it has."""
         return frozenset(each.key for each in self.terms)
-
-
-def _time_s(contexts: Mapping[str, Any]) -> Array | None:
-    return np.asarray(contexts["time_s"], dtype=np.float64) if "time_s" in contexts else None
 
 
 def first_state(problem: Problem) -> State:

@@ -30,7 +30,7 @@ def places_in(unit: Indices) -> Indices:
 
 def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, Column]:
     """Some rows of all columns."""
-    return {name: np.asanyarray(column)[rows] for name, column in columns.items()}
+    return {name: column[rows] for name, column in columns.items()}
 
 
 def known_values(column: Column) -> Column:
@@ -88,7 +88,7 @@ def dependence(residual: Array, unit: Indices, time_s: Array | None = None) -> D
     n = residual.size
     order = np.lexsort((np.arange(n) if time_s is None else time_s, unit))
     value, run = residual[order] - residual.mean(), unit[order]
-    counts = np.bincount(run).astype(float)
+    counts = np.bincount(run)
     present = counts > 0
     variance = float(np.mean(value**2)) or 1.0
     sums = np.bincount(run, value)

@@ -107,7 +107,7 @@ def replicate(
     prepared = Prepared.of(model, drawn, np.zeros(at.size), spacing_s)
     if prepared.rows.history is not None and at.size > n and "time_s" in drawn:
         # Each copy of the contexts is a series of its own.
-        later = {**drawn, "time_s": np.asarray(drawn["time_s"], float) + COPY_S * (np.arange(at.size) // n)}
+        later = {**drawn, "time_s": drawn["time_s"] + COPY_S * (np.arange(at.size) // n)}
         history = History.of(later, at.size, prepared.rows.history.correlation, prepared.rows.history.spacing_s)
         prepared = replace(prepared, rows=replace(prepared.rows, history=history))
     reading_cm = prepared.at(base, effects).sample(RandomStreams(rng))

@@ -82,7 +82,7 @@ def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator) -> Splits
     """
     n = np.shape(contexts["true_range_cm"])[0]
     messages: list[str] = []
-    runs = np.asarray(contexts["run"]).astype(str) if "run" in contexts else np.full(n, "")
+    runs = contexts["run"].astype(str) if "run" in contexts else np.full(n, "")
     names, unit = np.unique(runs, return_inverse=True)
     of_blocks = names.size < rules.MIN_RUNS
     if of_blocks:
@@ -112,7 +112,7 @@ def _dearer(runs: int) -> float:
 
 
 def _blocks(contexts: Mapping[str, Any], unit: Indices, names: Texts, n: int) -> Texts:
-    order = np.lexsort((np.asarray(contexts["time_s"], dtype=float) if "time_s" in contexts else np.arange(n), unit))
+    order = np.lexsort((contexts.get("time_s", np.arange(n)), unit))
     block = np.empty(n, dtype=np.int64)
     block[order] = np.arange(n) * min(rules.SPLIT_BLOCKS, max(n // 2, 1)) // max(n, 1)
     return np.array([f"{names[u] or 'all'}#{b:02d}" for u, b in zip(unit.tolist(), block.tolist(), strict=True)])
@@ -123,12 +123,11 @@ def _means_of_runs(contexts: Mapping[str, Any], unit: Indices, runs: int) -> Arr
 
     What varies inside runs has nearly the same mean in each, so that what differs between runs decides who is alike.
     """
-    counts = np.bincount(unit, minlength=runs).astype(float)
+    counts = np.bincount(unit, minlength=runs)
     columns = [np.log(counts)]
-    for name, column in contexts.items():
+    for name, values in contexts.items():
         if name in NO_STRATA:
             continue
-        values = np.asarray(column)
         if name in WORD_COLUMNS:
             words = np.unique(values)[: rules.MAX_WORDS]
             columns += [np.bincount(unit, values == word, runs) / counts for word in words]

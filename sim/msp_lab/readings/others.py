@@ -114,7 +114,7 @@ def with_others_as_reference(
     columns: dict[str, Column] = {key: column[order] for key, column in data.columns.items() if key not in FROM_TRUTH}
     columns.setdefault("condition", np.full(order.size, "baseline"))
     reference, offsets_cm = _reference(columns, names, model, mounting, [each not in without for each in names])
-    known = columns["sensor"][~np.isnan(np.asarray(reference[TRUE_RANGE], dtype=np.float64))].tolist()
+    known = columns["sensor"][~np.isnan(reference[TRUE_RANGE])].tolist()
     rows_of = {name: count for name in names if (count := known.count(name))}
     offsets = dict(zip(names, offsets_cm.tolist(), strict=True))
     return Referenced(MeasuredData(columns | reference), {name: offsets[name] for name in rows_of}, rows_of)
@@ -124,7 +124,7 @@ def _reference(
     columns: Mapping[str, Column], names: Sequence[str], model: Model, mounting: Mounting, trusted: Sequence[bool]
 ) -> tuple[dict[str, Column], Array]:
     """Columns of the reference of each row, in the order of time, and the offset of each sensor [cm]."""
-    time_s, reading_cm = (np.asarray(columns[name], dtype=np.float64) for name in ("time_s", "reading_cm"))
+    time_s, reading_cm = columns["time_s"], columns["reading_cm"]
     sensor = np.searchsorted(np.array(names), columns["sensor"])
     rotations = [LEVEL if rotation is None else rotation for rotation in mounting.rotations(time_s)]
     mounted = [mounting.sensors[names[each]] for each in sensor.tolist()]

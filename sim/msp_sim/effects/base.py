@@ -135,7 +135,7 @@ class Scene:
         whole, and a bent curve would be the better name.
         """
         if self._run is None:
-            own = np.any(np.asarray(self._contexts.get(REFERENCE, "")) == OTHERS) and "run" in self._contexts
+            own = np.any(self._contexts.get(REFERENCE, "") == OTHERS) and "run" in self._contexts
             self._run = numbered(self._contexts["run"]) if own else np.zeros(0, dtype=np.intp)
         if not self._run.size:
             return bias_cm

@@ -68,7 +68,7 @@ class Normal:
 
     def _place(self, hits: Hits) -> tuple[Array, float | Array]:
         origin_cm = hits.centre_cm if self.from_hit else 0.0
-        centre_cm = np.broadcast_to(np.asarray(origin_cm + self.location_cm, dtype=float), hits.centre_cm.shape)
+        centre_cm = np.broadcast_to(origin_cm + self.location_cm, hits.centre_cm.shape)
         return centre_cm, hits.sigma_cm * self.wider if self.sigma_cm is None else self.sigma_cm
 
 

@@ -132,7 +132,7 @@ def with_path(columns: Mapping[str, Any]) -> Mapping[str, Any]:
         found[TRUE_RANGE] = np.array(columns[TRUE_RANGE], dtype=np.float64)
         found[TRUE_RANGE][knots.rows] = knots.range_cm
         if REFERENCE_STD in columns:
-            left_cm2 = np.square(np.asarray(columns[REFERENCE_STD], dtype=np.float64)) - knots.smoothed_cm2
+            left_cm2 = np.square(columns[REFERENCE_STD]) - knots.smoothed_cm2
             found[REFERENCE_STD] = np.sqrt(np.maximum(left_cm2, 0.0))
     return found
 
@@ -140,9 +140,8 @@ def with_path(columns: Mapping[str, Any]) -> Mapping[str, Any]:
 def _knots(columns: Mapping[str, Any]) -> Knots | None:
     if "time_s" not in columns:
         return None
-    range_cm = np.asarray(columns[TRUE_RANGE], dtype=np.float64)
-    time_s = np.asarray(columns["time_s"], dtype=np.float64)
-    time_s = _one_after_another(time_s, [columns[name] for name in ("run", "sensor") if name in columns])
+    range_cm = columns[TRUE_RANGE]
+    time_s = _one_after_another(columns["time_s"], [columns[name] for name in ("run", "sensor") if name in columns])
     order = np.argsort(time_s, kind="stable")
     order = order[np.isfinite(range_cm[order]) & np.isfinite(time_s[order])]
     apart = np.diff(time_s[order]) > CLOSEST_S
@@ -155,8 +154,7 @@ def _knots(columns: Mapping[str, Any]) -> Knots | None:
         return None
     unknown = np.full(range_cm.size, math.nan)
     stated_cm, reading_cm, recorded = (
-        np.asarray(columns.get(name, unknown), dtype=np.float64)[order]
-        for name in (REFERENCE_STD, "reading_cm", "range_rate_cm_s")
+        columns.get(name, unknown)[order] for name in (REFERENCE_STD, "reading_cm", "range_rate_cm_s")
     )
     path_cm = _smoothed_cm(at_s, at_cm, goes_on, float(np.median(np.nan_to_num(stated_cm))), reading_cm)
     slope, rate = (_rate(at_s, path_cm, goes_on, within_s, recorded) for within_s in (0.0, SLOPE_S))

@@ -86,7 +86,7 @@ def _is_empty(columns: _Columns, name: str) -> bool:
 
 def time_in_run_s(columns: _Columns) -> Array:
     """Time since the first row of the run [s]."""
-    time_s: Array = np.asarray(columns["time_s"], dtype=np.float64)
+    time_s = columns["time_s"]
     if "run" not in columns:
         return np.asarray(time_s - time_s.min())
     run = numbered(columns["run"])
@@ -97,7 +97,7 @@ def time_in_run_s(columns: _Columns) -> Array:
 
 def _time_of_day_h(columns: _Columns) -> Array:
     """Hours since the last midnight of the table's clock, of which the zone is not known; NaN in tables of a day."""
-    time_s = np.asarray(columns["time_s"], dtype=np.float64)
+    time_s = columns["time_s"]
     known = np.ptp(time_s[np.isfinite(time_s)]) >= SHORTEST_DAYS * DAY_S
     return time_s % DAY_S / 3600.0 if known else np.full(time_s.size, math.nan)
 
@@ -119,7 +119,7 @@ def _range_rate_cm_s(columns: _Columns) -> Array:
 
 
 def _neighbour_lag_ms(columns: _Columns) -> Array:
-    time_s = np.asarray(columns["time_s"], dtype=np.float64)
+    time_s = columns["time_s"]
     runs = columns["run"] if "run" in columns else np.zeros(time_s.size)
     return neighbour_lags_ms(time_s, columns["sensor"].tolist(), runs)
 

@@ -45,10 +45,10 @@ class History:
     @classmethod
     def of(cls, columns: Mapping[str, Any], size: int, correlation: float, spacing_s: float) -> "History":
         """The history of n readings from their columns ``run``, ``sensor`` and ``time_s``, as far as recorded."""
-        words = [np.asarray(columns[name]).astype(str) for name in ("run", "sensor") if name in columns]
+        words = [columns[name].astype(str) for name in ("run", "sensor") if name in columns]
         keys = np.array(["/".join(each) for each in zip(*words, strict=True)]) if words else np.full(size, "")
         names, series = np.unique(keys, return_inverse=True)
-        time_s = np.asarray(columns.get("time_s", np.full(size, np.nan)), dtype=np.float64)
+        time_s = columns.get("time_s", np.full(size, np.nan))
         known = bool(np.isfinite(time_s).all())
         order = np.lexsort((np.arange(size), time_s if known else np.zeros(size), series)).astype(np.intp)
         ordered = series[order].astype(np.intp)
@@ -56,7 +56,7 @@ class History:
             time_s = time_s[order]
         else:
             starts = np.searchsorted(ordered, np.arange(names.size))
-            time_s = np.asarray((np.arange(size) - starts[ordered]) * spacing_s, dtype=np.float64)
+            time_s = (np.arange(size) - starts[ordered]) * spacing_s
         return cls(order, ordered, time_s, tuple(str(name) for name in names), correlation, spacing_s)
 
     def correlation_over(self, time_s: Array) -> Array:
