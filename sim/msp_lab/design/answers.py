@@ -100,7 +100,7 @@ class OldReadings:
     @property
     def runs(self) -> int:
         """How many runs they are of."""
-        return int(np.unique(self.columns["run"]).size)
+        return np.unique(self.columns["run"]).size
 
     @property
     def columns(self) -> Mapping[str, Any]:

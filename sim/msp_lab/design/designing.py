@@ -96,7 +96,7 @@ def _places(old: OldReadings, question: OpenQuestion, options: Options) -> list[
 
 def _sensors(old: OldReadings, question: OpenQuestion) -> tuple[str, ...]:
     """The sensors of the old readings where an answer is about one of them, two for neighbours, else the first."""
-    names = [str(each) for each in np.unique(old.columns["sensor"])] if "sensor" in old.columns else []
+    names = np.unique(old.columns["sensor"]).tolist() if "sensor" in old.columns else []
     names = [each for each in names if re.fullmatch(NAME, each)] or ["sensor_1"]
     if "neighbour_lag_ms" in question.columns and len(names) < 2:
         names.append("neighbour")

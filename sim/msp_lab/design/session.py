@@ -49,7 +49,7 @@ class PlannedSession:
     @property
     def runs(self) -> int:
         """In how many runs."""
-        return int(np.unique(self.contexts["run"]).size)
+        return np.unique(self.contexts["run"]).size
 
     def sampled(self, rows: int) -> Columns:
         """The contexts of so many of its readings, evenly over the session; of a short session several times."""

@@ -33,7 +33,7 @@ def compare(comparison: Comparison, date: str, report: Progress) -> GapFindings:
     return GapFindings(
         verdict=None,
         rows=len(comparison.readings.data),
-        runs=int(np.unique(comparison.data["run"]).size),
+        runs=np.unique(comparison.data["run"]).size,
         gap=_gap(before, comparison.impossible),
         calibration=comparison.readings.calibration,
         slices=ranked(before, rng),

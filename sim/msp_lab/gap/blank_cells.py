@@ -50,7 +50,7 @@ class KnownRows:
         scene = Scene(model.sensor, contexts)
         known = {name: scene.known(name) for name in contexts if name not in BLANK_IS_NONE}
         partly = {name: each for name, each in known.items() if isinstance(each, np.ndarray) and each.any()}
-        rows = np.ones(np.shape(scene.range_cm)[0], dtype=bool)
+        rows = np.ones(scene.range_cm.size, dtype=bool)
         columns, unasked = [], []
         for name in sorted(partly, key=lambda name: -int(partly[name].sum())):
             if (rows & partly[name]).mean() >= rules.MIN_KNOWN_SHARE:
@@ -65,7 +65,7 @@ class KnownRows:
         required = {name for each in model.effects for name in each.effect.requires}
         columns = tuple(name for name in self.columns if name in required)
         scene = Scene(model.sensor, contexts)
-        rows = np.ones(np.shape(scene.range_cm)[0], dtype=bool)
+        rows = np.ones(scene.range_cm.size, dtype=bool)
         for name in columns:
             rows &= scene.known(name)
         return KnownRows(rows, columns, self.unasked)

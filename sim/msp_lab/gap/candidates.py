@@ -189,7 +189,7 @@ def candidates_of(
             continue
         words: Sequence[str | None] = (None,)
         if effect.per is not None:
-            words = [str(word) for word in np.unique(contexts[effect.per]) if word]
+            words = [word for word in np.unique(contexts[effect.per]).tolist() if word]
             if len(words) < 2:
                 continue
             if effect.per == "run" and not rules.MIN_RUNS <= len(words) <= rules.MAX_RUN_CANDIDATES:

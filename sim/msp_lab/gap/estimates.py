@@ -66,7 +66,7 @@ class FinalFit:
     def of(cls, readings: Prepared, fit: JointFit, unit: Indices, by_run: bool) -> "FinalFit":
         """With errors by whole runs, of which there are few, or by readings."""
         covariance = fit.covariance(unit if by_run else None)
-        runs = int(np.unique(unit).size)
+        runs = np.unique(unit).size
         width = -float(stdtrit(max(runs - 1, 1), 0.025)) if by_run else 1.959964
         return cls(readings, fit, covariance * width**2, width)
 

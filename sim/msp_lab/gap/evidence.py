@@ -94,7 +94,7 @@ def wanders(fit: JointFit, unit: Indices) -> bool:
     centred = slope - (np.bincount(unit, slope) / counts)[unit]
     size = np.bincount(blocks)
     sums = np.bincount(blocks, centred)[size > 0]
-    freedom = sums.size - int(np.unique(unit).size)
+    freedom = sums.size - np.unique(unit).size
     if freedom < 1:
         return False
     variance = float((centred**2).mean()) or 1.0
@@ -137,7 +137,7 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, lef
     plain = larger.log_likelihood - smaller.log_likelihood
     if unit is None:
         return plain
-    runs = int(np.unique(unit).size)
+    runs = np.unique(unit).size
     gained = plain + offset_nats(larger, unit) - offset_nats(smaller, unit)
     if gained > 0.0:
         inside = min((1.0 - shift_between(smaller, larger, unit)) * plain, gained)
@@ -161,7 +161,7 @@ def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:
     of_one, of_other = (_offsets(fit, unit) for fit in (one, other))
     nats = plain + of_one.nats - of_other.nats
     gain = _log_p_beside_offsets(one, unit, of_one) - _log_p_beside_offsets(other, unit, of_other)
-    runs = int(np.unique(unit).size)
+    runs = np.unique(unit).size
     return float(np.copysign(_by_scatter(abs(nats) / _inflation(gain, unit), runs), nats))
 
 

@@ -79,9 +79,9 @@ def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contex
     return size * float(np.sqrt(max(1.0 - correlation**2, 0.0)))
 
 
-def _templates(scene: Scene, term: Term, weights: Array) -> Array:
-    known = applies(scene, term)
-    found = np.zeros((np.shape(scene.range_cm)[0], len(CHANNELS)))
+def _templates(scene: Scene, each: Term, weights: Array) -> Array:
+    known = applies(scene, each)
+    found = np.zeros((scene.range_cm.size, len(CHANNELS)))
     if known is False:
         return found
     for i, template in templates(known, term.change(scene)).items():

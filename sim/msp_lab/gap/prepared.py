@@ -84,6 +84,10 @@ class Prepared:
         """Derivatives of the log probabilities by the channels and by the base's other numbers."""
         return channel_slopes(self.at(base, effects), self.reading_cm)
 
+    def bias_cm(self, term: Term) -> Array:
+        """What a term adds to the hit of each reading [cm], (n,)."""
+        return np.broadcast_to(templates(applies(self.scene, term), term.change(self.scene))[0], len(self))
+
     def slope_of(
         self, k: int, parameter: Parameter, base: Base, effects: Sequence[Term], here: "ChannelSlopes"
     ) -> Array:

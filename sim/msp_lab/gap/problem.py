@@ -19,7 +19,7 @@ from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
 from msp_lab.gap.evidence import evidence_nats, of_one_run, wanders
-from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit, templates
+from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, sample, share_between, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
@@ -31,7 +31,7 @@ from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal
 from msp_sim.effects.curve import CurveChannel
 from msp_sim.effects.path import with_path
-from msp_sim.model.model import Model, Term, applies
+from msp_sim.model.model import Model, Term
 from msp_sim.model.rows import log_prob
 
 Progress = Callable[[str, float], None]
@@ -130,7 +130,7 @@ class Problem:
     @property
     def runs(self) -> int:
         """How many runs there are."""
-        return int(np.unique(self.unit).size)
+        return np.unique(self.unit).size
 
     @property
     def prior(self) -> Array:
@@ -347,14 +347,10 @@ def _has_its_form(problem: Problem, fit: JointFit) -> bool:
     *others, last = fit.effects
     if last.effect.channels != ("bias",):
         return False
-    own_cm = bias_cm(problem, last)
+    own_cm = problem.readings.bias_cm(last)
     named = [each for each in others if each.shape is None and each.effect.channels == ("bias",)]
-    return any(abs(_correlation(own_cm, bias_cm(problem, each))) > rules.SAME_FORM for each in named)
-
-
-def _correlation(one: Array, other: Array) -> float:
-    spread = one.std() * other.std()
-    return float(np.mean((one - one.mean()) * (other - other.mean())) / spread) if spread > 0.0 else 0.0
+    with np.errstate(invalid="ignore"):  # One that adds nothing is like no other.
+        return any(abs(np.corrcoef(own_cm, problem.readings.bias_cm(each))[0, 1]) > rules.SAME_FORM for each in named)
 
 
 def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
@@ -406,12 +402,6 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
     """Evidence that a smaller fit loses [nat]."""
     return problem.evidence_nats(smaller, state.fit, state.by_run)
-
-
-def bias_cm(problem: Problem, term: Term) -> Array:
-    """What a term adds to the hit of each reading that is refitted [cm], (n,)."""
-    scene = problem.readings.scene
-    return np.broadcast_to(templates(applies(scene, term), term.change(scene))[0], (len(problem.readings),))
 
 
 def free_curves(

@@ -153,6 +153,6 @@ def sample(
 
 def spacing_s(contexts: Mapping[str, Any]) -> float:
     """Median time between neighbouring readings of a sensor in a run [s]."""
-    _, age_s = reading_before(contexts, np.shape(contexts["true_range_cm"])[0])
+    _, age_s = reading_before(contexts, contexts["true_range_cm"].size)
     steps_s = age_s[np.isfinite(age_s) & (age_s > 0.0)]
     return float(np.median(steps_s)) if steps_s.size else 1.0

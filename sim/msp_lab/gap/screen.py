@@ -99,7 +99,7 @@ def replicate(
     spacing_s: float | None = None,
 ) -> Prepared:
     """Readings simulated by the present fit at the measured contexts, the contexts repeated or a sample of them."""
-    n = np.shape(contexts["true_range_cm"])[0]
+    n = contexts["true_range_cm"].size
     at = np.tile(np.arange(n), -(-rows // n))
     if n >= rows:
         at = sample(contexts, np.arange(n), rows, rng, rules.STRETCH if spacing_s is None else BLOCK_ROWS)

@@ -17,11 +17,11 @@ import numpy as np
 from scipy.linalg.lapack import dpttrf, dpttrs
 from scipy.optimize import minimize_scalar
 
-from msp_lab.gap.prepared import Prepared, templates
+from msp_lab.gap.prepared import Prepared
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import Parameter
-from msp_sim.model.model import Term, applies, history_of
+from msp_sim.model.model import Term, history_of
 
 SHARES = (0.1, 0.3, 0.6, 0.9)
 """Shares of the noise's variance that neighbours have in common, which are tried. Closer: slower; 19 of them, and 28
@@ -101,8 +101,7 @@ class Shift:
             return value
 
         def moved_cm(there: float) -> Array:
-            own, scene = self.at(there)[self.k], self.prepared.scene
-            return np.broadcast_to(templates(applies(scene, own), own.change(scene))[0], len(self.prepared))[hits.order]
+            return self.prepared.bias_cm(self.at(there)[self.k])[hits.order]
 
         # What other effects make of the range at another time is that of the range here: they come in again next time.
         error_cm = hits.errors(self.prepared, self.base, self.at(value))

@@ -60,7 +60,7 @@ def ranked(measured: Measures, rng: np.random.Generator, shown: int = SHOWN) -> 
             first.append(number)
     # A slice is listed with its own fit, not with the one step that only ranks it.
     fits = _fits(measured, {places[number][0].variables for number in first})
-    units_of_all = int(np.unique(measured.readings.unit).size)
+    units_of_all = np.unique(measured.readings.unit).size
     found = []
     for number in first:
         part, k = places[number]

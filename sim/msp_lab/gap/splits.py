@@ -37,7 +37,7 @@ class Splits:
     """Blocks of readings stand in for runs."""
 
     def __len__(self) -> int:
-        return int(self.part.shape[0])
+        return len(self.part)
 
     def take(self, rows: Flags) -> "Splits":
         """The splits of some of the readings."""
@@ -62,12 +62,12 @@ class Splits:
     @property
     def training_runs(self) -> tuple[str, ...]:
         """Names of the runs of the training readings."""
-        return tuple(str(name) for name in self.names[~self.measured])
+        return tuple(self.names[~self.measured].tolist())
 
     @property
     def held_out_runs(self) -> tuple[str, ...]:
         """Names of the other runs."""
-        return tuple(str(name) for name in self.names[self.measured])
+        return tuple(self.names[self.measured].tolist())
 
 
 def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator) -> Splits:
@@ -80,7 +80,7 @@ def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator) -> Splits
     rng
         Random generator.
     """
-    n = np.shape(contexts["true_range_cm"])[0]
+    n = contexts["true_range_cm"].size
     messages: list[str] = []
     runs = contexts["run"].astype(str) if "run" in contexts else np.full(n, "")
     names, unit = np.unique(runs, return_inverse=True)

@@ -66,7 +66,7 @@ def gain(after: Array, before: Array, unit: Indices) -> Gain:
 def gain_of_runs(sums: Column, counts: Column) -> Gain:
     """Gain from its sum over each run, (runs,), and each run's number of readings."""
     sums, counts = sums[counts > 0], counts[counts > 0]
-    runs, n = int(sums.size), float(counts.sum())
+    runs, n = sums.size, float(counts.sum())
     if runs == 0:
         return Gain(0.0, 0.0, 1.0, 0, 0)
     mean = float(sums.sum() / n)

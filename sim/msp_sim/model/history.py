@@ -57,7 +57,7 @@ class History:
         else:
             starts = np.searchsorted(ordered, np.arange(names.size))
             time_s = (np.arange(size) - starts[ordered]) * spacing_s
-        return cls(order, ordered, time_s, tuple(str(name) for name in names), correlation, spacing_s)
+        return cls(order, ordered, time_s, tuple(names.tolist()), correlation, spacing_s)
 
     def correlation_over(self, time_s: Array) -> Array:
         """Correlation of the errors of two hits that are so far apart in time [s], same shape."""
