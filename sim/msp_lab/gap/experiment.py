@@ -84,7 +84,7 @@ def _templates(scene: Scene, each: Term, weights: Array) -> Array:
     found = np.zeros((scene.range_cm.size, len(CHANNELS)))
     if known is False:
         return found
-    for i, template in templates(known, term.change(scene)).items():
+    for i, template in templates(known, each.change(scene)).items():
         found[:, i] = weights[i] * template
     found -= found.mean(axis=0)
     return found

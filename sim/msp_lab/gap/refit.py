@@ -242,7 +242,7 @@ def _is_open_ended(term: Term, number: Parameter) -> bool:
     return term.shape is not None or of_some
 
 
-def _off_neutral(term: Term) -> Term:
+def _off_neutral(each: Term) -> Term:
     """A share of exactly nothing has no shape: start a little away from it."""
     numbers = each.effect.parameters if each.shape is None else ()
     return each.having(
