@@ -1,39 +1,29 @@
-"""One sensor of one vehicle: scores of all numbers that the fleet is compared by, session by session.
+"""One sensor of one vehicle: estimates of all numbers that the fleet is compared by, and what one more effect gains.
 
 A `Unit` and the terms that it is known to have enter; plain arrays leave. `examine` and `compare` are pure functions of
 what they are given, so that another process can do them; the latest prepared readings and joint fits are kept for the
 next question about the same unit, which changes how long an answer takes and nothing else.
 
-At the joint fit of base and terms each number j has the efficient score u of each reading, which is its score less what
-the other fitted numbers explain of it (as in `gap.screen`). A session's sum U_r over its expected information I_r is by
-how much its own best value differs from the fitted one: one step of Fisher's scoring. So a session's estimate is
-``value + U_r / I_r``, and sums over sessions give the vehicle's.
-
-With a share b of something mixed in, a reading has the probability p (1 + b t), with t the score at b = 0. Its score is
-taken at a small share c instead, ``u = t / (1 + c t)``, which is bounded. The mean of u grows linearly with b: from
-what it is without the effect, by E[u t] per share, which stands for I. So U_r / I_r is unbiased, and its variance is
-that of u over I squared.
+Everything is asked of the gap workflow: the joint fit of base and terms, the screen of all other effects next to it,
+with the session as the unit of evidence, and refits with one effect more.
 """
 
 import pickle
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from msp_lab.fleet.rare import RareReadings
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
-from msp_lab.gap import rules
-from msp_lab.gap.candidates import CandidateEffect, score_of
+from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.intake import read_readings, with_least_weights
-from msp_lab.gap.prepared import Prepared
-from msp_lab.gap.problem import Problem, with_candidate
-from msp_lab.gap.refit import JointFit, fit_base, inverse, refit, sums_by
-from msp_lab.gap.screen import replicate
-from msp_range.arrays import Array, Flags, Indices, numbered
+from msp_lab.gap.problem import Problem, State, screened, with_candidate
+from msp_lab.gap.refit import JointFit, sums_by
+from msp_range.arrays import Array, Indices, numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
@@ -49,13 +39,6 @@ unit. Smaller: the first slope of a share is rounding."""
 MAX_SHARE_LEFT_OUT = 0.5
 """A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
 unit is wrong. Higher: fits to what is left of them."""
-REPLICATE_ROWS = 24_000
-"""Expected information is from so many simulated readings at most. A session of a tenth of them is known to a few per
-cent, as far as hits are concerned. More: slower."""
-SMALL_SHARE = 0.01
-"""Scores of shares are those at this share. At 0 single readings of a probability of 1e-6 hide all others: repeated
-readings of 5 to 8 % that gain 100 to 220 nats in a refit were 1 to 3 standard errors. In 3,000 readings 10 standard
-errors are shares of 1 to 8 %. Lower: few improbable readings decide; higher: those that are only less usual do."""
 
 
 @dataclass(frozen=True)
@@ -88,58 +71,52 @@ class UnusableError(UserError):
     """A sensor's readings cannot be compared; the message says why."""
 
 
+class Sessions(NamedTuple):
+    """One fitted number by session, (R,) each: estimates, their variances, and shares of the readings."""
+
+    value: Array
+    variance: Array
+    share: Array
+
+
 @dataclass(frozen=True)
-class UnitScores:
-    """What a sensor's readings say of C numbers, by R sessions."""
+class UnitNumbers:
+    """What a sensor's readings say of C numbers, the first F of which are fitted, and of these by R sessions."""
 
     terms: tuple[FleetTerm, ...]
-    """The numbers, (C,)."""
+    """The numbers, (C,): of the base, of the unit's terms, and of all other effects."""
+    value: Array
+    error: Array
+    """Estimates and standard errors, (C,): of the fit, and of other effects by the screen. Of a number whose error is
+    infinite the readings say nothing."""
     sessions: tuple[str, ...]
     """Sessions that have readings, in their order."""
     readings: Indices
     """How many, (R,)."""
-    value: Array
-    """At the fit, (C,): 0 of what is absent."""
-    fitted: Flags
-    """Whether a number is fitted, as those of the base are, (C,)."""
-    score: Array
-    information: Array
+    by_session: Array
     variance: Array
-    """(R, C): sums of efficient scores, by how much they grow with the number, and the sums of their squares, expected
-    or measured, whichever are larger: a sum that rests on few improbable readings varies by more than is expected."""
+    """Of the fitted numbers by session, (R, F): one step from the fit by the session's scores; and its variance,
+    expected or measured, whichever is larger: a sum of few improbable readings varies by more than is expected."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     """Effects that lack a column, with the columns."""
 
-    @property
-    def factor(self) -> Array:
-        """By how much sums of scores vary more than is expected, at least 1, (C,)."""
-        total = self.information.sum(axis=0)
-        factor: Array = np.maximum(self.variance.sum(axis=0) / np.where(total > 0.0, total, np.inf), 1.0)
-        return factor
-
-
-@dataclass(frozen=True)
-class SimulatedScores:
-    """Efficient scores of C numbers at m simulated readings."""
-
-    weight: Array
-    """Of each reading, (m, 1): its probability without the effects over that with which it was drawn."""
-    scores: Array
-    bounded: Array
-    """(m, C): the scores, and the same with those of shares at `SMALL_SHARE`."""
+    def over_sessions(self) -> list[tuple[FleetTerm, Sessions]]:
+        """The fitted numbers of which the readings say something."""
+        share = self.readings / self.readings.sum()
+        columns = zip(self.terms, self.error.tolist(), self.by_session.T, self.variance.T, strict=False)
+        return [(term, Sessions(value, variance, share)) for term, error, value, variance in columns if error < np.inf]
 
 
 @dataclass(frozen=True)
 class RefittedTerm:
     """A term refitted next to what a sensor has: what it gains [nat], and its values."""
 
-    term: FleetTerm
     gain_nats: float
     values: tuple[tuple[str, float], ...]
 
 
-def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitScores:
-    """Scores of a unit's numbers.
+def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitNumbers:
+    """Estimates of a unit's numbers.
 
     Parameters
     ----------
@@ -155,63 +132,53 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitS
     """
     unit, terms, with_others = task
     problem, fit = _fitted(model, unit, terms)
-    candidates = _candidates(problem, terms) if with_others else []
-    numbers = (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms, *map(term_of, candidates))
-    rng = unit.rng(1)
-    rows = max(rules.REPLICATE_ROWS, min(4 * len(problem.readings), REPLICATE_ROWS))
-    drawn = replicate(
-        problem.model, fit.base, fit.effects, problem.contexts, rng, rows, spacing_s=problem.readings.spacing_s
-    )
-    rare = RareReadings(drawn, fit, candidates, rng)
-    expected, measured = (_scores(each, fit, candidates) for each in (rare.prepared, problem.readings))
-    bases, fitted = len(BASE_NUMBERS), len(fit.names)
+    run = problem.contexts["run"].tolist()
+    sessions = [each for each in unit.sessions if each in set(run)]
+    here = np.array([sessions.index(each) for each in run])
+    readings = np.bincount(here)
     of_terms = [fit.names.index(f"{k}.{term.number}") for k, term in enumerate(terms)]
-    places = np.array([*range(bases), *of_terms, *range(fitted, fitted + len(candidates))])
-    value = np.append(fit.values, np.zeros(len(candidates)))[places]
-    weight = rare.weights(expected[:, fitted:])[:, None]
-    free = np.flatnonzero(~fit.at.held)
-    is_share = np.append(np.zeros(fitted, dtype=bool), np.array([each.linear for each in candidates], dtype=bool))
-    bounded, bounded_here = (_bounded(each, is_share) for each in (expected, measured))
-    turned = _explained(weight * expected / len(drawn), expected, bounded, places, free)
-    flown = set(problem.contexts["run"].tolist())
-    sessions = {name: k for k, name in enumerate(each for each in unit.sessions if each in flown)}
-    here, there = (
-        np.array([sessions[each] for each in columns["run"].tolist()]) for columns in (problem.contexts, drawn.scene)
-    )
-    explained = expected[:, free] @ turned.T
-    score, information, variance = sums_over_sessions(
-        SimulatedScores(weight, expected[:, places] - explained, bounded[:, places] - explained),
-        there,
-        bounded_here[:, places] - measured[:, free] @ turned.T,
-        here,
-        is_share[places],
-        len(sessions),
-    )
-    # What the other numbers explain nearly all of says nothing.
-    own_information = (weight * bounded[:, places] * expected[:, places]).mean(axis=0) * len(problem.readings)
-    clear = (own_information > 0.0) & (information.sum(axis=0) > rules.COLLINEAR * own_information)
-    # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare.
-    clear[:bases] &= ~fit.at.held[:bases]
-    information = np.where(clear, np.maximum(information, 0.0), 0.0)
-    variance, score = (np.where(information > 0.0, each, 0.0) for each in (variance, score))
-    readings, untestable = np.bincount(here, minlength=len(sessions)), problem.untestable
-    return UnitScores(
-        numbers, tuple(sessions), readings, value, places < fitted, score, information, variance, untestable
+    places = [*range(len(BASE_NUMBERS)), *of_terms]
+    # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare. A share
+    # that did is as near to it as the slope there says.
+    at_bound = [place for place in of_terms if fit.at.held[place]]
+    covariance = fit.covariance()
+    covariance[at_bound, at_bound] = 1.0 / np.maximum(np.diag(fit.at.information), fit.at.gradient**2)[at_bound]
+    moved = fit.at.scores @ covariance[:, places]
+    share = readings[:, None] / len(here)
+    by_session = fit.values[places] + sums_by(here, moved) / share
+    variance = np.maximum(sums_by(here, moved**2) / share**2, np.diag(covariance)[places] / share)
+    total = (share**2 * variance).sum(axis=0)
+    error = np.where(total > 0.0, np.sqrt(total), np.inf)
+    # With random numbers of its own each time, so that the answer is the same wherever it was asked before.
+    asked = replace(problem, rng=unit.rng(1))
+    others, of_others = _others(asked, fit, terms) if with_others else ((), np.zeros((2, 0)))
+    return UnitNumbers(
+        (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms, *others),
+        np.append((share * by_session).sum(axis=0), of_others[0]),
+        np.append(error, of_others[1]),
+        tuple(sessions),
+        readings,
+        by_session,
+        variance,
+        problem.untestable,
     )
 
 
-def _candidates(problem: Problem, terms: Sequence[FleetTerm]) -> list[CandidateEffect]:
-    """Effects that a unit with these terms may have as well."""
+def _others(problem: Problem, fit: JointFit, terms: Sequence[FleetTerm]) -> tuple[tuple[FleetTerm, ...], Array]:
+    """Effects that a unit with these terms may have as well; estimates and errors by the screen, (2, effects)."""
+    accepted = tuple(
+        SelectedTerm(active, None if term.sessions else candidate_of(term))
+        for active, term in zip(fit.effects, terms, strict=True)
+    )
+    seen = screened(problem, State(fit, accepted, problem.information(fit), False))
     own = {(*each.key, each.number) for each in terms if not each.sessions}
-    return [
-        each for each in problem.candidates if each.effect.per != "run" and (*each.key, each.parameter.name) not in own
+    asked = [
+        j
+        for j, each in enumerate(problem.candidates)
+        if each.effect.per != "run" and (*each.key, each.parameter.name) not in own and np.isfinite(seen.deviation[j])
     ]
-
-
-def _scores(prepared: Prepared, fit: JointFit, candidates: Sequence[CandidateEffect]) -> Array:
-    """Scores of readings at a fit, of all fitted numbers and then of the candidates."""
-    again = refit(prepared, fit.effects, fit.base, rounds=0)
-    return np.column_stack([again.at.scores, *(score_of(each, prepared, again.here) for each in candidates)])
+    deviation = seen.deviation[asked]
+    return tuple(term_of(problem.candidates[j]) for j in asked), np.stack([seen.z[asked] * deviation, deviation])
 
 
 def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[RefittedTerm]:
@@ -221,9 +188,24 @@ def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetT
     found = []
     for term in tried:
         best = _with_term(problem, fit, term)
-        gained = best.log_likelihood - fit.log_likelihood - candidate_of(term).cost_nats
-        found.append(RefittedTerm(term, float(gained), tuple(best.effects[-1].values.items())))
+        candidate = candidate_of(term)
+        gained = problem.candidate_nats(fit, best, candidate, problem.depends(fit)) - candidate.cost_nats
+        found.append(RefittedTerm(gained, tuple(best.effects[-1].values.items())))
     return found
+
+
+def held(model: Model, task: tuple[Unit, Sequence[FleetTerm], int, float]) -> float:
+    """What a unit's fit loses if the number of one of its terms is held at a value [nat].
+
+    A fitted number need not be as far off as its standard error says: a share of tails a little wider than the hits may
+    be a half as well as a tenth.
+    """
+    unit, terms, k, value = task
+    problem, fit = _fitted(model, unit, terms)
+    effects = list(fit.effects)
+    values = {**effects[k].values, terms[k].number: value}
+    effects[k] = replace(effects[k], effect=replace(effects[k].effect, parameters=()), values=values)
+    return fit.log_likelihood - problem.refit(effects, fit.base).log_likelihood
 
 
 def _fitted(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> tuple[Problem, JointFit]:
@@ -259,7 +241,7 @@ def _problem(pickled: bytes, unit: Unit) -> Problem:
 @lru_cache(maxsize=KEPT_UNITS)
 def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
     problem = _problem(pickled, unit)
-    return _with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else fit_base(problem.readings)
+    return _with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else problem.base
 
 
 def _with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
@@ -271,58 +253,3 @@ def _with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
     starts = [start for start in starts if start > 0.0 or not candidate.one_sided] or [small]
     at = [float(np.clip(candidate.neutral + start, parameter.low, parameter.high)) for start in starts]
     return max((with_candidate(problem, fit, candidate, each) for each in at), key=lambda each: each.log_likelihood)
-
-
-def sums_over_sessions(
-    simulated: SimulatedScores,
-    there: Indices,
-    measured: Array,
-    here: Indices,
-    is_share: Flags,
-    sessions: int,
-) -> tuple[Array, Array, Array]:
-    """Score, information and variance as in `UnitScores`, (sessions, C) each.
-
-    Parameters
-    ----------
-    simulated, there
-        Readings without any of the C effects, and the session of each, (m,).
-    measured, here
-        Bounded scores of the measured readings, (n, C), and the session of each, (n,).
-    is_share
-        Which of the C numbers are shares of something mixed in, (C,).
-    sessions
-        How many there are.
-    """
-    weight, scores, bounded = simulated.weight, simulated.scores, simulated.bounded
-    readings = np.bincount(here, minlength=sessions)[:, None]
-    drawn = np.maximum(np.bincount(there, minlength=sessions), 1)[:, None]
-    # Simulated readings stand for so many measured ones.
-    times = readings / drawn
-    information = times * sums_by(there, weight * bounded * scores, sessions)
-    # The mean of a bounded score, with the score itself, whose mean is 0, as a control variate.
-    part = (weight * bounded * scores).sum(axis=0) / np.maximum((weight * scores**2).sum(axis=0), 1e-12)
-    left = np.where(is_share, weight * (bounded - part * scores), 0.0)
-    mean = sums_by(there, left, sessions) / drawn
-    own = measured - mean[here]
-    squares = times * sums_by(there, weight * (bounded - mean[there]) ** 2, sessions)
-    variance = np.maximum(sums_by(here, own**2, sessions), squares)
-    # That of the mean, which is taken off of each reading.
-    variance += times**2 * sums_by(there, (left - mean[there]) ** 2 * is_share, sessions)
-    return sums_by(here, own, sessions), information, variance
-
-
-def _bounded(scores: Array, is_share: Flags) -> Array:
-    """The same with the scores of shares at a share of `SMALL_SHARE`: none is larger than its inverse."""
-    return np.where(is_share, scores / np.where(is_share, 1.0 + SMALL_SHARE * scores, 1.0), scores)
-
-
-def _explained(weighted: Array, scores: Array, bounded: Array, places: Indices, free: Indices) -> Array:
-    """(C, free numbers): what the scores of the other free numbers explain of each of C."""
-    found = np.zeros((places.size, free.size))
-    information = weighted[:, free].T @ scores[:, free]
-    cross = bounded[:, places].T @ weighted[:, free]
-    for k, place in enumerate(places.tolist()):
-        others = np.flatnonzero(free != place)
-        found[k, others] = cross[k, others] @ inverse(information[np.ix_(others, others)])
-    return found

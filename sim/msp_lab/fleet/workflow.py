@@ -14,9 +14,9 @@ import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
 from msp_lab.fleet.meta import shrunk
 from msp_lab.fleet.search import FleetFinding, Search
-from msp_lab.fleet.statistics import Change, Number, numbers_of, series_of
+from msp_lab.fleet.statistics import Change, Number, numbers_of
 from msp_lab.fleet.terms import FleetTerm, effect_of
-from msp_lab.fleet.unit import Unit, UnitScores, examine
+from msp_lab.fleet.unit import Unit, UnitNumbers, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
 from msp_range.recording.error import RecordingError
@@ -89,7 +89,7 @@ def find_in_fleet(
     return replace(findings, sentence=sentence_of(findings))
 
 
-def _untestable(scores: Sequence[UnitScores]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _untestable(scores: Sequence[UnitNumbers]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Effects that no sensor has the columns for."""
     common = set.intersection(*({name for name, _ in each.untestable} for each in scores))
     return tuple((name, absent) for name, absent in scores[0].untestable if name in common)
@@ -105,7 +105,13 @@ def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
     number = _estimated(search, term)
     fleet = number.fleet
     is_odd = np.isin(number.units, finding.units) & (finding.kind == "odd")
-    numbers = (number.value, number.error, *shrunk(number.value, number.error, fleet), is_odd, np.exp(number.log_p))
+    numbers = (
+        number.value,
+        number.error,
+        *shrunk(number.value, number.error, fleet),
+        is_odd,
+        np.exp(fleet.deviation_log_p),
+    )
     each_unit = zip(number.units.tolist(), *(each.tolist() for each in numbers), strict=True)
     of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
     shown = float(of_odd - fleet.mean * term.is_base)
@@ -140,19 +146,16 @@ def _estimated(search: Search, term: FleetTerm) -> Number:
         added = search.examined(lacking, [(*own, term) for own in search.terms], with_others=False)
         again = dict(zip(lacking, added, strict=True))
         scores = [again.get(k, each) for k, each in enumerate(search.scores)]
-    return next(each for each in numbers_of(scores) if each.term.identity == term.identity)
+    # A number that hardly any unit has any more, next to what was found, is that of the first fit.
+    return next(each for each in (*numbers_of(scores), *search.first) if each.term.identity == term.identity)
 
 
 def _changed(search: Search, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
     """The effect with what a unit's number changed by, and its estimates by session."""
     unit = finding.units[0]
     scores = search.before_change[unit]
-    series = next(each for each in series_of([scores]) if each.term.identity == finding.term.identity)
-    score, information, variance = series.score[0], series.information[0], series.variance[0]
-    known = np.flatnonzero(information > 0.0)
-    value = series.value[0] + score[known] / information[known]
-    error = np.sqrt(variance[known]) / information[known]
-    sessions = zip([scores.sessions[k] for k in known], value.tolist(), error.tolist(), strict=True)
+    series = next(own for term, own in scores.over_sessions() if term.identity == finding.term.identity)
+    sessions = zip(scores.sessions, series.value.tolist(), np.sqrt(series.variance).tolist(), strict=True)
     size = change.size, change.error
     return replace(
         effect,
