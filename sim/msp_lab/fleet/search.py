@@ -124,7 +124,8 @@ class Search:
         return self._level(1.0 - PLAIN_SHARE, self.other_tests)
 
     def _level(self, share: float, tests: int) -> float:
-        count = sum(each.count for each in self.found)
+        # A calibration says of nothing that it is wrong.
+        count = sum(each.count for each in self.found if each.kind != "calibration")
         return float(np.log(share * self.fdr * (count + 1) / max(tests, 1)))
 
     @property
@@ -150,13 +151,18 @@ class Search:
         means = [
             Deviation(each.fleet.log_p, term, FLEET, each.fleet.mean, each.fleet.mean) for term, each in open_.items()
         ]
-        best = _best_by_key(means)
-        if not best or best[0].log_p > level:
-            return False
-        near = [each for each in best if each.log_p <= rules.REFIT_WITHIN_SHARE * best[0].log_p]
-        # What every sensor has a number for, such as the tails of its noise, is calibrated before anything is named.
-        numbered = [each for each in near if effect_of(each.term.effect).base is not None]
+        ranked = _best_by_key(means)
+        # What every sensor has a number for, such as the tails of its noise, is calibrated before anything is named,
+        # also where it is less certain: nothing is wrong with it.
+        numbered = [
+            each
+            for each in ranked
+            if effect_of(each.term.effect).base is not None and each.log_p <= rules.REFIT_WITHIN_SHARE * level
+        ]
+        near = [each for each in ranked if each.log_p <= min(level, rules.REFIT_WITHIN_SHARE * ranked[0].log_p)]
         best = numbered[:1] or near[:SHARED_TRIED]
+        if not best:
+            return False
         everyone = range(len(self.units))
         gains = self._gains(everyone, [_tried(each) for each in best])
         total = len(self.units) * mean_nats(gains.nats, [open_[each.term] for each in best])

@@ -12,7 +12,7 @@ from msp_lab.fleet.meta import pooled
 from msp_lab.fleet.search import FleetFinding, Search, _Suspect, _tried, mean_nats
 from msp_lab.fleet.statistics import Deviation, Number
 from msp_lab.fleet.terms import FleetTerm
-from msp_lab.fleet.unit import Unit
+from msp_lab.fleet.unit import RefittedTerm, Unit
 from msp_sim.workers import ItemOutcome
 
 SCATTER = FleetTerm("scatter", "value")
@@ -51,6 +51,9 @@ def test_plain_numbers_have_a_share_of_the_rate_of_their_own() -> None:
     assert made.plain_level == pytest.approx(np.log(0.05 / 4.0 / 5.0))
     assert made.level == pytest.approx(np.log(0.05 * 3.0 / 4.0 / 1000.0))
     assert made.tests == 1005
+    # Nothing is wrong with what is calibrated, so that no more may be false.
+    made.found.append(FleetFinding("calibration", FleetTerm("heavy_tails", "share"), ()))
+    assert made.plain_level == pytest.approx(np.log(0.05 / 4.0 / 5.0))
     made.found.append(FleetFinding("odd", SCATTER, (3, 1)))
     assert made.plain_level == pytest.approx(np.log(3.0 * 0.05 / 4.0 / 5.0))
 
@@ -119,3 +122,21 @@ def test_a_refit_starts_where_the_score_says_unless_it_rests_on_few_readings() -
     for name, number, start in (("latency", "delay_ms", 20.0), ("multipath", "share", 0.0)):
         term = FleetTerm(name, number)
         assert _tried(Deviation(-20.0, term, 1, 20.0, 0.0)).start == start
+
+
+def test_tails_are_calibrated_before_what_looks_like_them_is_named() -> None:
+    """The slip is more certain by its score; the tails of the noise are tried first, and alone."""
+    tried: list[str] = []
+
+    def run(function: Any, tasks: Sequence[Any]) -> list[ItemOutcome[Any]]:
+        tried.extend(term.effect for term in tasks[0][2])
+        return [ItemOutcome(k, [RefittedTerm(0.0, (("share", 0.1),))], None) for k in range(len(tasks))]
+
+    made = Search(UNITS, [], 0.05, run)
+    made.other_tests = 1000
+    numbers = []
+    for name, log_p in (("cycle_slip", -30.0), ("heavy_tails", -7.0)):
+        fleet = replace(pooled(np.ones(5), np.ones(5)), log_p=log_p)
+        numbers.append(Number(FleetTerm(name, "share"), np.arange(5), np.ones(5), np.ones(5), 0.0, fleet))
+    assert made._shared(numbers)
+    assert tried == ["heavy_tails"]
