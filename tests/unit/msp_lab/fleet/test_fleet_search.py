@@ -48,14 +48,14 @@ def test_of_a_unit_in_which_something_was_found_it_is_what_is_left() -> None:
 
 def test_plain_numbers_have_a_share_of_the_rate_of_their_own() -> None:
     made = search()
-    assert made.plain_level == pytest.approx(np.log(0.05 / 4.0 / 5.0))
-    assert made.level == pytest.approx(np.log(0.05 * 3.0 / 4.0 / 1000.0))
+    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 5.0))
+    assert made.level == pytest.approx(np.log(0.05 / 2.0 / 1000.0))
     assert made.tests == 1005
     # Nothing is wrong with what is calibrated, so that no more may be false.
     made.found.append(FleetFinding("calibration", FleetTerm("heavy_tails", "share"), ()))
-    assert made.plain_level == pytest.approx(np.log(0.05 / 4.0 / 5.0))
+    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 5.0))
     made.found.append(FleetFinding("odd", SCATTER, (3, 1)))
-    assert made.plain_level == pytest.approx(np.log(3.0 * 0.05 / 4.0 / 5.0))
+    assert made.plain_level == pytest.approx(np.log(3.0 * 0.05 / 2.0 / 5.0))
 
 
 def test_what_three_odd_vehicles_gain_is_not_given_to_the_fleet() -> None:
