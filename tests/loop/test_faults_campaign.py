@@ -185,8 +185,10 @@ def test_a_descent_between_slow_readings_is_no_drift(tmp_path: Path) -> None:
 
 
 def test_a_mode_that_is_switched_off_is_missed_by_the_family_that_it_is_for() -> None:
-    """Answers of the ping before, with no turn that is long enough to find them by."""
+    """Answers of the ping before: without turns that are long enough to find them by, and not asked out of turn."""
     late = [FIRST_HOSTILE + 453, FIRST_HOSTILE + 493]
-    found_s, missed_s = (Sum(fly_all(816, late, 2, constants=each)).wrong_s for each in ({}, {"LATE_S": 9.0}))
+    found_s, missed_s = (
+        Sum(fly_all(816, late, 2, constants=each)).wrong_s for each in ({}, {"LATE_S": 9.0, "MAY_BE_LATE": -1e9})
+    )
     assert found_s < 3.0
     assert missed_s > 20.0
