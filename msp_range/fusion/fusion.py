@@ -40,7 +40,7 @@ from msp_range.fusion.modes import (
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, spans_plane
 from msp_range.fusion.odd import OddSensor
 from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
-from msp_range.fusion.response import LEVEL_RISE
+from msp_range.fusion.response import LEVEL_RISE, HeightReading
 from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
@@ -115,7 +115,8 @@ class Fusion:
         self._time_s = self._garbled_s = float("-inf")
         self._rough_m2 = 0.0
         self._others = 0
-        self._asked: SensorMode | None = None  # Out of turn.
+        self._asked: SensorMode | None = None  # The last one out of turn, and whether its answer is still to come.
+        self._waits = False
         self._shared_m2 = self._nearest = 0.0
         self._fit = 1.0
         self._agree = deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS)
@@ -145,14 +146,15 @@ class Fusion:
     def asks_again(self, outcome: Outcome) -> bool:
         """Whether a reading's sensor is to be asked out of turn: for an outlier, or for what shows late answers.
 
-        Late answers are asked for one sensor at a time: two that are both asked again are in turn again.
+        For late answers one sensor after the other is asked: two that are both asked again are in turn again.
         """
         ground, mode = self._belief.ground, self._modes[outcome.reading.sensor]
-        was_asked, self._asked = self._asked, None if mode is self._asked else self._asked
+        is_next = not self._waits and mode is not self._asked
+        self._waits = self._waits and mode is not self._asked
         if outcome.fused is None or ground is None:
             return False
-        if was_asked is None and ground.response.may_be_late:
-            self._asked = mode
+        if is_next and ground.response.may_be_late:
+            self._asked, self._waits = mode, True
             return True
         return outcome.rejected == OUTLIER and not self._belief.is_disputed
 
@@ -340,18 +342,7 @@ class Fusion:
         """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
         known, since_s = surface.filter, self._time_s - self._windows.fresh_s
         may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not shows_slope
-        noise_m2 = look.variance_m2 / seen.view.by_height**2
-        if look.is_least:
-            noise_m2 += NEARER_M * NEARER_M
-        surface.response.update(
-            look.reading.sensor,
-            self._time_s,
-            look.mode.since_s,
-            seen.height_m,
-            known.climb_m_s,
-            noise_m2,
-            may_slope,
-        )
+        surface.response.update(self._height_reading(look, seen), known.climb_m_s, may_slope)
         if not surface.response.is_fixed:
             return False
         answered = [self._modes[name] for name in surface.response.sees(since_s)]
@@ -360,11 +351,16 @@ class Fusion:
         self._belief.forget(surface)
         return True
 
+    def _height_reading(self, look: Look, seen: Seen) -> HeightReading:
+        variance_m2 = look.variance_m2 / seen.view.by_height**2
+        if look.is_least:
+            variance_m2 += NEARER_M * NEARER_M
+        return HeightReading(look.reading.sensor, self._time_s, look.mode.since_s, seen.height_m, variance_m2)
+
     def _is_fixed_after_all(self, parent: Surface, look: Look, seen: Seen) -> bool:
         """`_is_fixed` by a reading that is not of the ground, where the ground's response expects one like it."""
-        if not parent.response.expects(self._time_s, look.mode.since_s, seen.height_m):
-            return False
-        return self._is_fixed(parent, look, seen, self._spans_plane(parent))
+        expects = parent.response.expects(self._height_reading(look, seen))
+        return expects and self._is_fixed(parent, look, seen, self._spans_plane(parent))
 
     def _was_garbled(self, look: Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.

@@ -19,6 +19,7 @@ three.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from msp_range.fusion.modes import (
     DECIDED,
@@ -88,6 +89,21 @@ State = tuple[float, float, float]
 """Height, rate and bias [m, m/s, m/s^2]."""
 _START = (0.01, 0.0, 0.0, 0.25, 0.0)
 """Covariance at the start: hh, hw, hb, ww, wb in SI units."""
+
+
+class HeightReading(NamedTuple):
+    """A sensor's reading as the height of the reference point."""
+
+    sensor: str
+    """Whose."""
+    time_s: float
+    """When it was [s]."""
+    since_s: float
+    """How long after the sensor's reading before [s]."""
+    height_m: float
+    """The height by this reading alone [m]."""
+    variance_m2: float
+    """Of its error [m^2]."""
 
 
 class MotionResponse:
@@ -164,41 +180,32 @@ class MotionResponse:
         """The sensors of which a reading has been taken since a time [s]."""
         return {name for name, time_s in self._taken_s.items() if time_s >= since_s}
 
-    def expects(self, time_s: float, since_s: float, height_m: float) -> bool:
+    def expects(self, reading: HeightReading) -> bool:
         """Whether a reading is near one of the three predictions, by the rates at the last one; see `update`."""
         if self._time_s is None:
             return False
-        t = time_s - self._time_s
-        heights_m = self._heights_m([(h + w * t, w, b) for h, w, b in self._states], since_s)
-        return min([abs(height_m - expected_m) for expected_m in heights_m]) < NEAR_M
+        t = reading.time_s - self._time_s
+        heights_m = self._heights_m([(h + w * t, w, b) for h, w, b in self._states], reading.since_s)
+        return min([abs(reading.height_m - expected_m) for expected_m in heights_m]) < NEAR_M
 
     def _heights_m(self, states: Sequence[State], since_s: float) -> tuple[float, float, float]:
         """What a sensor should read by each of the three [m]; one that is asked in turn answers by their heights."""
         (follows_m, _, _), (fixed_m, _, _), (late_m, late_m_s, _) = states
         return follows_m, fixed_m, late_m + late_m_s * max(self._turn_s - since_s, -self._turn_s)
 
-    def update(
-        self,
-        sensor: str,
-        time_s: float,
-        since_s: float,
-        height_m: float,
-        climb_m_s: float,
-        variance_m2: float,
-        may_slope: bool,
-    ) -> None:
+    def update(self, reading: HeightReading, climb_m_s: float, may_slope: bool) -> None:
         """Update with a reading that was of the ground, or is expected.
 
         Parameters
         ----------
-        sensor, time_s, since_s
-            Whose, when it was, and how long after the sensor's reading before [s].
-        height_m, climb_m_s, variance_m2
-            Height of the reference point by this reading, with the slope and attitude that are known [m], how fast it
-            grows by all readings before [m/s], and the variance of the height's error [m^2].
+        reading
+            With the slope and attitude that are known.
+        climb_m_s
+            How fast the height grows by all readings before [m/s].
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
         """
+        sensor, time_s, since_s, height_m, variance_m2 = reading
         if self._time_s is None:
             self._states = [(height_m, climb_m_s, 0.0)] * 3
         before_s = time_s if self._time_s is None else self._time_s

@@ -55,6 +55,7 @@ class Evidence:
 
     def __init__(self, threshold: float) -> None:
         self._threshold = threshold
+        self._before = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def ratio(self) -> float:
@@ -71,6 +72,7 @@ class Evidence:
         expected, found
             What is counted of the reading: its expectation by the model, and its value.
         """
+        self._before = self._sum, self._since, self._expected, self._found
         if self.is_found:
             self._sum, limit = (self._sum + 1.0) / likelihood_ratio, RECOVERS_READINGS
         else:
@@ -83,8 +85,13 @@ class Evidence:
         if self._sum < limit:
             return False
         self._sum = self._since = 0.0
+        self._before = (0.0, 0.0, 0.0, 0.0)
         self.is_found = not self.is_found
         return True
+
+    def retract(self) -> None:
+        """Take back the last reading, which was of something else; a report that began or ended with it stays."""
+        self._sum, self._since, self._expected, self._found = self._before
 
 
 class Occurrences(Evidence):

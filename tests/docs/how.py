@@ -36,7 +36,7 @@ SMALLER: Changes = {
 }
 """Files of the clone in which flights are shorter and readings fewer: patterns with what stands in their place."""
 
-NUMBERS_CHECKED: set[str] = set()
+NUMBERS_CHECKED = {"docs/one-ping.md"}
 """Documents whose last program prints their numbers: each line of its output stands in the text."""
 
 ON_BUS = {

@@ -69,10 +69,8 @@ def test_nothing_is_found_where_the_effects_are_those_of_the_model(seed: int, tm
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GROUNDS)
-def test_one_text_is_the_most_in_ten_hours_of_flights(name: str) -> None:
+def test_nothing_is_found_in_ten_hours_of_flights(name: str) -> None:
     """An hour over each ground: on a slow computer all of them take longer than one test may."""
     scenario = load_scenario(SCENARIOS / f"{name}.yaml")
-    seeds = range(100, 100 + math.ceil(3600.0 / scenario.duration_s))
-    found = {seed: said for seed in seeds if (said := texts(scenario, seed))}
-    # The one: grass below a single sensor that scatters more than below the others.
-    assert found in ({}, {100: ["Range front_left: unsteady readings, check sensor"]} if name == "rough_grass" else {})
+    for seed in range(100, 100 + math.ceil(3600.0 / scenario.duration_s)):
+        assert texts(scenario, seed) == [], seed

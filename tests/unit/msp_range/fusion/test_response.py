@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from msp_range.fusion.response import MotionResponse
+from msp_range.fusion.response import HeightReading, MotionResponse
 from msp_range.fusion.vertical import VerticalMotion
 
 TURN_S, GAP_S = 0.4, 0.1
@@ -39,7 +39,11 @@ def fly(
             motion.on_acceleration(time_s, up_m_s2 + 0.1 + draw.gauss(0.0, 0.3))
             motion.on_pressure_height(time_s, (pressure_m or height_m)(time_s) + draw.gauss(0.0, 0.15))
             time_s += 0.04
-        response.update(NAMES[i % 4], read_s, TURN_S, range_m(read_s) + draw.gauss(0.0, 0.01), 0.0, 0.01**2, may_slope)
+        response.update(
+            HeightReading(NAMES[i % 4], read_s, TURN_S, range_m(read_s) + draw.gauss(0.0, 0.01), 0.01**2),
+            0.0,
+            may_slope,
+        )
         fixed_s = read_s if fixed_s is None and response.is_fixed else fixed_s
         late_s = read_s if late_s is None and response.is_late else late_s
         read_s, i = read_s + GAP_S, i + 1
@@ -130,14 +134,14 @@ def test_a_rate_that_a_surface_had_when_it_was_first_seen_says_nothing(speed_m_s
         motion.on_pressure_height(time_s, speed_m_s * time_s + draw.gauss(0.0, 0.15))
         if i % 4 == 0:
             seen_m = 40.0 + speed_m_s * time_s + draw.gauss(0.0, 0.02)
-            response.update(NAMES[i // 4 % 4], time_s, TURN_S, seen_m, speed_m_s, 0.02**2, False)
+            response.update(HeightReading(NAMES[i // 4 % 4], time_s, TURN_S, seen_m, 0.02**2), speed_m_s, False)
             assert abs(response.log_odds) < 3.0
 
 
 def test_without_an_accelerometer_nothing_is_decided() -> None:
     response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
-        response.update("a", 0.1 * i, 0.1, 0.4, 0.0, 1e-4, False)
+        response.update(HeightReading("a", 0.1 * i, 0.1, 0.4, 1e-4), 0.0, False)
     assert not response.is_fixed
     assert not response.is_late
 
@@ -160,7 +164,7 @@ def test_late_answers_stay_late_at_rest_and_on_another_surface_until_they_are_in
             old, response = response, MotionResponse(motion, TURN_S)
             response.inherit(old)
         seen_m = 0.3 + height_m(read_s - (TURN_S if read_s < 20.0 else 0.0)) + draw.gauss(0.0, 0.01)
-        response.update(NAMES[i % 4], read_s, TURN_S, seen_m, 0.0, 1e-4, False)
+        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.0, False)
         verdicts[i] = response.is_late
     assert not verdicts[49]
     assert all(verdicts[i] for i in range(100, 249))
@@ -177,7 +181,7 @@ def test_a_turn_as_short_as_an_accelerometers_delay_decides_nothing() -> None:
         motion.on_acceleration(read_s, up_m_s2 + draw.gauss(0.0, 0.3))
         if i % 5 == 0:
             seen_m = 0.3 + climb(read_s - 0.1) + draw.gauss(0.0, 0.01)
-            response.update("a", read_s, 0.1, seen_m, 0.0, 1e-4, False)
+            response.update(HeightReading("a", read_s, 0.1, seen_m, 1e-4), 0.0, False)
         assert not response.is_late
 
 
@@ -193,7 +197,7 @@ def test_a_gap_in_the_accelerations_forgets_nothing_that_was_shown() -> None:
                 up_m_s2 = (climb(time_s + 0.02) - 2 * climb(time_s) + climb(time_s - 0.02)) / 0.02**2
                 motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
         seen_m = 0.3 + climb(read_s - TURN_S) + draw.gauss(0.0, 0.01)
-        response.update(NAMES[i % 4], read_s, TURN_S, seen_m, 0.0, 1e-4, False)
+        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.0, False)
         if read_s > 11.0:
             assert response.is_late
 
@@ -216,7 +220,7 @@ def test_a_sensor_that_is_asked_again_answers_with_a_younger_ping(seed: int, is_
         name = NAMES[(i - i // 5) % 4] if i % 5 else "a"
         before_s, pinged_s[name] = pinged_s.get(name, read_s), read_s
         seen_m = 0.3 + climb(before_s if is_late else read_s) + draw.gauss(0.0, 0.01)
-        response.update(name, read_s, read_s - before_s, seen_m, 0.0, 1e-4, False)
+        response.update(HeightReading(name, read_s, read_s - before_s, seen_m, 1e-4), 0.0, False)
         assert is_late or not (response.is_late or response.is_fixed)
         found |= response.is_late
     assert found is is_late
@@ -239,7 +243,7 @@ def test_at_a_steady_rate_a_sensor_that_is_asked_out_of_turn_shows_late_answers(
             motion.on_acceleration(read_s - gap_s * (1 - (k + 1) / 8), draw.gauss(0.0, 0.3))
         since_s, before_s[name] = read_s - before_s[name], read_s
         seen_m = 3.0 + 1.0 * (read_s - (since_s if is_late else 0.0)) + draw.gauss(0.0, 0.01)
-        response.update(name, read_s, since_s, seen_m, 1.0, 1e-4, False)
+        response.update(HeightReading(name, read_s, since_s, seen_m, 1e-4), 1.0, False)
         found |= response.is_late
         may_be |= response.may_be_late
     assert found is is_late
@@ -260,7 +264,7 @@ def test_eight_slow_sensors_learn_what_each_sees_of_its_own_before_they_say_anyt
             motion.on_acceleration(time_s, up_m_s2 + 0.1 + draw.gauss(0.0, 0.3))
             time_s += 0.04
         seen_m = 0.3 + climb(read_s) + 0.03 * (i % 8 - 4) + draw.gauss(0.0, 0.02)
-        response.update(f"{i % 8}", read_s, 8 * 0.28, seen_m, 0.0, 4e-4, False)
+        response.update(HeightReading(f"{i % 8}", read_s, 8 * 0.28, seen_m, 4e-4), 0.0, False)
         assert response.log_odds > -4.0
 
 
