@@ -58,7 +58,7 @@ class Outcome:
     met: tuple[bool, ...]
     """For each thing hidden, in order: it is named."""
     separable: tuple[str, ...]
-    """Rivals in a class with a right name that stand `SEPARABLE` standard errors or more from it."""
+    """Alternatives in a class with a right name that stand `SEPARABLE` standard errors or more from it."""
     found_unknown: bool
     """Called unknown, with the right channel and variable, and no wrong name with it."""
     resolved_wrongly: bool

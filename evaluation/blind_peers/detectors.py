@@ -19,7 +19,7 @@ from msp_sim.effects.base import WORD_COLUMNS
 from msp_sim.model.model import Model
 
 SWAPS = 199
-TWINS = 4
+REPLICATES = 4
 """Simulated tables next to the paired one."""
 FAR = 10.0
 """Standard deviations at which an error is cut off, so that a missed echo does not outweigh all else in a distance."""
@@ -35,7 +35,7 @@ class Compared:
     true_cm: Array
     """Shape (n,)."""
     simulated_cm: Array
-    """Readings of simulated tables, (1 + TWINS, n); the first is the one of the pairs."""
+    """Readings of simulated tables, (1 + REPLICATES, n); the first is the one of the pairs."""
     sigma_cm: float
     """Standard deviation of a hit by the base."""
     contexts: Array
@@ -65,7 +65,7 @@ Detector: TypeAlias = Callable[[Compared, Generator], float]
 def compare(model: Model, contexts: Mapping[str, Any], reading_cm: Array, rng: Generator) -> Compared:
     """Simulate a table at its own contexts."""
     true_cm = np.asarray(contexts["true_range_cm"], dtype=float)
-    simulated_cm = np.array([model.sample(contexts, rng) for _ in range(1 + TWINS)])
+    simulated_cm = np.array([model.sample(contexts, rng) for _ in range(1 + REPLICATES)])
     columns, slices = [], [np.ones(true_cm.size, dtype=bool)]
     for name, values in contexts.items():
         if name in NOT_CONTEXT:
@@ -124,8 +124,8 @@ def classifier(data: Compared, rng: Generator) -> float:
     readings = (data.reading_cm, *data.simulated_cm)
     tables = [np.column_stack([reading, reading - data.true_cm, data.contexts]) for reading in readings]
     taught = data.run % 2 == 1
-    labels = np.repeat([1, 0], [taught.sum(), taught.sum() * (1 + TWINS)])
-    weights = np.where(labels == 1, 1.0 + TWINS, 1.0)
+    labels = np.repeat([1, 0], [taught.sum(), taught.sum() * (1 + REPLICATES)])
+    weights = np.where(labels == 1, 1.0 + REPLICATES, 1.0)
     trees = HistGradientBoostingClassifier(
         max_iter=100, learning_rate=0.08, max_leaf_nodes=8, random_state=int(rng.integers(2**31))
     )

@@ -5,11 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from msp_lab.gap.cli import Seed
 from msp_range.extras import require
 from msp_range.terminal import PlainConsole
 from msp_range.user_errors import report_user_errors
-from msp_sim.cli import Jobs, OwnEffects, Scheduler
+from msp_sim.cli import Jobs, OwnEffects, Scheduler, Seed
 
 if TYPE_CHECKING:
     from msp_lab.fleet.findings import FleetFindings
@@ -59,11 +58,9 @@ def fleet(
     from msp_lab.fleet.report import write_files
     from msp_lab.fleet.workflow import find_in_fleet
     from msp_range.clock import SystemClock, date_of
-    from msp_sim.effects.own import add_own_effects
     from msp_sim.terminal import make_folder
     from msp_sim.workers import workers
 
-    add_own_effects(effects or ())
     make_folder(out)
     if scheduler is not None:
         # Other machines have other working folders.

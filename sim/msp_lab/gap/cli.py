@@ -14,8 +14,7 @@ import typer
 from msp_lab.gap.findings import GapFindings, LastStep, Settings
 from msp_range.extras import require
 from msp_range.yaml_file import ConfigError, config_path
-from msp_sim.cli import Jobs, OwnEffects, Scheduler
-from msp_sim.cli import Seed as Seed
+from msp_sim.cli import Jobs, OwnEffects, Scheduler, Seed
 
 if TYPE_CHECKING:
     from msp_lab.gap.separate import Common, Each
