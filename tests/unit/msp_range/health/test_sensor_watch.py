@@ -351,7 +351,7 @@ def test_an_uneven_turn_or_a_dead_sensor_does_no_harm() -> None:
     assert watch.findings == []
 
 
-@pytest.mark.parametrize("stone_m,every_s", [(0.06, 30.0), (0.09, 20.0), (0.12, 14.0)])
+@pytest.mark.parametrize(("stone_m", "every_s"), [(0.06, 30.0), (0.09, 20.0), (0.12, 14.0)])
 def test_a_stone_below_a_sensor_is_no_scatter(stone_m: float, every_s: float) -> None:
     """The reading with which it begins is not counted either."""
     stones = fly(watch_of(), lambda name, time_s: -stone_m if name == "a" and time_s % every_s < 4.0 else 0.0, 600.0)
