@@ -76,6 +76,8 @@ class Surface:
         The barometer's height since which its rise is counted, and its own height then [m]; see `Belief._rises`.
     response
         Whether it answers to the vehicle's motion.
+    least_s
+        When a reading of it last stood for this range or less, as on the ground [s].
     again
         How much the sensors that saw it with their last answers once more say that they are a ping late [nats].
     """
@@ -88,7 +90,7 @@ class Surface:
         self.steps_m = 0.0
         self.began_m = self.marked_m = ground.height_m
         self.mark: Mark | None = None
-        self.seen_s = self.kept_s = float("-inf")
+        self.seen_s = self.kept_s = self.least_s = float("-inf")
         self.raw: int | None = None
         self.same = 0.0
         self.again = 0.0
@@ -216,6 +218,8 @@ class Belief:
     def hit(self, mode: SensorMode, surface: Surface, density: float, raw: int | None, least: bool) -> None:
         """A reading is of a surface; ``least``: it stands for this range or less, as on the ground."""
         mode.count_outlier(False)
+        if least:
+            surface.least_s = self._time_s
         if surface.evidence <= 0.0 and surface is not self.proven:
             self._appraise(surface, raw)  # Its first reading may have been of something else.
         self._update_same(surface, raw)

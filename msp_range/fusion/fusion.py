@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from msp_range.filters.chain import UNCONFIRMED
 from msp_range.fusion.above import AboveMaximum
 from msp_range.fusion.attitude import AttitudeTrack
-from msp_range.fusion.belief import Belief, Surface
+from msp_range.fusion.belief import STEP_CLIMB_STD_M_S, STEP_STD_M, Belief, Surface
 from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.look import Look, Seen
 from msp_range.fusion.modes import (
@@ -40,7 +40,7 @@ from msp_range.fusion.modes import (
 from msp_range.fusion.mounting import LEVEL, DownwardSensor, spans_plane
 from msp_range.fusion.odd import OddSensor
 from msp_range.fusion.outcome import FIXED, GARBLED, OBJECT, OUTLIER, PAST, REPEATED, SUSPECT, Fused, Outcome
-from msp_range.fusion.response import LEVEL_RISE, HeightReading
+from msp_range.fusion.response import LEVEL_RISE, NEAR_M, HeightReading
 from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
@@ -293,6 +293,9 @@ class Fusion:
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
         found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
+        if parent is not None and found is None and not suspect and self._lifts_off(parent, look, seen):
+            mode.see(parent, self._time_s)
+            return self._on_surface(parent, look, look.over(parent.filter) or seen, PER_M)
         if parent is not None and found is not parent and not suspect and self._is_fixed_after_all(parent, look, seen):
             return FIXED
         if found is not None:
@@ -356,6 +359,18 @@ class Fusion:
         if look.is_least:
             variance_m2 += NEARER_M * NEARER_M
         return HeightReading(look.reading.sensor, self._time_s, look.mode.since_s, seen.height_m, variance_m2)
+
+    def _lifts_off(self, parent: Surface, look: Look, seen: Seen) -> bool:
+        """Whether a reading is of the ground that the vehicle has just left, by its acceleration.
+
+        While the sensors read their minimum the filter of the height does not see that the vehicle climbs.
+        """
+        off_m = seen.height_m - parent.filter.height_m
+        is_left = self._time_s - parent.least_s > self._windows.fresh_s
+        if is_left or parent.response.offs_m(self._height_reading(look, seen))[0] > min(NEAR_M, abs(off_m)):
+            return False
+        parent.filter.shift(off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
+        return True
 
     def _is_fixed_after_all(self, parent: Surface, look: Look, seen: Seen) -> bool:
         """`_is_fixed` by a reading that is not of the ground, where the ground's response expects one like it."""

@@ -180,13 +180,17 @@ class MotionResponse:
         """The sensors of which a reading has been taken since a time [s]."""
         return {name for name, time_s in self._taken_s.items() if time_s >= since_s}
 
-    def expects(self, reading: HeightReading) -> bool:
-        """Whether a reading is near one of the three predictions, by the rates at the last one; see `update`."""
+    def offs_m(self, reading: HeightReading) -> list[float]:
+        """How far a reading is from each of the three predictions, by the rates at the last one [m]; see `update`."""
         if self._time_s is None:
-            return False
+            return [math.inf] * 3
         t = reading.time_s - self._time_s
         heights_m = self._heights_m([(h + w * t, w, b) for h, w, b in self._states], reading.since_s)
-        return min([abs(reading.height_m - expected_m) for expected_m in heights_m]) < NEAR_M
+        return [abs(reading.height_m - expected_m) for expected_m in heights_m]
+
+    def expects(self, reading: HeightReading) -> bool:
+        """Whether a reading is near one of the three predictions."""
+        return min(self.offs_m(reading)) < NEAR_M
 
     def _heights_m(self, states: Sequence[State], since_s: float) -> tuple[float, float, float]:
         """What a sensor should read by each of the three [m]; one that is asked in turn answers by their heights."""

@@ -531,6 +531,20 @@ def test_at_the_sensors_minimum_the_stated_deviation_covers_a_vehicle_on_the_gro
     assert 0.15 < 2 * math.sqrt(known(fused).variance_m2) < 0.3
 
 
+def test_a_take_off_is_followed_where_the_sensors_read_their_minimum_until_late() -> None:
+    """They do so, on a slope, until the vehicle climbs fast: only its acceleration shows that it does."""
+    motion, draw = VerticalMotion(), np.random.default_rng(1)
+    fusion, sent = four(motion=motion, maximum_m=7.65), []
+    leaves = [0.20, 0.20, 0.20, 0.20, 0.20, 0.21, 0.33, 0.32, 0.38, 0.39, 0.42, 0.49, 0.51, 0.56, 0.58, 0.61, 0.66]
+    for i, range_m in enumerate([0.20] * 100 + leaves):
+        time_s, is_least = i * SLOT_S, range_m == 0.20
+        accelerate(motion, time_s, lambda moment_s: 0.7 if 10.0 < moment_s < 10.5 else 0.0, draw)
+        status = Status.AT_MINIMUM if is_least else Status.OK
+        sent.append(take(fusion, Reading(time_s, NAMES[i % 4], status, range_m, SIGMA_M, round(100 * range_m))))
+    assert None not in sent[10:]
+    assert known(sent[-1]).range_m == pytest.approx(0.66, abs=0.05)
+
+
 def test_a_landing_that_bounces_is_no_part_of_the_vehicle() -> None:
     """At the minimum the range does not respond: the ground is that near or nearer."""
     motion, draw = VerticalMotion(), np.random.default_rng(1)
