@@ -11,6 +11,8 @@ from msp_sim.effects.plain import digits
 _UNITS = {
     "_cm_s": "cm/s",
     "_cm": "cm",
+    "_m": "m",
+    "_v": "V",
     "_c": "°C",
     "_deg": "°",
     "_pct": "%",
@@ -37,6 +39,12 @@ _SPECIAL = {
 def unit_of(column: str) -> str:
     """The unit that a column's name ends with; empty where there is none."""
     return _UNITS.get(_ending(column), "")
+
+
+def with_unit(number: str, column: str) -> str:
+    """A number, or a range of them, with the unit of its column."""
+    unit = unit_of(column)
+    return f"{number}{unit}" if unit in ("", "°") else f"{number} {unit}"
 
 
 def name_of(column: str) -> str:
@@ -197,7 +205,6 @@ def _ending(column: str) -> str:
 
 def _label_of_one(where: str) -> str:
     column, _, rest = where.partition(" ")
-    unit = unit_of(column)
     if not re.match(r"-?\d", rest):
         return f"{name_of(column)} {rest}" if "_" in column or rest else where
-    return f"{name_of(column)} {rest}" + ("" if not unit else unit if unit == "°" else f" {unit}")
+    return f"{name_of(column)} {with_unit(rest, column)}"

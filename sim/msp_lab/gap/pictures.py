@@ -210,7 +210,7 @@ def _path(findings: GapFindings) -> Drawn:
 def _slices(slices: Sequence[Slice]) -> Drawn:
     """Bias and ratios of each slice, before and after, with their errors."""
     if len(slices) < 2:
-        raise Absent("No slice of context differs from the model significantly.")
+        raise Absent("No slice of context differs from the model.")
     figure = new_figure(1.3 + 0.3 * len(slices))
     left, right = figure.subplots(1, 2, sharey=True)
     # The spread, and those odds in which some slice differs most.
@@ -232,7 +232,7 @@ def _slices(slices: Sequence[Slice]) -> Drawn:
     left.set_yticks(range(len(slices)), [slice_with_count(each) for each in slices])
     left.invert_yaxis()
     return figure, (
-        "Parts of the readings that differ most from the given model, the most certain ones first, with 95 % "
+        "Parts of the readings that differ from the given model, the most certain ones first, with 95 % "
         "intervals; open marks: with what was added. In brackets the number of readings."
     )
 

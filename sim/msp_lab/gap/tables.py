@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, error_name
 from msp_lab.gap.labels import interval, short, slice_label, step_name, unit_after
 from msp_lab.gap.verdict import bounds
@@ -79,15 +78,15 @@ def steps_table(findings: GapFindings) -> PageTable:
 
 
 def slices_table(findings: GapFindings) -> PageTable:
-    """The slices that differ significantly, in all channels."""
+    """The slices that differ, in all channels."""
     return PageTable(
         "slices-table",
         "Slices in numbers",
-        ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p"),
+        ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p", "changed by"),
         tuple(row for each in shown_slices(findings) for row in _slice_rows(each)),
         "Compared with the given model, with standard errors; below, what is left with what was added. Spread and odds "
         "are ratios to the model; few: too few such readings for a ratio. p-values are corrected for the number of "
-        "slices and measures.",
+        "slices and measures. Changed by: what was found and changes readings there by more than their noise.",
     )
 
 
@@ -136,14 +135,13 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTab
 
 
 def shown_slices(findings: GapFindings) -> list[Slice]:
-    """The whole, and the slices that differ significantly, the most significant first."""
-    significant = [
-        each for each in findings.slices if each.p_value is not None and each.p_value < rules.SLICE_P and each.variables
-    ]
+    """The whole, and the slices that differ, the most significant first."""
     # A pair repeats what one of its variables shows.
-    single = [each for each in significant if len(each.variables) == 1]
+    single = [each for each in findings.slices if each.differs and len(each.variables) == 1]
     seen = {name for each in single for name in each.variables}
-    pairs = [each for each in significant if len(each.variables) > 1 and not set(each.variables) & seen]
+    pairs = [
+        each for each in findings.slices if each.differs and len(each.variables) > 1 and not {*each.variables} & seen
+    ]
     whole = [each for each in findings.slices if not each.variables]
     return [*whole, *sorted((*single, *pairs), key=lambda each: -abs(each.z or 0.0))[: MOST_SLICES - 1]]
 
@@ -169,7 +167,8 @@ def _slice_rows(cell: Slice) -> Iterator[tuple[str, ...]]:
         later.append("" if left is None else f"{np.exp(left):.2f}")
     cells.append(short(max(cell.nats or 0.0, 0.0)))
     cells.append("" if cell.p_value is None else "≤ 0.001" if cell.p_value <= 0.001 else f"{cell.p_value:.3f}")
+    cells.append(", ".join(each.replace("_", " ") for each in cell.by))
     yield tuple(cells)
     if cell.after:
         nats = cell.after.get("nats")
-        yield (*later, "" if nats is None else short(max(nats, 0.0)), "")
+        yield (*later, "" if nats is None else short(max(nats, 0.0)), "", "")

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from msp_lab.gap.conclusion import in_words
 from msp_lab.gap.demo import HiddenNumber
-from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
 from msp_lab.gap.labels import (
     channel_label,
     effect_label,
@@ -143,10 +143,14 @@ def _found_table(findings: GapFindings) -> Table:
         what = label if each.verdict == "named" else f"{label} ({each.verdict})"
         values = [parameter_words(name, value) for name, value in each.parameters.items()]
         table.add_row(
-            in_words(each, findings), "\n".join([what, *values, *filter(None, [each.doubt])]), each.experiment
+            _with_place(each, findings), "\n".join([what, *values, *filter(None, [each.doubt])]), each.experiment
         )
     for one in findings.unknown:
         table.add_row(
-            in_words(one, findings), f"{finding_label(one)}\n{channel_label(one.channel)} = {one.formula}", ""
+            _with_place(one, findings), f"{finding_label(one)}\n{channel_label(one.channel)} = {one.formula}", ""
         )
     return table
+
+
+def _with_place(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+    return in_words(finding, findings) + (f"\nWhere: {finding.where}" if finding.where else "")
