@@ -141,6 +141,14 @@ def test_a_place_of_a_few_numbers(values: list[float], where: str) -> None:
     assert findings.unknown[0].where == where
 
 
+def test_a_ripple_is_everywhere() -> None:
+    term = make_curve_term("bias", ["true_range_cm"], [{"period": 23.0}], [1.0, 1.0])
+    table = tables(lambda columns: np.sqrt(2.0) * np.cos(2.0 * np.pi * columns["true_range_cm"] / 23.0 - np.pi / 4.0))
+    unknown = UnknownEffect("bias", ("true_range_cm",), "", 0.1, z=9.0, period=23.0)
+    assert found(table, term, unknown=(unknown,)).unknown[0].where == "everywhere"
+    assert found(table, term, unknown=(replace(unknown, period=9.0),)).unknown[0].where == "", "another one"
+
+
 def test_two_ranges_of_a_number_with_its_unit() -> None:
     tilt_deg = np.linspace(-15.0, 15.0, 3000)[np.random.default_rng(1).permutation(3000)]
     term = make_term("slant_range", None, {"share": 1.0})

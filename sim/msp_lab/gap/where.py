@@ -21,6 +21,7 @@ from msp_lab.gap.prepared import CHANNELS
 from msp_lab.gap.slices import noise_of
 from msp_range.arrays import Array, Column, Flags
 from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.curve import Ripple
 from msp_sim.model.model import Model, Term
 from msp_sim.page.text import and_list
 
@@ -107,10 +108,12 @@ def _in_words(term: Term, size: Array, is_changed: Flags, after: Measures) -> st
     after
         With the slices.
     """
-    own = term.effect.columns if term.shape is not None else {TRUE_RANGE, *term.effect.columns}
+    own = {TRUE_RANGE, *term.effect.columns} if term.shape is None else {*term.shape[1]}
     parts = [each for each in after.stack.each() if len(each[0].variables) == 1 and each[0].variables[0] in own]
-    if not parts:
-        return "everywhere" if is_changed[0] else ""
+    is_ripple = term.shape is not None and isinstance(term.shape[2][0], Ripple)
+    if is_ripple or not parts:
+        # A ripple goes up and down within a slice.
+        return "everywhere" if is_ripple or is_changed[0] else ""
     # The column along which it changes most.
     part, cells = max(parts, key=lambda each: float(np.cov(size[each[1]], fweights=each[0].counts)))
     known, size = _is_known(part), size[cells]
