@@ -26,7 +26,7 @@ _UNITS = {
 _NUMBERS = {
     "offset_cm": "constant offset",
     "correlation": "correlation of neighbouring errors",
-    **{name: each.label for name, each in PARAMETERS.items()},
+    **{name: parameter.label for name, parameter in PARAMETERS.items()},
 }
 _SPECIAL = {
     "range_rate_cm_s": "rate of the range",
@@ -80,7 +80,7 @@ def slice_label(where: str) -> str:
     >>> slice_label("throttle 0.7 to 1, air_temperature_c 20 to 25")
     'throttle 0.7 to 1, air temperature 20 to 25 °C'
     """
-    return ", ".join(_label_of_one(each) for each in where.split(", "))
+    return ", ".join(_label_of_one(place) for place in where.split(", "))
 
 
 def effect_label(name: str, of: str | None) -> str:
@@ -120,7 +120,7 @@ def parameter_words(name: str, value: FittedValue) -> str:
     interval = ""
     if value.low is not None and value.high is not None:
         ends = [(f"{value.low:.{digits}g}", f"{value.high:.{digits}g}") for digits in (3, 6)]
-        low, high = next((each for each in ends if each[0] != each[1]), ends[-1])
+        low, high = next((pair for pair in ends if pair[0] != pair[1]), ends[-1])
         interval = f" ({low} to {high})"
     return f"{name} {value.value:.3g}{unit_after(value.unit)}{interval}"
 
@@ -171,7 +171,7 @@ def step_name(added: str) -> str:
     channel, over, columns = added.partition(" over ")
     if not over:
         return f"+ {added.replace('_', ' ')}"
-    return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
+    return f"+ {channel} over {' and '.join(name_of(column) for column in columns.split(' and '))}"
 
 
 def number_label(name: str) -> str:
@@ -200,7 +200,7 @@ def interval(low: float | None, high: float | None, digits: int = 3) -> str:
 
 def _ending(column: str) -> str:
     """The longest unit that a column's name ends with."""
-    return max((each for each in _UNITS if column.endswith(each)), key=len, default="")
+    return max((unit for unit in _UNITS if column.endswith(unit)), key=len, default="")
 
 
 def _label_of_one(where: str) -> str:
