@@ -84,13 +84,13 @@ def _p_of_likelihood(fit: CellFits, k: int, slices: int) -> float:
 
 def remeasured(slices: Sequence[Slice], measured: Measures) -> tuple[Slice, ...]:
     """The same slices with what they show of another model in `after`."""
-    wanted = {each.variables for each in slices}
+    wanted = {piece.variables for piece in slices}
     fits = _fits(measured, wanted)
     numbers: dict[str, dict[str, Any]] = {}
     for part in measured.stack.parts:
         if part.variables in wanted:
             numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}
-    return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
+    return tuple(replace(piece, after=numbers.get(piece.where, {})) for piece in slices)
 
 
 def _fits(measured: Measures, wanted: Set[tuple[str, ...]]) -> Mapping[tuple[str, ...], CellFits]:

@@ -54,11 +54,11 @@ def located(findings: GapFindings, extended: Model, given: int, after: Measures)
     where = []
     parts: list[FoundEffect | UnknownEffect] = [*findings.effects, *findings.unknown]
     for finding in parts:
-        term = next((each for each in extended.effects[given:] if _is_of(finding, each)), None)
+        term = next((added for added in extended.effects[given:] if _is_of(finding, added)), None)
         if term is None:
             where.append("")
             continue
-        without = replace(extended, effects=tuple(each for each in extended.effects if each is not term))
+        without = replace(extended, effects=tuple(other for other in extended.effects if other is not term))
         _, scores = scores_of(without.rows(after.readings.contexts).marginal, after.readings.reading_cm)
         change = np.abs(stack.sums(scores - after.scores))
         is_changed: Flags = np.any(change > noise, axis=1)
@@ -73,15 +73,19 @@ def located(findings: GapFindings, extended: Model, given: int, after: Measures)
     count = len(findings.effects)
     findings = replace(
         findings,
-        effects=tuple(replace(each, where=words) for each, words in zip(findings.effects, where[:count], strict=True)),
-        unknown=tuple(replace(each, where=words) for each, words in zip(findings.unknown, where[count:], strict=True)),
+        effects=tuple(
+            replace(effect, where=words) for effect, words in zip(findings.effects, where[:count], strict=True)
+        ),
+        unknown=tuple(
+            replace(effect, where=words) for effect, words in zip(findings.unknown, where[count:], strict=True)
+        ),
     )
     if not found:
         return findings
     is_left = findings.verdict in STILL_OPEN
     slices = [
-        replace(each, by=by.get(each.where, ()), differs=each.where in by or (is_left and each.differs))
-        for each in findings.slices
+        replace(piece, by=by.get(piece.where, ()), differs=piece.where in by or (is_left and piece.differs))
+        for piece in findings.slices
     ]
     return replace(findings, slices=tuple(slices))
 
@@ -109,20 +113,20 @@ def _in_words(term: Term, size: Array, is_changed: Flags, after: Measures) -> st
         With the slices.
     """
     own = {TRUE_RANGE, *term.effect.columns} if term.shape is None else {*term.shape[1]}
-    parts = [each for each in after.stack.each() if len(each[0].variables) == 1 and each[0].variables[0] in own]
+    parts = [pair for pair in after.stack.each() if len(pair[0].variables) == 1 and {*pair[0].variables} <= own]
     is_ripple = term.shape is not None and isinstance(term.shape[2][0], Ripple)
     if is_ripple or not parts:
         # A ripple goes up and down within a slice.
         return "everywhere" if is_ripple or is_changed[0] else ""
     # The column along which it changes most.
-    part, cells = max(parts, key=lambda each: float(np.cov(size[each[1]], fweights=each[0].counts)))
+    part, cells = max(parts, key=lambda pair: float(np.cov(size[pair[1]], fweights=pair[0].counts)))
     known, size = _is_known(part), size[cells]
     here = is_changed[cells] & known
     if not here.any():
         return ""
     most = here & (size >= MOST_SHARE * size[here].max())
     values, (name,) = after.readings.contexts[part.variables[0]], part.variables
-    extent, core = (_places(part, values, each) for each in (here, most))
+    extent, core = (_places(part, values, shown) for shown in (here, most))
     is_everywhere = np.array_equal(here, known)
     text = "everywhere" if is_everywhere else f"{name_of(name)} {with_unit(and_list(extent), name)}"
     if np.array_equal(most, here) or len(core) > MOST_PLACES:
@@ -167,4 +171,4 @@ def _is_known(part: Partition) -> Flags:
     if part.centres is not None:
         return np.isfinite(part.centres) & (part.counts > 0)
     (name,) = part.variables
-    return np.array([each.startswith(f"{name} ") and each != f"{name} unknown" for each in part.labels])
+    return np.array([label.startswith(f"{name} ") and label != f"{name} unknown" for label in part.labels])
