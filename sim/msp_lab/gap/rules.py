@@ -483,4 +483,5 @@ PARTLY = 0.9
 """'Partly explained' needs a gap after that is smaller than this share of the gap before. A gain of less than a tenth
 explains nothing. Lower: more gaps are 'unexplained'."""
 SLICE_P = 0.05
-"""A slice is listed if it differs with a smaller corrected p-value. The usual level. Higher: more slices."""
+"""A slice differs with a smaller corrected p-value, as long as nothing found says where. The usual level. Higher: more
+slices."""

@@ -3,8 +3,8 @@
 Findings, measured data and the sensor model become arrays to be drawn, or `Absent` with the reason.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -37,6 +37,8 @@ class PictureData:
     """The sensor model with the fitted numbers."""
     reference: ReferenceNumbers = field(default_factory=ReferenceNumbers)
     """Earlier numbers to mark next to the new ones."""
+    of_analysis: Sequence[PointReadings] | None = None
+    """The readings as the analyses sorted them; None: they are sorted here."""
 
     @cached_property
     def true_cm(self) -> Array:
@@ -66,7 +68,9 @@ class PictureData:
     @cached_property
     def points(self) -> list[PointReadings]:
         """The rows that have a true range, as the analyses sort them."""
-        return sort_into_points(self.data, self.model)
+        if self.of_analysis is None:
+            return sort_into_points(self.data, self.model)
+        return [replace(each, sensor_model=self.model) for each in self.of_analysis]
 
     def _of_points(self, column: Column, value: Callable[[PointReadings], Any]) -> Column:
         """A column with each point's value in its rows."""

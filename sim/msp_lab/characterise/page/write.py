@@ -1,5 +1,6 @@
 """The page and the pictures of a characterisation, on disk."""
 
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from msp_lab.characterise.page.tables import (
     points_table,
     sources_table,
 )
+from msp_lab.characterise.points import PointReadings
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.page.page import pictures_of, write_page
@@ -29,7 +31,13 @@ SECTIONS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
 """Anchor and title of each section, and the modules with its pictures."""
 
 
-def write_report(findings: Findings, data: MeasuredData, model: SensorModel, directory: Path | str) -> Path:
+def write_report(
+    findings: Findings,
+    data: MeasuredData,
+    model: SensorModel,
+    directory: Path | str,
+    points: Sequence[PointReadings] | None = None,
+) -> Path:
     """Draw what the data allow and write the page.
 
     Parameters
@@ -42,6 +50,8 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
         The sensor model with the fitted numbers, in whose terms the mixture is drawn.
     directory
         Where `report.html` and a PNG per picture go; it is made if it is not there, files of these names are replaced.
+    points
+        The readings as the analyses sorted them; None: they are sorted here.
 
     Returns
     -------
@@ -53,7 +63,7 @@ def write_report(findings: Findings, data: MeasuredData, model: SensorModel, dir
     ConfigError
         The directory cannot be made or written to.
     """
-    rows = PictureData(findings, data, model)
+    rows = PictureData(findings, data, model, of_analysis=points)
     sections = []
     for anchor, title, parts in SECTIONS:
         drawn = pictures_of(chain.from_iterable(part.entries(rows) for part in parts))
