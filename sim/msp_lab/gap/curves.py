@@ -11,8 +11,9 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_test import STEP_PLACES, CandidateCurve, degrees_of, log_p_of, ripples, scan, step_of
-from msp_lab.gap.evidence import shift_between
+from msp_lab.gap.evidence import offset_nats, shift_between
 from msp_lab.gap.exchange import eliminate
+from msp_lab.gap.findings import Alternative
 from msp_lab.gap.problem import Problem, State, loss, screened, trials, with_terms
 from msp_lab.gap.refit import has_range
 from msp_sim.effects.base import TRUE_RANGE
@@ -144,6 +145,29 @@ def _is_of_few_runs(problem: Problem, state: State, there: State, degrees: int) 
         true_cm = np.bincount(unit, problem.contexts[TRUE_RANGE]) / np.maximum(np.bincount(unit), 1)
         places = np.unique(np.rint(true_cm / max(rules.ONE_PLACE * float(np.ptp(true_cm)), 1e-12))).size
     return bool(degrees >= places // rules.CURVE_RUNS_PER_DEGREE)
+
+
+def instead_of_offsets(problem: Problem, state: State, needed_nats: float) -> tuple[Alternative, ...]:
+    """Columns that explain nearly as well what runs differ by as offsets at random do, such as a surface or a battery.
+
+    Too few runs tell such a column from random variation, or its curve would be in the state. Each is fitted alone,
+    with a value for two runs at most, and compared with offsets of the best deviation, which are integrated out.
+    """
+    found: dict[str, float] = {}
+    by_run = replace(state, by_run=True)
+    with_offsets = state.fit.log_likelihood + offset_nats(state.fit, problem.unit)
+    for form in scan(problem.contexts, problem.asked_of_runs, state.fit, ("bias",)):
+        for knots in form.forms:
+            degrees = degrees_of(knots)
+            if 2 * (degrees + 1) > problem.runs:
+                continue
+            there = _with_curve(problem, by_run, form, knots)
+            lost_nats = with_offsets - there.fit.log_likelihood + 0.5 * (degrees - 1)
+            gained = loss(problem, state.fit, there)
+            if gained >= rules.EXCHANGE_KEEPS * needed_nats and lost_nats <= rules.ALTERNATIVE_NATS:
+                (name,) = form.variables
+                found[name] = min(lost_nats, found.get(name, np.inf))
+    return tuple(Alternative(name, found[name]) for name in sorted(found, key=found.__getitem__))
 
 
 def name_curves(problem: Problem, state: State, needed_nats: float) -> State:

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_lab.gap.evidence import blocks_of
-from msp_lab.gap.findings import FittedValue, FoundEffect
+from msp_lab.gap.findings import Alternative, FittedValue, FoundEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -92,7 +92,12 @@ def p_beyond_wander(slope: Array, unit: Indices) -> float:
 
 
 def validated_run_offsets(
-    deviation_cm: float, fit: JointFit, readings: Prepared, unit: Indices, splits: Splits
+    deviation_cm: float,
+    fit: JointFit,
+    readings: Prepared,
+    unit: Indices,
+    splits: Splits,
+    alternatives: tuple[Alternative, ...],
 ) -> tuple[FoundEffect, Term] | None:
     """The effect, if nearly all splits of the runs agree; a run's offset is integrated out.
 
@@ -104,6 +109,8 @@ def validated_run_offsets(
         Fit of all readings, and their runs.
     splits
         Of the runs.
+    alternatives
+        Columns that explain nearly as well what runs differ by.
     """
     runs = splits.names.size
     slope = fit.offset_slope - fit.offset_slope.mean()
@@ -136,11 +143,13 @@ def validated_run_offsets(
     total = float(of_runs.sum())
     found = FoundEffect(
         effect.name,
-        "named",
+        "indistinguishable" if alternatives else "named",
         {"deviation_cm": FittedValue(deviation_cm, low, high, "cm")},
         total / len(readings),
         total / se if se > 0.0 else None,
-        experiment=effect.experiment,
+        alternatives,
+        "; ".join(f"to tell {effect.name} from {each.name}: more runs that differ in it alone" for each in alternatives)
+        or effect.experiment,
         splits_agree=agree,
     )
     return found, Term(effect, {"deviation_cm": deviation_cm})
