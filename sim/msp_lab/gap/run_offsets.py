@@ -125,11 +125,7 @@ def validated_run_offsets(
     before = known_cm2 + within / np.maximum(information, 1e-12)
     after = before + grid[:, None] ** 2
     gains = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
-    # Each run with the deviation that the runs of the other parts have.
-    crossed = np.empty((len(splits), runs))
-    for k, part in enumerate(splits.part):
-        for left_out in (part == each for each in range(int(part.max()) + 1)):
-            crossed[k, left_out] = gains[gains[:, ~left_out].sum(axis=1).argmax(), left_out]
+    crossed = _crossed(gains, splits)
     agree = float(np.mean(crossed.sum(axis=1) >= rules.VALIDATED_NATS))
     if agree < rules.SPLITS_AGREE:
         return None
@@ -153,6 +149,15 @@ def validated_run_offsets(
         splits_agree=agree,
     )
     return found, Term(effect, {"deviation_cm": deviation_cm})
+
+
+def _crossed(gains: Array, splits: Splits) -> Array:
+    """What each run gains by the deviation of the grid that the runs of the other parts have, (splits, runs)."""
+    crossed = np.empty((len(splits), gains.shape[1]))
+    for k, part in enumerate(splits.part):
+        for left_out in (part == each for each in range(int(part.max()) + 1)):
+            crossed[k, left_out] = gains[gains[:, ~left_out].sum(axis=1).argmax(), left_out]
+    return crossed
 
 
 def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[Base, tuple[Term, ...]]:
