@@ -70,8 +70,9 @@ def flights(rows: int, seed: int) -> Columns:
         "external_distance_cm": rng.uniform(50.0, 500.0, n),
         "external_frequency_khz": rng.uniform(38.0, 46.0, n),
     }
-    columns |= {"time_in_run_s": time_in_run_s(columns), "time_of_day_h": columns["time_s"] / 3600.0 % 24.0}
-    assert columns.keys() >= CONTEXT_COLUMNS.keys() - {"reference"}  # it is not for readings against a known truth
+    columns["time_in_run_s"] = time_in_run_s(columns)
+    # There is no reference where the truth is known, and the time of day follows from time_s.
+    assert columns.keys() >= CONTEXT_COLUMNS.keys() - {"reference", "time_of_day_h"}
     return columns
 
 

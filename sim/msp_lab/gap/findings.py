@@ -106,7 +106,7 @@ class Alternative:
     """Another name for the same gap."""
 
     name: str
-    """Effect of the catalogue."""
+    """Effect of the catalogue; of offsets of runs also a column that is the same all over each run."""
     loss_nats: float
     """By how much its best fit is worse, in log-likelihood of the readings that are refitted [nat]."""
     correlation: float | None = None

@@ -84,8 +84,8 @@ def slice_label(where: str) -> str:
 
 
 def effect_label(name: str, of: str | None) -> str:
-    """An effect, and the sensor, run or target that it is of."""
-    return name.replace("_", " ") + (f" of {of}" if of else "")
+    """An effect, and the sensor, run or target that it is of; or a column in its place."""
+    return name_of(name) + (f" of {of}" if of else "")
 
 
 def finding_label(finding: FoundEffect | UnknownEffect) -> str:
