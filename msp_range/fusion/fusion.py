@@ -54,6 +54,7 @@ ROUGHEST_M = 0.08
 NEARER_M = 0.15
 """The surface may be nearer than a sensor's minimum by this, as on the ground [m]: such a reading shows a response to
 the vehicle's motion no closer. Less takes a landing that bounces for one, more finds ice on the sensors later."""
+LATE_OFF_M = 0.1
 FIT_READINGS = 10.0
 """The mean square of the normalised innovations is taken over so many readings: a second of four sensors."""
 FIT_CAP, FIT_OUTLIER = 25.0, 12.0
@@ -237,7 +238,7 @@ class Fusion:
 
     def _may_be_sent(self, ground: Surface, now_s: float, was_ground: bool) -> bool:
         """Whether the ground is sure, and a sensor has seen it just now."""
-        if self._belief.sure < SURE or self._is_late or now_s - self._time_s > STALE_S:
+        if self._belief.sure < SURE or ground.response.late_off_m > LATE_OFF_M or now_s - self._time_s > STALE_S:
             return False
         if not self._is_seen(ground) or self._others >= OTHERS_IN_A_ROW:
             return False

@@ -165,6 +165,11 @@ class MotionResponse:
         """Whether a sensor that is asked out of turn may show that the answers are those of the pings before."""
         return MAY_BE_LATE > self._late > LATE and abs(self._states[2][1]) > SHOWS_M_S
 
+    @property
+    def late_off_m(self) -> float:
+        """How far the ground may be from where late answers put it, by how fast it moves; 0 where they are in time."""
+        return self._turn_s * max([abs(w) for _, w, _ in self._states]) if self.is_late else 0.0
+
     def inherit(self, other: "MotionResponse") -> None:
         """Answers that came late on another surface do on this one; what is rather fixed there shows no lateness."""
         if other.is_late or other._apart >= 0.0:
