@@ -13,11 +13,10 @@ import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
-from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture
-from msp_lab.characterise.mixture import fit_mixture
+from msp_lab.characterise.mixture import fit_mixture, hit_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.sonar import STEP_DEG

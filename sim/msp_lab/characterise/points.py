@@ -43,11 +43,7 @@ MIN_READINGS = 5
 """If most ranges have fewer readings, they are not set-ups of a bench: the range changed while it was read."""
 
 BASELINE = "baseline"
-VARIED = {
-    "incidence_deg": "field_of_view",
-    "vibration_hz": "vibration",
-    "external_level_db": "external_interference",
-}
+VARIED = {"incidence_deg": "field_of_view", "vibration_hz": "vibration", "external_level_db": "external_interference"}
 """Experiment of a reading without a `condition`: that of a column which is known and not zero."""
 
 SETTINGS = (

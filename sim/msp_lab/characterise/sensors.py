@@ -66,9 +66,10 @@ class SensorResult:
     def publish(self, folder: Path) -> Path:
         """Write all numbers and the page, and return the page; UserError if they cannot be written."""
         write_new(folder / NUMBERS, as_json(self.findings))
+        from msp_lab.characterise.page.picture_data import PictureData
         from msp_lab.characterise.page.write import write_report
 
-        return write_report(self.findings, self.data, self.model, folder)
+        return write_report(PictureData(self.findings, self.data, self.model), folder)
 
 
 def check_free(out: Path, folder: Path | None) -> None:

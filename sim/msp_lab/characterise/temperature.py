@@ -12,14 +12,7 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import (
-    CONFIDENCE,
-    LIKELIHOOD_DROP,
-    Z,
-    fit_line,
-    half_of_mean,
-    mean_of_points,
-)
+from msp_lab.characterise.estimates import CONFIDENCE, LIKELIHOOD_DROP, Z, fit_line, half_of_mean, mean_of_points
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings

@@ -116,16 +116,7 @@ def points_table(findings: Findings) -> PageTable:
     return PageTable(
         name="points",
         title="Every set-up",
-        header=(
-            "condition",
-            "sensor",
-            "level",
-            "range [cm]",
-            "angle [deg]",
-            *counts,
-            "mean error [cm]",
-            "spread [cm]",
-        ),
+        header=("condition", "sensor", "level", "range [cm]", "angle [deg]", *counts, "mean error [cm]", "spread [cm]"),
         rows=tuple(_point(point) for point in findings.points[:MAX_POINTS]),
         caption=f"{left_out:,} more are left out here." if left_out > 0 else "",
         align="lllr",
