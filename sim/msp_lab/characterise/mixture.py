@@ -68,12 +68,7 @@ def fit_mixture(
     """Fit the mixture to undisturbed readings on the axis: what was found, and what goes into the file.
 
     `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit;
-    `correlation` is that of neighbouring hits.
-
-    Raises
-    ------
-    FitError
-        It cannot be fitted; the reason.
+    `correlation` is that of neighbouring hits. FitError with the reason if it cannot be fitted.
     """
     try:
         grid = ReadingGrid.of(sensor)
@@ -84,21 +79,22 @@ def fit_mixture(
     whole = grid.nearest(reading_cm)
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
     result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
-    good, fit_note = None, ""
+    notes = []
+    if not np.array_equal(whole, reading_cm):
+        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
+    pit_counts: tuple[int, ...] = ()
+    pit_p_value = None
     try:
         good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
+        pit_counts, pit_p_value, note = good.pit_histogram, good.chi_square_p_value, good.note
     except ValueError as error:
-        fit_note = f"how well it fits is not known: {error}"
+        note = f"how well it fits is not known: {error}"
     moved = tuple(each for each in set_ups if each is not None)
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
     # All weights are one number together, so none of them alone can be the starting model's.
     kept = set(result.not_identified) & MixtureParameters.model_fields.keys()
     changed = {name: getattr(sensor.reading_model, name) for name in kept}
-    notes = []
-    if not np.array_equal(whole, reading_cm):
-        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
-    notes.append(fit_note if good is None else good.note)
-    notes += _notes(result, moved, len(points), raised, kept)
+    notes += [note, *_notes(result, moved, len(points), raised, kept)]
     if correlation is not None:
         changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
         notes.append(correlation.note)
@@ -110,8 +106,8 @@ def fit_mixture(
         ),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
-        pit_counts=() if good is None else good.pit_histogram,
-        pit_p_value=None if good is None else good.chi_square_p_value,
+        pit_counts=pit_counts,
+        pit_p_value=pit_p_value,
         conditional=_conditional(result, expected_cm) if has_ranges else "not tried: all readings are of one range",
         notes=tuple(notes),
         set_ups=moved,

@@ -29,13 +29,11 @@ class Characterisation:
     """What a model is made from, and how."""
 
     data: tuple[Path, ...]
-    """Files of readings."""
     start: Path
-    """File of the starting model."""
+    """Files of readings, and of the starting model."""
     column_map: tuple[str, ...]
-    """Options ``--map``."""
     truth: Literal["recorded", "others"]
-    """What the true range is."""
+    """Options ``--map`` and ``--truth``."""
     date: str
     seed: int
     """Date to record, and random seed of the goodness-of-fit test."""
@@ -50,14 +48,13 @@ class Characterisation:
 
 @dataclass(frozen=True)
 class SensorResult:
-    """A model, what it was made from, what was found, and which fields of the starting model were changed."""
+    """A model, what was found, which fields of the starting model (its file's name) were changed, and the readings."""
 
     model: SensorModel
     findings: Findings
     changes: Mapping[str, Any]
     data: MeasuredData
     start: str
-    """Name of the starting model's file."""
 
     def write(self, path: Path) -> None:
         """Write the model file; RecordingError if there is a file already, or it cannot be written."""
@@ -75,10 +72,7 @@ class SensorResult:
 def check_free(out: Path, folder: Path | None) -> None:
     """Check before the analysis that its model file, and in the folder numbers and page, can be written.
 
-    Raises
-    ------
-    ConfigError
-        One of the files exists, its folder cannot be created, or is the model file.
+    ConfigError if one of the files exists, or its folder cannot be created or is the model file.
     """
     if folder is not None and out in (folder, *folder.parents):
         raise ConfigError(f"--report {folder}: {out} is to be the model file, expected another name for the folder")
@@ -94,13 +88,7 @@ def check_free(out: Path, folder: Path | None) -> None:
 def characterised(
     how: Characterisation, sensors: Sequence[str] = (), progress: Callable[[str], None] = lambda what: None
 ) -> SensorResult:
-    """Make a model from the readings of these sensors (none: all).
-
-    Raises
-    ------
-    ConfigError, RecordingError
-        The readings cannot be used.
-    """
+    """Make a model from the readings of these sensors (none: all); UserError if they cannot be used."""
     start = load_sensor_model(how.start)
     loaded = load_readings(how.data, start, load_maps(how.column_map), sensors=sensors, truth=how.truth)
     loaded = without_impossible(loaded, start)
