@@ -1,7 +1,7 @@
 """Breakaway angles, what a tilted sensor reads, and the sonar equation through the angles.
 
-`FieldOfView` and `SonarFit` are made from points at signed angles to a wall. An angle is reliable by a stated share of
-readings that are of the wall; the breakaway lies between the last reliable angle and the next that was tried.
+An angle to a wall is reliable by a stated share of readings that are of the wall; the breakaway lies between the last
+reliable angle and the next that was tried.
 """
 
 import math

@@ -1,10 +1,9 @@
 """The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
-`findings.Mixture` and the parameters for the sensor model file are fitted to points, with a calibration. The fit itself
-is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement is
-not noise of the sensor; the calibration deals with the differences between set-ups. The fit takes readings as
-independent; how alike the errors of neighbouring hits are is estimated apart (`hit_correlation`), about the mean of
-each point's own hits, and the simulator and the gap workflow draw and score readings with it.
+The fit itself is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of
+its placement is not noise of the sensor; the calibration deals with the differences between set-ups. The fit takes
+readings as independent; how alike the errors of neighbouring hits are is estimated apart (`hit_correlation`), about the
+mean of each point's own hits, and the simulator and the gap workflow draw and score readings with it.
 """
 
 import math

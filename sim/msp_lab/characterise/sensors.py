@@ -121,22 +121,13 @@ class OfSensor:
     error: str = ""
 
 
-@dataclass(frozen=True)
-class EachSensor:
-    """What the models of several sensors have in common: how they are made, and the folders of models and pages."""
-
-    how: Characterisation
-    out: Path
-    report: Path | None
-
-
-def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
-    """Make and write one sensor's model."""
+def characterise_sensor(common: tuple[Characterisation, Path, Path | None], sensor: str) -> OfSensor:
+    """Make and write one sensor's model, as the first says, to a file in the first folder and a page in the second."""
+    how, models, pages = common
     name = quote(sensor, safe="")
-    path = common.out / f"{name}.yaml"
-    report = common.report / name if common.report is not None else None
+    path, report = models / f"{name}.yaml", pages / name if pages is not None else None
     check_free(path, report)
-    made = characterised(common.how, [sensor])
+    made = characterised(how, [sensor])
     made.write(path)
     if report is not None:
         made.publish(report)

@@ -50,17 +50,15 @@ class Sonar:
     frequency_hz: float
     """Frequency of the ping [Hz]."""
 
-    def excess_db(self, range_m: float, off_axis_rad: float = 0.0) -> float:
-        """EL(R, theta) - DT(R) of a wall in the air of `ROOM` [dB]: detected if 0 or more.
+    def excess_db(self, range_m: float) -> float:
+        """EL(R) - DT(R) of a wall straight ahead in the air of `ROOM` [dB]: detected if 0 or more.
 
         The detection threshold is DT(R) = -g R relative to that at range 0: such sensors raise their gain while they
         wait for the echo, because a late echo is weak. A gain that is linear in dB over time is assumed; the sensor's
         actual gain is not published.
         """
-        level_db = echo_level_db(
-            self.source_level_db, range_m, off_axis_rad, WALL, ROOM, self.piston_diameter_m, self.frequency_hz
-        )
-        return level_db + self.gain_db_per_m * range_m
+        piston = self.piston_diameter_m, self.frequency_hz
+        return echo_level_db(self.source_level_db, range_m, 0.0, WALL, ROOM, *piston) + self.gain_db_per_m * range_m
 
     def half_angle_deg(self, range_m: float) -> float | None:
         """Largest angle off the axis at which a wall is detected, at a perpendicular distance above 0 [deg].

@@ -1,7 +1,6 @@
 """Air at the sensor and air on the way: the hot box, and temperature compensation.
 
-From questions about the temperature and points with air temperatures it finds how long the box's air must be to explain
-the errors, and mean errors with and without compensation. Speeds of sound are those of `msp_range.acoustics.air`.
+How long the box's air must be to explain the errors, and mean errors with and without compensation.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Which rows of the measured readings a picture is made of, and why there are none.
-
-Findings, measured data and the sensor model become arrays to be drawn, or `Absent` with the reason.
-"""
+"""Which rows of the measured readings a picture is made of, or `Absent` with the reason why there are none."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -15,14 +12,13 @@ from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.errors import Errors
 from msp_lab.characterise.points import PointReadings, sort_into_points
-from msp_range.arrays import Array, Flags, Texts
+from msp_range.arrays import Array, Column, Flags, Texts
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.page.page import Absent
 from msp_sim.page.text import counted, plus, sentence
 
 Part = TypeVar("Part")
-Column = TypeVar("Column", Flags, Texts)
 
 
 @dataclass(frozen=True)
@@ -61,22 +57,19 @@ class PictureData:
     """What pictures are drawn from; columns of the data that its file lacks are NaN or ""."""
 
     findings: Findings
-    """What was found."""
     data: MeasuredData
-    """The readings that it was found in."""
+    """The readings that they were found in."""
     model: SensorModel
     """The sensor model with the fitted numbers."""
     reference: ReferenceNumbers = field(default_factory=ReferenceNumbers)
     """Earlier numbers to mark next to the new ones."""
 
-    @cached_property
+    @property
     def true_cm(self) -> Array:
-        """True ranges [cm]."""
         return self.data.column("true_range_cm")
 
-    @cached_property
+    @property
     def reading_cm(self) -> Array:
-        """Readings [cm]."""
         return self.data.column("reading_cm")
 
     @cached_property

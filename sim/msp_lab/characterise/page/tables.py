@@ -140,3 +140,7 @@ def sources_table(findings: Findings) -> PageTable:
     """The files that the readings are from."""
     rows = tuple((source.name, f"{source.rows:,}", source.sha256) for source in findings.sources)
     return PageTable("sources", "", ("file", "rows", "SHA-256"), rows, align="lrl")
+
+
+TABLES = (effects_table, compensation_table, mixture_table, points_table, sources_table)
+"""All of them but the conclusions."""

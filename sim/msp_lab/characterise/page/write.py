@@ -7,13 +7,7 @@ from typing import Any
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, questions, range_error
 from msp_lab.characterise.page.answers import conclusions_table, summarise
 from msp_lab.characterise.page.picture_data import PictureData
-from msp_lab.characterise.page.tables import (
-    compensation_table,
-    effects_table,
-    mixture_table,
-    points_table,
-    sources_table,
-)
+from msp_lab.characterise.page.tables import TABLES
 from msp_sim.page.page import pictures_of, write_page
 
 SECTIONS: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
@@ -37,12 +31,11 @@ def write_report(rows: PictureData, folder: Path) -> Path:
         drawn = pictures_of(chain.from_iterable(part.entries(rows) for part in parts))
         if pictures := [each for each in drawn if each.files]:
             sections.append((anchor, title, pictures))
-    tables = (conclusions_table, effects_table, compensation_table, mixture_table, points_table, sources_table)
     return write_page(
         folder,
         f"{__package__}/report.html",
         [picture for *_, pictures in sections for picture in pictures],
-        [table(rows.findings) for table in tables],
+        [table(rows.findings) for table in (conclusions_table, *TABLES)],
         findings=rows.findings,
         model=rows.model,
         answer=summarise(rows.findings),
