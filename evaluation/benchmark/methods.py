@@ -116,8 +116,7 @@ def gap(table: Table, by_model: bool = False) -> Findings:
         where = [
             _region(each["where"], table)
             for each in report["slices"]
-            if each["p_value"] is not None and each["p_value"] < SLICE_ALPHA
-            if len(each["variables"]) == 1 and each["where"].split()[0] in table.contexts
+            if each["differs"] and len(each["variables"]) == 1 and each["where"].split()[0] in table.contexts
         ]
     # What gap calls time is a wander of the hits.
     curves = [{"channel": channel.replace("time", "bias"), "column": column} for channel, column in unknown]

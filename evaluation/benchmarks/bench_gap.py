@@ -71,7 +71,8 @@ def flights(rows: int, seed: int) -> Columns:
         "external_frequency_khz": rng.uniform(38.0, 46.0, n),
     }
     columns["time_in_run_s"] = time_in_run_s(columns)
-    assert columns.keys() >= CONTEXT_COLUMNS.keys() - {"reference"}  # it is not for readings against a known truth
+    # There is no reference where the truth is known, and the time of day follows from time_s.
+    assert columns.keys() >= CONTEXT_COLUMNS.keys() - {"reference", "time_of_day_h"}
     return columns
 
 

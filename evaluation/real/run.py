@@ -6,6 +6,8 @@ For instance ``robot_mb1433 --closure``.
 import argparse
 import json
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -54,7 +56,9 @@ class Outcome:
     """The same by the measures of `evaluation.closure`; None where they were not asked."""
 
 
-def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False) -> Outcome:
+def run_set(
+    measured: MeasuredSet, data: Path, out: Path, closure: bool = False, longest_s: float | None = None
+) -> Outcome:
     """Characterise where the set has a bench session, then `msp-lab gap`.
 
     Parameters
@@ -67,6 +71,8 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False)
         Folder to work in; `gap` and `model.yaml` are left there.
     closure
         Also measure how much of the gap is closed (half a minute more).
+    longest_s
+        A command that takes longer is stopped and has failed [s]; None: none is stopped.
     """
     out.mkdir(parents=True, exist_ok=True)
     model = CONFIGS / "sensors" / f"{measured.sensor}.yaml"
@@ -86,14 +92,14 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False)
             "--out",
             characterised,
         )
-        failed = _run(command)
+        failed = _run(command, longest_s)
         if failed:
             return Outcome(_typed(command), failed)
         model = characterised
     raw = [data / each for each in measured.readings]
     readings = measured.prepare(data, out / "form") if measured.column_map is None else raw
     command = ("gap", *readings, "--model", model, *column_map, "--out", out / "gap", "--until", "add")
-    failed = _run(command)
+    failed = _run(command, longest_s)
     if failed:
         return Outcome(_typed(command), failed)
     gap = json.loads((out / "gap" / "gap.json").read_text(encoding="utf-8"))
@@ -108,8 +114,12 @@ def run_set(measured: MeasuredSet, data: Path, out: Path, closure: bool = False)
     return Outcome(_typed(command), "", gap["verdict"], found, forbidden, missing, nats, closed)
 
 
-def _run(arguments: tuple[object, ...]) -> str:
-    done = run_command("msp-lab", *arguments)
+def _run(arguments: tuple[object, ...], longest_s: float | None) -> str:
+    print(_typed(arguments), file=sys.stderr, flush=True)
+    try:
+        done = run_command("msp-lab", *arguments, longest_s=longest_s)
+    except subprocess.TimeoutExpired as error:
+        return f"stopped after {error.timeout:g} s (--longest)"
     return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
 
 
@@ -158,20 +168,23 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="sets; left out: all")
     parser.add_argument("--out", type=Path, default=Path("build/real"), help="folder (default: %(default)s)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: %(default)s)")
+    parser.add_argument(
+        "--longest", type=float, metavar="S", help="stop a command that takes longer [s] (default: none)"
+    )
     parser.add_argument("--closure", action="store_true", help="measure independently how much of the gap is closed")
 
 
 def main(given: argparse.Namespace) -> None:
     """Run sets, and print what was found."""
     names = [each.name for each in SETS if not given.names or each.name in given.names]
-    sets = {name: (name, given.out / name, given.closure) for name in names}
+    sets = {name: (name, given.out / name, given.closure, given.longest) for name in names}
     run_cases(sets, run_named, given.jobs, given.out / "sets.jsonl", resume=False, line=lambda row: str(row["text"]))
 
 
-def run_named(name: str, out: Path, closure: bool) -> Row:
+def run_named(name: str, out: Path, closure: bool, longest_s: float | None) -> Row:
     """Run a set, and describe what was found."""
     (measured,) = [each for each in SETS if each.name == name]
-    outcome = run_set(measured, data_folder(), out, closure)
+    outcome = run_set(measured, data_folder(), out, closure, longest_s)
     lines = [f"{name}: {outcome.failure or outcome.verdict}"]
     if outcome.failure:
         return {"text": f"{lines[0]}\n  {outcome.command}"}

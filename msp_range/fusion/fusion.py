@@ -237,7 +237,7 @@ class Fusion:
 
     def _may_be_sent(self, ground: Surface, now_s: float, was_ground: bool) -> bool:
         """Whether the ground is sure, and a sensor has seen it just now."""
-        if self._belief.sure < SURE or self._is_late or now_s - self._time_s > STALE_S:
+        if self._belief.sure < SURE or ground.response.misleads or now_s - self._time_s > STALE_S:
             return False
         if not self._is_seen(ground) or self._others >= OTHERS_IN_A_ROW:
             return False
@@ -341,11 +341,11 @@ class Fusion:
         others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
         return sum([not each.repeated for each in others]) >= 2
 
-    def _is_fixed(self, surface: Surface, look: Look, seen: Seen, shows_slope: bool) -> bool:
+    def _is_fixed(self, surface: Surface, look: Look, seen: Seen, shows_slope: bool, is_ground: bool = True) -> bool:
         """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
         known, since_s = surface.filter, self._time_s - self._windows.fresh_s
         may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not shows_slope
-        surface.response.update(self._height_reading(look, seen), known.climb_m_s, may_slope)
+        surface.response.update(self._height_reading(look, seen), known.climb_m_s, may_slope, is_ground)
         if not surface.response.is_fixed:
             return False
         answered = [self._modes[name] for name in surface.response.sees(since_s)]
@@ -375,7 +375,7 @@ class Fusion:
     def _is_fixed_after_all(self, parent: Surface, look: Look, seen: Seen) -> bool:
         """`_is_fixed` by a reading that is not of the ground, where the ground's response expects one like it."""
         expects = parent.response.expects(self._height_reading(look, seen))
-        return expects and self._is_fixed(parent, look, seen, self._spans_plane(parent))
+        return expects and self._is_fixed(parent, look, seen, self._spans_plane(parent), False)
 
     def _was_garbled(self, look: Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.

@@ -149,6 +149,10 @@ MAY_BE_LATE, SHOWS_M_S = 2.0, 0.25
 turn: the answer of a ping before is then of a younger one, by some 0.2 s, which moves it by two standard deviations of
 a reading. At a steady rate nothing else shows that answers are late. Later asks less in flights in which nothing is
 wrong."""
+LATE_OFF_M = 0.1
+"""Answers of the ping before are sent while the ground is off by no more than this, by how fast it moves [m]: half of
+what is a wrong distance. With less a hover is silent, in which nothing shows that they are in time again; with more the
+beginning of a climb is wrong for longer."""
 RISES_M = 0.8
 """By how much the barometer may say that the vehicle has risen over something near which has not answered to any
 movement yet, where that is the ground after all: the standard deviation, as well as that of the climb [m]. Rotors

@@ -27,6 +27,7 @@ from msp_range.fusion.modes import (
     DOUBT_LASTS_S,
     FOLLOWS,
     LATE,
+    LATE_OFF_M,
     LATE_S,
     MAY_BE_LATE,
     ODDS_LAST_S,
@@ -148,10 +149,12 @@ class MotionResponse:
 
     @property
     def log_odds(self) -> float:
-        """Log odds of ground over something fixed to the vehicle, or over answers of the ping before.
+        """Log odds of ground over something fixed to the vehicle, or over answers of the ping before that mislead.
 
         After a movement they are more than `FOLLOWS`, as much as it has shown: a near ground needs that to be believed.
         """
+        if self.is_late and not self.misleads:
+            return max(self._fixed, min(self._apart, FOLLOWS))
         late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed: not where it is inherited.
         return min(self._fixed, late) + max(self._answered - FOLLOWS, 0.0)
 
@@ -164,6 +167,11 @@ class MotionResponse:
     def may_be_late(self) -> bool:
         """Whether a sensor that is asked out of turn may show that the answers are those of the pings before."""
         return MAY_BE_LATE > self._late > LATE and abs(self._states[2][1]) > SHOWS_M_S
+
+    @property
+    def misleads(self) -> bool:
+        """Whether the answers are late, and the ground moves so fast that it is elsewhere by now."""
+        return self.is_late and self._turn_s * max([abs(w) for _, w, _ in self._states]) > LATE_OFF_M
 
     def inherit(self, other: "MotionResponse") -> None:
         """Answers that came late on another surface do on this one; what is rather fixed there shows no lateness."""
@@ -197,7 +205,7 @@ class MotionResponse:
         (follows_m, _, _), (fixed_m, _, _), (late_m, late_m_s, _) = states
         return follows_m, fixed_m, late_m + late_m_s * max(self._turn_s - since_s, -self._turn_s)
 
-    def update(self, reading: HeightReading, climb_m_s: float, may_slope: bool) -> None:
+    def update(self, reading: HeightReading, climb_m_s: float, may_slope: bool, is_ground: bool = True) -> None:
         """Update with a reading that was of the ground, or is expected.
 
         Parameters
@@ -208,6 +216,8 @@ class MotionResponse:
             How fast the height grows by all readings before [m/s].
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
+        is_ground
+            Whether the reading is of the ground: another one is only for the predictions that it is near.
         """
         sensor, time_s, since_s, height_m, variance_m2 = reading
         if self._time_s is None:
@@ -247,8 +257,9 @@ class MotionResponse:
                 squares[2] = squares[0]
             self._decide(t, squares, k_h, up_m_s2, may_slope)
             self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
+        nearest_m = math.inf if is_ground else NEAR_M
         self._states = [
-            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m)
+            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) if abs(off_m) < nearest_m else (h, w, b)
             for (h, w, b), off_m in zip(predicted, offs_m, strict=True)
         ]
 

@@ -59,6 +59,20 @@ def test_the_verdict_comes_first_and_the_effect_is_named(folder: Path) -> None:
     assert known(found.gap.nats_per_reading.after) < 0.02
 
 
+def test_terminal_page_and_file_say_the_same_place(folder: Path) -> None:
+    """1 % of the range: from 0.4 cm near the sensor to 5 cm."""
+    found = read_findings(folder / "out")
+    (where,) = [each.where for each in found.effects]
+    assert where.startswith("everywhere, most at true range from 2")
+    differing = [each for each in found.slices if each.differs and each.variables == ("true_range_cm",)]
+    assert len(differing) == 12
+    assert {each.by for each in differing} == {(found.effects[0].name,)}
+    page = html.unescape((folder / "out" / "report.html").read_text(encoding="utf-8"))
+    assert f"<li>Where: {where}.</li>" in page
+    printed = (folder / "printed.txt").read_text(encoding="utf-8")
+    assert "Where: everywhere, most" in printed
+
+
 def test_the_extended_model_carries_its_evidence_and_flies(folder: Path) -> None:
     model = load_model(folder / "out" / "model.yaml")
     added = [entry for entry in model.sensor.effects if "evidence" in entry]

@@ -18,14 +18,17 @@ from msp_lab.characterise.page.field_of_view import sweep
 from msp_lab.characterise.page.mixture import density
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.write import write_report
+from msp_lab.characterise.sensors import Characterisation, characterised
 from msp_lab.comparison.report import check_sensor
 from msp_lab.comparison.write import write_comparison
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.csv_form import MeasuredData
+from msp_range.recording.csv_form import MeasuredData, write_csv
 from msp_range.yaml_file import ConfigError
 from msp_sim.page.style import draw_pit_bars, new_axes
 from tests.support.characterised import found_in, measured
 from tests.support.known import known
+from tests.support.measured import MODEL as MODEL_FILE
+from tests.support.measured import readings
 from tests.support.plain_bench import point, table
 
 MODEL = load_sensor_model(Path(__file__).parents[2] / "configs/sensors/mb1242.yaml")
@@ -140,6 +143,22 @@ def nothing_found(data: MeasuredData) -> Findings:
 
 
 @pytest.mark.slow
+def test_the_page_is_drawn_from_the_points_that_the_analysis_sorted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_csv(tmp_path / "bench.csv", readings(1200, 2))
+    how = Characterisation((tmp_path / "bench.csv",), MODEL_FILE, (), "recorded", "2026-10-05", 1)
+    made = characterised(how)
+    assert len(made.points) == len(made.findings.points) > 10
+    again = PictureData(made.findings, made.data, made.model)
+    rows = PictureData(made.findings, made.data, made.model, of_analysis=made.points)
+    assert [each.level for each in rows.points] == [each.level for each in again.points]
+    np.testing.assert_array_equal(rows.missed, again.missed)
+    assert {each.sensor_model for each in rows.points} == {made.model}
+    monkeypatch.setattr("msp_lab.characterise.page.picture_data.sort_into_points", None)
+    assert "Kinds of readings" in made.publish(tmp_path / "page").read_text(encoding="utf-8")
+
+
 def test_every_picture_is_there(complete: Complete) -> None:
     folder, page, _ = complete
     assert names_of(folder) == PICTURES

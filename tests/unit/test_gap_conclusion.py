@@ -212,6 +212,15 @@ def test_a_column_is_likely_only_if_readings_differ_over_what_else_its_effects_n
         assert said.next_step.startswith(step)
 
 
+def test_where_a_column_may_be_what_runs_differ_by_more_runs_decide() -> None:
+    offsets = replace(
+        OTHERS, name="run_offsets", alternatives=(Alternative("battery", -1.0), Alternative("fin_c", 2.0))
+    )
+    said = with_words(GapFindings("explained", 2000, 12, GAPS["closed after"], (offsets,)))
+    assert said.next_step == "record more runs that differ in battery or fin alone"
+    assert "or it is battery or fin)" in said.effects[0].plain
+
+
 WITHIN = replace(gap(0.05, 0.05, 0.4), nats_per_reading=Measure(0.05, None, 0.4), bias_cm=Measure(0.01, None, 0.06))
 
 

@@ -53,6 +53,16 @@ def test_rotors_that_are_on_in_every_second_of_24000_readings_are_found() -> Non
     assert any("20,000 of 24,000 readings" in each for each in found.messages)
 
 
+@pytest.mark.slow
+def test_an_offset_of_one_of_two_sensors_that_read_in_turn_is_found_in_24000_readings() -> None:
+    left = np.arange(24_000) % 2 == 1
+    contexts = flown(left.size, np.random.default_rng(3).uniform(0.0, 1.0, left.size))
+    found = named({**contexts, "sensor": np.where(left, "left", "right")}, 1.0 * left)
+    assert [(each.name, each.of) for each in found.effects] == [("mounting_offset", "left")]
+    assert found.effects[0].parameters["offset_cm"].may_be(1.0)
+    assert not found.unknown
+
+
 @pytest.mark.parametrize("period", [3, *slow(2, 7)])
 def test_no_period_of_a_context_hides_it(period: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rules, "READINGS", 2000)

@@ -1,19 +1,20 @@
 """Ripples over range and time are found with their period, and noise that wanders slowly is none."""
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
 
+from msp_lab.gap.curve_test import ripples
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.refit import refit
-from msp_lab.gap.ripples import ripples
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -51,9 +52,10 @@ def found(contexts: dict[str, Any], reading_cm: Array) -> list[tuple[str, float,
     """Variable, period and log probability of each ripple, the likeliest first."""
     forms = ripples(contexts, refit(Prepared.of(MODEL, contexts, reading_cm), []).here)
     return [
-        (each.variables[0], each.knots[0].period, each.log_p + each.cost_nats)
+        (each.variables[0], ripple.period, each.corrected)
         for each in forms
-        if isinstance(each.knots[0], Ripple)
+        for (ripple,) in each.forms
+        if isinstance(ripple, Ripple)
     ]
 
 
@@ -65,6 +67,19 @@ def test_a_ripple_is_found_with_its_period(column: str, period: float) -> None:
     assert variable == column
     assert at == pytest.approx(period, rel=0.01)
     assert log_p < np.log(1e-5)
+
+
+def test_what_is_slower_than_the_slowest_ripple_is_none() -> None:
+    contexts = flown(1)
+    wave_cm = 0.8 * np.sin(2.0 * np.pi * contexts["true_range_cm"] / 57.0)
+    assert min((log_p for _, _, log_p in found(contexts, read(contexts, 1, wave_cm))), default=0.0) > np.log(0.004)
+
+
+def test_noise_has_a_ripple_no_more_often_than_its_probability_says() -> None:
+    rng = np.random.default_rng(1)
+    drawn = [cast(Any, SimpleNamespace(own_centre=rng.standard_normal(N), carry=None)) for _ in range(100)]
+    likeliest = [ripples(flown(k % 5), here)[0].corrected for k, here in enumerate(drawn)]
+    assert np.mean(np.array(likeliest) < np.log(0.1)) < 0.12
 
 
 def test_noise_that_wanders_slowly_is_no_ripple() -> None:

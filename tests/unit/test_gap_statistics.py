@@ -16,6 +16,7 @@ from msp_lab.gap.refit import refit
 from msp_lab.gap.screen import score_matrix
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.validation import gain
+from msp_range.arrays import numbered
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
@@ -219,6 +220,27 @@ def test_offsets_between_runs_are_named() -> None:
     offset_cm = 1.5 * np.random.default_rng(9).standard_normal(RUNS)
     found = explained(contexts, read(contexts, 9, bias_cm=np.repeat(offset_cm, ROWS)))
     assert "run_offsets" in [each.name for each in found.effects]
+
+
+@pytest.mark.parametrize("explains", [True, False])
+def test_a_column_that_explains_the_offsets_of_few_runs_is_an_alternative(explains: bool) -> None:
+    """Two runs with each of five batteries: too few for a curve, and alike two by two or not."""
+    contexts, rng = flown(2), np.random.default_rng(2)
+    run = np.arange(RUNS * ROWS) // (2 * ROWS)
+    contexts["run"] = np.array([f"run{k}" for k in run])
+    battery = rng.permutation(np.repeat(["b1", "b2", "b3", "b4", "b5"], 2))[run]
+    contexts["battery"] = battery
+    contexts["pilot"] = np.array([f"pilot{k}" for k in run])
+    contexts["air_temperature_c"] = rng.uniform(0.0, 35.0, 10)[run]
+    off_cm = {
+        True: np.linspace(0.0, 3.2, 5)[numbered(battery)],
+        False: rng.permutation(np.linspace(-1.5, 1.5, 10))[run],
+    }
+    (found,) = explained(contexts, read(contexts, 2, bias_cm=off_cm[explains])).effects
+    assert found.name == "run_offsets"
+    assert [each.name for each in found.alternatives] == ["battery"] * explains
+    assert found.verdict == ("indistinguishable" if explains else "named")
+    assert ("to tell run_offsets from battery: more runs that differ in it alone" in found.experiment) == explains
 
 
 @pytest.mark.slow

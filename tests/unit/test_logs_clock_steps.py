@@ -127,6 +127,24 @@ def test_an_autopilot_that_starts_again_begins_a_run() -> None:
     assert (found_s >= runs[1].start_s).sum() == 200
 
 
+@pytest.mark.parametrize("is_time", [False, True])
+def test_a_clock_that_is_rounded_to_four_digits_is_no_step(is_time: bool) -> None:
+    """12,345 s is 12,340 s. At the end of a table few readings say what the clocks differ by."""
+    for rows in range(396, 412):
+        exact_s = 9000.0 + 71.3 * np.arange(rows)
+        rounded_s = np.array([float(f"{each:.4g}") for each in exact_s])
+        clocks = (rounded_s, exact_s) if is_time else (exact_s, rounded_s)
+        assert continuous([Stamps(np.arange(rows), *clocks)])[1] == ()
+
+
+def test_a_step_is_seen_by_a_clock_that_is_rounded_to_less() -> None:
+    exact_s = 9000.0 + 71.3 * np.arange(400)
+    rounded_s = np.array([float(f"{each:.4g}") for each in exact_s])
+    set_s = exact_s + 5000.0 * (np.arange(400) >= 200)
+    _, runs = continuous([Stamps(np.arange(400), set_s, rounded_s)])
+    assert [each.step_s for each in runs] == pytest.approx([0.0, 5071.3])
+
+
 def test_one_step_is_one_however_many_senders_see_it() -> None:
     """The third is too slow to see it itself."""
     senders = []

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
-from msp_lab.gap.curve_scan import variables_of
+from msp_lab.gap.curve_test import asked_of
 from msp_lab.gap.prepared import Prepared, channel_slopes
 from msp_lab.gap.refit import fit_base
 from msp_lab.readings.intake import load_readings
@@ -135,7 +135,7 @@ def test_the_score_of_correlated_readings_follows_their_likelihood() -> None:
 
 def test_it_is_no_context_and_has_to_be_a_deviation(tmp_path: Path) -> None:
     columns = flown(200, 6)
-    assert set(variables_of(columns)) == {"true_range_cm"}
+    assert {names for names, _ in asked_of(columns)[0]} == {("true_range_cm",)}
     columns["true_range_std_cm"][7] = -1.0
     write_csv(tmp_path / "a.csv", {**columns, "sensor": np.full(200, "a")})
     with pytest.raises(RecordingError, match="true_range_std_cm of -1 to 2, expected the standard deviation"):

@@ -41,10 +41,12 @@ FEW_READINGS = 20
 
 
 class Characterised(NamedTuple):
-    """Findings, and the changes of the sensor model: new values of its fields; one that is not there is kept."""
+    """Findings, the changes of the sensor model (new values of its fields; one that is not there is kept), and the
+    points that the readings were sorted into."""
 
     findings: Findings
     changes: dict[str, Any]
+    points: Sequence[PointReadings]
 
 
 def characterise(
@@ -106,7 +108,7 @@ def characterise(
     changes = _changes(findings, sensor, rows, heard_on_axis_cm=heard_cm, reading_model=parameters)
     if sensor.resolution_cm != start.resolution_cm:
         changes["resolution_cm"] = sensor.resolution_cm
-    return Characterised(findings, changes)
+    return Characterised(findings, changes, points)
 
 
 def _mixture(

@@ -15,6 +15,7 @@ from numpy.random import default_rng
 from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Findings, as_json
 from msp_lab.characterise.model_file import changed, model_text, write_new
+from msp_lab.characterise.points import PointReadings
 from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import load_readings, sensors_in, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
@@ -54,6 +55,8 @@ class SensorResult:
     findings: Findings
     changes: Mapping[str, Any]
     data: MeasuredData
+    points: Sequence[PointReadings]
+    """These readings, as they were sorted."""
     start: str
 
     def write(self, path: Path) -> None:
@@ -66,7 +69,7 @@ class SensorResult:
         from msp_lab.characterise.page.picture_data import PictureData
         from msp_lab.characterise.page.write import write_report
 
-        return write_report(PictureData(self.findings, self.data, self.model), folder)
+        return write_report(PictureData(self.findings, self.data, self.model, of_analysis=self.points), folder)
 
 
 def check_free(out: Path, folder: Path | None) -> None:
@@ -92,7 +95,7 @@ def characterised(
     start = load_sensor_model(how.start)
     loaded = load_readings(how.data, start, load_maps(how.column_map), sensors=sensors, truth=how.truth)
     loaded = without_impossible(loaded, start)
-    findings, changes = characterise(
+    findings, changes, points = characterise(
         loaded,
         start,
         date=how.date,
@@ -101,7 +104,7 @@ def characterised(
         set_up_std_cm=how.set_up_std_cm,
         progress=progress,
     )
-    return SensorResult(changed(start, findings, changes), findings, changes, loaded.data, how.start.name)
+    return SensorResult(changed(start, findings, changes), findings, changes, loaded.data, points, how.start.name)
 
 
 @dataclass(frozen=True)

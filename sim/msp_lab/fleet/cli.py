@@ -71,7 +71,7 @@ def fleet(
         )
     console = PlainConsole(width=WIDTH)
     _print(findings, where.died, console)
-    files = ", ".join(each.name for each in write_files(findings, out))
+    files = ", ".join(path.name for path in write_files(findings, out))
     console.print(
         f"{findings.readings:,} readings, {findings.vehicles} vehicles, {findings.sensors} sensors, "
         f"{findings.sessions} sessions; in {out}: {files}",
@@ -84,12 +84,12 @@ def _print(findings: "FleetFindings", died: int, console: PlainConsole) -> None:
 
     console.print(findings.sentence, style="bold")
     found = findings.effects[: findings.found]
-    for each in found:
-        console.print(f"  {each.kind}: {line_of(each, findings)}")
-        if each.mean is not None:
+    for effect in found:
+        console.print(f"  {effect.kind}: {line_of(effect, findings)}")
+        if effect.mean is not None:
             console.print(
-                f"    fleet {each.mean:.3g} ({each.low:.3g} to {each.high:.3g}){unit_after(each.unit)}, "
-                f"between vehicles {each.tau:.2g}, {each.parameter}",
+                f"    fleet {effect.mean:.3g} ({effect.low:.3g} to {effect.high:.3g}){unit_after(effect.unit)}, "
+                f"between vehicles {effect.tau:.2g}, {effect.parameter}",
                 style="dim",
             )
     if findings.left_out:

@@ -80,7 +80,7 @@ class FleetEffect:
     @property
     def odd(self) -> tuple[UnitEstimate, ...]:
         """The odd ones out."""
-        return tuple(each for each in self.estimates if each.odd)
+        return tuple(estimate for estimate in self.estimates if estimate.odd)
 
 
 @dataclass(frozen=True)
@@ -136,27 +136,27 @@ class FleetFindings:
         return text.getvalue()
 
     def _rows(self) -> Iterator[dict[str, str]]:
-        for each in self.effects:
-            for one in each.estimates:
+        for effect in self.effects:
+            for estimate in effect.estimates:
                 yield {
-                    "kind": each.kind,
-                    "effect": each.name,
-                    "parameter": each.parameter,
-                    "unit": each.unit,
-                    "vehicle": one.vehicle,
-                    "sensor": one.sensor,
-                    "since": each.since,
-                    "odd": "yes" if one.odd else "no",
-                    "value": _digits(one.value),
-                    "std_error": _digits(one.error),
-                    "shrunk": _digits(one.shrunk),
-                    "shrunk_low": _digits(one.low),
-                    "shrunk_high": _digits(one.high),
-                    "p_value": _digits(one.p_value),
-                    "fleet_mean": _digits(each.mean),
-                    "fleet_low": _digits(each.low),
-                    "fleet_high": _digits(each.high),
-                    "between_vehicles_std": _digits(each.tau),
+                    "kind": effect.kind,
+                    "effect": effect.name,
+                    "parameter": effect.parameter,
+                    "unit": effect.unit,
+                    "vehicle": estimate.vehicle,
+                    "sensor": estimate.sensor,
+                    "since": effect.since,
+                    "odd": "yes" if estimate.odd else "no",
+                    "value": _digits(estimate.value),
+                    "std_error": _digits(estimate.error),
+                    "shrunk": _digits(estimate.shrunk),
+                    "shrunk_low": _digits(estimate.low),
+                    "shrunk_high": _digits(estimate.high),
+                    "p_value": _digits(estimate.p_value),
+                    "fleet_mean": _digits(effect.mean),
+                    "fleet_low": _digits(effect.low),
+                    "fleet_high": _digits(effect.high),
+                    "between_vehicles_std": _digits(effect.tau),
                 }
 
 

@@ -29,14 +29,14 @@ def write_files(findings: FleetFindings, folder: Path) -> list[Path]:
         A file cannot be written.
     """
     pictures = pictures_of([("fleet", "", lambda: (draw_fleet(findings), CAPTION))])
-    numbers = [_table(each, k) for k, each in enumerate(findings.effects, start=1) if not each.sessions]
+    numbers = [_table(effect, k) for k, effect in enumerate(findings.effects, start=1) if not effect.sessions]
     page = write_page(
         folder,
         f"{__package__}/fleet.html",
         pictures,
         [_summary(findings), *numbers],
         findings=findings,
-        lines=[line_of(each, findings) for each in findings.effects[: findings.found]],
+        lines=[line_of(effect, findings) for effect in findings.effects[: findings.found]],
         left_out=left_out_line(findings),
     )
     try:
@@ -51,15 +51,15 @@ def write_files(findings: FleetFindings, folder: Path) -> list[Path]:
 def _summary(findings: FleetFindings) -> PageTable:
     rows = [
         (
-            each.kind,
-            each.name.replace("_", " "),
-            f"{each.parameter}{each.unit_label}",
-            "" if each.mean is None else f"{each.mean:.3g} ({each.low:.3g} to {each.high:.3g})",
-            f"{each.tau:.3g}" if each.mean is not None else "",
-            f"{100.0 * each.i2:.0f} %" if each.mean is not None else "",
-            ", ".join(f"{one.vehicle} {one.sensor} {one.value:.3g}" for one in each.odd),
+            effect.kind,
+            effect.name.replace("_", " "),
+            f"{effect.parameter}{effect.unit_label}",
+            "" if effect.mean is None else f"{effect.mean:.3g} ({effect.low:.3g} to {effect.high:.3g})",
+            f"{effect.tau:.3g}" if effect.mean is not None else "",
+            f"{100.0 * effect.i2:.0f} %" if effect.mean is not None else "",
+            ", ".join(f"{estimate.vehicle} {estimate.sensor} {estimate.value:.3g}" for estimate in effect.odd),
         )
-        for each in findings.effects
+        for effect in findings.effects
     ]
     header = ("finding", "effect", "parameter", "fleet's mean (95 %)", "between vehicles", "I²", "odd ones out")
     caption = "Mean and standard deviation between the ordinary vehicles; I² is how much of the scatter that is."

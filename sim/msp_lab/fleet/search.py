@@ -98,12 +98,12 @@ class Search:
 
     def search(self) -> None:
         """Find until nothing is left that random variation does not explain."""
-        self.first = [each for each in numbers_of(self.scores) if each.term.is_base]
+        self.first = [number for number in numbers_of(self.scores) if number.term.is_base]
         while len(self.found) < MAX_FINDINGS:
             numbers, changes = numbers_of(self.scores), changes_of(self.scores)
-            plain = sum(each.units.size for each in numbers if each.term.is_base)
+            plain = sum(number.units.size for number in numbers if number.term.is_base)
             # A mean for each effect, a deviation for each unit, and its changes and drifts.
-            others = sum(each.units.size + 1 for each in numbers if not each.term.is_base) + 2 * len(changes)
+            others = sum(number.units.size + 1 for number in numbers if not number.term.is_base) + 2 * len(changes)
             self.plain_tests, self.other_tests = max(self.plain_tests, plain), max(self.other_tests, others)
             if not (self._shared(numbers) or self._of_units(numbers, changes) or self._of_base(numbers)):
                 break
@@ -125,51 +125,56 @@ class Search:
 
     def _level(self, share: float, tests: int) -> float:
         # A calibration says of nothing that it is wrong.
-        count = sum(each.count for each in self.found if each.kind != "calibration")
+        count = sum(finding.count for finding in self.found if finding.kind != "calibration")
         return float(np.log(share * self.fdr * (count + 1) / max(tests, 1)))
 
     @property
     def _of_all(self) -> set[Key]:
         """Effects that all units are known to have."""
-        return {each.term.key for each in self.found if each.kind in ("shared", "calibration")}
+        return {finding.term.key for finding in self.found if finding.kind in ("shared", "calibration")}
 
     def _has(self, unit: int, key: Key) -> bool:
-        kinds = [each for each in self.found if each.term.key == key and each.kind == "odd"]
-        return (unit, key) in self._without or any(unit in each.units for each in kinds)
+        kinds = [finding for finding in self.found if finding.term.key == key and finding.kind == "odd"]
+        return (unit, key) in self._without or any(unit in finding.units for finding in kinds)
 
     def _shared(self, numbers: Sequence[Number]) -> bool:
         """One more effect that the fleet shares."""
         level, of_all = self.level, self._of_all
         open_ = {
-            each.term: each
-            for each in numbers
-            if not (each.term.is_base or each.term.sessions)
-            and each.term.key not in of_all
-            and (FLEET, each.term.key) not in self._without
-            and each.fleet.ordinary.sum() > len(self.units) / 2.0
+            number.term: number
+            for number in numbers
+            if not (number.term.is_base or number.term.sessions)
+            and number.term.key not in of_all
+            and (FLEET, number.term.key) not in self._without
+            and number.fleet.ordinary.sum() > len(self.units) / 2.0
         }
         means = [
-            Deviation(each.fleet.log_p, term, FLEET, each.fleet.mean, each.fleet.mean) for term, each in open_.items()
+            Deviation(number.fleet.log_p, term, FLEET, number.fleet.mean, number.fleet.mean)
+            for term, number in open_.items()
         ]
         ranked = _best_by_key(means)
         # What every sensor has a number for, such as the tails of its noise, is calibrated before anything is named,
         # also where it is less certain: nothing is wrong with it.
         numbered = [
-            each
-            for each in ranked
-            if effect_of(each.term.effect).base is not None and each.log_p <= rules.REFIT_WITHIN_SHARE * level
+            deviation
+            for deviation in ranked
+            if effect_of(deviation.term.effect).base is not None and deviation.log_p <= rules.REFIT_WITHIN_SHARE * level
         ]
-        near = [each for each in ranked if each.log_p <= min(level, rules.REFIT_WITHIN_SHARE * ranked[0].log_p)]
+        near = [
+            deviation
+            for deviation in ranked
+            if deviation.log_p <= min(level, rules.REFIT_WITHIN_SHARE * ranked[0].log_p)
+        ]
         best = numbered[:1] or near[:SHARED_TRIED]
         if not best:
             return False
         everyone = range(len(self.units))
-        gains = self._gains(everyone, [_tried(each) for each in best])
-        total = len(self.units) * mean_nats(gains.nats, [open_[each.term] for each in best])
+        gains = self._gains(everyone, [_tried(deviation) for deviation in best])
+        total = len(self.units) * mean_nats(gains.nats, [open_[deviation.term] for deviation in best])
         k = int(np.argmax(total))
         needed = -level if numbered else max(-level, SHARED_NATS * len(self.units))
         if total[k] < needed:
-            self._without |= {(FLEET, each.term.key) for each in best}
+            self._without |= {(FLEET, deviation.term.key) for deviation in best}
             return True
         term = gains.common(k, everyone)
         self.found.append(FleetFinding("calibration" if numbered else "shared", term, (), gains.near(k, total)))
@@ -180,11 +185,11 @@ class Search:
         """Some units with one more effect, or one that changed."""
         level = self.level
         flagged = self._flagged(numbers, level)
-        done = {each.units[0] for each in self.found if each.change is not None}
-        changed = [each for each in changes if each[2].log_p <= level and each[1] not in done]
-        first = min((each.log_p for each in flagged.values()), default=0.0)
-        if changed and min(each[2].log_p for each in changed) <= first:
-            self._take_change(*min(changed, key=lambda each: each[2].log_p), changes)
+        done = {finding.units[0] for finding in self.found if finding.change is not None}
+        changed = [(term, unit, change) for term, unit, change in changes if change.log_p <= level and unit not in done]
+        first = min((suspect.log_p for suspect in flagged.values()), default=0.0)
+        if changed and min(change.log_p for *_, change in changed) <= first:
+            self._take_change(*min(changed, key=lambda place: place[2].log_p), changes)
             return True
         if flagged:
             self._odd(flagged, level)
@@ -197,9 +202,9 @@ class Search:
         throttle hardly varies, a score says little of what grows with throttle, and a refit more.
         """
         of_base = {
-            (each.unit, effect_of(each.term.effect).channels[0]): each.log_p
-            for each in self._plain(numbers)
-            if each.log_p <= self.plain_level
+            (deviation.unit, effect_of(deviation.term.effect).channels[0]): deviation.log_p
+            for deviation in self._plain(numbers)
+            if deviation.log_p <= self.plain_level
         }
         found: dict[int, _Suspect] = {}
         for number in numbers:
@@ -209,14 +214,18 @@ class Search:
             if "component" in channels:
                 # Echoes from elsewhere count as short or random readings until they have a name.
                 channels = (*channels, "short", "random")
-            for each in number.deviations:
-                same = [(each.unit, channel) for channel in channels]
-                others = [] if self.fits(each.unit, each.term) else [of_base[one] for one in same if one in of_base]
-                if self._has(each.unit, each.term.key) or (each.log_p > level and not others):
+            for deviation in number.deviations:
+                same = [(deviation.unit, channel) for channel in channels]
+                others = (
+                    []
+                    if self.fits(deviation.unit, deviation.term)
+                    else [of_base[one] for one in same if one in of_base]
+                )
+                if self._has(deviation.unit, deviation.term.key) or (deviation.log_p > level and not others):
                     continue
-                suspect = found.setdefault(each.unit, _Suspect())
-                suspect.log_p = min([suspect.log_p, each.log_p, *others])
-                (suspect.own if each.log_p <= level else suspect.other).append(each)
+                suspect = found.setdefault(deviation.unit, _Suspect())
+                suspect.log_p = min([suspect.log_p, deviation.log_p, *others])
+                (suspect.own if deviation.log_p <= level else suspect.other).append(deviation)
         return found
 
     def _plain(self, numbers: Sequence[Number]) -> list[Deviation]:
@@ -225,26 +234,26 @@ class Search:
         Of a unit in which nothing was found they are those of the first fit: what the whole fleet has is fitted in each
         unit too, and leaves its scatter less certain.
         """
-        found = {unit for each in self.found for unit in each.units}
+        found = {unit for finding in self.found for unit in finding.units}
         now = [
-            each
+            deviation
             for number in numbers
             if number.term.is_base and not number.term.sessions
-            for each in number.deviations
-            if each.unit in found
+            for deviation in number.deviations
+            if deviation.unit in found
         ]
-        first = [each for number in self.first for each in number.deviations if each.unit not in found]
-        return [each for each in (*now, *first) if not self._has(each.unit, each.term.key)]
+        first = [deviation for number in self.first for deviation in number.deviations if deviation.unit not in found]
+        return [deviation for deviation in (*now, *first) if not self._has(deviation.unit, deviation.term.key)]
 
     def _odd(self, flagged: Mapping[int, "_Suspect"], level: float) -> None:
         """Name what the clearest of the odd units has, and all that have the same."""
         units = list(flagged)
         worst = min(units, key=lambda unit: flagged[unit].log_p)
         # What all units have is fitted in all: of a unit with more or less of it that number is held at the fleet's.
-        best = min(flagged[worst].own, key=lambda each: each.log_p, default=None)
+        best = min(flagged[worst].own, key=lambda deviation: deviation.log_p, default=None)
         of_all = self._of_all
         if best is not None and best.term.key in of_all:
-            k = next(k for k, each in enumerate(self.terms[worst]) if each.key == best.term.key and not each.sessions)
+            k = next(k for k, term in enumerate(self.terms[worst]) if term.key == best.term.key and not term.sessions)
             (lost,) = values_of(self.run(held, [(self.units[worst], self.terms[worst], k, best.mean)]))
             if lost >= -level:
                 self._take_odd(best.term, (worst,))
@@ -252,12 +261,12 @@ class Search:
                 self._without.add((worst, best.term.key))
             return
         tried: dict[Key, FleetTerm] = {}
-        for suspect in sorted(flagged.values(), key=lambda each: each.log_p):
-            for each in suspect.candidates():
-                if each.term.key not in of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
-                    tried.setdefault(each.term.key, _tried(each))
+        for suspect in sorted(flagged.values(), key=lambda suspect: suspect.log_p):
+            for deviation in suspect.candidates():
+                if deviation.term.key not in of_all and len(tried) < 2 * rules.REFITS_PER_STEP:
+                    tried.setdefault(deviation.term.key, _tried(deviation))
         if not tried:
-            self._without |= {(worst, each.term.key) for each in (*flagged[worst].own, *flagged[worst].other)}
+            self._without |= {(worst, deviation.term.key) for deviation in (*flagged[worst].own, *flagged[worst].other)}
             return
         gains = self._gains(units, list(tried.values()))
         row = units.index(worst)
@@ -274,7 +283,7 @@ class Search:
 
     def _of_base(self, numbers: Sequence[Number]) -> bool:
         """A unit with another number of the base, once no effect explains it."""
-        best = min(self._plain(numbers), key=lambda each: each.log_p, default=None)
+        best = min(self._plain(numbers), key=lambda deviation: deviation.log_p, default=None)
         if best is None or best.log_p > self.plain_level:
             return False
         self._take_odd(best.term, (best.unit,))
@@ -285,8 +294,8 @@ class Search:
     ) -> None:
         """Only the clearest change of a unit, with the other numbers that it could be a change of."""
         near = []
-        for other, place, each in changes:
-            lost = change.nats - each.nats
+        for other, place, possible in changes:
+            lost = change.nats - possible.nats
             if place == unit and other != term and lost <= rules.ALTERNATIVE_NATS:
                 near.append((other, lost))
         self.found.append(FleetFinding(change.kind, term, (unit,), tuple(near), change))
@@ -309,7 +318,7 @@ class Search:
             self._fit(units, term)
 
     def _odd_in(self, term: FleetTerm) -> list[FleetFinding]:
-        return [each for each in self.found if each.kind == "odd" and each.term.identity == term.identity]
+        return [finding for finding in self.found if finding.kind == "odd" and finding.term.identity == term.identity]
 
     def _replace(self, finding: FleetFinding, units: tuple[int, ...]) -> None:
         """The finding with other units in its place; with none it is no finding."""
@@ -320,8 +329,8 @@ class Search:
         """Take out effects of units that others, found later, have made needless."""
         for unit in units:
             for term in self.terms[unit]:
-                others = tuple(each for each in self.terms[unit] if each != term)
-                own = [each for each in self._odd_in(term) if unit in each.units]
+                others = tuple(other for other in self.terms[unit] if other != term)
+                own = [finding for finding in self._odd_in(term) if unit in finding.units]
                 if not own or not others:
                     continue
                 ((lost,),) = values_of(self.run(compare, [(self.units[unit], others, (term,))]))
@@ -331,19 +340,19 @@ class Search:
                 (self.scores[unit],) = self.examined([unit], self.terms)
                 # It is not asked again, so that effects do not take each other's place in turn.
                 self._without.add((unit, term.key))
-                self._replace(own[0], tuple(each for each in own[0].units if each != unit))
+                self._replace(own[0], tuple(other for other in own[0].units if other != unit))
 
     def fits(self, unit: int, term: FleetTerm) -> bool:
         """Whether a unit is known to have an effect."""
-        return any(each.key == term.key and not each.sessions for each in self.terms[unit])
+        return any(own.key == term.key and not own.sessions for own in self.terms[unit])
 
     def _fit(self, units: Sequence[int], term: FleetTerm) -> None:
         """Refit units with one more term; those that have it already, as what an odd one shares with all, are left."""
         units = [unit for unit in units if term.sessions or not self.fits(unit, term)]
         for unit in units:
             self.terms[unit] = (*self.terms[unit], term)
-        for unit, each in zip(units, self.examined(units, self.terms), strict=True):
-            self.scores[unit] = each
+        for unit, numbers in zip(units, self.examined(units, self.terms), strict=True):
+            self.scores[unit] = numbers
 
     def examined(
         self, places: Sequence[int], terms: Sequence[tuple[FleetTerm, ...]], with_others: bool = True
@@ -356,17 +365,17 @@ class Search:
         fits: list[list[RefittedTerm]] = values_of(
             self.run(compare, [(self.units[k], self.terms[k], tried) for k in units])
         )
-        nats = np.array([[each.gain_nats for each in row] for row in fits])
+        nats = np.array([[refitted.gain_nats for refitted in row] for row in fits])
         return _Gains(tuple(tried), fits, nats)
 
 
 def values_of(outcomes: Iterable[ItemOutcome[Any]]) -> list[Any]:
     """The results; RecordingError where there is none, since the files could be read before."""
     found = []
-    for each in outcomes:
-        if each.error is not None:
-            raise RecordingError(f"a sensor's readings could be used once, and now not: {each.error}")
-        found.append(each.value)
+    for outcome in outcomes:
+        if outcome.error is not None:
+            raise RecordingError(f"a sensor's readings could be used once, and now not: {outcome.error}")
+        found.append(outcome.value)
     return found
 
 
@@ -408,9 +417,9 @@ class _Gains:
         term = self.terms[k]
         rows = sorted(group, key=lambda i: -self.nats[i, k])
         some = [dict(self.fits[i][k].values) for i in rows[: max(1, len(rows) // 2)]]
-        shape = tuple((name, float(f"{np.median([each[name] for each in some]):.4g}")) for name, _ in term.shape)
+        shape = tuple((name, float(f"{np.median([values[name] for values in some]):.4g}")) for name, _ in term.shape)
         return replace(
-            term, shape=shape, shape_fitted=False, start=float(np.median([each[term.number] for each in some]))
+            term, shape=shape, shape_fitted=False, start=float(np.median([values[term.number] for values in some]))
         )
 
 
@@ -424,14 +433,14 @@ def mean_nats(nats: Array, numbers: Sequence[Number]) -> Array:
     numbers
         Over the fleet.
     """
-    return np.array([nats[each.units[each.fleet.ordinary], j].mean() for j, each in enumerate(numbers)])
+    return np.array([nats[number.units[number.fleet.ordinary], j].mean() for j, number in enumerate(numbers)])
 
 
 def _best_by_key(deviations: Iterable[Deviation]) -> list[Deviation]:
     """For each effect the shape with the smallest p-value, the smallest first."""
     best: dict[Key, Deviation] = {}
-    for each in sorted(deviations, key=lambda each: each.log_p):
-        best.setdefault(each.term.key, each)
+    for deviation in sorted(deviations, key=lambda deviation: deviation.log_p):
+        best.setdefault(deviation.term.key, deviation)
     return list(best.values())
 
 

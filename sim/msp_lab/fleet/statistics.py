@@ -84,8 +84,8 @@ class Number:
 def series_of(units: Sequence[UnitNumbers]) -> dict[FleetTerm, list[tuple[int, Sessions]]]:
     """Every number that is fitted, by session, with the places of the units in which it is."""
     found: dict[FleetTerm, list[tuple[int, Sessions]]] = {}
-    for k, each in enumerate(units):
-        for term, sessions in each.over_sessions():
+    for k, unit in enumerate(units):
+        for term, sessions in unit.over_sessions():
             found.setdefault(replace(term, start=0.0), []).append((k, sessions))
     return found
 
@@ -97,9 +97,9 @@ def _one_sided(term: FleetTerm) -> bool:
 def numbers_of(units: Sequence[UnitNumbers]) -> list[Number]:
     """Every number that more than `MIN_ORDINARY` units have."""
     places: dict[FleetTerm, list[tuple[int, int]]] = {}
-    for k, each in enumerate(units):
-        for j in np.flatnonzero(np.isfinite(each.error)).tolist():
-            places.setdefault(replace(each.terms[j], start=0.0), []).append((k, j))
+    for k, unit in enumerate(units):
+        for j in np.flatnonzero(np.isfinite(unit.error)).tolist():
+            places.setdefault(replace(unit.terms[j], start=0.0), []).append((k, j))
     series = series_of(units)
     found = []
     for term, where in places.items():
@@ -109,7 +109,7 @@ def numbers_of(units: Sequence[UnitNumbers]) -> list[Number]:
         omega2 = between_sessions(list(fitted.values()))
         shares = [float((fitted[k].share ** 2).sum()) if k in fitted else 0.0 for k, _ in where]
         value = np.array([units[k].value[j] for k, j in where])
-        error = np.sqrt([units[k].error[j] ** 2 + omega2 * each for (k, j), each in zip(where, shares, strict=True)])
+        error = np.sqrt([units[k].error[j] ** 2 + omega2 * share for (k, j), share in zip(where, shares, strict=True)])
         if fitted and _one_sided(term):
             # The variance of a share is in proportion to it: a small one is known no better than the others' would be.
             error *= np.sqrt(np.maximum(np.median(value) / np.maximum(value, error), 1.0))
@@ -134,15 +134,15 @@ def changes_of(units: Sequence[UnitNumbers]) -> list[tuple[FleetTerm, int, Chang
 
 def between_sessions(series: Sequence[Sessions]) -> float:
     """Variance of a number between sessions of one unit, common to the fleet."""
-    several = [each for each in series if each.value.size >= 2]
+    several = [sessions for sessions in series if sessions.value.size >= 2]
     if not several:
         return 0.0
-    usual = np.array([chi2.median(each.value.size - 1) for each in several])
+    usual = np.array([chi2.median(sessions.value.size - 1) for sessions in several])
 
     def ratio(omega2: float) -> float:
-        return float(np.median([_squares(each.value, each.variance + omega2) for each in several] / usual))
+        return float(np.median([_squares(sessions.value, sessions.variance + omega2) for sessions in several] / usual))
 
-    return where_one(ratio, max(float(np.ptp(each.value)) ** 2 for each in several))
+    return where_one(ratio, max(float(np.ptp(sessions.value)) ** 2 for sessions in several))
 
 
 def _squares(value: Array, variance: Array) -> float:

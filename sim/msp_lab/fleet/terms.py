@@ -85,7 +85,7 @@ def effect_of(name: str) -> Effect:
 def candidate_of(term: FleetTerm) -> CandidateEffect:
     """The term as a candidate of the search."""
     effect = effect_of(term.effect)
-    number = next(each for each in effect.parameters if each.name == term.number)
+    number = next(parameter for parameter in effect.parameters if parameter.name == term.number)
     if term.sessions:
         effect = _in_sessions(effect, term.sessions)
     if not term.shape_fitted:
@@ -104,7 +104,7 @@ def _in_sessions(effect: Effect, sessions: Sequence[str]) -> Effect:
     def apply(scene: Scene, values: Values) -> Contribution:
         inside = np.isin(scene["run"], sessions)
         changed = effect.apply(scene, values)._asdict()
-        return Contribution(**{name: _inside(name, each, inside) for name, each in changed.items()})
+        return Contribution(**{name: _inside(name, value, inside) for name, value in changed.items()})
 
     return replace(effect, apply=apply, requires=(*effect.requires, "run"))
 

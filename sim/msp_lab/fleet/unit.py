@@ -133,8 +133,8 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitN
     unit, terms, with_others = task
     problem, fit = _fitted(model, unit, terms)
     run = problem.contexts["run"].tolist()
-    sessions = [each for each in unit.sessions if each in set(run)]
-    here = np.array([sessions.index(each) for each in run])
+    sessions = [session for session in unit.sessions if session in set(run)]
+    here = np.array([sessions.index(name) for name in run])
     readings = np.bincount(here)
     of_terms = [fit.names.index(f"{k}.{term.number}") for k, term in enumerate(terms)]
     places = [*range(len(BASE_NUMBERS)), *of_terms]
@@ -171,11 +171,13 @@ def _others(problem: Problem, fit: JointFit, terms: Sequence[FleetTerm]) -> tupl
         for active, term in zip(fit.effects, terms, strict=True)
     )
     seen = screened(problem, State(fit, accepted, problem.information(fit), False))
-    own = {(*each.key, each.number) for each in terms if not each.sessions}
+    own = {(*term.key, term.number) for term in terms if not term.sessions}
     asked = [
         j
-        for j, each in enumerate(problem.candidates)
-        if each.effect.per != "run" and (*each.key, each.parameter.name) not in own and np.isfinite(seen.deviation[j])
+        for j, candidate in enumerate(problem.candidates)
+        if candidate.effect.per != "run"
+        and (*candidate.key, candidate.parameter.name) not in own
+        and np.isfinite(seen.deviation[j])
     ]
     deviation = seen.deviation[asked]
     return tuple(term_of(problem.candidates[j]) for j in asked), np.stack([seen.z[asked] * deviation, deviation])
@@ -252,4 +254,6 @@ def _with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
     starts = [term.start] if abs(term.start) > parameter.step else [small, -small]
     starts = [start for start in starts if start > 0.0 or not candidate.one_sided] or [small]
     at = [float(np.clip(candidate.neutral + start, parameter.low, parameter.high)) for start in starts]
-    return max((with_candidate(problem, fit, candidate, each) for each in at), key=lambda each: each.log_likelihood)
+    return max(
+        (with_candidate(problem, fit, candidate, start) for start in at), key=lambda fitted: fitted.log_likelihood
+    )

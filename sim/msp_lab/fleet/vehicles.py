@@ -56,7 +56,7 @@ def units_of(dataset: Path, pattern: str | None, seed: int) -> list[Unit]:
     version = _version(dataset)
     return [
         Unit(dataset, vehicle, sensor, tuple(sorted(sessions[vehicle, sensor], key=natural)), seed, version)
-        for vehicle, sensor in sorted(sessions, key=lambda each: (natural(each[0]), natural(each[1])))
+        for vehicle, sensor in sorted(sessions, key=lambda place: (natural(place[0]), natural(place[1])))
     ]
 
 
@@ -75,7 +75,7 @@ def natural(name: str) -> list[tuple[int, int | str]]:
 def _version(dataset: Path) -> str:
     """Another one whenever a file of the dataset is."""
     about = [(str(path), path.stat()) for path in sorted(dataset.rglob("*"))]
-    return sha256(repr([(name, each.st_size, each.st_mtime_ns) for name, each in about]).encode()).hexdigest()
+    return sha256(repr([(name, status.st_size, status.st_mtime_ns) for name, status in about]).encode()).hexdigest()
 
 
 def _vehicle(run: str, file: str, pattern: str | None) -> str:

@@ -29,8 +29,8 @@ def plain_of(term: FleetTerm, value: float, with_size: bool) -> str:
 def names_of(units: Sequence[UnitEstimate], several_sensors: bool) -> str:
     """Vehicles, with their sensors where they have several."""
     sensors: dict[str, list[str]] = {}
-    for each in units:
-        sensors.setdefault(each.vehicle, []).append(each.sensor)
+    for unit in units:
+        sensors.setdefault(unit.vehicle, []).append(unit.sensor)
     names = [f"{name} ({', '.join(own)})" if several_sensors else name for name, own in sensors.items()]
     return listed(names, MAX_NAMES)
 
@@ -39,7 +39,7 @@ def line_of(effect: FleetEffect, findings: FleetFindings) -> str:
     """One finding, without a full stop."""
     several = findings.sensors > findings.vehicles
     names = names_of(effect.odd, several)
-    count = len({each.vehicle for each in effect.odd})
+    count = len({estimate.vehicle for estimate in effect.odd})
     others = " or ".join(name.replace("_", " ") for name, _ in effect.alternatives)
     other = f" (or {others})" if others else ""
     if effect.kind == "change":
@@ -55,13 +55,13 @@ def line_of(effect: FleetEffect, findings: FleetFindings) -> str:
 
 def sentence_of(findings: FleetFindings) -> str:
     """The answer, for an operator."""
-    found = [each for each in findings.effects[: findings.found] if each.kind != "calibration"]
+    found = [effect for effect in findings.effects[: findings.found] if effect.kind != "calibration"]
     if not found:
         text = f"No vehicle of {findings.vehicles} differs from the others, as far as these readings can tell."
         if findings.vehicles < ENOUGH_VEHICLES:
             text += f" Of fewer than {ENOUGH_VEHICLES} even one that is far off is within what they scatter."
         return text
-    lines = [line_of(each, findings) for each in found[:MAX_SENTENCES]]
+    lines = [line_of(effect, findings) for effect in found[:MAX_SENTENCES]]
     more = len(found) - MAX_SENTENCES
     text = "; ".join(lines) + (f"; and {more} more finding{'s' * (more > 1)}" if more > 0 else "")
     return f"{capitalised(text)}. {100.0 * findings.fdr:.3g} % of such findings are expected to be false."
@@ -69,5 +69,5 @@ def sentence_of(findings: FleetFindings) -> str:
 
 def left_out_line(findings: FleetFindings) -> str:
     """Who is not in the comparison, and why."""
-    parts = [f"{each.vehicle} {each.sensor} ({each.why})" for each in findings.left_out]
+    parts = [f"{left.vehicle} {left.sensor} ({left.why})" for left in findings.left_out]
     return f"Left out: {and_list(parts)}." if parts else ""

@@ -55,27 +55,27 @@ def find_in_fleet(
     run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
     outcomes = list(zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True))
-    left_out = [LeftOut(unit.vehicle, unit.sensor, each.error) for unit, each in outcomes if each.error is not None]
-    units = [unit for unit, each in outcomes if each.error is None]
+    left_out = [LeftOut(unit.vehicle, unit.sensor, made.error) for unit, made in outcomes if made.error is not None]
+    units = [unit for unit, made in outcomes if made.error is None]
     vehicles = len({unit.vehicle for unit in units})
     if vehicles < MIN_VEHICLES:
-        reasons = "; ".join(f"{each.vehicle} {each.sensor}: {each.why}" for each in left_out[:3])
+        reasons = "; ".join(f"{left.vehicle} {left.sensor}: {left.why}" for left in left_out[:3])
         raise RecordingError(
             f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
             + (f". Left out: {reasons}" if reasons else "")
         )
-    search = Search(units, [each.value for _, each in outcomes if each.value is not None], fdr, run)
+    search = Search(units, [made.value for _, made in outcomes if made.value is not None], fdr, run)
     search.search()
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
-    effects = sorted((_effect(search, each) for each in search.found), key=lambda each: order[each.kind])
+    effects = sorted((_effect(search, finding) for finding in search.found), key=lambda effect: order[effect.kind])
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),
         model=str(model),
         vehicles=vehicles,
         sensors=len(units),
-        sessions=sum(len(each.sessions) for each in search.scores),
-        readings=sum(int(each.readings.sum()) for each in search.scores),
+        sessions=sum(len(numbers.sessions) for numbers in search.scores),
+        readings=sum(int(numbers.readings.sum()) for numbers in search.scores),
         effects=tuple(effects) or (_effect(search, FleetFinding("calibration", FleetTerm("offset", "value"), ())),),
         found=len(effects),
         left_out=tuple(left_out),
@@ -91,13 +91,15 @@ def find_in_fleet(
 
 def _untestable(scores: Sequence[UnitNumbers]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Effects that no sensor has the columns for."""
-    common = set.intersection(*({name for name, _ in each.untestable} for each in scores))
+    common = set.intersection(*({name for name, _ in numbers.untestable} for numbers in scores))
     return tuple((name, absent) for name, absent in scores[0].untestable if name in common)
 
 
 def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
     term = finding.term
-    unit_label = next(each.unit for each in effect_of(term.effect).parameters if each.name == term.number)
+    unit_label = next(
+        parameter.unit for parameter in effect_of(term.effect).parameters if parameter.name == term.number
+    )
     alternatives = tuple((other.effect, lost) for other, lost in finding.alternatives)
     effect = FleetEffect(finding.kind, term.effect, term.number, unit_label, term.shape, "", alternatives)
     if finding.change is not None:
@@ -112,7 +114,7 @@ def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
         is_odd,
         np.exp(fleet.deviation_log_p),
     )
-    each_unit = zip(number.units.tolist(), *(each.tolist() for each in numbers), strict=True)
+    each_unit = zip(number.units.tolist(), *(column.tolist() for column in numbers), strict=True)
     of_odd = number.value[is_odd].mean() if is_odd.any() else fleet.mean
     shown = float(of_odd - fleet.mean * term.is_base)
     half = TWO_SIDED_95 * fleet.error
@@ -145,9 +147,9 @@ def _estimated(search: Search, term: FleetTerm) -> Number:
         lacking = [k for k in range(len(search.units)) if not search.fits(k, term)]
         added = search.examined(lacking, [(*own, term) for own in search.terms], with_others=False)
         again = dict(zip(lacking, added, strict=True))
-        scores = [again.get(k, each) for k, each in enumerate(search.scores)]
+        scores = [again.get(k, numbers_of_unit) for k, numbers_of_unit in enumerate(search.scores)]
     # A number that hardly any unit has any more, next to what was found, is that of the first fit.
-    return next(each for each in (*numbers_of(scores), *search.first) if each.term.identity == term.identity)
+    return next(number for number in (*numbers_of(scores), *search.first) if number.term.identity == term.identity)
 
 
 def _changed(search: Search, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
@@ -162,5 +164,5 @@ def _changed(search: Search, finding: FleetFinding, change: Change, effect: Flee
         plain=plain_of(finding.term, change.size, with_size=True),
         estimates=(_estimate(search.units[unit], *size, *size, True, float(np.exp(change.log_p))),),
         since=scores.sessions[change.first] if change.kind == "change" else "",
-        sessions=tuple(SessionEstimate(*each) for each in sessions),
+        sessions=tuple(SessionEstimate(*session) for session in sessions),
     )

@@ -19,6 +19,7 @@ from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
 from msp_lab.gap.slices import ranked, remeasured
 from msp_lab.gap.verdict import verdict
+from msp_lab.gap.where import located
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT
 from msp_sim.model.model import Model
 
@@ -63,10 +64,9 @@ def add(comparison: Comparison, findings: GapFindings, models: ExtendedModels, r
         selection_path=(*findings.selection_path, *later_steps(given, left, scores)),
         slices=remeasured(findings.slices, after),
     )
-    decided = verdict(findings, comparison.model)
+    findings = replace(findings, verdict=verdict(findings, comparison.model))
     return replace(
-        findings,
-        verdict=decided,
+        located(findings, model, len(comparison.model.effects), after),
         age=reading_age(findings, model, after.readings),
         causes=possible_causes(findings.calibration, comparison.model, comparison.data),
     )

@@ -17,6 +17,7 @@ from msp_lab.gap.verdict import NO_GAP
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE
 from msp_sim.effects.latency import LATENCY
+from msp_sim.effects.run_offsets import RUN_OFFSETS
 from msp_sim.page.text import and_list, capitalised
 
 MOST_IN_SENTENCE = 3
@@ -207,6 +208,9 @@ def _next_step(findings: GapFindings) -> str:
     for each in found_parts(findings):
         if isinstance(each, UnknownEffect):
             return _next_of_unknown(each)
+        if each.name == RUN_OFFSETS.name and each.alternatives:
+            columns = " or ".join(name_of(other.name) for other in each.alternatives)
+            return f"record more runs that differ in {columns} alone"
         if each.verdict == "indistinguishable":
             return f"msp-lab design DIR plans the session that decides: {finding_label(each)}"
     match verdict:

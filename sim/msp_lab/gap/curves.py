@@ -1,150 +1,173 @@
-"""Curves for what no effect explains, and for effects whose form is not that of the data.
+"""Curves for what no effect explains.
 
-A state enters, a state with curves among its terms leaves. A curve is taken when a refit gains what its score promises;
-an effect goes when a free curve on its channel gains clearly more than it does.
+A state enters, a state with curves among its terms leaves. A curve is taken when a refit gains what its score promises,
+and goes when an effect gains nearly as much.
 """
 
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
-from msp_lab.gap import curve_scan, rules
+from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
-from msp_lab.gap.curve_scan import CandidateCurve, log_p_of
-from msp_lab.gap.evidence import shift_between, wanders
+from msp_lab.gap.curve_test import STEP_PLACES, CandidateCurve, degrees_of, log_p_of, ripples, scan, step_of
+from msp_lab.gap.evidence import offset_nats, shift_between
 from msp_lab.gap.exchange import eliminate
-from msp_lab.gap.far_curves import far_curves
-from msp_lab.gap.prepared import CHANNELS
-from msp_lab.gap.problem import Problem, State, free_curves, loss, screened, trials, with_terms
-from msp_lab.gap.ripples import ripples
-from msp_range.arrays import numbered
+from msp_lab.gap.findings import Alternative
+from msp_lab.gap.problem import Problem, State, loss, screened, trials, with_terms
+from msp_lab.gap.refit import has_range
 from msp_sim.effects.base import TRUE_RANGE
-from msp_sim.effects.curve import CurveChannel
+from msp_sim.effects.curve import MAX_VALUE, Knots, Ripple, hats
 from msp_sim.model.model import make_curve_term
 
 
 def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
-    """Add at most so many curves for what no effect explains, and in place of effects that do worse.
+    """Add curves for what no effect explains, up to so many terms; the same state is returned where nothing changes.
 
-    The same state is returned where nothing changes.
+    One that makes another term needless takes its place, and so it is asked where there is no room for one more, too.
     """
     problem.report("searching what no effect explains", 0.5)
+    contexts, (singles, pairs) = problem.contexts, problem.curves_asked
     for _ in range(min(most, rules.MAX_CURVES)):
-        # As for effects, runs count in the evidence after a refit: of few runs a scan over them asks more than that.
-        forms = free_curves(problem, state, by_run=state.by_run and wanders(state.fit, problem.unit))
-        singles = sum(len(each.variables) == 1 for each in forms)
-        found = _curve_of_runs(problem, state) or _likeliest_ripple(problem, state)
-        found = found or _likeliest_curve(problem, state, forms, singles)
-        far = far_curves(problem, state)[: rules.FAR_REFITTED]
-        found = _better(problem, state, found, _likeliest_curve(problem, state, far, singles))
+        found = _curve_of_runs(problem, state) or _likeliest_curve(
+            problem,
+            state,
+            scan(contexts, singles, state.fit),
+            scan(contexts, pairs, state.fit),
+            far_curves(problem, state),
+            ripples(contexts, state.fit.here),
+        )
         if found is None:
             break
-        state = eliminate(problem, found, needed_nats)
-    for channel in CHANNELS:
-        state = _curve_in_place_of_effects(problem, state, channel)
+        found = eliminate(problem, found, needed_nats)
+        if len(found.terms) > most:
+            break
+        state = found
     return state
 
 
 def _curve_of_runs(problem: Problem, state: State) -> State | None:
     """With the likeliest curve of the bias over what is the same all over each run, such as a surface or a battery.
 
-    It is asked before runs are said to differ at random, and among such curves only: few runs tell one of a few. What
-    its scores by run promise is too little, for the runs differ by what it is about.
+    It is asked before runs are said to differ at random, by runs, and among such curves only: few tell one of a few.
     """
-    asked, by_run = problem.curves_of_runs, replace(state, by_run=True)
-    forms = curve_scan.scan(asked, state.fit, problem.unit, ("bias",)) if asked.curves else []
-    found = _likeliest_curve(problem, by_run, forms, len(forms), rules.SCREEN_KEEPS)
+    forms = scan(problem.contexts, problem.asked_of_runs, state.fit, ("bias",))
+    found = _likeliest_curve(problem, replace(state, by_run=True), *([each] for each in forms))
     return None if found is None else replace(found, by_run=state.by_run)
 
 
-def _likeliest_ripple(problem: Problem, state: State) -> State | None:
-    """With the likeliest ripple, if it is unlikely by random variation; no curve can describe one."""
-    found = ripples(problem.contexts, state.fit.here)
-    return _likeliest_curve(problem, state, found, len(found))
+def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
+    """Curves of the bias for hits so far off that the model takes them for outliers, the least likely first.
 
-
-def _likeliest_curve(
-    problem: Problem, state: State, forms: list[CandidateCurve], asked: int, share: float = 1.0
-) -> State | None:
-    """With the first of the likeliest curves that gains enough after a refit, and promises this share of it before."""
-    for form in forms[: rules.CURVES_REFITTED]:
-        # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
-        if not (form.start or _is_unlikely(form, asked, share)):
-            return None
-        there = _with_curve(problem, state, _placed(problem, state, form))
-        if state.by_run and _is_of_runs(problem, state, there) and _has_few_places(problem, form):
+    Where most readings of a place are far from their hits, as over a box on the floor, the likelihood of each is flat:
+    no score says that they would all be hits of a surface elsewhere. So curves over one column start at the medians of
+    the readings nearest to each knot, 0 where there are few or it is beyond any curve's, if those of one are far off.
+    """
+    rows, reading_cm = problem.readings.at(state.fit.base, state.fit.effects), problem.readings.reading_cm
+    usual = has_range(rows, reading_cm)
+    off_cm = (reading_cm - rows.centre_cm)[usual]
+    far = np.abs(off_cm) > rules.FAR_SIGMAS * np.broadcast_to(rows.sigma_cm, reading_cm.shape)[usual]
+    now, found = float(state.fit.here.log_p.sum()), []
+    singles = [(variables, form) for variables, forms in problem.curves_asked[0] for form in forms]
+    for variables, form in singles if far.sum() >= rules.CELL_MIN_HITS else []:
+        weights = hats({"column": problem.contexts[variables[0]][usual]}, ["column"], form)
+        nearest = np.where(weights.max(axis=1) > 0.0, weights.argmax(axis=1), -1)
+        start_cm, is_far = np.zeros(weights.shape[1]), False
+        for k in range(start_cm.size):
+            own = nearest == k
+            median_cm = float(np.median(off_cm[own])) if own.sum() >= rules.CELL_MIN_HITS else np.inf
+            if abs(median_cm) < MAX_VALUE["bias"]:
+                start_cm[k] = median_cm
+                is_far |= bool(far[own].mean() > 0.5)
+        if not is_far:
             continue
-        statistic = 2.0 * max(loss(problem, state.fit, there), 0.0)
-        if _is_unlikely(replace(form, log_p=log_p_of(statistic, form.degrees)), asked):
-            return there
-    return None
+        start = tuple(start_cm.tolist())
+        term = replace(make_curve_term("bias", variables, form, start), is_added=True)
+        gain = problem.readings.log_likelihood(state.fit.base, [*state.fit.effects, term]) - now
+        if gain > 0.0:
+            log_p = log_p_of(2.0 * gain, len(start))
+            found.append(CandidateCurve("bias", variables, (form,), log_p, np.log(len(singles)), start))
+    return sorted(found, key=lambda each: each.log_p)
 
 
-def _better(problem: Problem, state: State, one: State | None, other: State | None) -> State | None:
-    """Of two states with one more curve that which gains more."""
-    found = [each for each in (one, other) if each is not None]
-    return max(found, key=lambda each: loss(problem, state.fit, each), default=None)
+def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve]) -> State | None:
+    """With that of the curves that were asked in some ways which gains most after its refit; pairs need more.
+
+    Of each way it is the first of the likeliest that gains enough, and promises as much by its score. Readings propose,
+    and runs count after the refit, as for effects.
+    """
+    least, found = np.log(rules.CURVE_P), []
+    for forms in asked:
+        for form in forms[: rules.CURVES_REFITTED]:
+            # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
+            if form.corrected > least and not form.start:
+                break
+            there, log_p = _refitted(problem, state, form)
+            cost_nats, share = (rules.PAIR_COST_NATS, rules.FORM_SHARE) if len(form.variables) > 1 else (0.0, 1.0)
+            if log_p + form.log_asked + cost_nats < least:
+                gain = loss(problem, state.fit, there)
+                found.append((min(gain - cost_nats, share * gain), there))
+                break
+    return max(found, key=lambda each: each[0], default=(0.0, None))[1]
 
 
-def _placed(problem: Problem, state: State, form: CandidateCurve) -> CandidateCurve:
-    """A step at the likeliest place between the two that were asked next to it by their scores; others as they are."""
-    column = np.asarray(problem.contexts[form.variables[0]])
-    if form.start or column.dtype.kind != "f" or not curve_scan.is_step(form, column):
-        return form
-    at = float(np.mean(column[np.isfinite(column)] <= np.mean(np.asarray(form.knots[0]))))
-    near = curve_scan.steps_of(column, max(at - 1.0 / rules.STEPS, 0.0), min(at + 1.0 / rules.STEPS, 1.0))
-    asked = curve_scan.weights_of(problem.contexts, [(form.variables, (each,)) for each in near])
-    best = curve_scan.scan(asked, state.fit, problem.unit if state.by_run else None, (form.channel,))
-    return best[0] if best and best[0].log_p < form.log_p else form
+def _refitted(problem: Problem, state: State, form: CandidateCurve) -> tuple[State, float]:
+    """The state with a curve in the least likely of its forms, and the log of that probability; 0 where there are too
+    few runs for it. A step has a place as well."""
+    forms, first = [(each, 0.0) for each in form.forms], form.forms[0][0]
+    if not (form.start or len(form.variables) > 1 or isinstance(first, Ripple) or isinstance(first[0], str)):
+        step = step_of(problem.contexts, form.variables[0], form.channel, state.fit)
+        forms.append(((step,), float(np.log(STEP_PLACES))))
+    best = state, 0.0
+    for knots, cost_nats in forms:
+        there = _with_curve(problem, state, form, knots)
+        degrees = degrees_of(knots)
+        if _is_of_few_runs(problem, state, there, degrees):
+            continue
+        log_p = log_p_of(2.0 * max(loss(problem, state.fit, there), 0.0), degrees) + cost_nats
+        if log_p < best[1]:
+            best = there, log_p
+    return best
 
 
-def _is_of_runs(problem: Problem, state: State, there: State) -> bool:
-    """Whether a curve moves whole runs more than readings inside them."""
-    return shift_between(state.fit, there.fit, problem.unit) > rules.CURVE_OF_RUNS_SHARE
-
-
-def _has_few_places(problem: Problem, form: CandidateCurve) -> bool:
-    """Whether there are too few runs, or runs at too few ranges, to say anything of a curve.
+def _is_of_few_runs(problem: Problem, state: State, there: State, degrees: int) -> bool:
+    """Whether the last curve moves whole runs more than readings inside them, and any curve would go through these.
 
     Runs at one range have the error of the tape measure in common; those over one surface, or with one battery, differ
     by nothing but what the curve is about.
     """
-    places = _places(problem, form) if TRUE_RANGE in form.variables else problem.runs
-    return form.degrees >= places // rules.CURVE_RUNS_PER_DEGREE
+    places, (active, unit) = problem.runs, (there.terms[-1].active, problem.unit)
+    of_runs = any(active.shape is not None and names == active.shape[1] for names, _ in problem.asked_of_runs)
+    inside = not of_runs and shift_between(state.fit, there.fit, unit) <= rules.CURVE_OF_RUNS_SHARE
+    if inside or not state.by_run:
+        return False
+    if active.shape is not None and TRUE_RANGE in active.shape[1]:
+        true_cm = np.bincount(unit, problem.contexts[TRUE_RANGE]) / np.maximum(np.bincount(unit), 1)
+        places = np.unique(np.rint(true_cm / max(rules.ONE_PLACE * float(np.ptp(true_cm)), 1e-12))).size
+    return bool(degrees >= places // rules.CURVE_RUNS_PER_DEGREE)
 
 
-def _places(problem: Problem, form: CandidateCurve) -> int:
-    """At how many different places of a curve the runs are: those at one place say nothing of its form."""
-    counts = np.maximum(np.bincount(problem.unit), 1)
-    places = []
-    for name in form.variables:
-        column = np.asarray(problem.contexts[name])
-        values = numbered(column) if column.dtype.kind == "U" else np.nan_to_num(column)
-        means = np.bincount(problem.unit, values) / counts
-        places.append(np.rint(means / max(rules.ONE_PLACE * float(np.ptp(means)), 1e-12)))
-    return int(np.unique(np.column_stack(places), axis=0).shape[0])
+def instead_of_offsets(problem: Problem, state: State, needed_nats: float) -> tuple[Alternative, ...]:
+    """Columns that explain nearly as well what runs differ by as offsets at random do, such as a surface or a battery.
 
-
-def _curve_in_place_of_effects(problem: Problem, state: State, channel: CurveChannel) -> State:
-    """With a curve in place of the effects on a channel, if it gains clearly more than they do."""
-    named = [each for each in state.terms if each.candidate is not None and channel in each.active.effect.channels]
-    if not named:
-        return state
-    rest = [each for each in state.terms if each not in named]
-    less = with_terms(problem, state, rest)
-    forms = free_curves(problem, less, (channel,))
-    if not forms or forms[0].degrees == 0:
-        return state
-    form = forms[0]
-    there = _with_curve(problem, less, form)
-    if loss(problem, less.fit, state) > rules.FORM_SHARE * loss(problem, less.fit, there):
-        return state
-    numbers = sum(each.numbers for each in named)
-    p_value = rules.FORM_P_FACTOR * rules.CURVE_P / len(forms)
-    least = 0.5 * float(chdtri(max(form.degrees - numbers, 1), p_value)) - 0.5 * max(len(named) - 1, 0)
-    better = loss(problem, state.fit, there) > form.cost_nats + least
-    return there if better else state
+    Too few runs tell such a column from random variation, or its curve would be in the state. Each is fitted alone,
+    with a value for two runs at most, and compared with offsets of the best deviation, which are integrated out.
+    """
+    found: dict[str, float] = {}
+    by_run = replace(state, by_run=True)
+    with_offsets = state.fit.log_likelihood + offset_nats(state.fit, problem.unit)
+    for form in scan(problem.contexts, problem.asked_of_runs, state.fit, ("bias",)):
+        for knots in form.forms:
+            degrees = degrees_of(knots)
+            if 2 * (degrees + 1) > problem.runs:
+                continue
+            there = _with_curve(problem, by_run, form, knots)
+            lost_nats = with_offsets - there.fit.log_likelihood + 0.5 * (degrees - 1)
+            gained = loss(problem, state.fit, there)
+            if gained >= rules.EXCHANGE_KEEPS * needed_nats and lost_nats <= rules.ALTERNATIVE_NATS:
+                (name,) = form.variables
+                found[name] = min(lost_nats, found.get(name, np.inf))
+    return tuple(Alternative(name, found[name]) for name in sorted(found, key=found.__getitem__))
 
 
 def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
@@ -167,16 +190,10 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
     return state
 
 
-def _is_unlikely(form: CandidateCurve, asked: int, share: float = 1.0) -> bool:
-    """Whether random variation shows as much, in any of so many curves, with less than the rule's probability; or a
-    share of its logarithm."""
-    return form.degrees > 0 and form.log_p + form.cost_nats < share * (np.log(rules.CURVE_P) - np.log(asked))
-
-
-def _with_curve(problem: Problem, state: State, form: CandidateCurve) -> State:
+def _with_curve(problem: Problem, state: State, form: CandidateCurve, knots: tuple[Knots, ...]) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
-    values = form.start or [0.0] * int(np.prod([len(each) for each in form.knots]))
-    active = replace(make_curve_term(form.channel, form.variables, form.knots, values), is_added=True)
+    values = form.start or [0.0] * int(np.prod([len(each) for each in knots]))
+    active = replace(make_curve_term(form.channel, form.variables, knots, values), is_added=True)
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]
     fit = problem.refit([each.active for each in terms], state.fit.base)

@@ -147,7 +147,14 @@ def _in_its_place(
         max(own - problem.evidence_nats(less.fit, each.fit, state.by_run), -nats)
         for each, nats in zip(others, ahead, strict=True)
     ]
-    return None, tuple(
+    return None, _alternatives(term, others, lost, correlations)
+
+
+def _alternatives(
+    term: SelectedTerm, others: Sequence[CandidateFit], lost: Sequence[float], correlations: Sequence[float]
+) -> tuple[AlternativeTerm, ...]:
+    """Other effects in a term's place that lose little and say the same of the readings."""
+    return tuple(
         AlternativeTerm(other.term.active, nats, correlation)
         for other, nats, correlation in zip(others, lost, correlations, strict=True)
         if nats <= rules.ALTERNATIVE_NATS

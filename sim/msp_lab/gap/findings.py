@@ -106,7 +106,7 @@ class Alternative:
     """Another name for the same gap."""
 
     name: str
-    """Effect of the catalogue."""
+    """Effect of the catalogue; of offsets of runs also a column that is the same all over each run."""
     loss_nats: float
     """By how much its best fit is worse, in log-likelihood of the readings that are refitted [nat]."""
     correlation: float | None = None
@@ -144,6 +144,8 @@ class FoundEffect:
     """In which share of the splits of the runs it holds: each part scores better for it by a fit of the others."""
     in_model: bool = False
     """Whether the given model has it too: the parameters are what comes on top."""
+    where: str = ""
+    """Where it changes readings by more than their noise, in words; empty: nowhere, or that was not looked at yet."""
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,7 @@ class UnknownEffect:
     """Period of a ripple, in the unit of its variable; None: it is a curve."""
     splits_agree: float | None = None
     z: float | None = None
+    where: str = ""
     """As of a `FoundEffect`."""
 
 
@@ -253,6 +256,10 @@ class Slice:
     """Z and p-value of that measure; the p-value is corrected for the number of slices and measures."""
     after: Mapping[str, float | None] = field(default_factory=dict)
     """The same numbers with the extended model, by name, as far as they were taken."""
+    by: tuple[str, ...] = ()
+    """What was found and changes readings here by more than their noise."""
+    differs: bool = False
+    """Whether readings and given model differ here: by p-value, and once something was found by what it changes."""
 
 
 def error_name(number: str) -> str:

@@ -11,6 +11,8 @@ from msp_sim.effects.plain import digits
 _UNITS = {
     "_cm_s": "cm/s",
     "_cm": "cm",
+    "_m": "m",
+    "_v": "V",
     "_c": "°C",
     "_deg": "°",
     "_pct": "%",
@@ -24,7 +26,7 @@ _UNITS = {
 _NUMBERS = {
     "offset_cm": "constant offset",
     "correlation": "correlation of neighbouring errors",
-    **{name: each.label for name, each in PARAMETERS.items()},
+    **{name: parameter.label for name, parameter in PARAMETERS.items()},
 }
 _SPECIAL = {
     "range_rate_cm_s": "rate of the range",
@@ -37,6 +39,12 @@ _SPECIAL = {
 def unit_of(column: str) -> str:
     """The unit that a column's name ends with; empty where there is none."""
     return _UNITS.get(_ending(column), "")
+
+
+def with_unit(number: str, column: str) -> str:
+    """A number, or a range of them, with the unit of its column."""
+    unit = unit_of(column)
+    return f"{number}{unit}" if unit in ("", "°") else f"{number} {unit}"
 
 
 def name_of(column: str) -> str:
@@ -72,12 +80,12 @@ def slice_label(where: str) -> str:
     >>> slice_label("throttle 0.7 to 1, air_temperature_c 20 to 25")
     'throttle 0.7 to 1, air temperature 20 to 25 °C'
     """
-    return ", ".join(_label_of_one(each) for each in where.split(", "))
+    return ", ".join(_label_of_one(place) for place in where.split(", "))
 
 
 def effect_label(name: str, of: str | None) -> str:
-    """An effect, and the sensor, run or target that it is of."""
-    return name.replace("_", " ") + (f" of {of}" if of else "")
+    """An effect, and the sensor, run or target that it is of; or a column in its place."""
+    return name_of(name) + (f" of {of}" if of else "")
 
 
 def finding_label(finding: FoundEffect | UnknownEffect) -> str:
@@ -112,7 +120,7 @@ def parameter_words(name: str, value: FittedValue) -> str:
     interval = ""
     if value.low is not None and value.high is not None:
         ends = [(f"{value.low:.{digits}g}", f"{value.high:.{digits}g}") for digits in (3, 6)]
-        low, high = next((each for each in ends if each[0] != each[1]), ends[-1])
+        low, high = next((pair for pair in ends if pair[0] != pair[1]), ends[-1])
         interval = f" ({low} to {high})"
     return f"{name} {value.value:.3g}{unit_after(value.unit)}{interval}"
 
@@ -163,7 +171,7 @@ def step_name(added: str) -> str:
     channel, over, columns = added.partition(" over ")
     if not over:
         return f"+ {added.replace('_', ' ')}"
-    return f"+ {channel} over {' and '.join(name_of(each) for each in columns.split(' and '))}"
+    return f"+ {channel} over {' and '.join(name_of(column) for column in columns.split(' and '))}"
 
 
 def number_label(name: str) -> str:
@@ -192,12 +200,11 @@ def interval(low: float | None, high: float | None, digits: int = 3) -> str:
 
 def _ending(column: str) -> str:
     """The longest unit that a column's name ends with."""
-    return max((each for each in _UNITS if column.endswith(each)), key=len, default="")
+    return max((unit for unit in _UNITS if column.endswith(unit)), key=len, default="")
 
 
 def _label_of_one(where: str) -> str:
     column, _, rest = where.partition(" ")
-    unit = unit_of(column)
     if not re.match(r"-?\d", rest):
         return f"{name_of(column)} {rest}" if "_" in column or rest else where
-    return f"{name_of(column)} {rest}" + ("" if not unit else unit if unit == "°" else f" {unit}")
+    return f"{name_of(column)} {with_unit(rest, column)}"

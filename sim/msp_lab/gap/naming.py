@@ -12,6 +12,7 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.blank_cells import KnownRows
+from msp_lab.gap.curves import instead_of_offsets
 from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
 from msp_lab.gap.extended_model import extended
 from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
@@ -229,7 +230,8 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     of_runs, of_all = (of_training.base, of_training.effects), (fit.base, fit.effects)
     # Blocks of one run are no runs: what they differ by is a drift.
     if selection.run_offset_cm > 0.0 and not splits.of_blocks:
-        offsets = validated_run_offsets(selection.run_offset_cm, fit, readings, unit, splits)
+        near = instead_of_offsets(problem, kept.state, selection.needed_nats)
+        offsets = validated_run_offsets(selection.run_offset_cm, fit, readings, unit, splits, near)
         if offsets is not None:
             effects.append(offsets[0])
             of_runs = with_run_offsets(of_training, offsets[1], training)

@@ -93,33 +93,33 @@ def entries(findings: GapFindings, both: BeforeAfter) -> Iterator[Entry]:
     yield "pit", "All readings, before and after", partial(_pit, both)
     yield "autocorrelation", "Do errors repeat?", partial(_autocorrelation, both)
     yield "slices", "Slices of context", partial(_slices, shown_slices(findings))
-    for number, each in enumerate(findings.unknown, start=1):
-        if each.curve:
-            title = f"Unknown effect {number}: {each.channel} over {name_of(each.variables[0])}"
-            yield f"unknown-{number}", title, partial(_curve, each)
+    for number, unknown in enumerate(findings.unknown, start=1):
+        if unknown.curve:
+            title = f"Unknown effect {number}: {unknown.channel} over {name_of(unknown.variables[0])}"
+            yield f"unknown-{number}", title, partial(_curve, unknown)
 
 
 def subjects(findings: GapFindings, readings: HeldOutReadings) -> list[Subject]:
     """The columns of the effects found, of unknown effects, or else of the slice that differs most."""
     found: list[Subject] = []
-    for each in findings.effects:
-        effect = CATALOGUE.get(each.name)
+    for found_effect in findings.effects:
+        effect = CATALOGUE.get(found_effect.name)
         if effect is None:
             continue
-        columns = [each for each in (*effect.requires, *((effect.per,) if effect.per else ())) if each != "run"]
+        columns = [column for column in (*effect.requires, *((effect.per,) if effect.per else ())) if column != "run"]
         special = [name for name in columns if name not in ("true_range_cm", PREVIOUS)] or ["true_range_cm"]
         found.append(Subject(special[0], not {"bias", "spread"} & set(effect.channels)))
-    found += [Subject(each.variables[0], each.channel not in ("bias", "spread")) for each in findings.unknown]
+    found += [Subject(unknown.variables[0], unknown.channel not in ("bias", "spread")) for unknown in findings.unknown]
     for piece in findings.slices:
         if piece.variables:
             found.append(Subject(piece.variables[0], piece.channel not in ("bias", "spread")))
             break
     found.append(Subject("true_range_cm", False))
-    known = [each for each in dict.fromkeys(found) if each.column in readings.contexts]
-    usable = [each for each in known if len(partitions(readings.contexts, [each.column], pairs=False)) > 1]
+    known = [subject for subject in dict.fromkeys(found) if subject.column in readings.contexts]
+    usable = [subject for subject in known if len(partitions(readings.contexts, [subject.column], pairs=False)) > 1]
     wanted = max(1, min(MOST_SUBJECTS, len(findings.effects) + len(findings.unknown)))
     # First one with single readings in it: a share of outliers has to be explained before it can be read.
-    return sorted(usable[:wanted], key=lambda each: each.of_outliers)
+    return sorted(usable[:wanted], key=lambda subject: subject.of_outliers)
 
 
 def _residuals(wanted: Sequence[Subject], both: BeforeAfter) -> Drawn:
@@ -127,13 +127,13 @@ def _residuals(wanted: Sequence[Subject], both: BeforeAfter) -> Drawn:
     if not wanted:
         raise Absent("No context column varies")
     figure, columns = both.panels(0.8 + 2.45 * len(wanted), len(wanted))
-    parts = [_apart(partitions(both.readings.contexts, [each.column], pairs=False)[1]) for each in wanted]
+    parts = [_apart(partitions(both.readings.contexts, [subject.column], pairs=False)[1]) for subject in wanted]
     for column, model, colour, word in columns:
         for axes, subject, part in zip(column, wanted, parts, strict=True):
             draw = _draw_share if subject.of_outliers else _draw_residual
             draw(axes, model, both, part, {"fmt": "o", "color": colour, "label": f"measured, {word}", "zorder": 5})
             if part.centres is None:
-                names = [each.split(" ", 1)[-1] for each in part.labels]
+                names = [label.split(" ", 1)[-1] for label in part.labels]
                 axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
             axes.set_xlabel(axis_label(subject.column))
             if word == "before":
@@ -185,10 +185,10 @@ def _autocorrelation(both: BeforeAfter) -> Drawn:
 
 def _path(findings: GapFindings) -> Drawn:
     """The gap after each step, with the noise floor."""
-    steps = [each for each in findings.selection_path if each.nats_per_reading is not None]
+    steps = [step for step in findings.selection_path if step.nats_per_reading is not None]
     floor = findings.nats.noise_floor or 1e-4
     least = floor / 4.0
-    widths = [max(each.nats_per_reading or 0.0, least) for each in steps]
+    widths = [max(step.nats_per_reading or 0.0, least) for step in steps]
     figure, axes = new_axes(1.2 + 0.36 * len(steps), "gap on held-out runs [nats per reading], logarithmic")
     axes.set_xscale("log")
     axes.axvspan(least, floor, color=PALE, label="noise floor: random variation alone (95 %)")
@@ -196,7 +196,7 @@ def _path(findings: GapFindings) -> Drawn:
     shown = [f"{width:.2g}" if width > least else "none left" for width in widths]
     axes.bar_label(bars, shown, padding=4, fontsize=8.5, color=INK)
     axes.set_xlim(least, max(widths) * 2.2)
-    axes.set_yticks(range(len(steps)), [step_name(each.added) for each in steps])
+    axes.set_yticks(range(len(steps)), [step_name(step.added) for step in steps])
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     _plain_decades(axes)
@@ -210,11 +210,11 @@ def _path(findings: GapFindings) -> Drawn:
 def _slices(slices: Sequence[Slice]) -> Drawn:
     """Bias and ratios of each slice, before and after, with their errors."""
     if len(slices) < 2:
-        raise Absent("No slice of context differs from the model significantly.")
+        raise Absent("No slice of context differs from the model.")
     figure = new_figure(1.3 + 0.3 * len(slices))
     left, right = figure.subplots(1, 2, sharey=True)
     # The spread, and those odds in which some slice differs most.
-    odds = [each for each in ("short", "missed", "random") if each in {one.channel for one in slices}]
+    odds = [kind for kind in ("short", "missed", "random") if kind in {one.channel for one in slices}]
     names = ["spread", *odds]
     _draw_slices(left, slices, "bias_cm", "", 0.0, "o")
     for place, (name, marker) in enumerate(zip(names, "sD^v", strict=False)):
@@ -229,10 +229,10 @@ def _slices(slices: Sequence[Slice]) -> Drawn:
     low, high = right.get_xlim()
     right.set_xlim(max(min(low, 0.5), 0.02), min(max(high, 2.0), 100.0))
     _plain_decades(right)
-    left.set_yticks(range(len(slices)), [slice_with_count(each) for each in slices])
+    left.set_yticks(range(len(slices)), [slice_with_count(piece) for piece in slices])
     left.invert_yaxis()
     return figure, (
-        "Parts of the readings that differ most from the given model, the most certain ones first, with 95 % "
+        "Parts of the readings that differ from the given model, the most certain ones first, with 95 % "
         "intervals; open marks: with what was added. In brackets the number of readings."
     )
 
@@ -241,7 +241,7 @@ def _draw_slices(axes: Axes, slices: Sequence[Slice], column: str, what: str, sh
     """One number of each slice with its interval, and the same number after; the exponential of a logarithm."""
     # None, for what is not known, becomes NaN.
     value, error, after = np.array(
-        [(getattr(each, column), getattr(each, error_name(column)), each.after.get(column)) for each in slices],
+        [(getattr(piece, column), getattr(piece, error_name(column)), piece.after.get(column)) for piece in slices],
         dtype=float,
     ).T
     shown = np.array([value, after, value - 1.96 * error, value + 1.96 * error])
@@ -369,8 +369,8 @@ def _apart(part: Partition) -> Partition:
         group[cell] = groups - 1
     members = [np.flatnonzero(group == number) for number in range(groups)]
     counts = part.counts
-    centres = [float(np.average(part.centres[each], weights=np.maximum(counts[each], 1))) for each in members]
-    labels = tuple(part.labels[each[0]] for each in members)
+    centres = [float(np.average(part.centres[cells], weights=np.maximum(counts[cells], 1))) for cells in members]
+    labels = tuple(part.labels[cells[0]] for cells in members)
     return Partition(part.variables, labels, group[part.cell], np.array(centres))
 
 

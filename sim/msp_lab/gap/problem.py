@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.gap import curve_scan, rules
+from msp_lab.gap import rules
 from msp_lab.gap.candidate_starts import gathered_cm, shapes_of, starts_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
 from msp_lab.gap.clumps import clumping
-from msp_lab.gap.curve_scan import CandidateCurve, CurveWeights
+from msp_lab.gap.curve_test import Asked, asked_of
 from msp_lab.gap.evidence import evidence_nats, of_one_run, wanders
-from msp_lab.gap.prepared import BASE, CHANNELS, Prepared, ReadingsAtFit
+from msp_lab.gap.prepared import BASE, Prepared, ReadingsAtFit
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, sample, share_between, spacing_s, taken
 from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
@@ -29,7 +29,6 @@ from msp_range.reading_model.rows import Base
 from msp_sim.effects.base import REFERENCE, TRUE_RANGE
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal
-from msp_sim.effects.curve import CurveChannel
 from msp_sim.effects.path import with_path
 from msp_sim.model.model import Model, Term
 from msp_sim.model.rows import log_prob
@@ -109,23 +108,20 @@ class Problem:
         return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, rng)
 
     @cached_property
-    def curves(self) -> CurveWeights:
-        """Curves that can be asked for."""
-        return curve_scan.curves_of(self.contexts, self.unit)
+    def curves_asked(self) -> tuple[list[Asked], list[Asked]]:
+        """Columns over which curves can be asked for, and pairs of them."""
+        return asked_of(self.contexts)
 
     @cached_property
-    def curves_of_runs(self) -> CurveWeights:
-        """Those over one column that hardly varies inside runs, such as a surface or a battery.
+    def asked_of_runs(self) -> list[Asked]:
+        """Columns that hardly vary inside runs, such as a surface or a battery.
 
         Blocks of one run are no runs: what changes slowly is nearly the same all over each.
         """
         run = numbered(self.contexts["run"]) if "run" in self.contexts else np.zeros(len(self.readings), dtype=np.intp)
-        constant = {
-            names
-            for names in {names for names, _ in self.curves.curves if len(names) == 1}
-            if share_between(numbered(self.contexts[names[0]]).astype(float), run) >= rules.BETWEEN_RUNS_SHARE
-        }
-        return curve_scan.weights_of(self.contexts, [each for each in self.curves.curves if each[0] in constant])
+        values = {names: numbered(self.contexts[names[0]]).astype(float) for names, _ in self.curves_asked[0]}
+        constant = {names for names, own in values.items() if share_between(own, run) >= rules.BETWEEN_RUNS_SHARE}
+        return [each for each in self.curves_asked[0] if each[0] in constant]
 
     @property
     def runs(self) -> int:
@@ -402,11 +398,3 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
 def loss(problem: Problem, smaller: JointFit, state: State) -> float:
     """Evidence that a smaller fit loses [nat]."""
     return problem.evidence_nats(smaller, state.fit, state.by_run)
-
-
-def free_curves(
-    problem: Problem, state: State, channels: Sequence[CurveChannel] = CHANNELS, by_run: bool | None = None
-) -> list[CandidateCurve]:
-    """Curves that explain what is left, the least likely by random variation first."""
-    unit = problem.unit if (state.by_run if by_run is None else by_run) else None
-    return curve_scan.scan(problem.curves, state.fit, unit, channels)

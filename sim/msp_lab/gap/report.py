@@ -53,8 +53,8 @@ def write_report(
     """
     rng = np.random.default_rng([findings.settings.seed, 4])
     pictures = pictures_of(entries(findings, BeforeAfter(before, after, extension_label(findings), readings, rng)))
-    known = [(each, CATALOGUE.get(each.name)) for each in findings.effects]
-    effects = [(each, effect, parameters_table(each, effect)) for each, effect in known]
+    known = [(found, CATALOGUE.get(found.name)) for found in findings.effects]
+    effects = [(found, effect, parameters_table(found, effect)) for found, effect in known]
     return write_page(
         folder,
         f"{__package__}/gap.html",
@@ -69,16 +69,16 @@ def write_report(
         findings=findings,
         training=listed(findings.training_runs),
         held_out=listed(findings.held_out_runs),
-        given_effects=[_with_values(each) for each in before.effects],
+        given_effects=[_with_values(term) for term in before.effects],
         effects=effects,
         not_testable=_not_testable(findings),
         measured=len(readings),
         rules=rules,
         effect_label=effect_label,
         channel_label=channel_label,
-        how_sure_of=lambda each: how_sure_of(each, findings),
-        in_words=lambda each: capitalised(in_words(each, findings)),
-        is_sure=lambda each: is_sure(each, findings),
+        how_sure_of=lambda finding: how_sure_of(finding, findings),
+        in_words=lambda finding: capitalised(in_words(finding, findings)),
+        is_sure=lambda finding: is_sure(finding, findings),
         model_file=folder / MODEL if (folder / MODEL).exists() else None,
     )
 
@@ -92,6 +92,6 @@ def _with_values(term: Term) -> str:
 def _not_testable(findings: GapFindings) -> list[tuple[str, list[str]]]:
     """Columns to record, each with the effects that they would show."""
     found: dict[str, list[str]] = {}
-    for each in findings.not_testable:
-        found.setdefault(" and ".join(each.columns) or each.why, []).append(each.name)
+    for untested in findings.not_testable:
+        found.setdefault(" and ".join(untested.columns) or untested.why, []).append(untested.name)
     return sorted(found.items())

@@ -273,7 +273,7 @@ the middle of the range correlates with a scale by 0.94, a late threshold with a
 pairs that cancel, of which neither is there; lower: a scale has no bend next to it."""
 MIN_EXPLAINED = 5.0
 """A component or a fault of the code explains at least so many readings. Any three readings that the model thinks
-impossible have a name of the catalogue that fits; as `CODE_MIN_READINGS` and `MIN_EVENTS_PER_KNOT`. Lower: names for
+impossible have a name of the catalogue that fits; as `CODE_MIN_READINGS` and `MIN_EVENTS_PER_DEGREE`. Lower: names for
 single readings; higher: rare faults in short tables have no name."""
 SHAPE_STARTS = 25
 """A refit starts at the best of so many values of a shape's parameter. Ripples and places have many local maxima.
@@ -282,28 +282,23 @@ Fewer: shapes end in the wrong one."""
 # Curves for what no name explains.
 
 KNOTS = (2, 3, 6, 12)
-"""Curves of one variable are asked with so many knots. From a straight line on, each twice as fine. More: each is one
-more test, and faster ripples are seen."""
-STEPS = 15
-"""A step from one value to another is asked at so many places of each column, at even shares of the readings. A step at
-any other place keeps nine tenths of its evidence. More: each is one more test, and closer ones are alike."""
+"""A curve is asked at the most of these knots, and refitted with each that its smoothness allows; over two variables,
+with the two smallest for each. A word is a knot; more words, or pairs of knots, than the most are not asked. More:
+slower, and faster ups and downs are seen."""
+SMOOTHNESS = (1, 2, 4)
+"""A curve is asked with so many directions of a walk counting by more than a half, and with all alike. The chi-squared
+of one direction is that of a line, of all that of a value for each knot. More: each is one more test."""
 BETWEEN_RUNS_SHARE = 0.9
-"""A column with more of its variance between runs has as many values as there are runs. What is left inside runs is a
-tenth. Higher: curves go through single runs; lower: what varies inside runs has coarse curves."""
-PAIR_KNOTS = (2, 3)
-"""The same for each of two variables. Nine values are as many as an outlier class can hold. More: slower."""
-MAX_KNOTS = {"bias": 12, "spread": 12, "short": 6, "missed": 6, "random": 6}
-"""At most so many knots in a channel. Odds of outliers have fewer readings to speak. More: curves through single
-outliers."""
-MIN_EVENTS_PER_KNOT = 5.0
-"""A curve needs so much information for each knot, in readings that speak of it. Below about five a chi-squared is no
-chi-squared. Lower: false curves on rare outliers."""
-CLEAR_DIRECTION = 0.02
-"""A direction of a curve counts if the base leaves this share of its information. The rest is collinear with the base.
-Lower: degrees of freedom that are rounding."""
-PAIR_COST_NATS = 4.0
-"""A curve over two variables has to be e^4 times less likely than one over one variable. About the logarithm of the
-number of pairs. Lower: pairs hide single causes."""
+"""A column with more of its variance between runs is one of runs, such as a surface or a battery. What is left inside
+runs is a tenth. Higher: runs with such causes are said to differ at random; lower: what varies inside runs is asked by
+runs."""
+MIN_EVENTS_PER_DEGREE = 5.0
+"""A curve needs so much information for each degree of freedom, in readings that speak of it. Below about five a
+chi-squared is no chi-squared. Lower: false curves on rare outliers."""
+PAIR_COST_NATS = 8.0
+"""A curve over two variables has to gain so much more than one over one of them, and `FORM_SHARE`. What depends on one
+shows over that and any other, too, and the best of ten others gains some nats by chance. Lower: pairs hide single
+causes; higher: what depends on both at once is a curve over each."""
 CURVE_P = 0.004
 """A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.01 in
 all and curves a share of it. Higher: false curves."""
@@ -311,21 +306,12 @@ FAR_SIGMAS = 4.0
 """Hits that are off by more sigma are far: most of what the model says of them is that they are outliers. At four the
 likelihood of a hit is that of an outlier of one in 3,000. Lower: curves that the scores see as well are refitted twice;
 higher: what is far is found as scatter or short readings."""
-FAR_REFITTED = 2
-"""So many of the likeliest curves of far hits are refitted. The first is right where they are over one column. More:
-slower."""
 RIPPLE_CYCLES = 5.0
 """Ripples are asked up to a period of which the readings hold so many. Curves of 12 knots see what is slower. Lower:
 bends and a slow wander are named ripples."""
 RIPPLE_NEIGHBOURS = 40
 """The power of a frequency is compared with so many independent ones on either side. Their mean is then known to 16 %,
 and 22 nats count as 18. More: noise that changes over frequency counts as alike; fewer: less power."""
-RIPPLE_MIN_NEIGHBOURS = 10
-"""Ripples are asked where there are so many independent frequencies. Of fewer no mean is known. Lower: false ripples in
-short tables."""
-RIPPLE_MIN_READINGS = 200
-"""Ripples are asked of at least so many readings. The largest of 100 frequencies of 200 readings is a ripple of half a
-sigma. Fewer: single readings make a ripple."""
 CURVES_REFITTED = 6
 """So many of the likeliest curves are refitted until one keeps its promise. Scores of rare outliers promise too much.
 More: slower."""
@@ -342,12 +328,9 @@ ONE_PLACE = 0.02
 """Runs whose means of a column differ by less than this share of their span are at one place of a curve. A tape measure
 is read to that. Larger: fewer places, and coarser curves; smaller: runs at one place count as several."""
 FORM_SHARE = 0.85
-"""A name that gains this share of what a free curve on its channel gains stays. The physics of an entry is rarely
-exact; 0.6 and 0.95 gave the same names on the first six blind tables of seed 7. Higher: right names become unknown;
-lower: wrong names stay."""
-FORM_P_FACTOR = 0.1
-"""A curve takes the place of names at this share of `CURVE_P`. A name is worth more to its reader than a curve. Higher:
-right names become unknown."""
+"""A name that gains this share of what a curve gains takes its place, and a curve over one variable that of one over
+two. The physics of an entry is rarely exact; 0.6 and 0.95 gave the same names on the first six blind tables of seed 7.
+Higher: right names become unknown; lower: wrong names take the place of curves."""
 
 
 # Exchange, alternatives, elimination.
@@ -483,4 +466,5 @@ PARTLY = 0.9
 """'Partly explained' needs a gap after that is smaller than this share of the gap before. A gain of less than a tenth
 explains nothing. Lower: more gaps are 'unexplained'."""
 SLICE_P = 0.05
-"""A slice is listed if it differs with a smaller corrected p-value. The usual level. Higher: more slices."""
+"""A slice differs with a smaller corrected p-value, as long as nothing found says where. The usual level. Higher: more
+slices."""

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from msp_lab.gap import rules
 from msp_lab.gap.evidence import blocks_of
-from msp_lab.gap.findings import FittedValue, FoundEffect
+from msp_lab.gap.findings import Alternative, FittedValue, FoundEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
@@ -92,7 +92,12 @@ def p_beyond_wander(slope: Array, unit: Indices) -> float:
 
 
 def validated_run_offsets(
-    deviation_cm: float, fit: JointFit, readings: Prepared, unit: Indices, splits: Splits
+    deviation_cm: float,
+    fit: JointFit,
+    readings: Prepared,
+    unit: Indices,
+    splits: Splits,
+    alternatives: tuple[Alternative, ...],
 ) -> tuple[FoundEffect, Term] | None:
     """The effect, if nearly all splits of the runs agree; a run's offset is integrated out.
 
@@ -104,6 +109,8 @@ def validated_run_offsets(
         Fit of all readings, and their runs.
     splits
         Of the runs.
+    alternatives
+        Columns that explain nearly as well what runs differ by.
     """
     runs = splits.names.size
     slope = fit.offset_slope - fit.offset_slope.mean()
@@ -118,11 +125,7 @@ def validated_run_offsets(
     before = known_cm2 + within / np.maximum(information, 1e-12)
     after = before + grid[:, None] ** 2
     gains = -0.5 * np.log(after / before) + 0.5 * mean_cm**2 * (1.0 / before - 1.0 / after)
-    # Each run with the deviation that the runs of the other parts have.
-    crossed = np.empty((len(splits), runs))
-    for k, part in enumerate(splits.part):
-        for left_out in (part == each for each in range(int(part.max()) + 1)):
-            crossed[k, left_out] = gains[gains[:, ~left_out].sum(axis=1).argmax(), left_out]
+    crossed = _crossed(gains, splits)
     agree = float(np.mean(crossed.sum(axis=1) >= rules.VALIDATED_NATS))
     if agree < rules.SPLITS_AGREE:
         return None
@@ -136,14 +139,25 @@ def validated_run_offsets(
     total = float(of_runs.sum())
     found = FoundEffect(
         effect.name,
-        "named",
+        "indistinguishable" if alternatives else "named",
         {"deviation_cm": FittedValue(deviation_cm, low, high, "cm")},
         total / len(readings),
         total / se if se > 0.0 else None,
-        experiment=effect.experiment,
+        alternatives,
+        "; ".join(f"to tell {effect.name} from {each.name}: more runs that differ in it alone" for each in alternatives)
+        or effect.experiment,
         splits_agree=agree,
     )
     return found, Term(effect, {"deviation_cm": deviation_cm})
+
+
+def _crossed(gains: Array, splits: Splits) -> Array:
+    """What each run gains by the deviation of the grid that the runs of the other parts have, (splits, runs)."""
+    crossed = np.empty((len(splits), gains.shape[1]))
+    for k, part in enumerate(splits.part):
+        for left_out in (part == each for each in range(int(part.max()) + 1)):
+            crossed[k, left_out] = gains[gains[:, ~left_out].sum(axis=1).argmax(), left_out]
+    return crossed
 
 
 def with_run_offsets(fit: JointFit, offsets: Term, prepared: Prepared) -> tuple[Base, tuple[Term, ...]]:

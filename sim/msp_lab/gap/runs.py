@@ -35,8 +35,13 @@ def taken(columns: Mapping[str, Any], rows: Any) -> dict[str, Column]:
 
 def known_values(column: Column) -> Column:
     """The numbers or words of a column that are known."""
+    return np.asarray(column[is_known(column)])
+
+
+def is_known(column: Column) -> Flags:
+    """Which numbers or words of a column are known, (n,)."""
     known: Flags = column != "" if column.dtype.kind == "U" else np.isfinite(column)
-    return np.asarray(column[known])
+    return known
 
 
 def share_between(values: Array, unit: Indices) -> float:

@@ -17,7 +17,7 @@ from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
 from msp_lab.gap.profile import Gains, largest_gains
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.runs import sample, taken
-from msp_range.arrays import Array, Indices
+from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.model.history import History
 from msp_sim.model.model import Model, Term
@@ -188,12 +188,9 @@ def screen(
     turned = np.concatenate([-cross, np.eye(count)], axis=1)
     some = np.concatenate([nuisance, others])
     single = np.einsum("ij,jk,ik->i", turned, measured.products[np.ix_(some, some)], turned)
-    inflation = np.ones(count)
-    if by_run:
-        units = by_unit.shape[0]
-        of_runs = ((by_unit - total / units) ** 2).sum(axis=0) * units / max(units - 1, 1)
-        # Against single readings as they are, not as the model has them: what is large is not dependent for it.
-        inflation = np.maximum(of_runs / np.maximum(variance, single), 1.0)
+    # Against single readings as they are, not as the model has them: what is large is not dependent for it.
+    beyond_model = np.maximum(variance, single)
+    inflation = np.maximum(_scatter(by_unit) / beyond_model, 1.0) if by_run else np.ones(count)
     z = np.where(testable, total / np.sqrt(variance * inflation), 0.0)
     one_sided = np.array([each.one_sided for each in candidates], dtype=bool)
     z = np.where(one_sided & (z < 0.0), 0.0, z)
@@ -203,28 +200,42 @@ def screen(
     gains, best = np.full(count, np.inf), np.full(count, np.nan)
     gains[asked], best[asked] = measured.profile(asked)
     z = np.sign(z) * np.minimum(np.abs(z), np.sqrt(2.0 * gains / inflation))
-    if by_run:
-        null = np.where(testable, _flipped(by_unit, variance, rng), 0.0)
-    else:
-        correlation = efficient / np.sqrt(np.outer(left, left))
-        correlation = np.where(np.outer(testable, testable), correlation, 0.0)
-        values, vectors = np.linalg.eigh(correlation)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        null = rng.standard_normal((rules.SCREEN_DRAWS, root.shape[1])) @ root.T
-    null = np.where(one_sided & (null < 0.0), 0.0, null)
+    null = _flipped(by_unit, variance, rng) if by_run else _drawn(efficient, testable, rng)
+    null = np.where(testable & ~(one_sided & (null < 0.0)), null, 0.0)
     critical = float(np.quantile(np.abs(null).max(axis=1, initial=0.0), 1.0 - alpha))
-    # A number of the base that is another one is calibration, and nothing missing.
-    missing = np.array([not each.is_base for each in candidates], dtype=bool)
     # Noise with tails makes every score scatter more than the model's own; what is rare is worth what it gains beyond
     # the search for its shape.
-    squares = z**2 * np.where(rare, 1.0, variance / np.maximum(variance, single))
+    squares = z**2 * np.where(rare, 1.0, variance / beyond_model)
     squares -= np.where(rare, 2.0 * np.array([each.cost_nats for each in candidates]), 0.0)
-    scattered = np.sqrt(np.maximum(squares, 0.0))
-    beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= scattered[missing].max(initial=0.0)
-    p_value = float((1 + np.sum(beyond)) / (1 + rules.SCREEN_DRAWS))
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)
     largest = float(np.abs(z).max(initial=0.0))
-    return Screen(z, 0.5 * z**2, deviation, largest, critical, p_value, best)
+    return Screen(z, 0.5 * z**2, deviation, largest, critical, _p_value(squares, null, candidates), best)
+
+
+def _scatter(by_unit: Array) -> Array:
+    """Variance of each sum over the units, by how these scatter, (candidates,)."""
+    units = by_unit.shape[0]
+    off = by_unit - by_unit.sum(axis=0) / units
+    scatter: Array = (off**2).sum(axis=0) * units / max(units - 1, 1)
+    return scatter
+
+
+def _drawn(efficient: Array, testable: Flags, rng: np.random.Generator) -> Array:
+    """Scores of tables in which nothing is missing, as the model correlates them, (draws, candidates)."""
+    left = np.where(testable, np.diag(efficient), 1.0)
+    correlation = np.where(np.outer(testable, testable), efficient / np.sqrt(np.outer(left, left)), 0.0)
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    drawn: Array = rng.standard_normal((rules.SCREEN_DRAWS, root.shape[1])) @ root.T
+    return drawn
+
+
+def _p_value(squares: Array, null: Array, candidates: Sequence[CandidateEffect]) -> float:
+    """How often a table without an effect has so large a score; a number of the base is calibration, and none."""
+    missing = np.array([not each.is_base for each in candidates], dtype=bool)
+    largest = np.sqrt(max(float(squares[missing].max(initial=0.0)), 0.0))
+    beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= largest
+    return float((1 + np.sum(beyond)) / (1 + rules.SCREEN_DRAWS))
 
 
 def _projection(information: Array, nuisance: Indices, others: Indices) -> Array:

@@ -64,7 +64,7 @@ def _search(problem: Problem, state: State, seen: Screen, needed_nats: float, ma
     """Add effects, and curves for what they leave, twice: a curve may show an effect that it hid."""
     for turn in range(2):
         state = add_effects(problem, state, seen, needed_nats, max_terms)
-        with_curves = add_curves(problem, state, needed_nats, max_terms - len(state.terms))
+        with_curves = add_curves(problem, state, needed_nats, max_terms)
         unchanged, state = with_curves is state, with_curves
         if unchanged or len(state.terms) >= max_terms or turn:
             break

@@ -20,18 +20,16 @@ from msp_lab.gap.cells import Partition
 from msp_lab.gap.findings import Slice, error_name
 from msp_lab.gap.measures import Measures, free_fits
 from msp_lab.gap.prepared import CHANNELS
-from msp_range.arrays import Array
+from msp_range.arrays import Array, Indices
 
-SHOWN = 40
-"""Slices that are listed at most; the page shows fewer."""
 PAIRS_SHOWN = 2
 """Pairs of variables of which slices are listed: more repeat the same."""
 NUMBERS = ("bias_cm", "log_spread", "log_odds_short", "log_odds_missed", "log_odds_random")
 """Fields of a `Slice` with its five numbers."""
 
 
-def ranked(measured: Measures, rng: np.random.Generator, shown: int = SHOWN) -> tuple[Slice, ...]:
-    """The whole, and then the slices that differ most, the surest first.
+def ranked(measured: Measures, rng: np.random.Generator) -> tuple[Slice, ...]:
+    """The whole, and then all slices of one variable and some of two, those first that differ most surely.
 
     Parameters
     ----------
@@ -39,8 +37,6 @@ def ranked(measured: Measures, rng: np.random.Generator, shown: int = SHOWN) -> 
         What the readings show of the model.
     rng
         Random generator of the bootstrap's multipliers.
-    shown
-        At most so many slices.
     """
     z, shares = _contributions(measured)
     p_value = _step_down(np.abs(z).ravel(), shares.reshape(z.size, -1), rng).reshape(z.shape)
@@ -56,7 +52,7 @@ def ranked(measured: Measures, rng: np.random.Generator, shown: int = SHOWN) -> 
             if len(pairs) == PAIRS_SHOWN:
                 continue
             pairs.append(variables)
-        if len(first) < shown and number != 0:
+        if number != 0:
             first.append(number)
     # A slice is listed with its own fit, not with the one step that only ranks it.
     fits = _fits(measured, {places[number][0].variables for number in first})
@@ -88,13 +84,13 @@ def _p_of_likelihood(fit: CellFits, k: int, slices: int) -> float:
 
 def remeasured(slices: Sequence[Slice], measured: Measures) -> tuple[Slice, ...]:
     """The same slices with what they show of another model in `after`."""
-    wanted = {each.variables for each in slices}
+    wanted = {piece.variables for piece in slices}
     fits = _fits(measured, wanted)
     numbers: dict[str, dict[str, Any]] = {}
     for part in measured.stack.parts:
         if part.variables in wanted:
             numbers |= {label: _numbers(fits[part.variables], k) for k, label in enumerate(part.labels)}
-    return tuple(replace(each, after=numbers.get(each.where, {})) for each in slices)
+    return tuple(replace(piece, after=numbers.get(piece.where, {})) for piece in slices)
 
 
 def _fits(measured: Measures, wanted: Set[tuple[str, ...]]) -> Mapping[tuple[str, ...], CellFits]:
@@ -104,8 +100,23 @@ def _fits(measured: Measures, wanted: Set[tuple[str, ...]]) -> Mapping[tuple[str
     return {**known, **(free_fits(measured.rows, measured.readings, others) if others else {})}
 
 
+def noise_of(measured: Measures) -> Array:
+    """Standard deviation of the sum of a slice's scores, by units, for each of its five numbers, (K, 5)."""
+    return _by_unit(measured)[2]
+
+
 def _contributions(measured: Measures) -> tuple[Array, Array]:
     """The statistic of each slice and number (K, 5), and the units' shares in it (K, 5, U)."""
+    per_cell, about_mean, deviation, few = _by_unit(measured)
+    shares = about_mean / deviation[:, None, :]
+    shares[few] = 0.0
+    shares[few, few % shares.shape[1]] = 1.0
+    return per_cell.sum(axis=1) / deviation, np.moveaxis(shares, 1, 2)
+
+
+def _by_unit(measured: Measures) -> tuple[Array, Array, Array, Indices]:
+    """Sums of the units' scores (K, U, 5), the same about their mean, the standard deviation of each sum (K, 5), and
+    slices that have too few units."""
     scores, stack = measured.scores, measured.stack
     per_cell, about_mean, there = unit_sums(scores[stack.readings], measured.readings.unit, stack)
     # One number at a time: its own score over its own error, so that a rare class does not blur the others.
@@ -120,10 +131,7 @@ def _contributions(measured: Measures) -> tuple[Array, Array]:
     squares = stack.sums(scores**2)
     inflation = inflation_of_units(about_mean, there, squares)
     deviation[few] = np.maximum(np.sqrt(squares * inflation)[few], expected[few])
-    shares = about_mean / deviation[:, None, :]
-    shares[few] = 0.0
-    shares[few, few % shares.shape[1]] = 1.0
-    return per_cell.sum(axis=1) / deviation, np.moveaxis(shares, 1, 2)
+    return per_cell, about_mean, deviation, few
 
 
 def _step_down(statistic: Array, shares: Array, rng: np.random.Generator) -> Array:
@@ -158,4 +166,5 @@ def _slice(partition: Partition, k: int, fit: CellFits, channel: str, z: float, 
         channel=channel,
         z=z,
         p_value=p_value,
+        differs=p_value < rules.SLICE_P,
     )

@@ -32,8 +32,8 @@ def with_words(findings: GapFindings) -> GapFindings:
     findings = concluded(
         replace(
             findings,
-            effects=tuple(replace(each, plain=_plain(each)) for each in findings.effects),
-            unknown=tuple(replace(each, plain=_plain_unknown(each)) for each in findings.unknown),
+            effects=tuple(replace(effect, plain=_plain(effect)) for effect in findings.effects),
+            unknown=tuple(replace(unknown, plain=_plain_unknown(unknown)) for unknown in findings.unknown),
         )
     )
     return replace(findings, summary=tuple(_lines(findings)))
@@ -62,24 +62,24 @@ def _age(findings: GapFindings) -> Iterator[str]:
 def _refitted(findings: GapFindings) -> Iterator[str]:
     """Numbers of the base that are others now."""
     numbers = []
-    for each in findings.refitted:
-        if each.before is not None and each.after is not None:
-            ends = f"{short(each.before)} to {short(each.after)}{unit_after(each.unit)}"
-            numbers.append(f"{number_label(each.name)} {ends}")
+    for number in findings.refitted:
+        if number.before is not None and number.after is not None:
+            ends = f"{short(number.before)} to {short(number.after)}{unit_after(number.unit)}"
+            numbers.append(f"{number_label(number.name)} {ends}")
     if numbers:
         more = f" and {len(numbers) - MOST_REFITTED} more" if len(numbers) > MOST_REFITTED else ""
         yield f"Refitted: {', '.join(numbers[:MOST_REFITTED])}{more}"
 
 
-def _plain(each: FoundEffect) -> str:
-    effect = CATALOGUE.get(each.name)
-    text = effect_label(each.name, each.of)
-    if effect is not None and each.parameters:
-        text = plain_finding(effect, {name: value.value for name, value in each.parameters.items()}, each.of)
-    if each.in_model:
+def _plain(found: FoundEffect) -> str:
+    effect = CATALOGUE.get(found.name)
+    text = effect_label(found.name, found.of)
+    if effect is not None and found.parameters:
+        text = plain_finding(effect, {name: value.value for name, value in found.parameters.items()}, found.of)
+    if found.in_model:
         text += ", on top of what the model says"
-    if each.verdict == "indistinguishable" and each.alternatives:
-        others = " or ".join(effect_label(other.name, other.of) for other in each.alternatives)
+    if found.verdict == "indistinguishable" and found.alternatives:
+        others = " or ".join(effect_label(other.name, other.of) for other in found.alternatives)
         text += f" (or it is {others})"
     return text
 
@@ -100,6 +100,6 @@ def _plain_unknown(unknown: UnknownEffect) -> str:
 
 def _from_to(measure: Measure, unit: str) -> str:
     """A measure before and after, where it changed, with its noise floor."""
-    before, after, floor = (short(each, "?") for each in (measure.before, measure.after, measure.noise_floor))
+    before, after, floor = (short(value, "?") for value in (measure.before, measure.after, measure.noise_floor))
     changed = f" to {after}" * (measure.after is not None and after != before)
     return f"{before}{changed} {unit}".rstrip() + f" (noise floor {floor})" * (measure.noise_floor is not None)

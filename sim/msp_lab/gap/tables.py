@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msp_lab.gap import rules
 from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, error_name
 from msp_lab.gap.labels import interval, short, slice_label, step_name, unit_after
 from msp_lab.gap.verdict import bounds
@@ -34,7 +33,7 @@ def measures_table(findings: GapFindings, given: Model | None = None) -> PageTab
         "odds_missed": "odds of missed echoes, off by a factor of",
         "odds_random": "odds of random readings, off by a factor of",
     }
-    lines: list[tuple[str, ...]] = [(names[name], *_measure(each)) for name, each in gap.measures.items()]
+    lines: list[tuple[str, ...]] = [(names[name], *_measure(measure)) for name, measure in gap.measures.items()]
     if (gap.odds.code.before, gap.odds.code.after or 1.0) != (1.0, 1.0):
         lines.append(("readings that the model cannot give, off by a factor of", *_measure(gap.odds.code)))
     header: tuple[str, ...] = ("measure", "before", "after", "95 % interval", "noise floor")
@@ -65,7 +64,7 @@ def steps_table(findings: GapFindings) -> PageTable:
     """The gap after each step in numbers; empty where nothing was added."""
     path = findings.selection_path if len(findings.selection_path) > 1 else ()
     # None, for what is not known, becomes NaN.
-    gained = np.diff(np.array([each.log_score for each in path], dtype=float), prepend=np.nan)
+    gained = np.diff(np.array([step.log_score for step in path], dtype=float), prepend=np.nan)
     return PageTable(
         "steps",
         "Each step in numbers",
@@ -79,21 +78,21 @@ def steps_table(findings: GapFindings) -> PageTable:
 
 
 def slices_table(findings: GapFindings) -> PageTable:
-    """The slices that differ significantly, in all channels."""
+    """The slices that differ, in all channels."""
     return PageTable(
         "slices-table",
         "Slices in numbers",
-        ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p"),
-        tuple(row for each in shown_slices(findings) for row in _slice_rows(each)),
+        ("slice", "bias [cm]", "spread", "odds short", "odds missed", "odds random", "nats", "p", "changed by"),
+        tuple(row for piece in shown_slices(findings) for row in _slice_rows(piece)),
         "Compared with the given model, with standard errors; below, what is left with what was added. Spread and odds "
         "are ratios to the model; few: too few such readings for a ratio. p-values are corrected for the number of "
-        "slices and measures.",
+        "slices and measures. Changed by: what was found and changes readings there by more than their noise.",
     )
 
 
 def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
     """The parameters of an effect that was found: value, interval and meaning."""
-    meanings = {each.name: each.meaning for each in effect.parameters} if effect is not None else {}
+    meanings = {parameter.name: parameter.meaning for parameter in effect.parameters} if effect is not None else {}
     rows = tuple(
         (
             name,
@@ -110,7 +109,7 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
 def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTable:
     """The numbers of the base mixture in the given and in the extended model."""
     before, after = given.sensor.reading_model, extended.sensor.reading_model
-    calibrated = {each.name: each for each in findings.calibration}
+    calibrated = {number.name: number for number in findings.calibration}
     rows = []
     for part, one, other, section in (
         ("weights.", before.weights, after.weights, Weights),
@@ -136,16 +135,17 @@ def model_table(findings: GapFindings, given: Model, extended: Model) -> PageTab
 
 
 def shown_slices(findings: GapFindings) -> list[Slice]:
-    """The whole, and the slices that differ significantly, the most significant first."""
-    significant = [
-        each for each in findings.slices if each.p_value is not None and each.p_value < rules.SLICE_P and each.variables
-    ]
+    """The whole, and the slices that differ, the most significant first."""
     # A pair repeats what one of its variables shows.
-    single = [each for each in significant if len(each.variables) == 1]
-    seen = {name for each in single for name in each.variables}
-    pairs = [each for each in significant if len(each.variables) > 1 and not set(each.variables) & seen]
-    whole = [each for each in findings.slices if not each.variables]
-    return [*whole, *sorted((*single, *pairs), key=lambda each: -abs(each.z or 0.0))[: MOST_SLICES - 1]]
+    single = [piece for piece in findings.slices if piece.differs and len(piece.variables) == 1]
+    seen = {name for piece in single for name in piece.variables}
+    pairs = [
+        piece
+        for piece in findings.slices
+        if piece.differs and len(piece.variables) > 1 and not {*piece.variables} & seen
+    ]
+    whole = [piece for piece in findings.slices if not piece.variables]
+    return [*whole, *sorted((*single, *pairs), key=lambda piece: -abs(piece.z or 0.0))[: MOST_SLICES - 1]]
 
 
 def slice_with_count(cell: Slice) -> str:
@@ -169,7 +169,8 @@ def _slice_rows(cell: Slice) -> Iterator[tuple[str, ...]]:
         later.append("" if left is None else f"{np.exp(left):.2f}")
     cells.append(short(max(cell.nats or 0.0, 0.0)))
     cells.append("" if cell.p_value is None else "≤ 0.001" if cell.p_value <= 0.001 else f"{cell.p_value:.3f}")
+    cells.append(", ".join(name.replace("_", " ") for name in cell.by))
     yield tuple(cells)
     if cell.after:
         nats = cell.after.get("nats")
-        yield (*later, "" if nats is None else short(max(nats, 0.0)), "")
+        yield (*later, "" if nats is None else short(max(nats, 0.0)), "", "")

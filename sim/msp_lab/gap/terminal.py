@@ -10,7 +10,7 @@ from rich.text import Text
 
 from msp_lab.gap.conclusion import in_words
 from msp_lab.gap.demo import HiddenNumber
-from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
 from msp_lab.gap.labels import (
     channel_label,
     effect_label,
@@ -68,12 +68,14 @@ def print_comparisons(found: Iterable[HiddenNumber]) -> None:
     """What was hidden, and what was found of it."""
     header = ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it")
     rows = []
-    for each in found:
+    for hidden in found:
         value, ends = "not named", ""
-        if each.found is not None:
-            value, ends = f"{each.found.value:.3g}", interval(each.found.low, each.found.high)
-            ends += unit_after(each.found.unit) * bool(ends)
-        rows.append((each.effect, each.parameter, f"{each.hidden:g}", value, ends, "yes" if each.holds else "no"))
+        if hidden.found is not None:
+            value, ends = f"{hidden.found.value:.3g}", interval(hidden.found.low, hidden.found.high)
+            ends += unit_after(hidden.found.unit) * bool(ends)
+        rows.append(
+            (hidden.effect, hidden.parameter, f"{hidden.hidden:g}", value, ends, "yes" if hidden.holds else "no")
+        )
     console().print(plain_table(header, rows, "llrrl"))
 
 
@@ -90,13 +92,13 @@ def separate_gaps_table(gaps: Sequence[SeparateGap]) -> Table:
 def print_sensors(gaps: Sequence[SensorGap], messages: Sequence[str], folder: Path) -> None:
     """What was found at each sensor of a vehicle, compared with the others."""
     out = console()
-    for each in gaps:
-        style = f"bold {COLOURS.get(each.findings.verdict or '', 'cyan')}" if each.named else ""
-        out.print(Text(f"{each.sensor}: {each.findings.sentence}", style=style))
-        if each.without:
-            out.print(f"  compared without {', '.join(each.without)}, which differs from the rest")
-        if each.doubted:
-            out.print(f"  perhaps the fault of {each.doubted}, which differs most from the rest")
+    for gap in gaps:
+        style = f"bold {COLOURS.get(gap.findings.verdict or '', 'cyan')}" if gap.named else ""
+        out.print(Text(f"{gap.sensor}: {gap.findings.sentence}", style=style))
+        if gap.without:
+            out.print(f"  compared without {', '.join(gap.without)}, which differs from the rest")
+        if gap.doubted:
+            out.print(f"  perhaps the fault of {gap.doubted}, which differs most from the rest")
     for message in messages:
         out.print(f"note: {message}", style="dim")
     out.print(f"in {folder}: a folder for each sensor, and sensors.json", soft_wrap=True)
@@ -113,12 +115,12 @@ def print_findings(findings: GapFindings) -> None:
     elif findings.gap is not None:
         out.print(measures_table(findings))
     if findings.verdict is None and not findings.effects:
-        for piece in [each for each in findings.slices if each.variables][:SLICES]:
+        for piece in [piece for piece in findings.slices if piece.variables][:SLICES]:
             p = "" if piece.p_value is None else f", p {piece.p_value:.3f}"
             out.print(f"  {slice_label(piece.where)}: {piece.channel}{p}")
     for message in findings.messages:
         out.print(f"note: {message}", style="dim")
-    columns = sorted({name for each in findings.not_testable for name in each.columns})
+    columns = sorted({name for untested in findings.not_testable for name in untested.columns})
     if columns:
         effects = counted(len(findings.not_testable), "effect")
         out.print(f"{effects} cannot be tested without {', '.join(columns)}", style="dim")
@@ -138,15 +140,21 @@ def _found_table(findings: GapFindings) -> Table:
     """Each finding with its numbers, and what would show it alone or tell it from its alternatives."""
     table = plain_table(("finding", "effect, with 95 % intervals", "experiment"), align="l")
     table.show_lines = True
-    for each in findings.effects:
-        label = effect_label(each.name, each.of)
-        what = label if each.verdict == "named" else f"{label} ({each.verdict})"
-        values = [parameter_words(name, value) for name, value in each.parameters.items()]
+    for effect in findings.effects:
+        label = effect_label(effect.name, effect.of)
+        what = label if effect.verdict == "named" else f"{label} ({effect.verdict})"
+        values = [parameter_words(name, value) for name, value in effect.parameters.items()]
         table.add_row(
-            in_words(each, findings), "\n".join([what, *values, *filter(None, [each.doubt])]), each.experiment
+            _with_place(effect, findings), "\n".join([what, *values, *filter(None, [effect.doubt])]), effect.experiment
         )
-    for one in findings.unknown:
+    for unknown in findings.unknown:
         table.add_row(
-            in_words(one, findings), f"{finding_label(one)}\n{channel_label(one.channel)} = {one.formula}", ""
+            _with_place(unknown, findings),
+            f"{finding_label(unknown)}\n{channel_label(unknown.channel)} = {unknown.formula}",
+            "",
         )
     return table
+
+
+def _with_place(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> str:
+    return in_words(finding, findings) + (f"\nWhere: {finding.where}" if finding.where else "")

@@ -164,8 +164,8 @@ def _start(few: Likelihood, moving: Sequence[str], mean_length_m: float) -> Numb
             seen = 1.0 - saturated if "saturated" in moving else 1.0
             missed = min(no_echo / seen, 0.9)
             hit = (1.0 - missed) * (1.0 - min(shorter + 2.0 * longer, 0.8))
-            log_odds = [math.log(each / hit) for each in (shorter, missed, 2.0 * longer)]
+            log_odds = [math.log(share / hit) for share in (shorter, missed, 2.0 * longer)]
             rates = per_length / mean_length_m, 1.0 - seen, 0.0, 0.0
             start = Numbers(*(math.log(sigma_cm), *log_odds, *rates))
             found.append(few.maximum(start, bounds_of(start, moving), START_NATS))
-    return Numbers(*max(found, key=lambda each: each[1])[0].tolist())
+    return Numbers(*max(found, key=lambda maximum: maximum[1])[0].tolist())

@@ -102,7 +102,7 @@ class FitResult:
         k = NAMES.index(number)
         best = self._optimum
         bound = bounds_of(best.numbers, self._moving)[sign > 0.0][k]
-        others = [each for each in self._moving if each != number]
+        others = [other for other in self._moving if other != number]
         centre = best.numbers[k]
         known = {centre: -LIKELIHOOD_DROP}
         last = best.numbers
@@ -143,7 +143,9 @@ def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_lengt
     if "log_odds_short" not in best.inside or spread.rate * longest**2 < 1.0:
         unknown.add("short_rate_per_m")
     found = named(numbers)
-    moved = {each.name: NAMES.index(each.number) for each in PARAMETERS.values() if each.number in moving}
+    moved = {
+        parameter.name: NAMES.index(parameter.number) for parameter in PARAMETERS.values() if parameter.number in moving
+    }
     estimates = {name: value for name, value in found.items() if name in (*moved, "hit", "saturated_fraction")}
     ends = np.transpose(bounds_of(best.numbers, moving))
     held = {name for name, k in moved.items() if NAMES[k] not in best.inside}

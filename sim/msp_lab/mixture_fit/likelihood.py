@@ -70,7 +70,7 @@ class Likelihood:
     def take(self, rows: slice) -> "Likelihood":
         """The likelihood of some of the rows."""
         columns = self.reading_cm, self.expected_cm, self.count, self.reference_cm2
-        return Likelihood(self.grid, *(each[rows] for each in columns))
+        return Likelihood(self.grid, *(column[rows] for column in columns))
 
     def sample(self, most: int) -> "Likelihood":
         """The likelihood of every n-th row, so that there are about so many."""

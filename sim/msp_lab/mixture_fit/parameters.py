@@ -52,8 +52,8 @@ class Parameter(NamedTuple):
 
 
 PARAMETERS = {
-    each.name: each
-    for each in (
+    parameter.name: parameter
+    for parameter in (
         Parameter("hit", "hits", symbol="z_hit"),
         Parameter("short", "short readings", "log_odds_short", symbol="z_short"),
         Parameter("missed", "missed echoes", "log_odds_missed", symbol="z_max"),
@@ -133,7 +133,7 @@ def named(numbers: Numbers) -> dict[str, Any]:
 def slopes_of(numbers: Numbers) -> Array:
     """Derivatives of `named` by the numbers, (9, 8), by a complex step, which is exact (Squire & Trapp 1998)."""
     steps = np.array(numbers) + STEP * 1j * np.eye(len(NAMES))
-    return np.array([[each.imag / STEP for each in named(Numbers(*at)).values()] for at in steps]).T
+    return np.array([[value.imag / STEP for value in named(Numbers(*at)).values()] for at in steps]).T
 
 
 def with_floors(parameters: MixtureParameters, saturates: bool) -> tuple[MixtureParameters, tuple[str, ...]]:

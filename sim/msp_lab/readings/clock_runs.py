@@ -27,6 +27,9 @@ begin runs; more: two steps that follow each other are one."""
 MESSAGES_A_STEP = 50
 """A sender with fewer messages for each step does not write in the order of time (a sorted table, two publishers of one
 topic), and shows no steps. Fewer: such tables become runs of a few rows; more: short runs become one."""
+ROUNDED_S = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
+"""Steps to which a clock may be rounded, as 12,345 s to four digits is [s]: two clocks differ by half of the step of
+each. Without the larger ones the last readings of a slow table become a run."""
 APART_S = 600.0
 """Pause between two runs on the continuous clock [s]: nothing is interpolated or aligned across it. Any value does that
 is longer than the longest interval of a series."""
@@ -101,14 +104,23 @@ def _steps(sender: Stamps) -> Iterator[tuple[int, int, float]]:
     place, time_s = sender.place[known], sender.time_s[known]
     change_s = np.diff(time_s)
     found = np.flatnonzero(change_s < -LEAST_BACK_S).tolist()
-    ahead_s = time_s - sender.other_s[known]
+    other_s = sender.other_s[known]
+    ahead_s = time_s - other_s
     for at in np.flatnonzero((change_s > LEAST_FORWARD_S) & (np.diff(ahead_s) > LEAST_FORWARD_S)).tolist():
-        before, after = ahead_s[max(0, at + 1 - STAYS) : at + 1], ahead_s[at + 1 : at + 1 + STAYS]
-        if np.nanmin(after) - np.nanmin(before) > LEAST_FORWARD_S:
+        sides = slice(max(0, at + 1 - STAYS), at + 1), slice(at + 1, at + 1 + STAYS)
+        before_s, after_s = (np.nanmin(ahead_s[side]) for side in sides)
+        rounded_s = sum(_step_of(clock_s[side]) for clock_s in (time_s, other_s) for side in sides) / 2.0
+        if min(ahead_s[at + 1] - ahead_s[at], after_s - before_s) > LEAST_FORWARD_S + rounded_s:
             found.append(at)
     if len(found) * MESSAGES_A_STEP <= time_s.size:
         for at in found:
             yield int(place[at]), int(place[at + 1]), float(change_s[at])
+
+
+def _step_of(time_s: Array) -> float:
+    """The power of ten to which all of these times are rounded [s]; 0 where that is less than a second."""
+    known = time_s[np.isfinite(time_s)]
+    return max((step_s for step_s in ROUNDED_S if not np.any(known % step_s)), default=0.0)
 
 
 def with_clock_runs(path: Path, table: MeasuredData, run_column: str = "run") -> tuple[MeasuredData, list[str]]:

@@ -1,8 +1,8 @@
 """Which rows of the measured readings a picture is made of, or `Absent` with the reason why there are none."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -63,6 +63,8 @@ class PictureData:
     """The sensor model with the fitted numbers."""
     reference: ReferenceNumbers = field(default_factory=ReferenceNumbers)
     """Earlier numbers to mark next to the new ones."""
+    of_analysis: Sequence[PointReadings] | None = None
+    """The readings as the analyses sorted them; None: they are sorted here."""
 
     @property
     def true_cm(self) -> Array:
@@ -90,7 +92,9 @@ class PictureData:
     @cached_property
     def points(self) -> list[PointReadings]:
         """The rows that have a true range, as the analyses sort them."""
-        return sort_into_points(self.data, self.model)
+        if self.of_analysis is None:
+            return sort_into_points(self.data, self.model)
+        return [replace(each, sensor_model=self.model) for each in self.of_analysis]
 
     def _of_points(self, column: Column, value: Callable[[PointReadings], Any]) -> Column:
         """A column with each point's value in its rows."""

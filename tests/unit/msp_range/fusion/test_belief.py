@@ -346,13 +346,15 @@ def test_answers_that_begin_to_come_late_in_a_steady_climb_are_not_sent(climb_m:
 
 
 def test_answers_stay_late_on_a_ground_that_was_lost_meanwhile() -> None:
-    """For 3 s no sensor answers, which is longer than any surface is remembered."""
+    """For 3 s no sensor answers, which is longer than any surface is remembered; sent are hovers of 3 and 4 m."""
 
     def range_m(name: str, time_s: float, height_m: float) -> float:
         return math.nan if 11.0 < time_s < 14.0 else 1.0 + height_m
 
     flight = Moving(range_m, [4.0, 8.0, 16.0], late_from_s=6.0)
-    assert not flight.sent_s(9.5, 18.0)
+    assert not flight.sent_s(16.4, 18.4)
+    assert flight.sent_s(14.5, 16.0)
+    assert all(abs(sent_m - round(sent_m)) < 0.06 for sent_m in flight.sent_m(9.5))
 
 
 CHANGED, UNANSWERED = "Range: sudden change, maybe an object or fault", "Range: readings do not follow the motion"

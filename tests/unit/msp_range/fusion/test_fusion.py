@@ -587,20 +587,25 @@ def test_the_first_reading_of_a_flank_is_no_climb() -> None:
     assert out[-1].range_m == pytest.approx(4.2, abs=0.05)
 
 
-def test_answers_of_the_ping_before_are_not_sent_and_reported() -> None:
-    """While the vehicle goes up and down by 1 m."""
+def test_answers_of_the_ping_before_are_reported_and_sent_only_while_the_vehicle_hovers() -> None:
+    """It goes up and down by 1 m, and hovers from 20 s on."""
     motion, draw = VerticalMotion(), np.random.default_rng(1)
-    fusion, late = four(motion=motion, maximum_m=7.65), []
+    fusion, late = four(motion=motion, maximum_m=7.65), {}
     omega = 2 * math.pi / 5.0
-    for i in range(200):
+    for i in range(300):
         time_s = i * SLOT_S
-        accelerate(motion, time_s, lambda at_s: omega**2 * math.cos(omega * (at_s - 5.0)) * (at_s > 5.0), draw)
-        range_m = 3.0 - math.cos(omega * max(time_s - 4 * SLOT_S - 5.0, 0.0)) + draw.normal(scale=SIGMA_M)
+        accelerate(motion, time_s, lambda at_s: omega**2 * math.cos(omega * (at_s - 5.0)) * (5.0 < at_s < 20.0), draw)
+        phase = omega * (min(max(time_s - 4 * SLOT_S, 5.0), 20.0) - 5.0)
+        range_m = 3.0 - math.cos(phase) + draw.normal(scale=SIGMA_M)
         out = fusion.update(reading(NAMES[i % 4], time_s, range_m), time_s + 0.03)
         if fusion.conditions()[0].text is not None:
-            late.append(time_s)
-            assert out.fused is None
+            late[time_s] = out.fused
+            height_m = 3.0 - math.cos(omega * (min(time_s, 20.0) - 5.0))
+            assert out.fused is None or abs(out.fused.range_m - height_m) < 0.2
     assert min(late) > 5.0
+    assert sum([fused is None for time_s, fused in late.items() if time_s < 20.0]) > 50
+    assert None not in [fused for time_s, fused in late.items() if time_s > 22.0]
+    assert max(late) > 29.8
 
 
 @pytest.mark.parametrize("is_late", [True, False])

@@ -138,6 +138,22 @@ def test_a_rate_that_a_surface_had_when_it_was_first_seen_says_nothing(speed_m_s
             assert abs(response.log_odds) < 3.0
 
 
+def test_a_reading_that_is_not_of_the_ground_does_not_move_what_follows_the_motion() -> None:
+    """One, in a climb, where something fixed to the vehicle would be."""
+    motion, draw, climb = VerticalMotion(), random.Random(1), ramp(5.0, 1.2, 20.0, 3.0)
+    response = MotionResponse(motion, TURN_S)
+    for i in range(58):
+        read_s = 0.1 * i
+        for time_s in (read_s - 0.075, read_s - 0.05, read_s - 0.025, read_s):
+            up_m_s2 = (climb(time_s + 0.02) - 2 * climb(time_s) + climb(time_s - 0.02)) / 0.02**2
+            motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        seen_m = 0.5 + (climb(read_s) if i < 55 else 0.0) + draw.gauss(0.0, 0.01)
+        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.0, False, i < 55)
+    follows_m, fixed_m, _ = response.offs_m(HeightReading("a", 5.8, TURN_S, 0.5 + climb(5.8), 1e-4))
+    assert follows_m < 0.1
+    assert fixed_m > 0.3
+
+
 def test_without_an_accelerometer_nothing_is_decided() -> None:
     response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
