@@ -154,11 +154,12 @@ def test_the_page_is_drawn_from_the_points_that_the_analysis_sorted(
     rows = PictureData(made.findings, made.data, made.model, of_analysis=made.points)
     assert [each.level for each in rows.points] == [each.level for each in again.points]
     np.testing.assert_array_equal(rows.missed, again.missed)
-    assert {each.sensor_model for each in rows.points} == {made.model}
+    assert all(each.sensor_model == made.model for each in rows.points)
     monkeypatch.setattr("msp_lab.characterise.page.picture_data.sort_into_points", None)
     assert "Kinds of readings" in made.publish(tmp_path / "page").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_every_picture_is_there(complete: Complete) -> None:
     folder, page, _ = complete
     assert names_of(folder) == PICTURES
