@@ -250,7 +250,7 @@ def _characterise_each(
     how: "Characterisation", out: Path, report: Path | None, of: list[str], jobs: int, scheduler: str | None
 ) -> None:
     """Make a model of each sensor, and print a row for each; exit code 4 if some could not be made."""
-    from msp_lab.characterise.sensors import TABLE, EachSensor, OfSensor, characterise_sensor
+    from msp_lab.characterise.sensors import TABLE, OfSensor, characterise_sensor
     from msp_lab.characterise.show import sensors_table
     from msp_sim.terminal import make_folder
     from msp_sim.workers import workers
@@ -258,7 +258,7 @@ def _characterise_each(
     make_folder(out)
     how = replace(how, data=tuple(path.resolve() for path in how.data), start=how.start.resolve())
     sensors = {name: name for name in how.sensors() if name in of or not of}
-    common = EachSensor(how, out.resolve(), report.resolve() if report is not None else None)
+    common = how, out.resolve(), report.resolve() if report is not None else None
     with workers(jobs, scheduler, "msp-lab characterise") as where:
         found = where.rows(characterise_sensor, sensors, common, out / TABLE, OfSensor, what="sensors")
     where.show_rows(found, sensors_table(found), ": no model", f"in {out}: a sensor model for each, and {TABLE}")

@@ -1,7 +1,4 @@
-"""Accuracy with nothing varied, and the longest range with missed echoes masked.
-
-`Baseline` and `MaximumRange` are found from points.
-"""
+"""Accuracy with nothing varied, and the longest range with missed echoes masked."""
 
 import math
 from collections.abc import Sequence

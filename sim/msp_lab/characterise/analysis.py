@@ -4,7 +4,7 @@ What the data do not determine stays as in the starting model, and the findings 
 """
 
 import difflib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -13,11 +13,10 @@ import numpy as np
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
-from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture
-from msp_lab.characterise.mixture import fit_mixture
+from msp_lab.characterise.mixture import fit_mixture, hit_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.sonar import STEP_DEG
@@ -80,7 +79,8 @@ def characterise(
     mixture, parameters, no_mixture = _mixture(undisturbed, loaded, curve, sensor, rng)
     progress("maximum range, field of view and sonar equation")
     view, longest = find_field_of_view(by["field_of_view"], curve), by["maximum_range"]
-    rows = breakaway_rows(view.angles if view else ())
+    angles = view.angles if view else ()
+    rows = breakaway_rows(angles)
     heard_cm = longest_reliable_cm(longest, sensor.maximum_cm)
     progress("questions")
     found = tuple(point.found for point in points)
@@ -103,10 +103,9 @@ def characterise(
         temperature_compensation=() if calibration_c is None else tuple(compensation_table(by[COMPENSATION], curve)),
     )
     warnings = [*about_step, *_warnings(loaded, points, undisturbed, calibration)]
-    warnings += [*_angle_warnings(view.angles if view else (), rows), *_spread_warnings(sensor, parameters)]
+    warnings += [*_angle_warnings(angles, rows), *_spread_warnings(sensor, parameters)]
     findings = replace(findings, warnings=tuple(warnings), absent=_absent(findings, sensor, no_mixture))
-    changes = _changes(findings, sensor, rows) | {"heard_on_axis_cm": heard_cm, "reading_model": parameters}
-    changes = _checked(findings, changes)
+    changes = _changes(findings, sensor, rows, heard_on_axis_cm=heard_cm, reading_model=parameters)
     if sensor.resolution_cm != start.resolution_cm:
         changes["resolution_cm"] = sensor.resolution_cm
     return Characterised(findings, changes, points)
@@ -124,18 +123,6 @@ def _mixture(
         return *fit_mixture(undisturbed, curve, sensor, rng, hit_correlation(undisturbed, loaded.data)), ""
     except FitError as error:
         return None, None, str(error)
-
-
-def _checked(findings: Findings, changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The changes that readings determine; refuses readings in which nothing can be found."""
-    changes = {name: value for name, value in changes.items() if value is not None}
-    if not findings.questions and not findings.temperature_compensation and not changes:
-        why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
-        raise RecordingError(
-            f"{_names(findings.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
-            "which varies everything at once, is for msp-lab gap"
-        )
-    return changes
 
 
 def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[str, str]:
@@ -159,21 +146,21 @@ def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[st
 
 def _with_step(sensor: SensorModel, loaded: LoadedReadings) -> tuple[SensorModel, list[str]]:
     """The sensor with the step in which its readings come, or a warning where the model cannot have it."""
+
+    def in_steps_of(step_cm: float) -> SensorModel:
+        return SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
+
     model = Model.of(sensor)
     own_cm = measured_step(loaded.data, model)
     try:
-        return _in_steps_of(sensor, own_cm), []
+        return in_steps_of(own_cm), []
     except ValueError:
         step_cm = step_with(loaded.data, model)
-    return _in_steps_of(sensor, step_cm), [
+    return in_steps_of(step_cm), [
         f"the readings come in steps of {own_cm:g} cm, and this model cannot have them, as its limits of "
         f"{sensor.minimum_cm:g} and {sensor.maximum_cm:g} cm, or its 255, would be no multiples: its mixture takes "
         f"their step to be {step_cm:g} cm, so its sigma_cm is wrong"
     ]
-
-
-def _in_steps_of(sensor: SensorModel, step_cm: float) -> SensorModel:
-    return SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
 
 
 def _check_one_kind(loaded: LoadedReadings, points: Sequence[PointReadings]) -> None:
@@ -210,24 +197,33 @@ def _names(sources: Sequence[SourceFile]) -> str:
     return ", ".join(source.name for source in sources)
 
 
-def _changes(findings: Findings, sensor: SensorModel, rows: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    """New values of the sensor model: its calibration, beam and effects; None where readings do not determine them."""
+def _changes(
+    findings: Findings, sensor: SensorModel, rows: Sequence[tuple[float, float]], **fitted: Any
+) -> dict[str, Any]:
+    """New values of the sensor model, those that were `fitted` among them, as far as readings determine them.
+
+    RecordingError for readings in which nothing at all can be found.
+    """
     view, calibration = findings.field_of_view, findings.calibration
-    changes: dict[str, Any] = {}
     if view is not None:
-        changes["breakaway"] = [{"range_cm": r, "half_angle_deg": angle} for r, angle in rows] or None
-        changes["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
-    if calibration is None:
-        return changes
+        fitted["breakaway"] = [{"range_cm": r, "half_angle_deg": angle} for r, angle in rows] or None
+        fitted["oblique_reading"] = None if view.oblique.verdict == "unknown" else view.oblique.verdict
+    changes = {name: value for name, value in fitted.items() if value is not None}
     # Without held-out ranges nothing was decided, and the starting model's stays.
-    if calibration.held_out:
+    if calibration is not None and calibration.held_out:
         changes["calibration"] = [asdict(knot) for knot in calibration.knots]
     # An offset between sessions enters if its interval excludes 0.
-    if calibration.set_up_offset and calibration.set_up_offset.low:
+    if calibration is not None and calibration.set_up_offset and calibration.set_up_offset.low:
         offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))
         own = {"value": offset.value, "low": offset.low, "high": offset.high or 0, "unit": "cm"}
         others = [effect for effect in sensor.effects if effect.get("name") != SESSION_EFFECT]
         changes["effects"] = (*others, {"name": SESSION_EFFECT, "parameters": {"deviation_cm": own}})
+    if not findings.questions and not findings.temperature_compensation and not changes:
+        why = [*findings.warnings, findings.absent.get("calibration", "no calibration")]
+        raise RecordingError(
+            f"{_names(findings.sources)}: nothing can be found: {'; '.join(why)}. Expected a bench session; a flight, "
+            "which varies everything at once, is for msp-lab gap"
+        )
     return changes
 
 

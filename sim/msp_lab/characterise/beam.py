@@ -8,8 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from msp_lab.characterise.sonar import PARAMETERS, extended_beam, fit_sonar
-from msp_range.acoustics.beam import BreakawayTable
+from msp_lab.characterise.sonar import PARAMETERS, fit_beam
 from msp_range.commission.edit import save
 from msp_range.reading_model.sensor_model import BreakawayPoint, PredictedBreakaway, SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, read_config
@@ -26,29 +25,22 @@ def predict_breakaway(sensor: SensorModel) -> PredictedBreakaway:
     Rows that only repeat the last angle are left out: it is held anyway. No rows: the sonar equation cannot be fitted
     to the measured angles, or predicts no narrower one.
     """
-    measured = BreakawayTable(
-        tuple(point.range_cm / 100.0 for point in sensor.breakaway),
-        tuple(point.half_angle_deg for point in sensor.breakaway),
-    )
-    beam = measured
-    if len(sensor.breakaway) >= PARAMETERS:
-        sonar = fit_sonar(measured, sensor.frequency_hz, (sensor.heard_on_axis_cm or 0.0) / 100.0)
-        beam = extended_beam(measured, sonar, sensor.maximum_cm / 100.0)
+    measured = [(point.range_cm, point.half_angle_deg) for point in sensor.breakaway]
+    if len(measured) < PARAMETERS:
+        return PredictedBreakaway(inputs=sensor.beam_inputs, rows=())
+    *_, beam = fit_beam(measured, sensor, sensor.heard_on_axis_cm)
     rows = [
         BreakawayPoint(range_cm=round(100.0 * range_m, 6), half_angle_deg=round(angle_deg, DIGITS))
         for range_m, angle_deg in zip(beam.ranges_m, beam.half_angles_deg, strict=True)
     ]
     last = beam.half_angles_deg.index(beam.half_angles_deg[-1])
-    return PredictedBreakaway(inputs=sensor.beam_inputs, rows=tuple(rows[len(sensor.breakaway) : last + 1]))
+    return PredictedBreakaway(inputs=sensor.beam_inputs, rows=tuple(rows[len(measured) : last + 1]))
 
 
 def with_prediction(text: str, predicted: PredictedBreakaway) -> str:
     """The text of a sensor model file with this prediction, in place of an older one or behind the measured angles.
 
-    Raises
-    ------
-    ConfigError
-        The file is written in a way in which it has to be changed by hand.
+    ConfigError if the file is written in a way in which it has to be changed by hand.
     """
     rows = [
         f"\n    - {{range_cm: {at.range_cm:.10g}, half_angle_deg: {at.half_angle_deg:.10g}}}" for at in predicted.rows
@@ -77,19 +69,10 @@ def with_prediction(text: str, predicted: PredictedBreakaway) -> str:
 
 
 def predict_in_file(path: Path) -> tuple[PredictedBreakaway, Path | None]:
-    """Write the prediction into a sensor model file.
+    """Write the prediction into a sensor model file; return it, and where the file as it was is kept.
 
-    Returns
-    -------
-    PredictedBreakaway
-        What was predicted.
-    Path or None
-        Where the file as it was is kept; None if it had this prediction already.
-
-    Raises
-    ------
-    ConfigError
-        The file cannot be used or written, or its sensor does not range with sound.
+    That is None if the file had this prediction already. ConfigError if the file cannot be used or written, or its
+    sensor does not range with sound.
     """
     sensor = load_sensor_model(path)
     if sensor.medium != "sound":

@@ -78,18 +78,12 @@ class _Points(NamedTuple):
 def calibrate(
     points: Sequence[PointReadings], reference_std_cm: float | None = None, set_up_std_cm: float | None = None
 ) -> CalibrationFindings | None:
-    """Calibration of a sensor; None where no point has readings of the surface.
+    """Calibration by points on the axis with nothing varied; None where none has readings of the surface.
 
-    Parameters
-    ----------
-    points
-        On the axis, nothing varied.
-    reference_std_cm
-        Standard deviation of an error that the reference may have at all ranges alike [cm], as its owner states it;
-        it widens the bias's interval, for readings cannot tell it from the sensor's own.
-    set_up_std_cm
-        Standard deviation of the error of each placement's true range [cm]; None: not stated, and all differences
-        between placements are attributed to it.
+    `reference_std_cm` is the standard deviation of an error that the reference may have at all ranges alike [cm], as
+    its owner states it; it widens the bias's interval, for readings cannot tell it from the sensor's own.
+    `set_up_std_cm` is that of the error of each placement's true range [cm]; None: not stated, and all differences
+    between placements are attributed to it.
     """
     used = [point for point in points if point.found.error is not None]
     if not used:

@@ -120,19 +120,10 @@ def _variance_between(design: Array, y: Array, variance: Array | float, wanted: 
 def between_points(residual: Array, variance: Array, known: float = 0.0, fitted: int = 1) -> IntervalEstimate:
     """Standard deviation between points beyond the scatter of readings and a known variance [cm].
 
-    Parameters
-    ----------
-    residual, variance
-        A point each: its distance from what is expected, and the variance that its readings give it.
-    known
-        Variance between points that has another cause.
-    fitted
-        Numbers that were fitted to the same points.
-
-    Notes
-    -----
-    The interval is that of the Q profile (Viechtbauer 2007, Statistics in Medicine 26, 37): the variances at which the
-    weighted sum of squared residuals is at the 2.5 and 97.5 % points of chi squared.
+    `residual` and `variance` are each point's distance from what is expected, and the variance that its readings give
+    it; `known` is the variance between points that has another cause, and `fitted` counts the numbers that were fitted
+    to the same points. The interval is that of the Q profile (Viechtbauer 2007, Statistics in Medicine 26, 37): the
+    variances at which the weighted sum of squared residuals is at the 2.5 and 97.5 % points of chi squared.
 
     Examples
     --------
@@ -176,23 +167,14 @@ class MeanAndSpread(NamedTuple):
 
 
 def mean_and_spread(values: Array, step: float, usual_spread: float | None = None) -> MeanAndSpread:
-    """Mean and standard deviation that a normal variable had before it was rounded.
+    """Mean and standard deviation that a normal variable had before at least two values were rounded to a step [cm].
 
-    Parameters
-    ----------
-    values
-        Rounded to `step`, or continuous (`step` 0); at least two.
-    step
-        Of the rounding, in the values' unit, which is the estimates' too [cm].
-    usual_spread
-        That of other such values, from `common_spread`: where these are all of two steps, a mean near the boundary with
-        a small spread is as likely as one far from it with a large spread. None: not known.
+    A step of 0: they are continuous. `usual_spread` is that of other such values, from `common_spread`: where these are
+    all of two steps, a mean near the boundary with a small spread is as likely as one far from it with a large spread.
 
-    Returns
-    -------
-    MeanAndSpread
-        Where the values scatter little, by the likelihood of the rounded values, strays among them; its interval ends
-        where the profile log likelihood is 1.92 below its top. Otherwise by average and variance, less step^2 / 12.
+    Where the values scatter little, the estimates are by the likelihood of the rounded values, strays among them, and
+    their intervals end where the profile log likelihood is 1.92 below its top. Otherwise they are by average and
+    variance, less step^2 / 12.
 
     Examples
     --------

@@ -1,11 +1,11 @@
 """Breakaway angles, what a tilted sensor reads, and the sonar equation through the angles.
 
-`FieldOfView` and `SonarFit` are made from points at signed angles to a wall. An angle is reliable by a stated share of
-readings that are of the wall; the breakaway lies between the last reliable angle and the next that was tried.
+An angle to a wall is reliable by a stated share of readings that are of the wall; the breakaway lies between the last
+reliable angle and the next that was tried.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import accumulate, groupby
 from typing import Literal
 
@@ -16,8 +16,7 @@ from msp_lab.characterise.estimates import fit_points, half_of_mean, share
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
-from msp_lab.characterise.sonar import PARAMETERS, extended_beam, fit_sonar, leave_one_out
-from msp_range.acoustics.beam import BreakawayTable
+from msp_lab.characterise.sonar import PARAMETERS, fit_beam, leave_one_out
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
@@ -47,8 +46,7 @@ def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration
         key=lambda each: (each.range_cm, each.incidence_deg),
     )
     by_range = {range_cm: list(here) for range_cm, here in groupby(found, key=lambda each: each.range_cm)}
-    tried = (_breakaway(range_cm, here) for range_cm, here in by_range.items())
-    angles = tuple(each for each in tried if each is not None)
+    angles = tuple(angle for range_cm, here in by_range.items() for angle in _breakaway(range_cm, here))
     return FieldOfView(CRITERION, tuple(found), angles, _oblique(found)) if angles else None
 
 
@@ -64,19 +62,15 @@ def sonar_through(
 ) -> SonarFit | None:
     """The sonar equation through breakaway angles, and each angle as the others predict it.
 
-    `rows` have range [cm] and half angle [deg], `on_axis_cm` is the range at which a wall is at least detected on the
-    axis [cm]; None: not known. None with fewer rows than the equation has parameters, and for light and radio.
+    Arguments as for `fit_beam`. None with fewer rows than the equation has parameters, and for light and radio.
     """
     if len(rows) < PARAMETERS or sensor.medium != "sound":
         return None
-    table = BreakawayTable(tuple(r / 100.0 for r, _ in rows), tuple(angle for _, angle in rows))
-    on_axis_m = (on_axis_cm or 0.0) / 100.0
-    sonar = fit_sonar(table, sensor.frequency_hz, on_axis_m)
+    table, sonar, beam = fit_beam(rows, sensor, on_axis_cm)
     left_out: Sequence[float | None] = [None] * len(rows)
     if len(rows) > PARAMETERS:
-        left_out = leave_one_out(table, sensor.frequency_hz, on_axis_m)
+        left_out = leave_one_out(table, sensor.frequency_hz, (on_axis_cm or 0.0) / 100.0)
     fitted = map(sonar.half_angle_deg, table.ranges_m)
-    beam = extended_beam(table, sonar, sensor.maximum_cm / 100.0)
     known_to_cm = round(100.0 * beam.ranges_m[-1], 6)
     return SonarFit(
         source_level_db=sonar.source_level_db,
@@ -120,14 +114,13 @@ def _angle_point(point: PointReadings, calibration: Calibration) -> AnglePoint:
     )
 
 
-def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> BreakawayAngle | None:
-    """Breakaway angle at a range; None where that was not tried at two angles."""
+def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> Iterator[BreakawayAngle]:
+    """Yield the breakaway angle at a range that was tried at two angles."""
     negative = _side([point for point in points if point.incidence_deg <= 0.0])
     positive = _side([point for point in points if point.incidence_deg >= 0.0])
     sides = [each for each in (negative, positive) if each is not None]
-    if not sides:
-        return None
-    return BreakawayAngle(range_cm, negative, positive, min(sides, key=lambda each: each.value))
+    if sides:
+        yield BreakawayAngle(range_cm, negative, positive, min(sides, key=lambda each: each.value))
 
 
 def _side(points: Sequence[AnglePoint]) -> IntervalEstimate | None:

@@ -50,7 +50,6 @@ class HeldOut:
     """How well a form of calibration fitted without some points predicts them."""
 
     form: Form
-    """Form of the calibration."""
     rms_cm: float
     """Root mean square error over the points left out in turn [cm]."""
     gain: IntervalEstimate | None
@@ -65,7 +64,6 @@ class CalibrationFindings:
     knots: tuple[MeasuredKnot, ...]
     """What the model file gets: nothing, a straight line (two knots) or a piecewise linear one."""
     reason: str
-    """Why this form, in a sentence."""
     bias: IntervalEstimate
     offset: IntervalEstimate | None
     scale: IntervalEstimate | None
@@ -109,7 +107,6 @@ class MaximumRange:
     """Readings at the longest range, with missed ones and without."""
 
     true_range_cm: float
-    """True range of these readings [cm]."""
     readings: int
     histogram: tuple[tuple[int, int], ...]
     """(reading [cm], count) of all answers."""
@@ -151,11 +148,10 @@ class Mixture:
     """The mixture of Thrun fitted by maximum likelihood (Probabilistic Robotics, section 6.3)."""
 
     parameters: tuple[MixtureParameter, ...]
-    """Fitted parameters, in the order of the sensor model file."""
+    """In the order of the sensor model file."""
     readings: int
-    """Number of readings that were fitted."""
     log_likelihood: float
-    """At the fit."""
+    """Number of readings that were fitted, and their log likelihood at the fit."""
     pit_counts: tuple[int, ...]
     """Histogram of the randomised probability integral transform over [0, 1] in equal bins; flat where the model
     fits."""
@@ -164,7 +160,6 @@ class Mixture:
     conditional: str
     """What depends on range, and why, in a sentence."""
     notes: tuple[str, ...] = ()
-    """What to know of these numbers."""
     set_ups: tuple[PlacementError, ...] = ()
     """Set-ups that were fitted about their own mean, with its distance from the calibration."""
 
@@ -370,7 +365,6 @@ class Question:
     verdict: Verdict = "cannot tell"
     """"matters" if one effect does, "does not matter" if none does, else "cannot tell"."""
     answer: str = ""
-    """The answer in a sentence."""
     points: tuple[PointResult, ...] = ()
     reference_points: tuple[PointResult, ...] = ()
     """What was compared."""
@@ -386,15 +380,13 @@ class Findings:
     """All findings. A part that the data do not allow is None or empty, and `absent` has the reason."""
 
     sensor: str
-    """Name of the part."""
     date: str
-    """Date of the characterisation, ISO 8601."""
+    """Name of the part, and date of the characterisation, ISO 8601."""
     calibration_temperature_c: float | None
     """Air temperature that the sensor assumes [deg C]; None for light and radio, whose ranges are not the air's."""
     sources: tuple[SourceFile, ...]
-    """The data."""
     points: tuple[PointResult, ...]
-    """All set-ups."""
+    """The data, and all set-ups in them."""
     baseline: Baseline | None = None
     calibration: CalibrationFindings | None = None
     mixture: Mixture | None = None
@@ -407,7 +399,6 @@ class Findings:
     absent: dict[str, str] = field(default_factory=dict)
     """Part -> why it is missing."""
     warnings: tuple[str, ...] = ()
-    """Warnings about the use of these numbers."""
 
 
 def as_json(findings: Findings) -> str:

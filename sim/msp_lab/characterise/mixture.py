@@ -1,17 +1,18 @@
 """The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
-`findings.Mixture` and the parameters for the sensor model file are fitted to points, with a calibration. The fit itself
-is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of its placement is
-not noise of the sensor; the calibration deals with the differences between set-ups.
+The fit itself is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of
+its placement is not noise of the sensor; the calibration deals with the differences between set-ups. The fit takes
+readings as independent; how alike the errors of neighbouring hits are is estimated apart (`hit_correlation`), about the
+mean of each point's own hits, and the simulator and the gap workflow draw and score readings with it.
 """
 
 import math
 from collections.abc import Collection, Iterator, Sequence
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
-from msp_lab.characterise.correlation import HitCorrelation
 from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
@@ -24,9 +25,36 @@ from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
+from msp_range.recording.csv_form import MeasuredData
+from msp_sim.model.history import MAX_CORRELATION
 
 ENOUGH_HITS = 50
 """Set-ups with fewer hits are fitted about the reference: their own mean would lower the variance by 2 % or more."""
+SURE_Z = 3.5
+"""A correlation goes into the file if it is so many standard errors from none (p = 2e-4, one-sided). Lower: models of
+independent readings get correlated noise; higher: weak correlation is found missing later, by the gap workflow."""
+NEIGHBOURS = 1.5
+"""Hits farther apart in time than this many usual steps are no neighbours: something between them was no hit, or the
+range was come back to."""
+MIN_NEIGHBOURS = 10
+"""Points with fewer hits are left out: their own mean takes away a tenth of a correlation and more."""
+
+
+class HitCorrelation(NamedTuple):
+    """Correlation of the errors of two hits that are `spacing_s` apart, and its standard errors from none."""
+
+    correlation: float
+    spacing_s: float
+    z: float
+
+    @property
+    def note(self) -> str:
+        """What to know of it."""
+        return (
+            f"errors of hits {self.spacing_s:.3g} s apart have a correlation of {self.correlation:.2f} ({self.z:.0f} "
+            "standard errors): the simulator draws them so, and intervals that take readings as independent are too "
+            "narrow"
+        )
 
 
 def fit_mixture(
@@ -39,12 +67,7 @@ def fit_mixture(
     """Fit the mixture to undisturbed readings on the axis: what was found, and what goes into the file.
 
     `sensor` has the limits and codes, and the parameters to compare with; `rng` is for the randomised goodness of fit;
-    `correlation` is that of neighbouring hits.
-
-    Raises
-    ------
-    FitError
-        It cannot be fitted; the reason.
+    `correlation` is that of neighbouring hits. FitError with the reason if it cannot be fitted.
     """
     try:
         grid = ReadingGrid.of(sensor)
@@ -55,21 +78,22 @@ def fit_mixture(
     whole = grid.nearest(reading_cm)
     has_ranges = np.unique([round(point.range_cm, 1) for point in points]).size > 1
     result = fit_readings(whole, expected_cm, grid, growth=has_ranges, reference_std_cm=reference_std_cm)
-    good, fit_note = None, ""
+    notes = []
+    if not np.array_equal(whole, reading_cm):
+        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
+    pit_counts: tuple[int, ...] = ()
+    pit_p_value = None
     try:
         good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
+        pit_counts, pit_p_value, note = good.pit_histogram, good.chi_square_p_value, good.note
     except ValueError as error:
-        fit_note = f"how well it fits is not known: {error}"
+        note = f"how well it fits is not known: {error}"
     moved = tuple(each for each in set_ups if each is not None)
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
     # All weights are one number together, so none of them alone can be the starting model's.
     kept = set(result.not_identified) & MixtureParameters.model_fields.keys()
     changed = {name: getattr(sensor.reading_model, name) for name in kept}
-    notes = []
-    if not np.array_equal(whole, reading_cm):
-        notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
-    notes.append(fit_note if good is None else good.note)
-    notes += _notes(result, moved, len(points), raised, kept)
+    notes += [note, *_notes(result, moved, len(points), raised, kept)]
     if correlation is not None:
         changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
         notes.append(correlation.note)
@@ -81,8 +105,8 @@ def fit_mixture(
         ),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
-        pit_counts=() if good is None else good.pit_histogram,
-        pit_p_value=None if good is None else good.chi_square_p_value,
+        pit_counts=pit_counts,
+        pit_p_value=pit_p_value,
         conditional=_conditional(result, expected_cm) if has_ranges else "not tried: all readings are of one range",
         notes=tuple(notes),
         set_ups=moved,
@@ -163,3 +187,36 @@ def _conditional(result: FitResult, expected_cm: Array) -> str:
     shares = zip(KINDS, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
     return f"{growing}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"
+
+
+def hit_correlation(points: Sequence[PointReadings], data: MeasuredData) -> HitCorrelation | None:
+    """Correlation of neighbouring hits at undisturbed points; None where there is none for sure.
+
+    `data` are the readings from which the points were made, for their times; without these nothing is known.
+    """
+    if "time_s" not in data:
+        return None
+    time_s = data["time_s"]
+    step_s, one_cm, other_cm, hits = np.concatenate([np.empty((4, 0)), *(_steps(p, time_s) for p in points)], axis=1)
+    if not step_s.size or not np.median(step_s) > 0.0:
+        return None
+    spacing_s = float(np.median(step_s))
+    near = step_s <= NEIGHBOURS * spacing_s
+    variance = float(np.mean(one_cm[near] ** 2))
+    if variance <= 0.0:
+        return None
+    # About its own mean a point of n independent hits has a correlation of -1 / n.
+    correlation = float((one_cm * other_cm)[near].mean() / variance + (1.0 / hits[near]).mean())
+    z = correlation * float(np.sqrt(np.count_nonzero(near)))
+    return HitCorrelation(min(correlation, MAX_CORRELATION), spacing_s, z) if z > SURE_Z else None
+
+
+def _steps(point: PointReadings, time_s: Array) -> Array:
+    """From each hit to the next in time, shape (4, steps): seconds, both errors [cm], and hits at this point."""
+    hit = np.flatnonzero(point.is_hit & np.isfinite(time_s[point.rows]))
+    if hit.size < MIN_NEIGHBOURS:
+        return np.empty((4, 0))
+    hit = hit[np.argsort(time_s[point.rows[hit]], kind="stable")]
+    error_cm = point.error_cm[hit] - point.error_cm[hit].mean()
+    step_s = np.diff(time_s[point.rows[hit]])
+    return np.array([step_s, error_cm[:-1], error_cm[1:], np.full(step_s.size, hit.size)])

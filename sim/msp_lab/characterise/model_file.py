@@ -43,13 +43,7 @@ _WRAPPER = textwrap.TextWrapper(width=118, break_long_words=False, break_on_hyph
 
 
 def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any]) -> SensorModel:
-    """The starting model with what was found in it.
-
-    Raises
-    ------
-    ConfigError
-        What was found cannot be a sensor model together with the rest of the starting one.
-    """
+    """The starting model with what was found in it; ConfigError if that does not go with the rest of it."""
     content = sensor.model_dump(mode="json") | to_jsonable_python(changes)
     if "breakaway" in changes and content["heard_on_axis_cm"] is not None:
         content["heard_on_axis_cm"] = max(content["heard_on_axis_cm"], content["breakaway"][-1]["range_cm"])
@@ -76,16 +70,9 @@ def write_new(path: Path, text: str) -> None:
 
 
 def model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
-    """The text of the model file, with a comment over each part on whether it was fitted.
+    """The text of the new model's file, with a comment over each part on how it was fitted or why it was kept.
 
-    Parameters
-    ----------
-    sensor
-        The new model, from `changed`.
-    findings, changes
-        For the comments: what was fitted and what was kept.
-    start
-        Name of the starting model's file.
+    `sensor` is that of `changed`, and `start` is the name of the starting model's file.
     """
     content = sensor.model_dump(mode="json")
     named = {name for names in _SECTIONS for name in names}

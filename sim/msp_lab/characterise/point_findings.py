@@ -12,7 +12,6 @@ class IntervalEstimate:
     """A number with its 95 % interval."""
 
     value: float
-    """The estimate."""
     low: float | None = None
     high: float | None = None
     """Ends of the interval; None where the data give none on that side."""
@@ -66,8 +65,8 @@ class IntervalEstimate:
 
 
 @dataclass(frozen=True)
-class PointResult:
-    """One set-up of the bench and its readings."""
+class SetUp:
+    """What was set up on the bench, in the data's words."""
 
     condition: str
     """Experiment of the campaign, as the CSV form's column `condition` names it."""
@@ -76,8 +75,13 @@ class PointResult:
     """Names of the sensor and the run in the data."""
     level: str
     """What the experiment varies, as a word: "concrete", "46 C", "60 Hz"; "" where nothing is varied."""
+
+
+@dataclass(frozen=True)
+class PointResult(SetUp):
+    """One set-up of the bench and its readings."""
+
     true_range_cm: float
-    """True range by the reference."""
     incidence_deg: float | None
     air_temperature_c: float | None
     target_temperature_c: float | None

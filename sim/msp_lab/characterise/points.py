@@ -6,7 +6,7 @@ scatter of readings use points as their unit.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from scipy import stats
 
 from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread
-from msp_lab.characterise.point_findings import PointResult
+from msp_lab.characterise.point_findings import PointResult, SetUp
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K, sonic_temperature_c
 from msp_range.arrays import Array, Flags, Indices, Texts, numbered
@@ -43,11 +43,7 @@ MIN_READINGS = 5
 """If most ranges have fewer readings, they are not set-ups of a bench: the range changed while it was read."""
 
 BASELINE = "baseline"
-VARIED = {
-    "incidence_deg": "field_of_view",
-    "vibration_hz": "vibration",
-    "external_level_db": "external_interference",
-}
+VARIED = {"incidence_deg": "field_of_view", "vibration_hz": "vibration", "external_level_db": "external_interference"}
 """Experiment of a reading without a `condition`: that of a column which is known and not zero."""
 
 SETTINGS = (
@@ -68,14 +64,9 @@ NEAR_KHZ = 1.0
 
 
 @dataclass(frozen=True)
-class PointReadings:
+class PointReadings(SetUp):
     """The readings of one point."""
 
-    condition: str
-    sensor: str
-    run: str
-    level: str
-    """As in `findings.PointResult`."""
     reading_cm: Array
     true_range_cm: Array
     air_temperature_c: Array
@@ -213,10 +204,7 @@ class PointReadings:
             change = float(np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit]))
             compensated = error.mapped(lambda end: end + change)
         return PointResult(
-            condition=self.condition,
-            sensor=self.sensor,
-            run=self.run,
-            level=self.level,
+            **{each.name: getattr(self, each.name) for each in fields(SetUp)},
             true_range_cm=self.range_cm,
             incidence_deg=_known(self.incidence_deg),
             air_temperature_c=_known(_mean(self.air_temperature_c)),

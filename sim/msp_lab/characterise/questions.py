@@ -74,7 +74,8 @@ class _Test(NamedTuple):
 def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     """All questions that every set-up of the data allows, with p-values corrected for all of them together."""
     asked = [question for name in QUESTIONS for question in _compared(name, points)]
-    tests = [[(metric, _test(metric, question)) for metric in NAMES] for question in asked]
+    kinds = {"bias": _paired, "spread": _paired, "missed": _odds, "outliers": _odds}
+    tests = [[(metric, kinds[metric](metric, question)) for metric in NAMES] for question in asked]
     done = [(metric, test) for each in tests for metric, test in each if test is not None]
     different = iter(holm([test.p_value for _, test in done]))
     alike = iter(holm([test.p_alike(metric) for metric, test in done]))
@@ -139,10 +140,6 @@ def _reference_level(name: str, points: Sequence[PointResult]) -> str | None:
     if name == "vibration" and len(levels) == 1:
         return None
     return next((level for level in levels if level in UNVARIED.get(name, ())), None)
-
-
-def _test(metric: Metric, question: Question) -> _Test | None:
-    return _odds(metric, question) if metric in ("missed", "outliers") else _paired(metric, question)
 
 
 def _paired(metric: Metric, question: Question) -> _Test | None:

@@ -30,13 +30,11 @@ class Characterisation:
     """What a model is made from, and how."""
 
     data: tuple[Path, ...]
-    """Files of readings."""
     start: Path
-    """File of the starting model."""
+    """Files of readings, and of the starting model."""
     column_map: tuple[str, ...]
-    """Options ``--map``."""
     truth: Literal["recorded", "others"]
-    """What the true range is."""
+    """Options ``--map`` and ``--truth``."""
     date: str
     seed: int
     """Date to record, and random seed of the goodness-of-fit test."""
@@ -51,7 +49,7 @@ class Characterisation:
 
 @dataclass(frozen=True)
 class SensorResult:
-    """A model, what it was made from, what was found, and which fields of the starting model were changed."""
+    """A model, what was found, which fields of the starting model (its file's name) were changed, and the readings."""
 
     model: SensorModel
     findings: Findings
@@ -60,7 +58,6 @@ class SensorResult:
     points: Sequence[PointReadings]
     """These readings, as they were sorted."""
     start: str
-    """Name of the starting model's file."""
 
     def write(self, path: Path) -> None:
         """Write the model file; RecordingError if there is a file already, or it cannot be written."""
@@ -69,18 +66,16 @@ class SensorResult:
     def publish(self, folder: Path) -> Path:
         """Write all numbers and the page, and return the page; UserError if they cannot be written."""
         write_new(folder / NUMBERS, as_json(self.findings))
+        from msp_lab.characterise.page.picture_data import PictureData
         from msp_lab.characterise.page.write import write_report
 
-        return write_report(self.findings, self.data, self.model, folder, self.points)
+        return write_report(PictureData(self.findings, self.data, self.model, of_analysis=self.points), folder)
 
 
 def check_free(out: Path, folder: Path | None) -> None:
     """Check before the analysis that its model file, and in the folder numbers and page, can be written.
 
-    Raises
-    ------
-    ConfigError
-        One of the files exists, its folder cannot be created, or is the model file.
+    ConfigError if one of the files exists, or its folder cannot be created or is the model file.
     """
     if folder is not None and out in (folder, *folder.parents):
         raise ConfigError(f"--report {folder}: {out} is to be the model file, expected another name for the folder")
@@ -96,13 +91,7 @@ def check_free(out: Path, folder: Path | None) -> None:
 def characterised(
     how: Characterisation, sensors: Sequence[str] = (), progress: Callable[[str], None] = lambda what: None
 ) -> SensorResult:
-    """Make a model from the readings of these sensors (none: all).
-
-    Raises
-    ------
-    ConfigError, RecordingError
-        The readings cannot be used.
-    """
+    """Make a model from the readings of these sensors (none: all); UserError if they cannot be used."""
     start = load_sensor_model(how.start)
     loaded = load_readings(how.data, start, load_maps(how.column_map), sensors=sensors, truth=how.truth)
     loaded = without_impossible(loaded, start)
@@ -135,22 +124,13 @@ class OfSensor:
     error: str = ""
 
 
-@dataclass(frozen=True)
-class EachSensor:
-    """What the models of several sensors have in common: how they are made, and the folders of models and pages."""
-
-    how: Characterisation
-    out: Path
-    report: Path | None
-
-
-def characterise_sensor(common: EachSensor, sensor: str) -> OfSensor:
-    """Make and write one sensor's model."""
+def characterise_sensor(common: tuple[Characterisation, Path, Path | None], sensor: str) -> OfSensor:
+    """Make and write one sensor's model, as the first says, to a file in the first folder and a page in the second."""
+    how, models, pages = common
     name = quote(sensor, safe="")
-    path = common.out / f"{name}.yaml"
-    report = common.report / name if common.report is not None else None
+    path, report = models / f"{name}.yaml", pages / name if pages is not None else None
     check_free(path, report)
-    made = characterised(common.how, [sensor])
+    made = characterised(how, [sensor])
     made.write(path)
     if report is not None:
         made.publish(report)

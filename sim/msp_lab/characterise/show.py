@@ -1,7 +1,4 @@
-"""The results of a characterisation as a short table on the terminal, with what the data did not allow.
-
-It is the table of the page as lines; the page has the rest.
-"""
+"""The results of a characterisation on the terminal: the page's answer and first table, and what the data lacked."""
 
 from collections.abc import Sequence
 

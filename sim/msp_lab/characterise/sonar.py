@@ -5,13 +5,14 @@ echo is detected if its level (`msp_sim.acoustics.echo`) is above the detection 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from msp_range.acoustics.beam import NARROWEST_HALF_ANGLE_DEG, BreakawayTable
+from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.acoustics.atmosphere import Atmosphere
 from msp_sim.acoustics.echo import WALL, echo_level_db
 from msp_sim.acoustics.piston import main_lobe_x
@@ -49,17 +50,15 @@ class Sonar:
     frequency_hz: float
     """Frequency of the ping [Hz]."""
 
-    def excess_db(self, range_m: float, off_axis_rad: float = 0.0) -> float:
-        """EL(R, theta) - DT(R) of a wall in the air of `ROOM` [dB]: detected if 0 or more.
+    def excess_db(self, range_m: float) -> float:
+        """EL(R) - DT(R) of a wall straight ahead in the air of `ROOM` [dB]: detected if 0 or more.
 
         The detection threshold is DT(R) = -g R relative to that at range 0: such sensors raise their gain while they
         wait for the echo, because a late echo is weak. A gain that is linear in dB over time is assumed; the sensor's
         actual gain is not published.
         """
-        level_db = echo_level_db(
-            self.source_level_db, range_m, off_axis_rad, WALL, ROOM, self.piston_diameter_m, self.frequency_hz
-        )
-        return level_db + self.gain_db_per_m * range_m
+        piston = self.piston_diameter_m, self.frequency_hz
+        return echo_level_db(self.source_level_db, range_m, 0.0, WALL, ROOM, *piston) + self.gain_db_per_m * range_m
 
     def half_angle_deg(self, range_m: float) -> float | None:
         """Largest angle off the axis at which a wall is detected, at a perpendicular distance above 0 [deg].
@@ -99,19 +98,9 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float = 0.0
     It has three parameters and the report's table four rows, so one degree of freedom is left, and agreement with the
     table is weak evidence. `leave_one_out` is a better test. Beyond the table the equation is an extrapolation.
 
-    Parameters
-    ----------
-    table
-        Breakaway angles against a large flat wall that reflects nearly all, in air as `ROOM`.
-    frequency_hz
-        Frequency of the ping [Hz].
-    on_axis_m
-        Range up to which a wall is detected on the axis [m], a constraint of the fit; at least the table's last range.
-
-    Raises
-    ------
-    ValueError
-        The table has fewer rows than the equation has parameters.
+    The table's angles are those against a large flat wall that reflects nearly all, in air as `ROOM`. `on_axis_m` is
+    the range up to which a wall is detected on the axis [m], a constraint of the fit; at least the table's last range.
+    ValueError if the table has fewer rows than the equation has parameters.
 
     Examples
     --------
@@ -147,6 +136,20 @@ def fit_sonar(table: BreakawayTable, frequency_hz: float, on_axis_m: float = 0.0
     return sonar_of(best.x.tolist())
 
 
+def fit_beam(
+    rows: Iterable[tuple[float, float]], sensor: SensorModel, on_axis_cm: float | None
+) -> tuple[BreakawayTable, Sonar, BreakawayTable]:
+    """The measured table, the sonar equation through it, and the table with the equation's rows beyond.
+
+    `rows` have range [cm] and half angle [deg], `on_axis_cm` is the range at which a wall is at least detected on the
+    axis [cm]; None: not known. ValueError as for `fit_sonar`.
+    """
+    ranges_cm, angles_deg = zip(*rows, strict=True)
+    table = BreakawayTable(tuple(range_cm / 100.0 for range_cm in ranges_cm), angles_deg)
+    sonar = fit_sonar(table, sensor.frequency_hz, (on_axis_cm or 0.0) / 100.0)
+    return table, sonar, extended_beam(table, sonar, sensor.maximum_cm / 100.0)
+
+
 def leave_one_out(table: BreakawayTable, frequency_hz: float, on_axis_m: float = 0.0) -> list[float | None]:
     """Predict each half angle of a table from its other rows [deg]; None if no echo is predicted.
 
@@ -166,17 +169,8 @@ def extended_beam(table: BreakawayTable, sonar: Sonar, maximum_m: float) -> Brea
 
     The measured rows are unchanged. Beyond them the angle is the equation's, but never increases with range: a gain
     that exceeds the losses would widen the beam, which has not been observed. The table ends where the equation
-    predicts no echo, and with the measured rows if it does not fit (an error of more than a step): beyond that its last
-    angle is only assumed.
-
-    Parameters
-    ----------
-    table
-        Measured breakaway angles.
-    sonar
-        From `fit_sonar`.
-    maximum_m
-        Longest range of the sensor [m].
+    predicts no echo or at the sensor's longest range, and with the measured rows if the equation does not fit (an error
+    of more than a step): beyond that its last angle is only assumed.
     """
     if not sonar.fits(table):
         return table

@@ -1,7 +1,6 @@
 """Air at the sensor and air on the way: the hot box, and temperature compensation.
 
-From questions about the temperature and points with air temperatures it finds how long the box's air must be to explain
-the errors, and mean errors with and without compensation. Speeds of sound are those of `msp_range.acoustics.air`.
+How long the box's air must be to explain the errors, and mean errors with and without compensation.
 """
 
 import math
@@ -12,14 +11,7 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import (
-    CONFIDENCE,
-    LIKELIHOOD_DROP,
-    Z,
-    fit_line,
-    half_of_mean,
-    mean_of_points,
-)
+from msp_lab.characterise.estimates import CONFIDENCE, LIKELIHOOD_DROP, Z, fit_line, half_of_mean, mean_of_points
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings

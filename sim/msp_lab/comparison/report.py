@@ -3,7 +3,7 @@
 Section, figure, table, equation and erratum numbers are those of the report and of the notes on it.
 """
 
-from msp_lab.characterise.reference import ReferenceNumbers
+from msp_lab.characterise.page.picture_data import ReferenceNumbers
 from msp_range.acoustics.air import ZERO_CELSIUS_K
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.yaml_file import ConfigError

@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from msp_lab.characterise.page.errors import Line, draw_errors, scale_of, with_reach
+from msp_lab.characterise.page.errors import draw_errors, scale_of, with_reach
 from msp_lab.characterise.page.picture_data import PictureData, summary
 from msp_lab.characterise.page.text import span
 from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.acoustics.air import compensate_range
-from msp_range.arrays import Array
 from msp_sim.page.page import Absent, Drawn, Entry
-from msp_sim.page.style import DOTS, GREEN, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
+from msp_sim.page.style import DOTS, GREEN, MARKED, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
 from msp_sim.page.text import sentence
 
 MAX_BOXES = 3
@@ -43,16 +42,13 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
         both.append(rows.errors(known, reading_cm=compensated_cm))
         air = f" Air {span(air_c[known])} °C; the sensor assumes {assumed_c:g} °C."
     errors = both[int(after)]
-    marked = _reference_errors(rows, np.unique(both[0].true_range_cm), after)
-    return draw_errors([errors], scale_of(both, marked), marked), summary(errors) + air
-
-
-def _reference_errors(rows: PictureData, tested_cm: Array, after: bool) -> Line | None:
-    """A reference's mean errors where they can be compared: next to a range that was measured."""
-    earlier = rows.reference.mean_error_cm
-    near = sorted(each for each in earlier if np.min(np.abs(tested_cm - each)) <= 2.0)
-    errors_cm = [earlier[each][int(after)] for each in near]
-    return Line(f"{rows.reference.name}'s mean error", np.array(near), np.array(errors_cm)) if near else None
+    # A reference's mean errors where they can be compared: next to a range that was measured.
+    earlier, tested_cm = rows.reference.mean_error_cm, np.unique(both[0].true_range_cm)
+    near = {each: earlier[each][int(after)] for each in sorted(earlier) if np.min(np.abs(tested_cm - each)) <= 2.0}
+    figure = draw_errors([errors], scale_of(both, near.values()))
+    if near:
+        figure.axes[0].plot(list(near), list(near.values()), label=f"{rows.reference.name}'s mean error", **MARKED)
+    return figure, summary(errors) + air
 
 
 def compensation(rows: PictureData) -> Drawn:

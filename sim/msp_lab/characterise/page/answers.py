@@ -1,7 +1,4 @@
-"""What was found: a few sentences, and a table of conclusions with a verdict each.
-
-The verdicts are those of the findings.
-"""
+"""What was found: a few sentences, and a table of conclusions with the findings' verdict on each."""
 
 from collections.abc import Iterator, Sequence
 
@@ -19,7 +16,6 @@ _CALIBRATION: dict[Form, str] = {
     "offset and scale": "a straight line corrects them",
     "piecewise linear": "a calibration of straight pieces corrects them",
 }
-
 
 Row = tuple[str, VerdictMark, str]
 """A line of the table: what was asked, a verdict of a word or two, and the answer."""

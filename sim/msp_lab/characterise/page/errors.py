@@ -5,7 +5,7 @@ read, as a bar whose width is its share. Ranges that change all the time are dra
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -20,7 +20,6 @@ from msp_sim.page.style import (
     BARS,
     DOTS,
     GREY,
-    MARKED,
     OURS,
     REFERENCE,
     edges_between,
@@ -55,14 +54,6 @@ class Errors:
     """Readings that are no distance (the codes for no echo) and answers that did not come, shape (n,)."""
 
 
-class Line(NamedTuple):
-    """Mean errors of a reference, to compare with."""
-
-    label: str
-    range_cm: Array
-    error_cm: Array
-
-
 class Scale(NamedTuple):
     """An axis of errors, which several pictures share to be compared."""
 
@@ -90,23 +81,14 @@ class Scale(NamedTuple):
 def draw_errors(
     panels: Sequence[Errors],
     scale: Scale | None = None,
-    marked: Line | None = None,
     band: tuple[float, str] | None = None,
 ) -> Figure:
-    """Draw one panel a sensor, one above the other.
+    """Draw one panel for each of these, at least one, each with at least one reading; one above the other.
 
-    Parameters
-    ----------
-    panels
-        At least one, each with at least one reading.
-    scale
-        Of the error axis; None: what the errors need.
-    marked
-        Errors to compare with.
-    band
-        Errors between plus and minus this are shaded [cm], and what they are.
+    `scale` is that of the error axis (None: what the errors need); errors between plus and minus the first of `band`
+    are shaded [cm], and the second says what they are.
     """
-    scale = scale or scale_of(panels, marked)
+    scale = scale or scale_of(panels)
     figure = new_figure(3.5 if len(panels) == 1 else max(6.1, 1.1 + 1.7 * len(panels)))
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     # One axis of ranges for all panels, also where some have fewer of them.
@@ -124,8 +106,6 @@ def draw_errors(
             row.axhspan(-half_cm, half_cm, label=words, **shaded(REFERENCE))
         draw = _bars if ranges_cm.size <= MOST_RANGES else _cloud
         draw(row, each, ranges_cm, scale)
-        if marked is not None:
-            row.plot(marked.range_cm, marked.error_cm, label=marked.label, **MARKED)
         if len(panels) > 1:
             row.set_title(each.label)
     figure.supylabel("reading − true range [cm]", fontsize=9.0)
@@ -133,11 +113,11 @@ def draw_errors(
     return figure
 
 
-def scale_of(panels: Sequence[Errors], marked: Line | None = None) -> Scale:
+def scale_of(panels: Sequence[Errors], marked_cm: Iterable[float] = ()) -> Scale:
     """Return the scale that shows nearly all readings of all panels and every marked error."""
     errors = np.concatenate([panel.error_cm[~panel.missed] for panel in panels])
     # One reading in 400 at either end may be outside, where it is marked: one or two outliers would hide the rest.
-    shown = [-2.4, 2.4, *(() if marked is None else marked.error_cm)]
+    shown = [-2.4, 2.4, *marked_cm]
     shown += [*np.quantile(errors, [0.0025, 0.9975])] if errors.size else []
     scale = Scale(min(shown) - 0.8, max(shown) + 0.8)
     return Scale(min(scale.low, -LINEAR_CM), max(scale.high, LINEAR_CM)) if scale.is_compressed else scale

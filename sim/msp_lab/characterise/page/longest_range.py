@@ -43,17 +43,14 @@ class _FixedRange:
         """The readings, NaN where one is no distance [cm]."""
         return np.where(self.missed, np.nan, self.reading_cm)
 
-    @cached_property
+    @property
     def codes_cm(self) -> Array:
-        """Codes for no echo [cm]."""
         return np.unique(self.reading_cm[self.missed & np.isfinite(self.reading_cm)])
 
     @property
     def caption(self) -> str:
-        """How many readings there are, and how many of them are codes."""
-        missed = self.percent(int(np.sum(self.missed)))
         readings = f"{self.reading_cm.size:,} readings at {self.true_range_cm:g} cm"
-        return f"{readings}, of which {missed} are codes for no echo"
+        return f"{readings}, of which {self.percent(int(np.sum(self.missed)))} are codes for no echo"
 
     @cached_property
     def limits_cm(self) -> tuple[float, float]:
@@ -62,14 +59,12 @@ class _FixedRange:
         reach = max(3.0 * (high - low), 8.0)
         return min(middle - reach, self.true_range_cm - 3.0), max(middle + reach, self.true_range_cm + 3.0)
 
-    @cached_property
+    @property
     def inside(self) -> Flags:
-        """Which distances are within the limits."""
         low, high = self.limits_cm
         return np.asarray((self.distance_cm >= low) & (self.distance_cm <= high))
 
     def percent(self, count: int) -> str:
-        """A count as a share of all readings."""
         return f"{100.0 * count / self.reading_cm.size:.2g} %"
 
     def note_outside(self, axes: Axes, x: float) -> None:

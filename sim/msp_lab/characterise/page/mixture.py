@@ -170,12 +170,11 @@ def _one_range(rows: PictureData) -> tuple[str, float]:
 
 def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:
     """Probability of each reading by each kind alone, and by all of the mixture, at a range."""
-    contexts = {"true_range_cm": np.full(k.size, apparent_cm)}
-    mixture = whole.rows(contexts["true_range_cm"])
+    mixture = whole.rows(np.full(k.size, apparent_cm))
     hit, short, _, random = mixture.kinds(k, k)
     # The garbled code is drawn with the mass that it comes from.
     missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
-    return [hit.p, short.p, missed, random.p, np.exp(whole.log_prob(k, contexts))]
+    return [hit.p, short.p, missed, random.p, np.exp(mixture.log_prob(k))]
 
 
 def density(rows: PictureData, kind: str) -> Drawn:

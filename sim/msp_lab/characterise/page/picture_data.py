@@ -1,9 +1,7 @@
-"""Which rows of the measured readings a picture is made of, and why there are none.
+"""Which rows of the measured readings a picture is made of, or `Absent` with the reason why there are none."""
 
-Findings, measured data and the sensor model become arrays to be drawn, or `Absent` with the reason.
-"""
-
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -14,15 +12,44 @@ from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.errors import Errors
 from msp_lab.characterise.points import PointReadings, sort_into_points
-from msp_lab.characterise.reference import ReferenceNumbers
-from msp_range.arrays import Array, Flags, Texts
+from msp_range.arrays import Array, Column, Flags, Texts
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.page.page import Absent
 from msp_sim.page.text import counted, plus, sentence
 
 Part = TypeVar("Part")
-Column = TypeVar("Column", Flags, Texts)
+
+
+@dataclass(frozen=True)
+class ReferenceNumbers:
+    """An earlier characterisation of the same sensor, which pictures and comparisons set next to the new one.
+
+    The laboratory has one, the MB1242 characterization report (`msp_lab.comparison.report`). Findings never depend on
+    it. An empty one, whose numbers are NaN and whose tables have no rows, marks nothing.
+    """
+
+    name: str = ""
+    """How sentences and legends call it: "the report"."""
+    sensor: str = ""
+    """Name of the sensor model that it is about."""
+    largest_error_cm: float = math.nan
+    """Largest error on the axis with nothing varied [cm]."""
+    peak_range_cm: float = math.nan
+    peak_cm: float = math.nan
+    """True range of the readings at the longest range, and where their histogram has its peak [cm]."""
+    half_angle_deg: Mapping[float, float] = field(default_factory=dict)
+    """Range [cm] -> largest angle with a reliable range [deg]."""
+    mean_error_cm: Mapping[float, tuple[float, float]] = field(default_factory=dict)
+    """Range [cm] -> mean error without and with temperature compensation [cm]."""
+    calibration_temperature_c: float = 20.0
+    """Air temperature that its compensation takes the sensor to assume [deg C]."""
+    answers: Mapping[str, str] = field(default_factory=dict)
+    """Question (`findings.Question.name`) -> what it answers, in a sentence."""
+
+    def mean_errors_at(self, range_cm: float) -> tuple[float, float] | None:
+        """Mean error without and with compensation within a centimetre of a range [cm]; None where it has none."""
+        return next((self.mean_error_cm[each] for each in self.mean_error_cm if abs(each - range_cm) < 1.0), None)
 
 
 @dataclass(frozen=True)
@@ -30,9 +57,8 @@ class PictureData:
     """What pictures are drawn from; columns of the data that its file lacks are NaN or ""."""
 
     findings: Findings
-    """What was found."""
     data: MeasuredData
-    """The readings that it was found in."""
+    """The readings that they were found in."""
     model: SensorModel
     """The sensor model with the fitted numbers."""
     reference: ReferenceNumbers = field(default_factory=ReferenceNumbers)
@@ -40,14 +66,12 @@ class PictureData:
     of_analysis: Sequence[PointReadings] | None = None
     """The readings as the analyses sorted them; None: they are sorted here."""
 
-    @cached_property
+    @property
     def true_cm(self) -> Array:
-        """True ranges [cm]."""
         return self.data.column("true_range_cm")
 
-    @cached_property
+    @property
     def reading_cm(self) -> Array:
-        """Readings [cm]."""
         return self.data.column("reading_cm")
 
     @cached_property
@@ -79,26 +103,14 @@ class PictureData:
         return column
 
     def needed(self, part: Part | None, name: str) -> Part:
-        """Return a part of the findings.
-
-        Raises
-        ------
-        Absent
-            These data do not give it, with the reason that the findings have.
-        """
+        """Return a part of the findings; `Absent` with their reason where these data do not give it."""
         if not part:
             why = self.findings.absent.get(name, f"the findings have no {name.replace('_', ' ')}")
             raise Absent(sentence(why))
         return part
 
     def of(self, condition: str) -> Flags:
-        """Rows of an experiment that have a true range.
-
-        Raises
-        ------
-        Absent
-            There are none.
-        """
+        """Rows of an experiment that have a true range; `Absent` where there are none."""
         if not self.points:
             raise Absent("No row has a true range (column true_range_cm).")
         if not self.has(condition):
@@ -111,13 +123,7 @@ class PictureData:
         return bool(np.any(self.condition == condition))
 
     def errors(self, rows: Flags, label: str = "", reading_cm: Array | None = None) -> Errors:
-        """Errors of some rows; of other readings than those that the sensor gave where `reading_cm` has them [cm].
-
-        Raises
-        ------
-        Absent
-            There are no such rows.
-        """
+        """Errors of some rows, of the sensor's readings or of these [cm]; `Absent` where there are no such rows."""
         if not np.any(rows):
             raise Absent("No such readings are in the data.")
         reading_cm = self.reading_cm if reading_cm is None else reading_cm

@@ -163,9 +163,8 @@ def vibration(rows: PictureData) -> Drawn:
     if not np.any(shaken):
         raise Absent("No readings with vibration (column vibration_hz above 0).")
     panels = [rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in np.unique(vibration_hz[shaken])]
-    caption = f"Vibration of {span(vibration_hz[shaken])} Hz. {summary(rows.errors(shaken))}"
-    caption += _answers(rows, "vibration")
-    return draw_errors(panels), caption
+    counts = f"Vibration of {span(vibration_hz[shaken])} Hz. {summary(rows.errors(shaken))}"
+    return draw_errors(panels), counts + _answers(rows, "vibration")
 
 
 def crosstalk(rows: PictureData, condition: str) -> Drawn:
@@ -175,8 +174,8 @@ def crosstalk(rows: PictureData, condition: str) -> Drawn:
         rows.errors(found & (sensor == name), name if name.startswith("sensor") else f"sensor {place}, {name}")
         for place, name in enumerate(np.unique(sensor[found]).tolist(), start=1)
     ]
-    caption = " ".join(sentence(f"{panel.label}: {summary(panel)}") for panel in panels) + _answers(rows, condition)
-    return draw_errors(panels), caption
+    counts = " ".join(sentence(f"{panel.label}: {summary(panel)}") for panel in panels)
+    return draw_errors(panels), counts + _answers(rows, condition)
 
 
 def external(rows: PictureData) -> Drawn:
@@ -185,10 +184,9 @@ def external(rows: PictureData) -> Drawn:
     levels = np.unique(rows.level[found]).tolist()
     levels.sort(key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0")))
     panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MAX_LEVELS]]
-    caption = f"{summary(rows.errors(found))} {_answers(rows, 'external_interference')}".strip()
     left_out = len(levels) - len(panels)
-    caption += f" Not drawn: {counted(left_out, 'more level')}." if left_out else ""
-    return draw_errors(panels), caption
+    more = f" Not drawn: {counted(left_out, 'more level')}." if left_out else ""
+    return draw_errors(panels), summary(rows.errors(found)) + _answers(rows, "external_interference") + more
 
 
 def _answers(rows: PictureData, name: str, level: str = "") -> str:

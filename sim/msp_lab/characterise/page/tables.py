@@ -116,16 +116,7 @@ def points_table(findings: Findings) -> PageTable:
     return PageTable(
         name="points",
         title="Every set-up",
-        header=(
-            "condition",
-            "sensor",
-            "level",
-            "range [cm]",
-            "angle [deg]",
-            *counts,
-            "mean error [cm]",
-            "spread [cm]",
-        ),
+        header=("condition", "sensor", "level", "range [cm]", "angle [deg]", *counts, "mean error [cm]", "spread [cm]"),
         rows=tuple(_point(point) for point in findings.points[:MAX_POINTS]),
         caption=f"{left_out:,} more are left out here." if left_out > 0 else "",
         align="lllr",
@@ -149,3 +140,7 @@ def sources_table(findings: Findings) -> PageTable:
     """The files that the readings are from."""
     rows = tuple((source.name, f"{source.rows:,}", source.sha256) for source in findings.sources)
     return PageTable("sources", "", ("file", "rows", "SHA-256"), rows, align="lrl")
+
+
+TABLES = (effects_table, compensation_table, mixture_table, points_table, sources_table)
+"""All of them but the conclusions."""
