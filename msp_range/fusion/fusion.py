@@ -375,7 +375,7 @@ class Fusion:
     def _is_fixed_after_all(self, parent: Surface, look: Look, seen: Seen) -> bool:
         """`_is_fixed` by a reading that is not of the ground, where the ground's response expects one like it."""
         expects = parent.response.expects(self._height_reading(look, seen))
-        return expects and self._is_fixed(parent, look, seen, self._spans_plane(parent), False)
+        return expects and self._is_fixed(parent, look, seen, self._spans_plane(parent), look.is_least)
 
     def _was_garbled(self, look: Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
