@@ -341,11 +341,11 @@ class Fusion:
         others = self._belief.sees(surface, self._time_s - self._windows.fresh_s)
         return sum([not each.repeated for each in others]) >= 2
 
-    def _is_fixed(self, surface: Surface, look: Look, seen: Seen, shows_slope: bool, is_ground: bool = True) -> bool:
+    def _is_fixed(self, surface: Surface, look: Look, seen: Seen, shows_slope: bool, moves_all: bool = True) -> bool:
         """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
         known, since_s = surface.filter, self._time_s - self._windows.fresh_s
         may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not shows_slope
-        surface.response.update(self._height_reading(look, seen), known.climb_m_s, may_slope, is_ground)
+        surface.response.update(self._height_reading(look, seen), known.climb_m_s, may_slope, moves_all)
         if not surface.response.is_fixed:
             return False
         answered = [self._modes[name] for name in surface.response.sees(since_s)]

@@ -205,7 +205,7 @@ class MotionResponse:
         (follows_m, _, _), (fixed_m, _, _), (late_m, late_m_s, _) = states
         return follows_m, fixed_m, late_m + late_m_s * max(self._turn_s - since_s, -self._turn_s)
 
-    def update(self, reading: HeightReading, climb_m_s: float, may_slope: bool, is_ground: bool = True) -> None:
+    def update(self, reading: HeightReading, climb_m_s: float, may_slope: bool, moves_all: bool = True) -> None:
         """Update with a reading that was of the ground, or is expected.
 
         Parameters
@@ -216,8 +216,9 @@ class MotionResponse:
             How fast the height grows by all readings before [m/s].
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
-        is_ground
-            Whether the reading is of the ground: another one is only for the predictions that it is near.
+        moves_all
+            Whether the reading is of the ground, or the least that a sensor can say: another one moves only the
+            predictions that it is near.
         """
         sensor, time_s, since_s, height_m, variance_m2 = reading
         if self._time_s is None:
@@ -257,7 +258,7 @@ class MotionResponse:
                 squares[2] = squares[0]
             self._decide(t, squares, k_h, up_m_s2, may_slope)
             self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
-        nearest_m = math.inf if is_ground else NEAR_M
+        nearest_m = math.inf if moves_all else NEAR_M
         self._states = [
             (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) if abs(off_m) < nearest_m else (h, w, b)
             for (h, w, b), off_m in zip(predicted, offs_m, strict=True)
