@@ -1,5 +1,6 @@
 """Ripples over range and time are found with their period, and noise that wanders slowly is none."""
 
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -10,10 +11,12 @@ import yaml
 from numpy.typing import NDArray
 
 from msp_lab.gap.curve_test import ripples
+from msp_lab.gap.curves import add_curves
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import Prepared
+from msp_lab.gap.problem import Problem, first_state
 from msp_lab.gap.refit import refit
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
@@ -25,6 +28,7 @@ from msp_sim.model.sampler import Sampler
 from tests.support.curves import with_curve
 from tests.support.measured import MODEL as FILE
 from tests.support.measured import sensor
+from tests.support.slow import slow
 
 Array = NDArray[np.float64]
 MODEL = Model.of(load_sensor_model(FILE).model_copy(update={"effects": ()}))
@@ -95,6 +99,65 @@ def test_noise_that_wanders_slowly_is_no_ripple() -> None:
         )
         likeliest.append(found(contexts, read(contexts, seed, wander_cm))[0][2])
     assert min(likeliest) > np.log(0.003)
+
+
+def lit(n: int, jitter: float) -> dict[str, Any]:
+    """Six runs of readings every 50 ms, give or take a share of that, with a lamp on in every second one."""
+    rng = np.random.default_rng(7)
+    time_s = 0.05 * (np.arange(n) % (n // 6) + jitter * rng.standard_normal(n))
+    return {
+        "time_s": time_s,
+        "run": np.array([f"run{k}" for k in np.arange(n) * 6 // n]),
+        "true_range_cm": rng.uniform(60.0, 350.0, n),
+        "time_in_run_s": time_s,
+        "lamp": (np.arange(n) % 2).astype(float),
+    }
+
+
+def curves_of(contexts: dict[str, Any], reading_cm: Array) -> list[str]:
+    unit = np.unique(contexts["run"], return_inverse=True)[1]
+    problem = Problem.of(MODEL, contexts, reading_cm, unit, np.random.default_rng(1))
+    return [each.label for each in add_curves(problem, first_state(problem), 6.0, 6).terms]
+
+
+LIT = [(3000, 0.02, 1.0)]
+SLOW_LIT = [(3000, 0.02, 3.0), (3000, 0.1, 1.0), *product([3000, 24_000], [0.0], [1.0, 3.0]), (24_000, 0.02, 1.0)]
+
+
+@pytest.mark.parametrize("words", [False, True])
+@pytest.mark.parametrize("drawn", [*LIT, *slow(*SLOW_LIT)])
+def test_what_a_column_that_alternates_explains_is_no_ripple(drawn: tuple[int, float, float], words: bool) -> None:
+    n, jitter, size_cm = drawn
+    contexts = lit(n, jitter)
+    reading_cm = read(contexts, 7, size_cm * contexts["lamp"])
+    if words:
+        contexts["lamp"] = np.where(contexts["lamp"] > 0.0, "on", "off")
+    assert curves_of(contexts, reading_cm) == ["bias over lamp"]
+
+
+def test_a_column_that_alternates_at_exactly_even_times_is_named() -> None:
+    contexts = lit(3000, 0.0)
+    reading_cm, rng = read(contexts, 7, 3.0 * contexts["lamp"]), np.random.default_rng(1)
+    named = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng)
+    assert [each.variables for each in named.unknown] == [("lamp",)]
+    assert not named.effects
+
+
+def test_a_ripple_of_which_a_column_explains_less_stays_one() -> None:
+    """A lamp that is on while the wave is up has 81 % of its variance."""
+    contexts = flown(1)
+    wave_cm = 0.8 * np.sin(2.0 * np.pi * contexts["time_in_run_s"] / 1.7)
+    contexts["lamp"] = (wave_cm > 0.0).astype(float)
+    assert curves_of(contexts, read(contexts, 1, wave_cm))[0] == "ripple of 1.7 over time_in_run_s"
+
+
+def test_a_ripple_of_two_readings_has_the_amplitude_that_they_show() -> None:
+    """Times that are even to 1 % say little of its phase: a fit of 2 cm says no more than half a centimetre of them."""
+    contexts = lit(3000, 0.01)
+    reading_cm, rng = read(contexts, 7, contexts.pop("lamp")), np.random.default_rng(1)
+    (found,) = name_effects(MODEL, AllReadings(contexts, reading_cm, draw_splits(contexts, rng)), rng).unknown
+    assert found.formula.startswith("ripple of 0.1 s over time_in_run_s, amplitude ")
+    assert float(found.formula.split()[-2]) == pytest.approx(0.5, abs=0.15)
 
 
 @pytest.mark.slow

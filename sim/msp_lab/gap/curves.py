@@ -94,9 +94,11 @@ def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve
     """With that of the curves that were asked in some ways which gains most after its refit; pairs need more.
 
     Of each way it is the first of the likeliest that gains enough, and promises as much by its score. Readings propose,
-    and runs count after the refit, as for effects.
+    and runs count after the refit, as for effects. A ripple is one of many periods, and has no cause: a curve over
+    another column comes before it that random variation makes less often, as any column does that alternates at even
+    times.
     """
-    least, found = np.log(rules.CURVE_P), []
+    least, found = np.log(rules.CURVE_P), {}
     for forms in asked:
         for form in forms[: rules.CURVES_REFITTED]:
             # What a curve of far hits gains before a refit, at the spread that they have caused, promises too little.
@@ -104,11 +106,18 @@ def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve
                 break
             there, log_p = _refitted(problem, state, form)
             cost_nats, share = (rules.PAIR_COST_NATS, rules.FORM_SHARE) if len(form.variables) > 1 else (0.0, 1.0)
-            if log_p + form.log_asked + cost_nats < least:
+            corrected = log_p + form.log_asked + cost_nats
+            if corrected < least:
                 gain = loss(problem, state.fit, there)
-                found.append((min(gain - cost_nats, share * gain), there))
+                found[form] = min(gain - cost_nats, share * gain), corrected, there
                 break
-    return max(found, key=lambda each: each[0], default=(0.0, None))[1]
+    if not found:
+        return None
+    best = max(found, key=lambda each: found[each][0])
+    if isinstance(best.forms[0][0], Ripple):
+        others = [each for each in found if each.variables != best.variables and found[each][1] < found[best][1]]
+        best = max(others, key=lambda each: found[each][0], default=best)
+    return found[best][2]
 
 
 def _refitted(problem: Problem, state: State, form: CandidateCurve) -> tuple[State, float]:

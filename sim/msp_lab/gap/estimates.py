@@ -232,9 +232,9 @@ def _unknown_effect(active: Term, widened: Array, gained: Gain, readings: Prepar
     elif isinstance(first, Ripple):
         period = first.period
         values = np.array(list(active.values.values()))
-        text = (
-            f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {np.hypot(*values):.2g} cm"
-        )
+        # That of the readings: of a period of two readings they say the phase badly, and so the height between them.
+        most_cm = float(np.abs(knot_weights(readings.scene, active.shape) @ values).max())
+        text = f"ripple of {period:.3g} {unit_of(variables[0])} over {variables[0]}, amplitude {most_cm:.2g} cm"
         # Some periods of it in the middle of the readings, where its phase is known best.
         middle = float(np.nanmedian(readings.scene[variables[0]]))
         at = middle + period * np.linspace(-0.5 * RIPPLE_DRAWN, 0.5 * RIPPLE_DRAWN, RIPPLE_POINTS)
