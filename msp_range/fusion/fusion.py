@@ -296,7 +296,8 @@ class Fusion:
         if parent is not None and found is None and not suspect and self._lifts_off(parent, look, seen):
             mode.see(parent, self._time_s)
             return self._on_surface(parent, look, look.over(parent.filter) or seen, PER_M)
-        if parent is not None and found is not parent and not suspect and self._is_fixed_after_all(parent, look, seen):
+        known = list(belief.surfaces) if parent is None else [parent]
+        if not suspect and found not in known and any(self._is_fixed_after_all(surface, look) for surface in known):
             return FIXED
         if found is not None:
             mode.see(found, self._time_s, share)
@@ -372,10 +373,12 @@ class Fusion:
         parent.filter.shift(off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
         return True
 
-    def _is_fixed_after_all(self, parent: Surface, look: Look, seen: Seen) -> bool:
-        """`_is_fixed` by a reading that is not of the ground, where the ground's response expects one like it."""
-        expects = parent.response.expects(self._height_reading(look, seen))
-        return expects and self._is_fixed(parent, look, seen, self._spans_plane(parent), look.is_least)
+    def _is_fixed_after_all(self, surface: Surface, look: Look) -> bool:
+        """`_is_fixed` by a reading that is not of a surface, where its response expects one like it."""
+        seen = look.over(surface.filter)
+        if seen is None or not surface.response.expects(self._height_reading(look, seen)):
+            return False
+        return self._is_fixed(surface, look, seen, self._spans_plane(surface), look.is_least)
 
     def _was_garbled(self, look: Look) -> bool:
         """Whether a reading is the ground's, garbled on the bus; then it keeps what is known of the ground up to date.
