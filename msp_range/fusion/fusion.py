@@ -160,15 +160,12 @@ class Fusion:
 
     def conditions(self) -> list[Condition]:
         """Answers a ping late, readings of nothing, and what is perhaps no ground: for `msp_range.health`."""
+        ground = self._belief.ground
         return [
-            Text.LATE.when(self._is_late),
+            Text.LATE.when(ground is not None and ground.response.is_late),
             Text.SCATTER.when(self._belief.is_scattered),
             self._belief.doubt or Text.STEEP.when(False),
         ]
-
-    @property
-    def _is_late(self) -> bool:
-        return self._belief.ground is not None and self._belief.ground.response.is_late
 
     def object_m(self, sensor: str) -> float | None:
         """Height over the ground of what is below a sensor and is not ground, negative for a hole [m]; or None."""
@@ -362,13 +359,13 @@ class Fusion:
         return HeightReading(look.reading.sensor, self._time_s, look.mode.since_s, seen.height_m, variance_m2)
 
     def _lifts_off(self, parent: Surface, look: Look, seen: Seen) -> bool:
-        """Whether a reading is of the ground that the vehicle has just left, by its acceleration.
+        """Whether a reading is of the ground that the vehicle has just left, by its acceleration; then it moves there.
 
         While the sensors read their minimum the filter of the height does not see that the vehicle climbs.
         """
         off_m = seen.height_m - parent.filter.height_m
-        is_left = self._time_s - parent.least_s > self._windows.fresh_s
-        if is_left or parent.response.offs_m(self._height_reading(look, seen))[0] > min(NEAR_M, abs(off_m)):
+        is_in_flight = self._time_s - parent.least_s > self._windows.fresh_s
+        if is_in_flight or parent.response.offs_m(self._height_reading(look, seen))[0] > min(NEAR_M, abs(off_m)):
             return False
         parent.filter.shift(off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
         return True

@@ -52,10 +52,10 @@ class Evidence:
     _sum = 0.0
     # Since the likeliest beginning of a change: product of the ratios, what was expected, and what was found.
     _since = _expected = _found = 0.0
+    _before = (0.0, 0.0, 0.0, 0.0)
 
     def __init__(self, threshold: float) -> None:
         self._threshold = threshold
-        self._before = (0.0, 0.0, 0.0, 0.0)
 
     @property
     def ratio(self) -> float:

@@ -177,13 +177,13 @@ def _values(knots: Sequence[Knots]) -> int:
 
 
 def degrees_of(knots: Sequence[Knots]) -> int:
-    """Degrees of freedom of a curve, beside its mean; a ripple has none."""
+    """Degrees of freedom of a curve, without its mean; a ripple has none."""
     return _values(knots) - (not isinstance(knots[0], Ripple))
 
 
 @dataclass(frozen=True)
 class _Scores:
-    """A channel's scores of all readings, and what is fitted beside."""
+    """A channel's scores of all readings, and what is fitted with it."""
 
     totals: Array
     """Each score, and its products with the scores of what is fitted, (n, 1 + numbers)."""

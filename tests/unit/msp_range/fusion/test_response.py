@@ -182,6 +182,8 @@ def test_late_answers_stay_late_at_rest_and_on_another_surface_until_they_are_in
         seen_m = 0.3 + height_m(read_s - (TURN_S if read_s < 20.0 else 0.0)) + draw.gauss(0.0, 0.01)
         response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.0, False)
         verdicts[i] = response.is_late
+        if 105 < i < 120:
+            assert response.log_odds > 3.0, "a hover, in which late answers are the ground's"
     assert not verdicts[49]
     assert all(verdicts[i] for i in range(100, 249))
     assert not verdicts[330]

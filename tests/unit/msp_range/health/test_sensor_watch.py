@@ -40,6 +40,16 @@ def test_a_report_without_a_change_takes_as_many_readings_as_its_threshold_on_av
     assert 300.0 < np.mean(times) < 900.0
 
 
+def test_a_reading_that_is_taken_back_has_not_counted() -> None:
+    taken_back, never = Evidence(300.0), Evidence(300.0)
+    for evidence in (taken_back, never):
+        assert not evidence.update(4.0, 0.5, 3.0)
+    taken_back.update(30.0, 1.0, 9.0)
+    taken_back.retract()
+    assert taken_back.ratio == never.ratio == 6.0
+    assert [taken_back.update(4.0, 0.5, 3.0) for _ in range(5)] == [never.update(4.0, 0.5, 3.0) for _ in range(5)]
+
+
 def test_readings_in_which_nothing_happens_count_as_if_each_had_been_reported() -> None:
     one_by_one, at_once = Occurrences(1e9, 6.0), Occurrences(1e9, 6.0)
     for each in (one_by_one, at_once):
