@@ -541,6 +541,8 @@ def test_a_take_off_is_followed_where_the_sensors_read_their_minimum_until_late(
         accelerate(motion, time_s, lambda moment_s: 0.7 if 10.0 < moment_s < 10.5 else 0.0, draw)
         status = Status.AT_MINIMUM if is_least else Status.OK
         sent.append(take(fusion, Reading(time_s, NAMES[i % 4], status, range_m, SIGMA_M, round(100 * range_m))))
+        if range_m == 0.33:
+            assert fusion.fit < 0.1, "the ground has moved there, and the reading does not contradict it"
     assert None not in sent[10:]
     for fused, range_m in zip(sent[107:], leaves[7:], strict=True):
         assert known(fused).range_m == pytest.approx(range_m, abs=0.04)
