@@ -242,7 +242,7 @@ def _characterise_one(
             if compare_with_report:
                 from msp_lab.comparison.write import write_comparison
 
-                pages.append(write_comparison(made.findings, made.data, made.model, report, made.points))
+                pages.append(write_comparison(made.findings, made.points, made.model, report))
     console.print(f"{out}: loads as a sensor model" + "".join(f"; {page}" for page in pages))
 
 

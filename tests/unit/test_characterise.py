@@ -264,7 +264,7 @@ def test_the_picture_of_hits_is_of_the_air_that_was_there(tmp_path: Path) -> Non
     made = characterised(
         Characterisation((tmp_path / "air.csv",), SENSOR, (), "recorded", "2026-10-05", 1, 0.0, None), ()
     )
-    fitted = densities(PictureData(made.findings, made.data, made.model))
+    fitted = densities(PictureData(made.findings, made.points, made.model))
     assert fitted.counts is not None
     share = fitted.counts / fitted.counts.sum()
     # Standard errors of a share of 800 readings are at most 0.018; about one range alone the model is off by 0.34.

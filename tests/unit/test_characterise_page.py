@@ -1,6 +1,7 @@
 """The page of a characterisation: complete, self-contained, and whole where parts of the data are missing."""
 
 import io
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -12,23 +13,23 @@ import pytest
 from PIL import Image
 
 from msp_lab.characterise.findings import Findings, HeldOut
+from msp_lab.characterise.page.air import range_errors
 from msp_lab.characterise.page.answers import conclusions_table
 from msp_lab.characterise.page.errors import Errors, draw_errors
 from msp_lab.characterise.page.field_of_view import sweep
 from msp_lab.characterise.page.mixture import density
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.write import write_report
-from msp_lab.characterise.sensors import Characterisation, characterised
+from msp_lab.characterise.points import sort_into_points
 from msp_lab.comparison.report import check_sensor
 from msp_lab.comparison.write import write_comparison
+from msp_range.acoustics.air import sonic_temperature_c
 from msp_range.reading_model.sensor_model import load_sensor_model
-from msp_range.recording.csv_form import MeasuredData, write_csv
+from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
 from msp_sim.page.style import draw_pit_bars, new_axes
 from tests.support.characterised import found_in, measured
 from tests.support.known import known
-from tests.support.measured import MODEL as MODEL_FILE
-from tests.support.measured import readings
 from tests.support.plain_bench import point, table
 
 MODEL = load_sensor_model(Path(__file__).parents[2] / "configs/sensors/mb1242.yaml")
@@ -117,7 +118,7 @@ def findings() -> Findings:
 @pytest.fixture(scope="module")
 def complete(findings: Findings, tmp_path_factory: pytest.TempPathFactory) -> Complete:
     folder = tmp_path_factory.mktemp("report")
-    path = write_report(PictureData(findings, measured(most=2000), MODEL), folder)
+    path = write_report(pictured(findings, measured(most=2000)), folder)
     return Complete(folder, Page(path), findings)
 
 
@@ -127,7 +128,11 @@ def compared(complete: Complete, tmp_path_factory: pytest.TempPathFactory) -> tu
     data = measured(most=2000)
     data = data.select(np.isin(data["condition"], ("baseline", "temperature_compensation")))
     folder = tmp_path_factory.mktemp("comparison")
-    return folder, Page(write_comparison(complete.findings, data, MODEL, folder))
+    return folder, Page(write_comparison(complete.findings, sort_into_points(data, MODEL), MODEL, folder))
+
+
+def pictured(findings: Findings, data: MeasuredData) -> PictureData:
+    return PictureData(findings, sort_into_points(data, MODEL), MODEL)
 
 
 def only(data: MeasuredData, *names: str) -> MeasuredData:
@@ -140,23 +145,6 @@ def names_of(folder: Path) -> list[str]:
 
 def nothing_found(data: MeasuredData) -> Findings:
     return Findings("other", "2026-10-05", 22.5, (), (), absent={"mixture": "too few readings"})
-
-
-@pytest.mark.slow
-def test_the_page_is_drawn_from_the_points_that_the_analysis_sorted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_csv(tmp_path / "bench.csv", readings(1200, 2))
-    how = Characterisation((tmp_path / "bench.csv",), MODEL_FILE, (), "recorded", "2026-10-05", 1)
-    made = characterised(how)
-    assert len(made.points) == len(made.findings.points) > 10
-    again = PictureData(made.findings, made.data, made.model)
-    rows = PictureData(made.findings, made.data, made.model, of_analysis=made.points)
-    assert [each.level for each in rows.points] == [each.level for each in again.points]
-    np.testing.assert_array_equal(rows.missed, again.missed)
-    assert all(each.sensor_model == made.model for each in rows.points)
-    monkeypatch.setattr("msp_lab.characterise.page.picture_data.sort_into_points", None)
-    assert "Kinds of readings" in made.publish(tmp_path / "page").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -237,11 +225,12 @@ def test_the_answer_stands_first_and_then_the_verdicts(complete: Complete) -> No
 def test_every_figure_of_the_report_is_there_or_says_why_not(complete: Complete, tmp_path: Path) -> None:
     data = measured(most=2000)
     data = data.select(data["condition"] != "vibration")
-    page = Page(write_comparison(complete.findings, data, MODEL, tmp_path))
+    page = Page(write_comparison(complete.findings, sort_into_points(data, MODEL), MODEL, tmp_path))
     names = names_of(tmp_path)
     missing = [figure for figure in REPORT_FIGURES if not any(name.startswith(figure) for name in names)]
     assert missing == ["figure_4_19"]
-    assert "Figure 4.19: range error, vibration: not drawn. No readings of vibration are in the data." in page.text
+    why = "No readings of vibration are in the data (column condition)."
+    assert f"Figure 4.19: range error, vibration: not drawn. {why}" in page.text
     assert page.images == len(names)
     assert set(names) <= page.anchors
 
@@ -274,7 +263,7 @@ def test_same_data_make_the_same_bytes(tmp_path: Path) -> None:
     data = measured(most=300)
     data = data.select(data["condition"] == "vibration")
     for folder in ("one", "two"):
-        write_report(PictureData(nothing_found(data), data, MODEL), tmp_path / folder)
+        write_report(pictured(nothing_found(data), data), tmp_path / folder)
     assert names_of(tmp_path / "one") == ["vibration"]
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes(), path.name
@@ -289,7 +278,7 @@ def test_without_a_field_of_view_the_rest_is_there_and_the_page_says_why(complet
     why = "needs breakaway angles at three ranges"
     findings = replace(whole, field_of_view=None, sonar=None, questions=(), absent={"sonar": why})
     findings = replace(findings, mixture=None, maximum_range=None, hot_boxes=())
-    page = Page(write_report(PictureData(findings, data, MODEL), tmp_path))
+    page = Page(write_report(pictured(findings, data), tmp_path))
     assert names_of(tmp_path) == ["calibration", "compensated", "compensation", "range_error", "uncompensated"]
     assert why in page.text
     assert "not drawn" not in page.text
@@ -304,7 +293,7 @@ def test_readings_and_ranges_alone_make_a_page(tmp_path: Path) -> None:
         "reading_cm",
         "true_range_cm",
     )
-    page = Page(write_report(PictureData(nothing_found(data), data, MODEL), tmp_path))
+    page = Page(write_report(pictured(nothing_found(data), data), tmp_path))
     assert names_of(tmp_path) == ["range_error"]
     assert "too few readings" in page.text
     assert "Does it matter?" not in page.text
@@ -321,7 +310,7 @@ def test_ranges_that_change_all_the_time_are_drawn_in_bins(tmp_path: Path) -> No
             "true_range_cm": true_cm,
         }
     )
-    write_report(PictureData(nothing_found(data), data, MODEL), tmp_path)
+    write_report(pictured(nothing_found(data), data), tmp_path)
     assert names_of(tmp_path) == ["range_error"]
 
 
@@ -330,7 +319,7 @@ def test_readings_that_are_all_missed(tmp_path: Path, reading_cm: float) -> None
     data = measured(most=300)
     data = data.select(np.isin(data["condition"], ("baseline", "maximum_range", "field_of_view")))
     columns = dict(data.columns) | {"reading_cm": np.full(len(data), reading_cm)}
-    page = Page(write_report(PictureData(nothing_found(data), MeasuredData(columns), MODEL), tmp_path))
+    page = Page(write_report(pictured(nothing_found(data), MeasuredData(columns)), tmp_path))
     assert "none was answered" in page.text or "missed: 1" in page.text
     assert "range_error" in names_of(tmp_path)
 
@@ -344,7 +333,7 @@ def test_no_true_range_at_all(tmp_path: Path) -> None:
             "true_range_cm": np.full(3, np.nan),
         }
     )
-    page = Page(write_report(PictureData(nothing_found(data), data, MODEL), tmp_path))
+    page = Page(write_report(pictured(nothing_found(data), data), tmp_path))
     assert names_of(tmp_path) == []
     assert "Nothing could be concluded" in page.text
 
@@ -354,7 +343,7 @@ def test_names_from_the_data_are_escaped(tmp_path: Path) -> None:
     data = data.select(data["condition"] == "material")
     columns = dict(data.columns)
     columns["target"] = np.where(data["target"] == "asphalt", "<b>&grit</b>", data["target"])
-    page = Page(write_report(PictureData(nothing_found(data), MeasuredData(columns), MODEL), tmp_path))
+    page = Page(write_report(pictured(nothing_found(data), MeasuredData(columns)), tmp_path))
     assert "<b>&grit" not in page.html
     assert "material__b__grit__b_" in names_of(tmp_path)
 
@@ -364,7 +353,7 @@ def test_a_folder_that_cannot_be_made_is_reported_in_a_line(tmp_path: Path) -> N
     data = measured(most=300)
     data = data.select(data["condition"] == "baseline")
     with pytest.raises(ConfigError, match="the report cannot be written"):
-        write_report(PictureData(nothing_found(data), data, MODEL), tmp_path / "file" / "report")
+        write_report(pictured(nothing_found(data), data), tmp_path / "file" / "report")
 
 
 def test_panels_share_an_axis_of_ranges_where_some_lack_one() -> None:
@@ -416,7 +405,7 @@ def test_two_sensors_at_the_same_angles_are_drawn() -> None:
         ),
         *(point(rng, z, n=40, sensor="left") for z in (60, 120, 180, 240)),
     )
-    figure, caption = sweep(PictureData(found_in(data), data, MODEL), 100.0)
+    figure, caption = sweep(pictured(found_in(data), data), 100.0)
     assert caption.startswith("440 readings at 11 angles")
     for axes in figure.axes:
         bars: Any = [bar for container in axes.containers for bar in container]
@@ -459,12 +448,24 @@ def test_the_band_of_a_pit_histogram_is_that_of_its_counts() -> None:
     assert (low, high) == pytest.approx((0.25, 2.0))
 
 
+def test_the_picture_of_compensated_ranges_is_of_the_air_s_humidity_too() -> None:
+    """In saturated air of 30 deg C sound is 0.7 % faster than in dry air: 2 cm of 3 m."""
+    rng = np.random.default_rng(3)
+    sonic_k = sonic_temperature_c(30.0, 100.0) + 273.15
+    shift = math.sqrt((22.5 + 273.15) / sonic_k) - 1.0
+    air = {"condition": "temperature_compensation", "air_temperature_c": 30.0, "humidity_pct": 100.0}
+    data = table(*(point(rng, z, error_cm=z * shift, sigma_cm=0.3, **air) for z in (250, 300, 350)))
+    _, caption = range_errors(pictured(nothing_found(data), data), after=True)
+    (median_cm,) = re.findall(r"median error (\S+) cm", caption)
+    assert abs(float(median_cm.replace("−", "-"))) < 0.5
+
+
 def test_of_a_kind_without_a_reading_the_picture_says_whose_rate_is_drawn() -> None:
     data = measured(most=300)
     weights = MODEL.reading_model.weights
     none_short = weights.model_copy(update={"short": 0.0, "hit": weights.hit + weights.short})
     mixture = MODEL.reading_model.model_copy(update={"weights": none_short})
     model = MODEL.model_copy(update={"reading_model": mixture})
-    figure, _ = density(PictureData(found_in(data), data, model), "short")
+    figure, _ = density(PictureData(found_in(data), sort_into_points(data, model), model), "short")
     (axes,) = figure.axes
     assert any("its rate is the starting model's" in text.get_text() for text in axes.texts)

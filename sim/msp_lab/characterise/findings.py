@@ -400,6 +400,11 @@ class Findings:
     """Part -> why it is missing."""
     warnings: tuple[str, ...] = ()
 
+    @property
+    def readings(self) -> int:
+        """How many readings the set-ups have: all with a true range."""
+        return sum(point.readings for point in self.points)
+
 
 def as_json(findings: Findings) -> str:
     """The findings as JSON text, keys as the attributes here.

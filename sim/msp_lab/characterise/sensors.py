@@ -19,7 +19,6 @@ from msp_lab.characterise.points import PointReadings
 from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import load_readings, sensors_in, without_impossible
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
-from msp_range.recording.csv_form import MeasuredData
 from msp_range.yaml_file import ConfigError
 
 NUMBERS, PAGE, TABLE = "findings.json", "report.html", "sensors.csv"
@@ -49,14 +48,12 @@ class Characterisation:
 
 @dataclass(frozen=True)
 class SensorResult:
-    """A model, what was found, which fields of the starting model (its file's name) were changed, and the readings."""
+    """A model, what was found, which fields of the starting model (its file's name) were changed, and its points."""
 
     model: SensorModel
     findings: Findings
     changes: Mapping[str, Any]
-    data: MeasuredData
     points: Sequence[PointReadings]
-    """These readings, as they were sorted."""
     start: str
 
     def write(self, path: Path) -> None:
@@ -69,7 +66,7 @@ class SensorResult:
         from msp_lab.characterise.page.picture_data import PictureData
         from msp_lab.characterise.page.write import write_report
 
-        return write_report(PictureData(self.findings, self.data, self.model, of_analysis=self.points), folder)
+        return write_report(PictureData(self.findings, self.points, self.model), folder)
 
 
 def check_free(out: Path, folder: Path | None) -> None:
@@ -104,7 +101,7 @@ def characterised(
         set_up_std_cm=how.set_up_std_cm,
         progress=progress,
     )
-    return SensorResult(changed(start, findings, changes), findings, changes, loaded.data, points, how.start.name)
+    return SensorResult(changed(start, findings, changes), findings, changes, points, how.start.name)
 
 
 @dataclass(frozen=True)
@@ -135,4 +132,4 @@ def characterise_sensor(common: tuple[Characterisation, Path, Path | None], sens
     if report is not None:
         made.publish(report)
     sigma_cm, shares = made.model.reading_model.sigma_cm, made.model.reading_model.weights
-    return OfSensor(sensor, len(made.data), sigma_cm, shares.short, shares.missed, shares.random, str(path))
+    return OfSensor(sensor, made.findings.readings, sigma_cm, shares.short, shares.missed, shares.random, str(path))

@@ -15,8 +15,7 @@ from msp_range.terminal import plain_table
 def show_findings(findings: Findings, console: Console) -> None:
     """Print the results."""
     console.print(summarise(findings))
-    rows = sum(point.readings for point in findings.points)
-    console.print(f"{findings.sensor}: {rows} readings at {len(findings.points)} points")
+    console.print(f"{findings.sensor}: {findings.readings} readings at {len(findings.points)} points")
     console.print(conclusions_table(findings))
     if findings.mixture is not None:
         console.print(mixture_table(findings))

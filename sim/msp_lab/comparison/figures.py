@@ -18,9 +18,9 @@ from msp_sim.page.text import number
 
 _TWO_CODES = "2000 readings at 500 cm, with missed ones that read 765 and 255."
 _LONGEST_RANGE = (
-    (5, "measurements", longest_range.in_order, False, _TWO_CODES),
+    (5, "measurements", longest_range.one_by_one, False, _TWO_CODES),
     (6, "histogram", longest_range.histogram, False, "the same two codes, and the histogram multi-modal for them."),
-    (7, "measurements, missed reports masked", longest_range.in_order, True, ""),
+    (7, "measurements, missed reports masked", longest_range.one_by_one, True, ""),
     (8, "histogram, missed reports masked", longest_range.histogram, True, f"a peak near {REPORT.peak_cm:g} cm."),
 )
 _TEMPERATURES = (

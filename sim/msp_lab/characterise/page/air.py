@@ -8,10 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from msp_lab.characterise.page.errors import draw_errors, scale_of, with_reach
-from msp_lab.characterise.page.picture_data import PictureData, summary
+from msp_lab.characterise.page.picture_data import PictureData, errors_of, in_order, summary
 from msp_lab.characterise.page.text import span
 from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_range.acoustics.air import compensate_range
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import DOTS, GREEN, MARKED, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
 from msp_sim.page.text import sentence
@@ -31,16 +30,16 @@ def entries(rows: PictureData) -> Iterator[Entry]:
 
 def range_errors(rows: PictureData, after: bool) -> Drawn:
     """Draw range errors without or with (``after``) compensation."""
-    found, air_c = rows.of("temperature_compensation"), rows.data.column("air_temperature_c")
-    assumed_c = rows.model.calibration_temperature_c
-    known = found & np.isfinite(air_c)
+    points = rows.of("temperature_compensation")
+    air_c = in_order(points, lambda point: point.air_temperature_c)
+    known = np.isfinite(air_c)
     if after and not np.any(known):
         raise Absent("The readings have no air temperature (column air_temperature_c), and nothing can be compensated.")
-    both, air = [rows.errors(found)], ""
+    both, air = [errors_of(points)], ""
     if np.any(known):
-        compensated_cm = compensate_range(rows.reading_cm / 100.0, air_c, assumed_c) * 100.0
-        both.append(rows.errors(known, reading_cm=compensated_cm))
-        air = f" Air {span(air_c[known])} °C; the sensor assumes {assumed_c:g} °C."
+        compensated = errors_of(points, "", lambda point: point.reading_cm * point.compensation - point.true_range_cm)
+        both.append(compensated.select(known))
+        air = f" Air {span(air_c)} °C; the sensor assumes {rows.model.calibration_temperature_c:g} °C."
     errors = both[int(after)]
     # A reference's mean errors where they can be compared: next to a range that was measured.
     earlier, tested_cm = rows.reference.mean_error_cm, np.unique(both[0].true_range_cm)

@@ -53,6 +53,10 @@ class Errors:
     missed: Flags
     """Readings that are no distance (the codes for no echo) and answers that did not come, shape (n,)."""
 
+    def select(self, rows: Flags) -> "Errors":
+        """Some of the readings."""
+        return Errors(self.label, self.true_range_cm[rows], self.error_cm[rows], self.missed[rows])
+
 
 class Scale(NamedTuple):
     """An axis of errors, which several pictures share to be compared."""

@@ -13,10 +13,11 @@ from matplotlib.ticker import MaxNLocator
 
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle
 from msp_lab.characterise.page.errors import share_bars, with_reach
-from msp_lab.characterise.page.picture_data import PictureData
+from msp_lab.characterise.page.picture_data import PictureData, ReferenceNumbers
 from msp_lab.characterise.page.text import half_interval
+from msp_lab.characterise.points import PointReadings
 from msp_lab.characterise.sonar import STEP_DEG, Sonar
-from msp_range.arrays import Array, Flags
+from msp_range.arrays import Array
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
     BARS,
@@ -63,11 +64,17 @@ def sweep(rows: PictureData, range_cm: float) -> Drawn:
     points = [point for point in view.points if point.range_cm == range_cm]
     angles = {point.incidence_deg for point in points}
     readings = f"{sum(point.readings for point in points):,} readings at {len(angles)} angles"
-    figure = _draw_sweep(rows, found & np.isclose(rows.true_cm, range_cm, rtol=0.0, atol=1e-3), points, angle)
+    here = [point for point in found if round(point.range_cm, 3) == range_cm]
+    figure = _draw_sweep(here, points, angle, rows.reference)
     return figure, f"{readings}. {breakaway}. Reliable: {view.criterion}."
 
 
-def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], breakaway: BreakawayAngle) -> Figure:
+def _draw_sweep(
+    readings: Sequence[PointReadings],
+    points: Sequence[AnglePoint],
+    breakaway: BreakawayAngle,
+    reference: ReferenceNumbers,
+) -> Figure:
     """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
     range_cm, half_deg = breakaway.range_cm, breakaway.half_angle.value
     figure = new_figure(4.5)
@@ -83,7 +90,7 @@ def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], 
     base_cm = min(points, key=lambda point: abs(point.incidence_deg)).nearest_cm
     slant_cm = base_cm / np.cos(theta)
     low, high = min(base_cm, range_cm) - 4.0, max(np.max(slant_cm), range_cm) + 5.0
-    _draw_shares(top, rows, chosen, angle_deg, width, (low, high))
+    _draw_shares(top, readings, angle_deg, width, (low, high))
     top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
     if half_deg > 0.0:
         nearest_cm = base_cm / np.cos(np.maximum(np.abs(theta) - np.radians(half_deg), 0.0))
@@ -102,9 +109,9 @@ def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], 
     bottom.set_ylabel("reliable [%]")
     bottom.set_xlabel("angle between the axis and the wall's normal [deg]")
     _mark_breakaway(top, bottom, breakaway)
-    reference_deg = rows.reference.half_angle_deg.get(range_cm)
+    reference_deg = reference.half_angle_deg.get(range_cm)
     if reference_deg is not None:
-        words = f"{rows.reference.name}'s ±{reference_deg:g}°"
+        words = f"{reference.name}'s ±{reference_deg:g}°"
         for axes, edge_deg in product((top, bottom), (-reference_deg, reference_deg)):
             axes.axvline(edge_deg, color=REFERENCE, linestyle=":", label=words)
     # Of many angles every other one.
@@ -117,15 +124,15 @@ def _draw_sweep(rows: PictureData, chosen: Flags, points: Sequence[AnglePoint], 
 
 
 def _draw_shares(
-    top: Axes, rows: PictureData, chosen: Flags, angle_deg: Array, room: float, limits_cm: tuple[float, float]
+    top: Axes, points: Sequence[PointReadings], angle_deg: Array, room: float, limits_cm: tuple[float, float]
 ) -> None:
     """Each angle's readings as a histogram on its side, whole centimetres."""
     low, high = limits_cm
-    incidence_deg, reading_cm = rows.data.column("incidence_deg")[chosen], rows.reading_cm[chosen]
-    shown = ~rows.missed[chosen] & (reading_cm > low) & (reading_cm < high)
     for angle in angle_deg:
-        here = np.isclose(incidence_deg, angle, atol=1e-6)
-        share_bars(top, angle, reading_cm[here & shown], int(np.sum(here)), room)
+        here = [point for point in points if round(point.incidence_deg, 3) == angle]
+        echo_cm = np.concatenate([point.reading_cm[point.is_echo] for point in here])
+        shown_cm = echo_cm[(echo_cm > low) & (echo_cm < high)]
+        share_bars(top, angle, shown_cm, sum(point.reading_cm.size for point in here), room)
 
 
 def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle) -> None:

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.page.mixture import Densities, densities, longest_range_cm
-from msp_lab.characterise.page.picture_data import PictureData
+from msp_lab.characterise.page.picture_data import PictureData, in_order
 from msp_lab.characterise.page.text import interval
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags
@@ -25,9 +25,9 @@ PEAK_RANGE_CM = 1.0
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the pictures in the page's order."""
     for masked, end, without in ((False, "", ""), (True, "_masked", ", without codes for no echo")):
-        for draw in (in_order, histogram):
-            title = f"Readings at the longest range, {draw.__name__.replace('_', ' ')}{without}"
-            yield f"longest_range_{draw.__name__}{end}", title, partial(draw, rows, masked)
+        for name, draw in (("in_order", one_by_one), ("histogram", histogram)):
+            title = f"Readings at the longest range, {name.replace('_', ' ')}{without}"
+            yield f"longest_range_{name}{end}", title, partial(draw, rows, masked)
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,13 @@ class _FixedRange:
 
 def _readings(rows: PictureData, masked: bool) -> _FixedRange:
     try:
-        found = rows.of("maximum_range")
+        points = rows.of("maximum_range")
     except Absent as absent:
         raise Absent(f"{absent} It takes many readings of a large target at one long range.") from None
-    true_cm = longest_range_cm(rows)
-    chosen = found & (rows.true_cm == true_cm)
-    fixed = _FixedRange(true_cm, rows.reading_cm[chosen], rows.missed[chosen])
+    true_cm = longest_range_cm(points)
+    here = in_order(points, lambda point: point.true_range_cm) == true_cm
+    reading_cm, echo = in_order(points, lambda point: point.reading_cm), in_order(points, lambda point: point.is_echo)
+    fixed = _FixedRange(true_cm, reading_cm[here], ~echo[here])
     if masked and not np.any(np.isfinite(fixed.distance_cm)):
         raise Absent(f"All {fixed.reading_cm.size:,} readings at {true_cm:g} cm are codes for no echo.")
     if not np.any(np.isfinite(fixed.reading_cm)):
@@ -89,7 +90,7 @@ def _readings(rows: PictureData, masked: bool) -> _FixedRange:
     return fixed
 
 
-def in_order(rows: PictureData, masked: bool) -> Drawn:
+def one_by_one(rows: PictureData, masked: bool) -> Drawn:
     """Draw the readings in order, with or without (``masked``) codes for no echo."""
     fixed = _readings(rows, masked)
     figure, axes = new_axes(3.3, "reading, in order", "reading [cm]")

@@ -1,7 +1,7 @@
 """Pictures of the fitted mixture: its four densities, all of them together, and how well they fit."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from msp_lab.characterise.estimates import wilson
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import interval
+from msp_lab.characterise.points import PointReadings
 from msp_lab.mixture_fit.parameters import KINDS
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags, Indices
@@ -122,15 +123,17 @@ class Densities:
 
 def densities(rows: PictureData) -> Densities:
     """The fitted mixture at the range with most readings."""
-    condition, true_cm = _one_range(rows)
-    chosen = rows.of(condition) & (rows.true_cm == true_cm)
+    points, true_cm = _one_range(rows)
     minimum_cm, maximum_cm = math.floor(rows.model.minimum_cm), math.ceil(rows.model.maximum_cm)
     k = np.arange(minimum_cm, maximum_cm + 1.0)
     # About the ranges that the fit took the rows to be at, which differ with the air's temperature.
-    at_cm = [point.apparent_cm[point.true_range_cm == true_cm] for point in rows.points if point.condition == condition]
-    mean_cm = np.mean(np.concatenate(at_cm))
-    steps_cm, rows_at = np.unique(np.round(np.concatenate(at_cm) - mean_cm, 1), return_counts=True)
+    at_cm, reading_cm = np.concatenate(
+        [np.array([point.apparent_cm, point.reading_cm])[:, point.true_range_cm == true_cm] for point in points], axis=1
+    )
+    mean_cm = np.mean(at_cm)
+    steps_cm, rows_at = np.unique(np.round(at_cm - mean_cm, 1), return_counts=True)
     set_ups = () if rows.findings.mixture is None else rows.findings.mixture.set_ups
+    condition = points[0].condition
     here = [each for each in set_ups if each.condition == condition and math.isclose(each.true_range_cm, true_cm)]
     apparent_cm = mean_cm + sum(each.error_cm for each in here) / max(len(here), 1)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
@@ -139,7 +142,7 @@ def densities(rows: PictureData) -> Densities:
     *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
     by_kind = dict(zip(KINDS, by_each_kind, strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
-    readings = to_step(rows.reading_cm[chosen], 1.0)
+    readings = to_step(reading_cm, 1.0)
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
     garbled = rows.model.reading_model.saturated_fraction > 0.0
     return Densities(
@@ -153,19 +156,27 @@ def densities(rows: PictureData) -> Densities:
     )
 
 
-def longest_range_cm(rows: PictureData) -> float:
-    """True range with most readings in the experiment of the maximum range; the longest of equal ones [cm]."""
-    ranges, counts = np.unique(rows.true_cm[rows.of("maximum_range")], return_counts=True)
+def longest_range_cm(points: Sequence[PointReadings]) -> float:
+    """True range with most readings of these points; the longest of equal ones [cm]."""
+    ranges, counts = _ranges(points)
     return float(ranges[np.lexsort((ranges, counts))[-1]])
 
 
-def _one_range(rows: PictureData) -> tuple[str, float]:
-    """Condition and true range: the longest range, else a middle one of the baseline."""
-    if rows.has("maximum_range"):
-        return "maximum_range", longest_range_cm(rows)
-    ranges, counts = np.unique(rows.true_cm[rows.of("baseline")], return_counts=True)
+def _one_range(rows: PictureData) -> tuple[list[PointReadings], float]:
+    """Points and a true range of theirs: the longest range, else a middle one of the baseline."""
+    try:
+        points = rows.of("maximum_range")
+        return points, longest_range_cm(points)
+    except Absent:
+        points = rows.of("baseline")
+    ranges, counts = _ranges(points)
     much = ranges[counts >= 0.5 * np.max(counts)]
-    return "baseline", float(much[much.size // 2])
+    return points, float(much[much.size // 2])
+
+
+def _ranges(points: Sequence[PointReadings]) -> tuple[Array, Indices]:
+    """True ranges, and how many readings there are at each."""
+    return np.unique(np.concatenate([point.true_range_cm for point in points]), return_counts=True)
 
 
 def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:

@@ -1,20 +1,19 @@
-"""Which rows of the measured readings a picture is made of, or `Absent` with the reason why there are none."""
+"""Which readings a picture is made of, or `Absent` with the reason why there are none."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from operator import attrgetter
+from typing import TypeVar
 
 import numpy as np
 
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.errors import Errors
-from msp_lab.characterise.points import PointReadings, sort_into_points
-from msp_range.arrays import Array, Column, Flags, Texts
+from msp_lab.characterise.points import PointReadings
+from msp_range.arrays import Array, Column
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.csv_form import MeasuredData
 from msp_sim.page.page import Absent
 from msp_sim.page.text import counted, plus, sentence
 
@@ -54,53 +53,15 @@ class ReferenceNumbers:
 
 @dataclass(frozen=True)
 class PictureData:
-    """What pictures are drawn from; columns of the data that its file lacks are NaN or ""."""
+    """What pictures are drawn from."""
 
     findings: Findings
-    data: MeasuredData
-    """The readings that they were found in."""
+    points: Sequence[PointReadings]
+    """The readings that they were found in, as the analyses sorted them."""
     model: SensorModel
     """The sensor model with the fitted numbers."""
     reference: ReferenceNumbers = field(default_factory=ReferenceNumbers)
     """Earlier numbers to mark next to the new ones."""
-    of_analysis: Sequence[PointReadings] | None = None
-    """The readings as the analyses sorted them; None: they are sorted here."""
-
-    @property
-    def true_cm(self) -> Array:
-        return self.data.column("true_range_cm")
-
-    @property
-    def reading_cm(self) -> Array:
-        return self.data.column("reading_cm")
-
-    @cached_property
-    def missed(self) -> Flags:
-        """Rows without an answer, and those that read a code for no echo, as the analyses take them."""
-        return self._of_points(np.ones(len(self.data), dtype=bool), lambda point: ~point.is_echo)
-
-    @cached_property
-    def level(self) -> Texts:
-        """What each row's experiment varies, as a word."""
-        return self._of_points(np.full(len(self.data), "", dtype="<U64"), lambda point: point.level)
-
-    @cached_property
-    def condition(self) -> Texts:
-        """Each row's experiment; "" without a true range."""
-        return self._of_points(np.full(len(self.data), "", dtype="<U64"), lambda point: point.condition)
-
-    @cached_property
-    def points(self) -> list[PointReadings]:
-        """The rows that have a true range, as the analyses sort them."""
-        if self.of_analysis is None:
-            return sort_into_points(self.data, self.model)
-        return [replace(each, sensor_model=self.model) for each in self.of_analysis]
-
-    def _of_points(self, column: Column, value: Callable[[PointReadings], Any]) -> Column:
-        """A column with each point's value in its rows."""
-        for point in self.points:
-            column[point.rows] = value(point)
-        return column
 
     def needed(self, part: Part | None, name: str) -> Part:
         """Return a part of the findings; `Absent` with their reason where these data do not give it."""
@@ -109,27 +70,31 @@ class PictureData:
             raise Absent(sentence(why))
         return part
 
-    def of(self, condition: str) -> Flags:
-        """Rows of an experiment that have a true range; `Absent` where there are none."""
+    def of(self, condition: str) -> list[PointReadings]:
+        """The points of an experiment; `Absent` where there are none."""
         if not self.points:
             raise Absent("No row has a true range (column true_range_cm).")
-        if not self.has(condition):
-            hint = "" if "condition" in self.data else " (there is no column condition with the experiment)"
-            raise Absent(f"No readings of {EXPERIMENTS[condition].called} are in the data{hint}.")
-        return np.asarray(self.condition == condition)
+        found = [point for point in self.points if point.condition == condition]
+        if not found:
+            raise Absent(f"No readings of {EXPERIMENTS[condition].called} are in the data (column condition).")
+        return found
 
-    def has(self, condition: str) -> bool:
-        """Whether there are rows of an experiment that have a true range."""
-        return bool(np.any(self.condition == condition))
 
-    def errors(self, rows: Flags, label: str = "", reading_cm: Array | None = None) -> Errors:
-        """Errors of some rows, of the sensor's readings or of these [cm]; `Absent` where there are no such rows."""
-        if not np.any(rows):
-            raise Absent("No such readings are in the data.")
-        reading_cm = self.reading_cm if reading_cm is None else reading_cm
-        missed = self.missed[rows]
-        error_cm = np.where(missed, np.nan, reading_cm[rows] - self.true_cm[rows])
-        return Errors(label, self.true_cm[rows], error_cm, missed)
+def in_order(points: Sequence[PointReadings], column: Callable[[PointReadings], Column]) -> Column:
+    """A column of the readings of some points, at least one, in the order in which they came."""
+    order = np.argsort(np.concatenate([point.rows for point in points]))
+    return np.concatenate([column(point) for point in points])[order]
+
+
+def errors_of(
+    points: Sequence[PointReadings],
+    label: str = "",
+    error_cm: Callable[[PointReadings], Array] = attrgetter("error_cm"),
+) -> Errors:
+    """Errors of the readings of some points, at least one: those as read, or others [cm]."""
+    missed = ~in_order(points, lambda point: point.is_echo)
+    errors_cm = np.where(missed, np.nan, in_order(points, error_cm))
+    return Errors(label, in_order(points, lambda point: point.true_range_cm), errors_cm, missed)
 
 
 def summary(errors: Errors) -> str:

@@ -1,8 +1,10 @@
 """Pictures of the range error over range: the calibration, nothing varied, and each experiment of a campaign."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,10 @@ from matplotlib.figure import Figure
 from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.page.errors import draw_errors, scale_of
-from msp_lab.characterise.page.picture_data import PictureData, summary
+from msp_lab.characterise.page.picture_data import PictureData, errors_of, summary
 from msp_lab.characterise.page.text import interval, span
-from msp_lab.characterise.temperature import ROOM_C
-from msp_range.arrays import Flags
+from msp_lab.characterise.points import PointReadings
+from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 from msp_range.correction.calibration import curve_through
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, line_at_zero, new_figure, shaded
@@ -23,8 +25,6 @@ from msp_sim.page.text import counted, number, plus, sentence
 
 MAX_LEVELS = 5
 """Panels that a picture has room for."""
-NEAR_ROOM_C = 5.0
-"""Air this near to `ROOM_C` counts as room temperature [deg C]; a box that is called cold or hot is farther from it."""
 CROWDED = 60
 """With more points than this they are drawn smaller and paler than the lines."""
 
@@ -102,7 +102,7 @@ def _draw_left_out(axes: Axes, found: CalibrationFindings) -> None:
 
 def baseline(rows: PictureData) -> Drawn:
     """Draw the range error with nothing varied."""
-    errors = rows.errors(rows.of("baseline"))
+    errors = errors_of(rows.of("baseline"))
     largest_cm = rows.reference.largest_error_cm
     band = largest_cm, f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
     caption, found = summary(errors), rows.findings.baseline
@@ -111,45 +111,54 @@ def baseline(rows: PictureData) -> Drawn:
     return draw_errors([errors], band=band if largest_cm > 0.0 else None), caption
 
 
-def _materials(rows: PictureData) -> list[str]:
-    """Targets of the material experiment; none where it was not done."""
-    target = rows.data.column("target")
-    return [each for each in np.unique(target[rows.of("material")]).tolist() if each] if rows.has("material") else []
+def _groups(
+    points: Sequence[PointReadings], key: Callable[[PointReadings], str] = attrgetter("level")
+) -> dict[str, list[PointReadings]]:
+    """Points by what distinguishes them, in the order of its words."""
+    return {word: list(here) for word, here in groupby(sorted(points, key=key), key)}
+
+
+def _materials(rows: PictureData) -> dict[str, list[PointReadings]]:
+    """Points of the material experiment by target; none where it was not done."""
+    there = _groups([point for point in rows.points if point.condition == "material"])
+    return {name: points for name, points in there.items() if name}
 
 
 def material(rows: PictureData, name: str) -> Drawn:
     """Draw the range error on a material."""
-    found, target, there = rows.of("material"), rows.data.column("target"), _materials(rows)
+    rows.of("material")
+    there = _materials(rows)
     if name not in there:
         raise Absent(f"No readings of {name}; the targets are {', '.join(there) or 'not named (column target)'}.")
-    figure, caption = _one_of(rows, {each: found & (target == each) for each in there}, name)
+    figure, caption = _one_of(there, name)
     return figure, caption + _answers(rows, "material", name)
 
 
-def _one_of(rows: PictureData, groups: dict[str, Flags], name: str) -> Drawn:
-    """Draw one of several groups of readings, on the scale that all of them need."""
-    errors = {each: rows.errors(here) for each, here in groups.items() if np.any(here)}
+def _one_of(groups: Mapping[str, Sequence[PointReadings]], name: str) -> Drawn:
+    """Draw one of several groups of points, on the scale that all of them need."""
+    errors = {each: errors_of(points) for each, points in groups.items() if points}
     return draw_errors([errors[name]], scale_of(list(errors.values()))), summary(errors[name])
 
 
 def temperature(rows: PictureData, kind: str) -> Drawn:
     """Draw the range error in room, hot or cold air."""
-    found, air_c = rows.of("temperature"), rows.data.column("air_temperature_c")
-    if not np.any(np.isfinite(air_c[found])):
+    known = [(point, air_c) for point in rows.of("temperature") if (air_c := point.found.air_temperature_c) is not None]
+    if not known:
         raise Absent("The readings of the temperature have no air temperature (column air_temperature_c).")
     kinds = {
-        "cold": found & (air_c <= ROOM_C - NEAR_ROOM_C),
-        "room": found & (np.abs(air_c - ROOM_C) < NEAR_ROOM_C),
-        "hot": found & (air_c >= ROOM_C + NEAR_ROOM_C),
+        "cold": [point for point, air_c in known if air_c <= ROOM_C - ROOM_WITHIN_C],
+        "room": [point for point, air_c in known if abs(air_c - ROOM_C) < ROOM_WITHIN_C],
+        "hot": [point for point, air_c in known if air_c >= ROOM_C + ROOM_WITHIN_C],
     }
     here = kinds[kind]
-    if not np.any(here):
-        there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint(air_c[found & np.isfinite(air_c)]))[:8])
+    if not here:
+        there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint([air_c for _, air_c in known]))[:8])
         raise Absent(f"No readings at {kind} temperature; the air was at {there} °C.")
-    figure, counts = _one_of(rows, kinds, kind)
-    far_c = rows.data.column("target_temperature_c")[here]
+    figure, counts = _one_of(kinds, kind)
+    far_c = np.array([point.target_temperature_c for point in here])
     at_target = f", at the target {span(far_c)} °C" if np.any(np.isfinite(far_c)) else ""
-    caption = f"Air at the sensor {span(air_c[here])} °C{at_target}. {counts}"
+    near_c = np.concatenate([point.air_temperature_c for point in here])
+    caption = f"Air at the sensor {span(near_c)} °C{at_target}. {counts}"
     for box in rows.findings.hot_boxes:
         if kind == ("hot" if box.box_c > ROOM_C else "cold"):
             caption += f" {sentence(box.answer)}"
@@ -158,21 +167,22 @@ def temperature(rows: PictureData, kind: str) -> Drawn:
 
 def vibration(rows: PictureData) -> Drawn:
     """Draw the range error at each frequency of vibration."""
-    found, vibration_hz = rows.of("vibration"), rows.data.column("vibration_hz")
-    shaken = found & (vibration_hz > 0.0)
-    if not np.any(shaken):
+    levels = {float(level.split()[0]): points for level, points in _groups(rows.of("vibration")).items() if level}
+    shaken = {each_hz: levels[each_hz] for each_hz in sorted(levels) if each_hz > 0.0}
+    if not shaken:
         raise Absent("No readings with vibration (column vibration_hz above 0).")
-    panels = [rows.errors(found & (vibration_hz == each), f"{each:g} Hz") for each in np.unique(vibration_hz[shaken])]
-    counts = f"Vibration of {span(vibration_hz[shaken])} Hz. {summary(rows.errors(shaken))}"
+    panels = [errors_of(points, points[0].level) for points in shaken.values()]
+    together = errors_of([point for points in shaken.values() for point in points])
+    counts = f"Vibration of {span(np.array([*shaken]))} Hz. {summary(together)}"
     return draw_errors(panels), counts + _answers(rows, "vibration")
 
 
 def crosstalk(rows: PictureData, condition: str) -> Drawn:
     """Draw the range error of two sensors that ping at once or in turn."""
-    found, sensor = rows.of(condition), rows.data.column("sensor")
+    by_sensor = _groups(rows.of(condition), attrgetter("sensor"))
     panels = [
-        rows.errors(found & (sensor == name), name if name.startswith("sensor") else f"sensor {place}, {name}")
-        for place, name in enumerate(np.unique(sensor[found]).tolist(), start=1)
+        errors_of(points, name if name.startswith("sensor") else f"sensor {place}, {name}")
+        for place, (name, points) in enumerate(by_sensor.items(), start=1)
     ]
     counts = " ".join(sentence(f"{panel.label}: {summary(panel)}") for panel in panels)
     return draw_errors(panels), counts + _answers(rows, condition)
@@ -181,12 +191,14 @@ def crosstalk(rows: PictureData, condition: str) -> Drawn:
 def external(rows: PictureData) -> Drawn:
     """Draw the range error at each level of external ultrasound."""
     found = rows.of("external_interference")
-    levels = np.unique(rows.level[found]).tolist()
-    levels.sort(key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0")))
-    panels = [rows.errors(found & (rows.level == level), level or "level unknown") for level in levels[:MAX_LEVELS]]
+    by_level = _groups(found)
+    levels = sorted(
+        by_level, key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0"))
+    )
+    panels = [errors_of(by_level[level], level or "level unknown") for level in levels[:MAX_LEVELS]]
     left_out = len(levels) - len(panels)
     more = f" Not drawn: {counted(left_out, 'more level')}." if left_out else ""
-    return draw_errors(panels), summary(rows.errors(found)) + _answers(rows, "external_interference") + more
+    return draw_errors(panels), summary(errors_of(found)) + _answers(rows, "external_interference") + more
 
 
 def _answers(rows: PictureData, name: str, level: str = "") -> str:

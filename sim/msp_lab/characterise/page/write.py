@@ -40,5 +40,4 @@ def write_report(rows: PictureData, folder: Path) -> Path:
         model=rows.model,
         answer=summarise(rows.findings),
         sections=sections,
-        rows_in_all=len(rows.data),
     )
