@@ -453,7 +453,7 @@ def test_the_picture_of_compensated_ranges_is_of_the_air_s_humidity_too() -> Non
     rng = np.random.default_rng(3)
     sonic_k = sonic_temperature_c(30.0, 100.0) + 273.15
     shift = math.sqrt((22.5 + 273.15) / sonic_k) - 1.0
-    air = {"condition": "temperature_compensation", "air_temperature_c": 30.0, "humidity_pct": 100.0}
+    air: dict[str, Any] = {"condition": "temperature_compensation", "air_temperature_c": 30.0, "humidity_pct": 100.0}
     data = table(*(point(rng, z, error_cm=z * shift, sigma_cm=0.3, **air) for z in (250, 300, 350)))
     _, caption = range_errors(pictured(nothing_found(data), data), after=True)
     (median_cm,) = re.findall(r"median error (\S+) cm", caption)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from msp_lab.characterise.estimates import common_spread, detectable, fit_points, holm, mean_and_spread, share
-from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.estimates import IntervalEstimate, common_spread, detectable, fit_points, holm, mean_and_spread, share
 from tests.support.known import contains, width
 from tests.support.slow import slow
 

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.characterise.findings import FactorEffect, Question
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.characterise.questions import _paired, answer_questions
+from msp_lab.estimates import IntervalEstimate
 from tests.support.known import contains, known
 from tests.support.plain_bench import point, table
 from tests.support.shipped import SENSOR
@@ -83,7 +83,7 @@ def test_an_effect_on_each_property_is_found_with_its_size() -> None:
     assert contains(missed, 11.0)
     assert strays is not None
     assert contains(strays, 11.0)
-    assert "matters: bias +" in found.answer
+    assert f"matters: bias {bias}; " in found.answer
 
 
 def test_what_is_the_same_does_not_matter_and_says_within_what() -> None:

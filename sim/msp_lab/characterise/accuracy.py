@@ -7,11 +7,10 @@ import numpy as np
 from scipy.signal import find_peaks, peak_widths
 
 from msp_lab.characterise.calibration import pooled_spread
-from msp_lab.characterise.estimates import Z, fit_line, mean_of_points, share
 from msp_lab.characterise.field_of_view import RELIABLE_SHARE
 from msp_lab.characterise.findings import Baseline, MaximumRange, Peak
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
+from msp_lab.estimates import IntervalEstimate, Z, fit_line, mean_of_points, share
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import SensorModel

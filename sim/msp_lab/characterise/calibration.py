@@ -13,8 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from msp_lab.characterise.estimates import (
+from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
+from msp_lab.characterise.points import PointReadings
+from msp_lab.estimates import (
     CONFIDENCE,
+    IntervalEstimate,
     PointsFit,
     Z,
     between_points,
@@ -22,9 +25,6 @@ from msp_lab.characterise.estimates import (
     fit_line,
     mean_of_points,
 )
-from msp_lab.characterise.findings import CalibrationFindings, Form, HeldOut, MeasuredKnot
-from msp_lab.characterise.point_findings import IntervalEstimate
-from msp_lab.characterise.points import PointReadings
 from msp_range.arrays import Array, Flags, numbered
 from msp_range.correction.calibration import curve_through, piecewise_linear
 

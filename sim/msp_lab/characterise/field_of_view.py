@@ -12,11 +12,10 @@ from typing import Literal
 import numpy as np
 from scipy.special import xlogy
 
-from msp_lab.characterise.estimates import fit_points, half_of_mean, share
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import GATE_CM, PointReadings
 from msp_lab.characterise.sonar import PARAMETERS, fit_beam, leave_one_out
+from msp_lab.estimates import IntervalEstimate, fit_points, half_of_mean, share
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
@@ -176,7 +175,7 @@ def _oblique(points: Sequence[AnglePoint]) -> Oblique:
         return float(np.std(left - starts @ (left @ starts / starts.sum(axis=0))))
 
     low, high = slope.ends
-    reason = f"readings grow by {slope.words('.2f')} of what the slant range does"
+    reason = f"readings grow by {slope} of what the slant range does"
     verdict: Literal["slant", "nearest", "unknown"] = "slant" if low > 0.5 else "nearest" if high < 0.5 else "unknown"
     reason += ", which may be nearer to either" if verdict == "unknown" else ""
     return Oblique(verdict, slope, rms_cm(1.0), rms_cm(0.0), reason)

@@ -2,14 +2,15 @@
 
 The analyses make these; nothing here computes or draws. Every interval is a 95 % one unless its field says otherwise,
 errors are reading minus truth (a positive one reads too far), and None is 'not known from these data'. `as_json` turns
-all of it into plain JSON. Numbers with intervals and what was found at single points are in `point_findings.py`.
+all of it into plain JSON. What was found at single points is in `point_findings.py`.
 """
 
 import json
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
-from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.point_findings import PointResult
+from msp_lab.estimates import IntervalEstimate
 from msp_lab.readings.intake import SourceFile
 
 Form = Literal["none", "offset and scale", "piecewise linear"]

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementError
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
+from msp_lab.estimates import IntervalEstimate
 from msp_lab.mixture_fit.fit import fit_readings
 from msp_lab.mixture_fit.fit_result import FitError, FitResult
 from msp_lab.mixture_fit.grid import ReadingGrid

@@ -16,7 +16,6 @@ from pydantic_core import to_jsonable_python
 
 from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.findings import Findings
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.error import new_file
@@ -113,23 +112,22 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
     }
     view, calibration, mixture = findings.field_of_view, findings.calibration, findings.mixture
     if view is not None:
-        shown = ", ".join(f"{angle.range_cm:g} cm {_interval(angle.half_angle, 1)}" for angle in view.angles)
+        shown = ", ".join(f"{angle.range_cm:g} cm {angle.half_angle}" for angle in view.angles)
         found["oblique_reading"] = [f"Fitted: {view.oblique.reason}."]
-        smaller = f"Fitted: the smaller of both sides [deg]: {shown}."
+        smaller = f"Fitted: the smaller of both sides: {shown}."
         found["breakaway"] = [smaller, f"Reliable: {view.criterion}."]
     if calibration is not None:
         std_cm, bias = calibration.reference_std_cm, calibration.bias
         stated = "is not stated" if std_cm is None else f"of {std_cm:g} cm is in it"
         reason = capitalised(calibration.reason)
-        mean = f"Mean error {_interval(bias, 2)} cm over {bias.n} points; the reference's own {stated}."
+        mean = f"Mean error {bias} over {bias.n} points; the reference's own {stated}."
         found["calibration"] = [f"Fitted: {calibration.form}. {reason}. {mean}"]
         if calibration.set_up_offset is not None:
-            between = _interval(calibration.set_up_offset, 2)
-            what = f"an offset that differs between placements, {between} cm, beyond the error of their true ranges"
-            found["effects"] = [f"Fitted: {what}."]
+            between = f"an offset that differs between placements, {calibration.set_up_offset}"
+            found["effects"] = [f"Fitted: {between}, beyond the error of their true ranges."]
     if mixture is not None:
         shown = "; ".join(
-            f"{parameter.name} {_interval(parameter.fitted, 4)}{', at its bound' if parameter.at_bound else ''}"
+            f"{parameter.name} {parameter.fitted}{', at its bound' if parameter.at_bound else ''}"
             for parameter in mixture.parameters
         )
         found["reading_model"] = [
@@ -139,10 +137,6 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
             "overconfident.",
         ]
     return found
-
-
-def _interval(estimate: IntervalEstimate, digits: int) -> str:
-    return estimate.mapped(lambda end: round(end, digits)).words("g")
 
 
 def _yaml(name: str, value: Any) -> str:

@@ -1,67 +1,8 @@
-"""What was found at one point of the bench, and a number with its interval: values only, as in `findings.py`."""
+"""What was found at one point of the bench: values only, as in `findings.py`."""
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from msp_sim.intervals import Z
-
-
-@dataclass(frozen=True)
-class IntervalEstimate:
-    """A number with its 95 % interval."""
-
-    value: float
-    low: float | None = None
-    high: float | None = None
-    """Ends of the interval; None where the data give none on that side."""
-    unit: str = ""
-    """Unit of all three; "" for a share or a ratio."""
-    n: int = 0
-    """Number of independent things it rests on, which `of` names."""
-    of: str = "readings"
-    """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
-
-    @classmethod
-    def about(cls, value: float, half: float, n: int, of: str = "readings", unit: str = "cm") -> "IntervalEstimate":
-        """A number with an interval that reaches as far to both sides."""
-        return cls(value, value - half, value + half, unit, n, of)
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Ends of the interval; infinite where the data give none."""
-        return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
-
-    @property
-    def standard_error(self) -> float:
-        """Standard error, where the interval is roughly symmetric; infinite without one."""
-        low, high = self.ends
-        return (high - low) / (2 * Z)
-
-    def holds(self, value: float) -> bool:
-        """Whether a value is within the interval; an end that is not known is no limit."""
-        low, high = self.ends
-        return low <= value <= high
-
-    def mapped(self, change: Callable[[float], float]) -> "IntervalEstimate":
-        """The estimate and both ends of its interval changed by a rising function."""
-        low, high = (None if end is None else change(end) for end in (self.low, self.high))
-        return replace(self, value=change(self.value), low=low, high=high)
-
-    def words(self, form: str, unit: str = "") -> str:
-        """The numbers in this format, and ``?`` for an end that is not known.
-
-        Examples
-        --------
-        >>> IntervalEstimate(1.512, 1.06).words(".1f", " cm")
-        '1.5 cm (1.1 to ?)'
-        """
-        low, high = ("?" if end is None else f"{end:{form}}" for end in (self.low, self.high))
-        return f"{self.value:{form}}{unit} ({low} to {high})"
-
-    def root(self, known: float = 0.0) -> "IntervalEstimate":
-        """The standard deviation of this variance, without a part that is known."""
-        return self.mapped(lambda end: math.sqrt(max(end - known, 0.0)))
+from msp_lab.estimates import IntervalEstimate
 
 
 @dataclass(frozen=True)

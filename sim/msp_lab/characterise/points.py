@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import MeanAndSpread, common_spread, mean_and_spread
 from msp_lab.characterise.point_findings import PointResult, SetUp
+from msp_lab.estimates import MeanAndSpread, common_spread, mean_and_spread
 from msp_lab.readings.resolution import ON_STEP_SHARE, step_of
 from msp_range.acoustics.air import ZERO_CELSIUS_K, sonic_temperature_c
 from msp_range.arrays import Array, Flags, Indices, Texts, numbered

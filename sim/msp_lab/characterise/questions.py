@@ -17,11 +17,11 @@ import numpy as np
 from scipy import stats
 from scipy.special import logit
 
-from msp_lab.characterise.estimates import detectable, holm, student
 from msp_lab.characterise.experiments import QUESTIONS
 from msp_lab.characterise.findings import NAMES, VERDICTS, FactorEffect, Metric, Question
-from msp_lab.characterise.point_findings import IntervalEstimate, PointResult
+from msp_lab.characterise.point_findings import PointResult
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
+from msp_lab.estimates import IntervalEstimate, detectable, holm, student
 from msp_range.arrays import Array
 
 LEVEL = 0.05
@@ -281,8 +281,8 @@ def _size(effect: FactorEffect) -> str:
     estimate = effect.estimate
     assert estimate is not None
     if effect.metric == "bias":
-        return f"bias {estimate.words('+.2f', ' cm')}"
-    return f"{NAMES[effect.metric]} times {estimate.words('.3g')}"
+        return f"bias {estimate}"
+    return f"{NAMES[effect.metric]} times {estimate}"
 
 
 def _doubt(effect: FactorEffect) -> str:

@@ -11,10 +11,9 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from msp_lab.characterise.estimates import CONFIDENCE, LIKELIHOOD_DROP, Z, fit_line, half_of_mean, mean_of_points
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.points import PointReadings
+from msp_lab.estimates import CONFIDENCE, LIKELIHOOD_DROP, IntervalEstimate, Z, fit_line, half_of_mean, mean_of_points
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
@@ -87,7 +86,7 @@ def _hot_box(question: Question, calibration_c: float) -> Iterator[HotBox]:
         best=best,
         answer=(
             f"{box_c:.0f} C at the sensor, {room_c:.0f} C beyond: the mean error moves by "
-            f"{mean.words('+.2f', ' cm')} over {range_cm.min():g} to {range_cm.max():g} cm, which is "
+            f"{mean} over {range_cm.min():g} to {range_cm.max():g} cm, which is "
             f"{per_cent.value:.1f} % of range {compared} the {uniform_per_cent:.1f} % of air like that all the way; "
             f"{_explanation(best, depth)}"
         ),
@@ -99,8 +98,7 @@ def _explanation(best: AirBefore | Literal["none"], depth: IntervalEstimate) -> 
         return "no shift is seen"
     if best != "confined":
         return f"a {best} temperature explains it best"
-    low, high = ("any" if end is None else f"{end:.0f}" for end in (depth.low, depth.high))
-    return f"air like that over the first {depth.value:.0f} cm explains it ({low} to {high} cm)"
+    return f"air like that over the first {depth} explains it"
 
 
 def _depth(range_cm: Array, shift_cm: Array, slope: float) -> IntervalEstimate:

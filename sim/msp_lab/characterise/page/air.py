@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from msp_lab.characterise.page.errors import draw_errors, scale_of, with_reach
 from msp_lab.characterise.page.picture_data import PictureData, errors_of, in_order, summary
 from msp_lab.characterise.page.text import span
-from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.estimates import IntervalEstimate
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import DOTS, GREEN, MARKED, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
 from msp_sim.page.text import sentence

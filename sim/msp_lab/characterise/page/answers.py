@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import NAMES, Findings, Form, MaximumRange, Question, Verdict
 from msp_lab.characterise.page.text import half_interval, interval
-from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.estimates import IntervalEstimate
 from msp_sim.page.table import MarkKind, PageTable, VerdictMark
 from msp_sim.page.text import counted, minus, p_text, plus, sentence
 

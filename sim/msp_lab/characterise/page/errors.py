@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from msp_lab.characterise.estimates import Z
-from msp_lab.characterise.point_findings import IntervalEstimate
+from msp_lab.estimates import IntervalEstimate, Z
 from msp_range.arrays import Array, Flags
 from msp_sim.page.style import (
     BARS,

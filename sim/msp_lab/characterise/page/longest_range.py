@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.page.mixture import Densities, densities, longest_range_cm
 from msp_lab.characterise.page.picture_data import PictureData, in_order
 from msp_lab.characterise.page.text import interval
+from msp_lab.estimates import Z
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags
 from msp_sim.page.page import Absent, Drawn, Entry

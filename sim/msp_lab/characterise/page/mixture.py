@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-from msp_lab.characterise.estimates import wilson
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.text import interval
 from msp_lab.characterise.points import PointReadings
+from msp_lab.estimates import wilson
 from msp_lab.mixture_fit.parameters import KINDS
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags, Indices

@@ -13,8 +13,8 @@ from msp_lab.characterise.experiments import EXPERIMENTS
 from msp_lab.characterise.findings import FactorEffect, Question
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.page.tables import METRICS
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_lab.characterise.questions import SHARE_BOUND
+from msp_lab.estimates import IntervalEstimate
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, new_figure, shaded
 

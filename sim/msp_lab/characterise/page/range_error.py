@@ -11,13 +11,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from msp_lab.characterise.estimates import Z
 from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.page.errors import draw_errors, scale_of
 from msp_lab.characterise.page.picture_data import PictureData, errors_of, summary
 from msp_lab.characterise.page.text import interval, span
 from msp_lab.characterise.points import PointReadings
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
+from msp_lab.estimates import Z
 from msp_range.correction.calibration import curve_through
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, line_at_zero, new_figure, shaded

@@ -1,4 +1,4 @@
-"""Intervals and tests for all analyses: shares, means and spreads of whole centimetres, Holm, power.
+"""Numbers with their intervals, and tests: shares, points, means and spreads of whole centimetres, Holm, power.
 
 Each function makes an `IntervalEstimate` or a p-value of counts or readings. Intervals are 95 % ones. A sensor that
 reports whole centimetres with little noise hides its mean between two of them, so the mean's and the spread's intervals
@@ -6,7 +6,8 @@ are those of the likelihood of the rounded readings, and not of their average.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,6 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import logsumexp, ndtr
 
-from msp_lab.characterise.point_findings import IntervalEstimate
 from msp_range.arrays import Array
 from msp_sim.intervals import CONFIDENCE, LIKELIHOOD_DROP, Z, wilson
 
@@ -37,6 +37,70 @@ _SPREADS = (0.02, 2.0)
 """Spreads that are tried for rounded values [steps]."""
 BATCH = 15
 """Readings in a batch, at least: those a batch apart are taken to be independent."""
+
+
+@dataclass(frozen=True)
+class IntervalEstimate:
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+    """Ends of the interval; None where the data give none on that side."""
+    unit: str = ""
+    """Unit of all three; "" for a share or a ratio."""
+    n: int = 0
+    """Number of independent things it rests on, which `of` names."""
+    of: str = "readings"
+    """What was counted: "readings" or "points" (a point is one set-up: a range, an angle, a target)."""
+
+    @classmethod
+    def about(cls, value: float, half: float, n: int, of: str = "readings", unit: str = "cm") -> "IntervalEstimate":
+        """A number with an interval that reaches as far to both sides."""
+        return cls(value, value - half, value + half, unit, n, of)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the interval; infinite where the data give none."""
+        return -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error, where the interval is roughly symmetric; infinite without one."""
+        low, high = self.ends
+        return (high - low) / (2 * Z)
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is within the interval; an end that is not known is no limit."""
+        low, high = self.ends
+        return low <= value <= high
+
+    def mapped(self, change: Callable[[float], float]) -> "IntervalEstimate":
+        """The estimate and both ends of its interval changed by a rising function."""
+        low, high = (None if end is None else change(end) for end in (self.low, self.high))
+        return replace(self, value=change(self.value), low=low, high=high)
+
+    def __str__(self) -> str:
+        """The numbers with two digits of what the interval reaches, ``?`` for an end that is not known, and the unit.
+
+        Examples
+        --------
+        >>> print(IntervalEstimate(-1.387, -1.57, unit="cm"), "and", IntervalEstimate(503.0, 503.0, 503.0, "cm"))
+        -1.39 (-1.57 to ?) cm and 503 cm
+        """
+        reach = max((abs(end - self.value) for end in self.ends if math.isfinite(end)), default=0.0)
+        unit = f" {self.unit}" if self.unit else ""
+        if reach == 0.0:
+            return f"{self.value:.6g}{unit}"
+        # With a wide interval the value itself needs more digits than the interval.
+        size = min(reach, abs(self.value)) if 0.0 < abs(self.value) < 0.1 * reach else reach
+        digits = min(max(1 - math.floor(math.log10(size)), 0), 6)
+        low, high = ("?" if end is None else f"{end:.{digits}f}" for end in (self.low, self.high))
+        return f"{self.value:.{digits}f} ({low} to {high}){unit}"
+
+    def root(self, known: float = 0.0) -> "IntervalEstimate":
+        """The standard deviation of this variance, without a part that is known."""
+        return self.mapped(lambda end: math.sqrt(max(end - known, 0.0)))
 
 
 def student(standard_error: float, freedom: float) -> float:
