@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from msp_lab.gap.runs import known_values, places_in, sample, taken
 from msp_lab.gap.splits import Splits, draw_splits
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, with_floors
 from msp_lab.readings.column_map import ColumnMap
-from msp_lab.readings.intake import PREVIOUS, load_readings, time_order
+from msp_lab.readings.intake import PREVIOUS, Which, load_readings, time_order
 from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
 from msp_lab.readings.suspicious import suspicious
 from msp_range.arrays import Array, Column, Indices, Texts, numbered
@@ -58,38 +59,10 @@ class Readings:
 
 
 def read_readings(
-    paths: Sequence[Path],
-    model: Model,
-    column_map: ColumnMap | None = None,
-    run_column: str | None = None,
-    sensors: Sequence[str] = (),
-    runs: Sequence[str] = (),
+    paths: Sequence[Path], model: Model, column_map: ColumnMap | None = None, **which: Unpack[Which]
 ) -> Readings:
-    """Read and check all files.
-
-    Parameters
-    ----------
-    paths
-        CSV files in the one form, recordings with a reference, or with a map other people's tables.
-    model
-        That they are to be compared with.
-    column_map
-        Names and units of the columns.
-    run_column
-        The column that names the runs; None: `run`, and where there is none each file is one.
-    sensors
-        Those whose readings are used; none: all.
-    runs
-        Of a dataset, those that are read; none: all.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read or compared; in a line, with what to do.
-    ConfigError
-        There is no such column.
-    """
-    loaded = load_readings(paths, model.sensor, column_map, run_column=run_column, sensors=sensors, runs=runs)
+    """Read and check all files that are to be compared with a model; parameters and errors as of `load_readings`."""
+    loaded = load_readings(paths, model.sensor, column_map, **which)
     # By name, so that nothing depends on the order in which the files are given.
     data = loaded.data.select(time_order(loaded.data.columns))
     # Before any row is left out: the path is known wherever the reference is.

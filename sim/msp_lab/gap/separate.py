@@ -76,7 +76,7 @@ def jobs_of(paths: Sequence[Path], each: Each, settings: Settings, out: Path) ->
         named = zip(file_names(absolute), absolute, strict=True)
         return {name: Job(name, (path,), settings.of, out / name) for name, path in named}
     model = load_model(settings.model)
-    found = sensors_in(absolute, model.sensor, load_maps(settings.map), settings.run_column)
+    found = sensors_in(absolute, model.sensor, load_maps(settings.map), run_column=settings.run_column)
     return {
         name: Job(name, absolute, (name,), out / quote(name, safe=""))
         for name in found

@@ -156,7 +156,9 @@ class Steps:
     def _comparison(self, paths: Sequence[Path], settings: Settings) -> Comparison:
         model = load_model(settings.model)
         self.report("reading", 0.0)
-        readings = read_readings(paths, model, load_maps(settings.map), settings.run_column, settings.of)
+        readings = read_readings(
+            paths, model, load_maps(settings.map), run_column=settings.run_column, sensors=settings.of
+        )
         return Comparison.of(readings, model, settings)
 
     def _comparison_of(self, findings: GapFindings) -> Comparison:

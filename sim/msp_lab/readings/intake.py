@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -18,11 +18,11 @@ from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.clock_runs import with_clock_runs
 from msp_lab.readings.column_map import ColumnMap, read_table
 from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset, sensors_of
-from msp_lab.readings.no_echo import NO_ECHO, in_code_of, without_negative
+from msp_lab.readings.no_echo import NO_ECHO, as_no_answer, in_code_of, without_negative
 from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
-from msp_range.arrays import Column, Flags, Indices, numbered
+from msp_range.arrays import Column, Indices, numbered
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.context_limits import check_contexts
 from msp_range.recording.csv_form import MeasuredData, join_tables
@@ -77,16 +77,23 @@ class LoadedReadings:
     """The sensors that the user selected; none: all."""
 
 
+class Which(TypedDict, total=False):
+    """Which readings of the files are used, and how; all of it may be left out."""
+
+    run_column: str | None
+    """The column that distinguishes runs; None: `run`, and where there is none each file is one."""
+    sensors: Sequence[str]
+    """Those whose readings are used, as the column `sensor` names them; none: all."""
+    runs: Sequence[str]
+    """Of a dataset, those that are read; none: all."""
+    truth: Truth
+    """The true range as it was recorded, or for each sensor what the other ones say."""
+    without: Sequence[str]
+    """Sensors that are then no reference for the others."""
+
+
 def load_readings(
-    paths: Sequence[Path],
-    sensor: SensorModel,
-    column_map: ColumnMap | None = None,
-    *,
-    run_column: str | None = None,
-    sensors: Sequence[str] = (),
-    runs: Sequence[str] = (),
-    truth: Truth = "recorded",
-    without: Sequence[str] = (),
+    paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None, **which: Unpack[Which]
 ) -> LoadedReadings:
     """Read and check all files.
 
@@ -99,16 +106,8 @@ def load_readings(
         Its limits and its code of no echo, to see whether units are right.
     column_map
         Names and units of the columns.
-    run_column
-        The column that distinguishes runs; None: `run`, and where there is none each file is one.
-    sensors
-        Those whose readings are used, as the column `sensor` names them; none: all.
-    runs
-        Of a dataset, those that are read; none: all.
-    truth
-        The true range as it was recorded, or for each sensor what the other ones say.
-    without
-        Sensors that are then no reference for the others.
+    which
+        As `Which`.
 
     Raises
     ------
@@ -122,16 +121,16 @@ def load_readings(
     tables: list[MeasuredData] = []
     sources: list[SourceFile] = []
     referenced: list[Referenced] = []
+    run_column, runs, is_of_others = which.get("run_column"), which.get("runs", ()), which.get("truth") == "others"
     for path in paths:
         table, recording, notes = read_file(path, column_map, sensor.maximum_cm, run_column or "run", runs)
-        messages += [f"{path}: {note}" for note in notes]
-        if truth == "others" and not len(table):
+        if is_of_others and not len(table):
             raise RecordingError(f"{path}: no readings, only a header")
         table, changed = in_code_of(sensor, table)
         table = table.without(NO_ECHO)
-        messages += changed
-        if truth == "others":
-            table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), without)
+        messages += [*(f"{path}: {note}" for note in notes), *changed]
+        if is_of_others:
+            table, of_runs = others_as_reference(path, table, recording, Model.of(sensor), which.get("without", ()))
             referenced += of_runs
         # Of some runs of a large dataset the others are not read: their logs' SHA-256 are in this file.
         source = SourceFile(path.name, sha256(path / ORIGIN if runs else path), len(table))
@@ -155,6 +154,7 @@ def load_readings(
     # Many readings are held once, and not twice.
     tables.clear()
     name = ", ".join(str(path) for path in paths)
+    sensors = tuple(which.get("sensors", ()))
     if sensors:
         columns = dict(_selected(name, MeasuredData(columns), sensors).columns)
     reading_cm = columns["reading_cm"]
@@ -164,22 +164,16 @@ def load_readings(
     _round_constants(columns)
     repeated = _add_previous(columns)
     messages += [*renamed, *repeated, *_about_others(columns), *_about_offsets(referenced)]
-    return LoadedReadings(MeasuredData(columns), tuple(sources), tuple(messages), tuple(sensors))
+    return LoadedReadings(MeasuredData(columns), tuple(sources), tuple(messages), sensors)
 
 
 def sensors_in(
-    paths: Sequence[Path],
-    sensor: SensorModel,
-    column_map: ColumnMap | None,
-    run_column: str | None = None,
-    truth: Truth = "recorded",
+    paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None, **which: Unpack[Which]
 ) -> list[str]:
     """Names of the sensors in some files, in order; the parameters and errors are those of `load_readings`."""
     if all(map(is_dataset, paths)):
         return sorted({name for path in paths for name in sensors_of(path)})
-    return sorted(
-        set(load_readings(paths, sensor, column_map, run_column=run_column, truth=truth).data["sensor"].tolist())
-    )
+    return sorted(set(load_readings(paths, sensor, column_map, **which).data["sensor"].tolist()))
 
 
 def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedReadings:
@@ -191,16 +185,11 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
         loaded = replace(loaded, data=loaded.data.without("incidence_deg"), messages=(*loaded.messages, text))
     reading_cm = loaded.data["reading_cm"]
     outside = (reading_cm < sensor.minimum_cm) | (reading_cm > sensor.maximum_cm)
-    if not outside.any() or outside.sum() > WRONG_UNIT_SHARE * (~np.isnan(reading_cm)).sum():
+    if outside.sum() > WRONG_UNIT_SHARE * (~np.isnan(reading_cm)).sum():
         return loaded
-    values = np.unique(reading_cm[outside])
-    shown = ", ".join(f"{value:g}" for value in values[:5]) + (" ..." if values.size > 5 else "")
-    message = (
-        f"{outside.sum()} readings are outside of the sensor's {sensor.minimum_cm} to {sensor.maximum_cm} cm "
-        f"and count as no answer: {shown}"
-    )
-    columns = {**loaded.data.columns, "reading_cm": np.where(outside, math.nan, reading_cm)}
-    return replace(loaded, data=MeasuredData(columns), messages=(*loaded.messages, message))
+    what = f"readings are outside of the sensor's {sensor.minimum_cm} to {sensor.maximum_cm} cm"
+    data, notes = as_no_answer(loaded.data, outside, what)
+    return replace(loaded, data=data, messages=(*loaded.messages, *notes))
 
 
 def sha256(path: Path) -> str:
@@ -318,7 +307,9 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
     is_first = np.any(series, axis=0)
     same_time = ~is_first & (np.diff(columns["time_s"][order], prepend=math.nan) == 0.0)
     if same_time.any():
-        duplicate = np.all([same_time, *(_is_as_before(column[order]) for column in columns.values())], axis=0)
+        # Unknown numbers are equal here.
+        as_before = [np.diff(numbered(column)[order], prepend=-1) == 0 for column in columns.values()]
+        duplicate = np.all([same_time, *as_before], axis=0)
         if duplicate.any():
             kept = np.ones(order.size, dtype=bool)
             kept[order[duplicate]] = False
@@ -335,13 +326,6 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
     return [
         f"{same_time.sum()} readings of one sensor have the time of the one before: their order is that of the file."
     ]
-
-
-def _is_as_before(column: Column) -> Flags:
-    """Which values are the one before them; unknown numbers are equal here."""
-    before = np.roll(column, 1)
-    equal: Flags = (column == before) | ((column != column) & (before != before))
-    return equal
 
 
 def time_order(columns: Mapping[str, Column]) -> Indices:

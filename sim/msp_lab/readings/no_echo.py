@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from msp_range.arrays import Column
+from msp_range.arrays import Column, Flags
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import TRUE_RANGE
@@ -61,13 +61,18 @@ def in_code_of(sensor: SensorModel, data: MeasuredData) -> tuple[MeasuredData, l
 
 def without_negative(data: MeasuredData) -> tuple[MeasuredData, list[str]]:
     """Make negative readings no answer, with a note: they are a program's codes and no distances."""
-    reading_cm = data["reading_cm"]
-    negative = reading_cm < 0.0
-    if not negative.any():
+    data, notes = as_no_answer(data, data["reading_cm"] < 0.0, "negative readings are codes and no distances,")
+    return data, [
+        f"{note}. Do they mean no echo? Then name them in a map file: codes: {{no_echo: [...]}}" for note in notes
+    ]
+
+
+def as_no_answer(data: MeasuredData, rows: Flags, what: str) -> tuple[MeasuredData, list[str]]:
+    """Make readings no answer where there are any such, with a note of what they are and their first values."""
+    if not rows.any():
         return data, []
-    shown = ", ".join(f"{value:g}" for value in np.unique(reading_cm[negative])[:5])
-    text = (
-        f"{negative.sum()} negative readings are codes and no distances, and count as no answer: {shown}. Do they mean "
-        "no echo? Then name them in a map file: codes: {no_echo: [...]}"
-    )
-    return MeasuredData({**data.columns, "reading_cm": np.where(negative, math.nan, reading_cm)}), [text]
+    reading_cm = data["reading_cm"]
+    values = np.unique(reading_cm[rows])
+    shown = ", ".join(f"{value:g}" for value in values[:5]) + (" ..." if values.size > 5 else "")
+    columns = {**data.columns, "reading_cm": np.where(rows, math.nan, reading_cm)}
+    return MeasuredData(columns), [f"{rows.sum()} {what} and count as no answer: {shown}"]

@@ -156,10 +156,9 @@ def _reference(
         here = sensor, np.arange(time_s.size)
         true_cm, std_cm2 = 100.0 * (expected_m[here] + offset_m), 1e4 * doubt_m2[here]
         off_cm = reading_cm - bias_cm - true_cm
-        off_cm2 = off_cm**2
         known = flies & sees_ground & (std_cm2 < MAX_STD_CM**2)
         with np.errstate(invalid="ignore"):
-            fits = off_cm2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
+            fits = off_cm**2 < GATE**2 * (std_cm2 + 1e4 * variance_m2)
         # Readings are whole centimetres.
         excess_cm2 = _excess(off_cm, std_cm2 + own_cm2 + 1.0 / 12.0, sensor, usable & known, len(names))
         # Rough ground scatters all of them; what one has beyond that is its own, and no doubt of the reference.
