@@ -16,7 +16,7 @@ from msp_lab.gap.before_after import add, compare
 from msp_lab.gap.findings import GapFindings, Settings
 from msp_lab.gap.formula import formula
 from msp_lab.gap.intake import Comparison, read_readings
-from msp_lab.gap.model_file import model_text
+from msp_lab.gap.model_file import extended_text
 from msp_lab.gap.naming import AllReadings, ExtendedModels, name, name_effects
 from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.summary import with_words
@@ -97,7 +97,7 @@ def test_page_and_file_have_one_value_of_a_parameter(tmp_path: Path) -> None:
     findings, models = explained(tmp_path, given(0.5), contexts, sensor().readings(late_cm.tolist(), 3))
     (effect,) = findings.effects
     assert effect.name == "latency"
-    (entry,) = yaml.safe_load(model_text(models.final_fit, findings, "test"))["effects"]
+    (entry,) = yaml.safe_load(extended_text(models.final_fit, findings, "test"))["effects"]
     written = entry["parameters"]["delay_ms"]
     assert written["value"] == pytest.approx(effect.parameters["delay_ms"].value, rel=1e-5)
     said = with_words(findings).sentence
@@ -111,7 +111,7 @@ def test_an_effect_that_the_model_had_keeps_its_own_value_in_the_file(tmp_path: 
     late_cm = contexts["true_range_cm"] - 0.05 * contexts["range_rate_cm_s"]
     before = given(0.5).adding("latency", delay_ms=-100.0)
     findings, models = explained(tmp_path, before, contexts, sensor().readings(late_cm.tolist(), 3))
-    had, added = yaml.safe_load(model_text(models.final_fit, findings, "test"))["effects"]
+    had, added = yaml.safe_load(extended_text(models.final_fit, findings, "test"))["effects"]
     assert had == {"name": "latency", "parameters": {"delay_ms": -100.0}}
     assert added["parameters"]["delay_ms"]["value"] == pytest.approx(150.0, rel=0.1)
     assert "are 0.15 s behind the reference, on top of what the model says" in with_words(findings).sentence

@@ -4,41 +4,23 @@ The starting `SensorModel` with the findings' changes is written as YAML with co
 sensor model before it is written, so what is on disk loads.
 """
 
-import json
-import textwrap
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 from pydantic_core import to_jsonable_python
 
 from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.findings import Findings
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT
+from msp_lab.model_text import model_text, rounded
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.error import new_file
 from msp_range.yaml_file import ConfigError
 from msp_range.yaml_loader import load_yaml
 from msp_sim.page.text import capitalised
-
-_SECTIONS = (
-    ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
-    ("resolution_cm",),
-    ("calibration_temperature_c",),
-    ("oblique_reading",),
-    ("timing", "frequency_hz"),
-    ("breakaway",),
-    ("predicted_breakaway",),
-    ("heard_on_axis_cm",),
-    ("calibration",),
-    ("reading_model",),
-    ("effects", "in_flight"),
-    ("evidence",),
-)
-"""Fields that stand below one comment, which is about the first of them."""
-_WRAPPER = textwrap.TextWrapper(width=118, break_long_words=False, break_on_hyphens=False)
 
 
 def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any]) -> SensorModel:
@@ -48,12 +30,10 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
         content["heard_on_axis_cm"] = max(content["heard_on_axis_cm"], content["breakaway"][-1]["range_cm"])
     # The means over a flight and the predicted angles were those of the starting model.
     content |= {"in_flight": None, "predicted_breakaway": None}
-    data = [{"name": source.name, "sha256": source.sha256, "rows": source.rows} for source in findings.sources]
+    data = [asdict(source) for source in findings.sources]
     content["evidence"].append({"what": "characterisation", "date": findings.date, "data": data})
-    # Six significant digits are what a person reads, and more than any of these numbers is known to.
-    rounded = json.loads(json.dumps(content), parse_float=lambda digits: float(f"{float(digits):.6g}"))
     try:
-        model = SensorModel.model_validate(rounded)
+        model = SensorModel.model_validate(rounded(content))
     except ValidationError as error:
         problems = "; ".join(each["msg"] for each in error.errors())
         raise ConfigError(f"what was found does not go with the rest of the sensor model: {problems}") from None
@@ -68,24 +48,20 @@ def write_new(path: Path, text: str) -> None:
         unfinished.write_text(text, encoding="utf-8")
 
 
-def model_text(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
+def commented(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any], start: str) -> str:
     """The text of the new model's file, with a comment over each part on how it was fitted or why it was kept.
 
     `sensor` is that of `changed`, and `start` is the name of the starting model's file.
     """
-    content = sensor.model_dump(mode="json")
-    named = {name for names in _SECTIONS for name in names}
-    assert named == set(content), f"no section for {set(content) ^ named}"
-    kept, fitted = _kept(sensor, findings), _fitted(findings)
-    lines = [f"# Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise.", ""]
-    for names in _SECTIONS:
-        name = names[0]
-        why = f": {kept[name]}" if kept.get(name) else ""
-        is_new = name in (*changes, "predicted_breakaway", "evidence")
-        comments = fitted[name] if is_new else [f"Kept from {start}{why}."]
-        lines += [f"# {line}" for comment in comments for line in _WRAPPER.wrap(comment)]
-        lines += [*(_yaml(name, content[name]) for name in names), ""]
-    text = "\n".join(lines)
+    content, kept, fitted = sensor.model_dump(mode="json"), _kept(sensor, findings), _fitted(findings)
+    comments = {
+        name: fitted[name]
+        if name in (*changes, "predicted_breakaway", "evidence")
+        else [f"Kept from {start}{': ' if kept.get(name) else ''}{kept.get(name, '')}."]
+        for name in content
+    }
+    heading = f"Sensor model of the {sensor.name}, characterised {findings.date} by msp-lab characterise."
+    text = model_text(content, [heading], comments)
     assert SensorModel.model_validate(load_yaml(text)) == sensor, "what is written is not what was found"
     return text
 
@@ -137,10 +113,3 @@ def _fitted(findings: Findings) -> dict[str, list[str]]:
             "overconfident.",
         ]
     return found
-
-
-def _yaml(name: str, value: Any) -> str:
-    # A number or a word alone, or none of several, stands behind its name.
-    flow = False if not isinstance(value, dict | list) or not value else None
-    text: str = yaml.safe_dump({name: value}, sort_keys=False, allow_unicode=True, default_flow_style=flow, width=118)
-    return text.rstrip()

@@ -14,7 +14,7 @@ from numpy.random import default_rng
 
 from msp_lab.characterise.analysis import characterise
 from msp_lab.characterise.findings import Findings, as_json
-from msp_lab.characterise.model_file import changed, model_text, write_new
+from msp_lab.characterise.model_file import changed, commented, write_new
 from msp_lab.characterise.points import PointReadings
 from msp_lab.readings.column_map import load_maps
 from msp_lab.readings.intake import load_readings, sensors_in, without_impossible
@@ -58,7 +58,7 @@ class SensorResult:
 
     def write(self, path: Path) -> None:
         """Write the model file; RecordingError if there is a file already, or it cannot be written."""
-        write_new(path, model_text(self.model, self.findings, self.changes, self.start))
+        write_new(path, commented(self.model, self.findings, self.changes, self.start))
 
     def publish(self, folder: Path) -> Path:
         """Write all numbers and the page, and return the page; UserError if they cannot be written."""

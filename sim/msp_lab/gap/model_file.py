@@ -4,15 +4,14 @@ The extended model and the findings are written as YAML. The text is read back a
 is on disk loads, and flies.
 """
 
-import textwrap
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
+from msp_lab.model_text import model_text, rounded
 from msp_range.reading_model.sensor_model import InFlight, SensorModel
 from msp_range.yaml_file import ConfigError, writing
 from msp_range.yaml_loader import load_yaml
@@ -20,41 +19,19 @@ from msp_sim.model.model import Model
 
 MODEL = "model.yaml"
 TRAINING_FIT = "model_training_fit.yaml"
-WIDTH = 118
-_DIGITS = 6
 
 
-def model_text(model: Model, findings: GapFindings, heading: str, flown: InFlight | None = None) -> str:
-    """The file's text.
+def extended_text(model: Model, findings: GapFindings, heading: str, flown: InFlight | None = None) -> str:
+    """The text of the extended model's file, with what was added and why, and a heading as its first line.
 
-    Parameters
-    ----------
-    model
-        The extended model; its first effects are those of the given one.
-    findings
-        What was added, and why.
-    heading
-        First line of the file, as a comment.
-    flown
-        What the effects make of the readings of a flight, for the bridge.
-
-    Raises
-    ------
-    ConfigError
-        What was added does not go with the rest of the model.
+    `flown` is what the effects make of the readings of a flight, for the bridge. ConfigError if what was added does not
+    go with the rest of the model.
     """
     content = to_sensor(model).model_dump(mode="json")
     content["in_flight"] = flown if flown is None else flown.model_dump()
     content["effects"] = _with_evidence(content["effects"], findings)
     content["evidence"] = [*content["evidence"], _calibrated(findings)]
-    content = _rounded(content)
-    lines = [
-        textwrap.fill(f"# {line}", WIDTH, subsequent_indent="# ", break_long_words=False, break_on_hyphens=False)
-        for line in (heading, findings.sentence)
-        if line
-    ]
-    text = "\n".join(lines) + "\n"
-    text += yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=WIDTH, default_flow_style=None)
+    text = model_text(rounded(content), [heading, findings.sentence], {})
     try:
         Model.of(SensorModel.model_validate(load_yaml(text)))
     except (ValidationError, ConfigError) as error:
@@ -63,14 +40,8 @@ def model_text(model: Model, findings: GapFindings, heading: str, flown: InFligh
 
 
 def write_model(path: Path, model: Model, findings: GapFindings, heading: str, flown: InFlight | None = None) -> None:
-    """Write the model file; an older one of this name is replaced.
-
-    Raises
-    ------
-    ConfigError
-        It cannot be written, or what was added does not go with the rest.
-    """
-    text = model_text(model, findings, heading, flown)
+    """Write `extended_text`; an older file of this name is replaced. ConfigError also if it cannot be written."""
+    text = extended_text(model, findings, heading, flown)
     with writing(path):
         path.write_text(text, encoding="utf-8")
 
@@ -145,12 +116,3 @@ def _calibrated(findings: GapFindings) -> dict[str, Any]:
         "verdict": findings.verdict,
         "calibration": [each.finding for each in findings.calibration],
     }
-
-
-def _rounded(value: Any) -> Any:
-    """Numbers to six significant digits, more than any of them is known to."""
-    if isinstance(value, dict):
-        return {name: _rounded(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(each) for each in value]
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
