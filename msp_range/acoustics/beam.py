@@ -3,7 +3,7 @@
 The half angle at a range and the field of view follow from a table of measured breakaway angles (report 4.3.3: the
 largest angle of incidence with a reliable range). Between the table's rows the angle is interpolated linearly; outside
 of them it is constant. The bridge's table has additional rows beyond the measured ones, from
-`msp_lab.characterise.sonar`.
+`msp_sim.acoustics.sonar`.
 """
 
 from __future__ import annotations

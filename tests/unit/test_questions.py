@@ -83,14 +83,14 @@ def test_an_effect_on_each_property_is_found_with_its_size() -> None:
     assert contains(missed, 11.0)
     assert strays is not None
     assert contains(strays, 11.0)
-    assert f"matters: bias {bias}; " in found.answer
+    assert f"matters: mean error {bias}; " in found.answer
 
 
 def test_what_is_the_same_does_not_matter_and_says_within_what() -> None:
     rng = np.random.default_rng(2)
     found = asked(*bench(rng, "baseline"), *bench(rng, "vibration", vibration_hz=60))["vibration 60 Hz"]
     assert found.verdict == "does not matter"
-    assert "1 cm of bias" in found.answer
+    assert "1 cm of mean error" in found.answer
     bias = effect(found, "bias")
     assert bias.smallest_detectable is not None
     assert 0.1 < bias.smallest_detectable < 0.6

@@ -19,7 +19,6 @@ from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, F
 from msp_lab.characterise.mixture import fit_mixture, hit_correlation
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
-from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.mixture_fit.fit_result import FitError
 from msp_lab.readings.intake import LoadedReadings, SourceFile
@@ -27,6 +26,7 @@ from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import Calibration, curve_through
 from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel
 from msp_range.recording.error import RecordingError
+from msp_sim.acoustics.sonar import STEP_DEG
 from msp_sim.model.model import Model
 
 UNDISTURBED = (BASELINE, "maximum_range")

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import yaml
 
-from msp_lab.characterise.sonar import PARAMETERS, fit_beam
 from msp_range.commission.edit import save
 from msp_range.reading_model.sensor_model import BreakawayPoint, PredictedBreakaway, SensorModel, load_sensor_model
 from msp_range.yaml_file import ConfigError, read_config
 from msp_range.yaml_loader import load_yaml
+from msp_sim.acoustics.sonar import PARAMETERS, fit_beam
 
 DIGITS = 7
 """Digits of an angle after the point [deg]: the field of view in DISTANCE_SENSOR, a number in single precision, is then

@@ -14,12 +14,12 @@ from scipy.special import xlogy
 
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
 from msp_lab.characterise.points import GATE_CM, PointReadings
-from msp_lab.characterise.sonar import PARAMETERS, fit_beam, leave_one_out
 from msp_lab.estimates import IntervalEstimate, fit_points, half_of_mean, share
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.acoustics.slant import slant_range
+from msp_sim.acoustics.sonar import PARAMETERS, fit_beam, leave_one_out
 from msp_sim.intervals import LIKELIHOOD_DROP
 
 RELIABLE_SHARE = 0.8

@@ -309,11 +309,12 @@ Verdict = Literal["matters", "does not matter", "cannot tell"]
 VERDICTS: tuple[Verdict, ...] = ("matters", "cannot tell", "does not matter")
 """Verdicts; that of several effects together is the first of these that one of them has."""
 NAMES: dict[Metric, str] = {
-    "bias": "bias",
+    "bias": "mean error",
     "spread": "spread",
     "missed": "odds of a missed echo",
     "outliers": "odds of an outlier",
 }
+"""How sentences, tables and pictures call what a factor may change; all but the first are compared as ratios."""
 
 
 @dataclass(frozen=True)

@@ -265,29 +265,25 @@ def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
         answer += f": {'; '.join(map(_size, decisive))}"
     elif verdict == "does not matter":
         answer += (
-            f" beyond {BOUNDS['bias']:g} cm of bias, a factor {BOUNDS['spread']:g} of spread and {BOUNDS['missed']:g} "
-            f"of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
+            f" beyond {BOUNDS['bias']:g} cm of mean error, a factor {BOUNDS['spread']:g} of spread and "
+            f"{BOUNDS['missed']:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
         )
         seen = [_size(each) for each in effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
         answer += f"; within that there is {'; '.join(seen)}" if seen else ""
     else:
         answer += f": {'; '.join(map(_doubt, decisive))}"
-        settled = ", ".join(each.metric for each in effects if each.verdict == "does not matter")
+        settled = ", ".join(NAMES[each.metric] for each in effects if each.verdict == "does not matter")
         answer += f"; {settled}: does not matter" if settled else ""
     return replace(question, effects=tuple(effects), verdict=verdict, answer=answer)
 
 
 def _size(effect: FactorEffect) -> str:
-    estimate = effect.estimate
-    assert estimate is not None
-    if effect.metric == "bias":
-        return f"bias {estimate}"
-    return f"{NAMES[effect.metric]} times {estimate}"
+    return f"{NAMES[effect.metric]}{' times' if effect.is_ratio else ''} {effect.estimate}"
 
 
 def _doubt(effect: FactorEffect) -> str:
     if effect.estimate is None:
-        return f"{effect.metric}: no two points to compare"
+        return f"{NAMES[effect.metric]}: no two points to compare"
     if effect.smallest_detectable is None:
         return f"{_size(effect)}; these data could show nothing"
     unit = "times" if effect.is_ratio else "cm"

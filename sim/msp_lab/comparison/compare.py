@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import peaks_found, with_subject
 from msp_lab.characterise.page.text import half_interval
-from msp_lab.characterise.sonar import STEP_DEG
 from msp_lab.comparison.report import REPORT
+from msp_sim.acoustics.sonar import STEP_DEG
 from msp_sim.page.table import PageTable, VerdictMark
 from msp_sim.page.text import plus, sentence
 

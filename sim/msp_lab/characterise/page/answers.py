@@ -140,8 +140,7 @@ def _sizes(question: Question) -> str:
     for effect in question.effects:
         if effect.estimate is None or (effect.is_ratio and effect.verdict == "does not matter"):
             continue
-        name = f"{NAMES[effect.metric]} ×" if effect.is_ratio else "mean error"
-        part = f"{name} {interval(effect.estimate)}"
+        part = f"{NAMES[effect.metric]}{' ×' if effect.is_ratio else ''} {interval(effect.estimate)}"
         if effect.verdict == "cannot tell" and effect.smallest_detectable is not None:
             part += f", could have seen {effect.smallest_detectable:.2g}{'' if effect.is_ratio else ' cm'}"
         parts.append(part)

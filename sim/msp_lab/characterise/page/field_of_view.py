@@ -16,8 +16,8 @@ from msp_lab.characterise.page.errors import share_bars, with_reach
 from msp_lab.characterise.page.picture_data import PictureData, ReferenceNumbers
 from msp_lab.characterise.page.text import half_interval
 from msp_lab.characterise.points import PointReadings
-from msp_lab.characterise.sonar import STEP_DEG, Sonar
 from msp_range.arrays import Array
+from msp_sim.acoustics.sonar import STEP_DEG, Sonar
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
     BARS,

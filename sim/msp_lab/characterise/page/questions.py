@@ -10,16 +10,15 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from msp_lab.characterise.experiments import EXPERIMENTS
-from msp_lab.characterise.findings import FactorEffect, Question
+from msp_lab.characterise.findings import NAMES, FactorEffect, Question
 from msp_lab.characterise.page.picture_data import PictureData
-from msp_lab.characterise.page.tables import METRICS
 from msp_lab.characterise.questions import SHARE_BOUND
 from msp_lab.estimates import IntervalEstimate
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import GREEN, GREY, INK, REFERENCE, new_figure, shaded
 
-LABEL_LETTERS = 30
-"""Letters in a line of a row's words: the panels need the rest of the width."""
+LABEL_LETTERS, TITLE_LETTERS = 30, 18
+"""Letters in a line of a row's words, and of a panel's title: more run into the next panel."""
 VERDICTS = {
     "matters": (REFERENCE, "s", "full"),
     "does not matter": (GREEN, "o", "full"),
@@ -58,13 +57,14 @@ def _forest(rows: PictureData) -> Drawn:
     ]
     if not drawn:
         raise Absent("The data compare no two settings of the bench.")
-    metrics = [metric for metric in METRICS if any(effect.metric == metric for _, effect, _ in drawn)]
+    metrics = [metric for metric in NAMES if any(effect.metric == metric for _, effect, _ in drawn)]
     figure = new_figure(1.4 + 0.19 * height)
     panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
     for metric, axes in zip(metrics, panels, strict=True):
         _panel(axes, [row for row in drawn if row[1].metric == metric])
         axes.set_ylim(0.0, height)
-        axes.set_title(METRICS[metric].replace(", ", ",\n") + (" [cm]" if metric == "bias" else ""))
+        unit = "difference [cm]" if metric == "bias" else "ratio"
+        axes.set_title(textwrap.fill(f"{NAMES[metric]}, {unit}", TITLE_LETTERS))
         axes.grid(axis="y", visible=False)
         axes.spines["left"].set_visible(False)
         axes.tick_params(axis="y", length=0)

@@ -1,6 +1,6 @@
 """The tables of the page: every effect, temperature compensation, the mixture's parameters, and every set-up."""
 
-from msp_lab.characterise.findings import CompensationRow, FactorEffect, Findings, Metric
+from msp_lab.characterise.findings import NAMES, CompensationRow, FactorEffect, Findings
 from msp_lab.characterise.page.text import interval
 from msp_lab.characterise.point_findings import PointResult
 from msp_lab.characterise.questions import SHARE_BOUND
@@ -8,12 +8,6 @@ from msp_lab.mixture_fit.parameters import PARAMETERS
 from msp_sim.page.table import PageTable
 from msp_sim.page.text import number, p_text, sentence
 
-METRICS: dict[Metric, str] = {
-    "bias": "mean error, difference",
-    "spread": "spread, ratio",
-    "missed": "missed, odds ratio",
-    "outliers": "outliers, odds ratio",
-}
 MAX_POINTS = 400
 """Set-ups that the page lists at most; the others are in findings.json."""
 
@@ -26,7 +20,7 @@ def effects_table(findings: Findings) -> PageTable:
         if question.sensor:
             subject += f" ({question.sensor})"
         for effect in question.effects:
-            rows.append((subject, METRICS[effect.metric], effect.verdict, *_numbers(effect)))
+            rows.append((subject, NAMES[effect.metric], effect.verdict, *_numbers(effect)))
             subject = ""
     return PageTable(
         name="effects",

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msp_lab.characterise.sonar import STEP_DEG, Sonar, extended_beam, fit_sonar, leave_one_out
 from msp_range.acoustics.beam import BreakawayTable
+from msp_sim.acoustics.sonar import STEP_DEG, Sonar, extended_beam, fit_sonar, leave_one_out
 
 FREQUENCY_HZ = 42e3
 ON_AXIS_M = 5.0
