@@ -20,7 +20,7 @@ from msp_range.yaml_file import ConfigError
 from msp_sim.cli import Jobs, OwnEffects, Scheduler, Seed, choose_figures
 
 if TYPE_CHECKING:
-    from msp_lab.characterise.sensors import Characterisation
+    from msp_lab.characterise.analysis import Characterisation
 
 EXIT_FOUND = 1
 """'check-effect' found something."""
@@ -183,7 +183,7 @@ def characterise(
     and the exit code is 4.
     """
     require("lab", "msp-lab characterise")
-    from msp_lab.characterise.sensors import Characterisation
+    from msp_lab.characterise.analysis import Characterisation
     from msp_lab.readings.from_files import sensor_file
     from msp_range.clock import SystemClock, date_of
     from msp_range.reading_model.sensor_model import load_sensor_model

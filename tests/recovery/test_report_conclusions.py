@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluation.blind.campaign import campaign
-from msp_lab.characterise.analysis import characterise
+from msp_lab.characterise.analysis import Characterisation, characterise
 from msp_lab.characterise.findings import FactorEffect, Findings, Question
 from msp_lab.readings.intake import load_readings
 from msp_range.recording.csv_form import write_csv
@@ -28,7 +28,7 @@ def found(seed: int) -> Findings:
         path = Path(folder) / "campaign.csv"
         write_csv(path, campaign(seed))
         loaded = load_readings([path], SENSOR)
-    return characterise(loaded, SENSOR, date="2026-10-05", rng=np.random.default_rng(seed)).findings
+    return characterise(loaded, SENSOR, Characterisation((), Path(), (), "recorded", "2026-10-05", seed)).findings
 
 
 def asked(seed: int, name: str, level: str = "", sensor: str = "") -> Question:

@@ -5,11 +5,12 @@ The sampling shares no code with the simulator. Its numbers are those of the cha
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from msp_lab.characterise.analysis import characterise
+from msp_lab.characterise.analysis import Characterisation, characterise
 from msp_lab.characterise.findings import Findings
 from msp_lab.readings.intake import LoadedReadings, SourceFile
 from msp_range.reading_model.sensor_model import load_sensor_model
@@ -76,4 +77,4 @@ def found_in(data: MeasuredData) -> Findings:
     """Findings of `measured` readings."""
     loaded = LoadedReadings(data, (SourceFile("campaign.csv", "0" * 64, len(data)),))
     sensor = load_sensor_model("configs/sensors/mb1242.yaml")
-    return characterise(loaded, sensor, date="2026-10-05", rng=np.random.default_rng(1)).findings
+    return characterise(loaded, sensor, Characterisation((), Path(), (), "recorded", "2026-10-05", 1)).findings

@@ -12,11 +12,12 @@ import yaml
 from numpy.typing import NDArray
 from typer.testing import Result
 
+from msp_lab.characterise.analysis import Characterisation
 from msp_lab.characterise.beam import predict_breakaway
 from msp_lab.characterise.page.answers import summarise
 from msp_lab.characterise.page.mixture import densities
 from msp_lab.characterise.page.picture_data import PictureData
-from msp_lab.characterise.sensors import Characterisation, characterised
+from msp_lab.characterise.sensors import characterised
 from msp_lab.gap.from_files import find_gap
 from msp_range.config import load_airframe
 from msp_range.reading_model.sensor_model import load_sensor_model

@@ -1,9 +1,11 @@
 """The mixture of a bench whose set-ups are each off by more than the sensor scatters."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from msp_lab.characterise.analysis import characterise
+from msp_lab.characterise.analysis import Characterisation, characterise
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
@@ -85,4 +87,4 @@ def test_an_error_of_the_program_is_not_shown_as_readings_without_a_mixture(monk
     monkeypatch.setattr("msp_lab.characterise.mixture.fit_readings", broken)
     loaded = LoadedReadings(measured(most=300), ())
     with pytest.raises(ValueError, match="broadcast"):
-        characterise(loaded, SENSOR, date="2026-10-05", rng=np.random.default_rng(1))
+        characterise(loaded, SENSOR, Characterisation((), Path(), (), "recorded", "2026-10-05", 1))

@@ -4,31 +4,36 @@ What the data do not determine stays as in the starting model, and the findings 
 """
 
 import difflib
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from numpy.random import default_rng
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
-from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture
+from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture, as_json
 from msp_lab.characterise.mixture import fit_mixture, hit_correlation
+from msp_lab.characterise.model_file import changed, commented, write_new
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions
 from msp_lab.characterise.temperature import compensation_table, hot_boxes
 from msp_lab.mixture_fit.fit_result import FitError
-from msp_lab.readings.intake import LoadedReadings, SourceFile
+from msp_lab.readings.column_map import load_maps
+from msp_lab.readings.intake import LoadedReadings, SourceFile, sensors_in
 from msp_lab.readings.resolution import measured_step, step_with
 from msp_range.correction.calibration import Calibration, curve_through
-from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel
+from msp_range.reading_model.sensor_model import MixtureParameters, SensorModel, load_sensor_model
 from msp_range.recording.error import RecordingError
 from msp_sim.acoustics.sonar import STEP_DEG
 from msp_sim.model.model import Model
 
+NUMBERS, PAGE = "findings.json", "report.html"
 UNDISTURBED = (BASELINE, "maximum_range")
 """Experiments with nothing varied but range: calibration and mixture are fitted to them."""
 COMPENSATION = "temperature_compensation"
@@ -40,30 +45,63 @@ FEW_READINGS = 20
 """Warn about points with fewer readings: the 95 % interval of their mean error is wider than half their spread."""
 
 
-class Characterised(NamedTuple):
-    """Findings, the changes of the sensor model (new values of its fields; one that is not there is kept), and the
-    points that the readings were sorted into."""
+@dataclass(frozen=True)
+class Characterisation:
+    """What a model is made from, and how."""
 
+    data: tuple[Path, ...]
+    start: Path
+    """Files of readings, and of the starting model."""
+    column_map: tuple[str, ...]
+    truth: Literal["recorded", "others"]
+    """Options ``--map`` and ``--truth``."""
+    date: str
+    seed: int
+    """Date to record, and random seed of the goodness of fit."""
+    reference_std_cm: float | None = None
+    set_up_std_cm: float | None = None
+    """As for `calibration.calibrate`."""
+
+    def sensors(self) -> list[str]:
+        """Names of the sensors in the readings."""
+        return sensors_in(self.data, load_sensor_model(self.start), load_maps(self.column_map), truth=self.truth)
+
+
+@dataclass(frozen=True)
+class Characterised:
+    """A model, what was found, new values of the starting model's fields (others are kept), and the sorted readings."""
+
+    model: SensorModel
     findings: Findings
-    changes: dict[str, Any]
+    changes: Mapping[str, Any]
     points: Sequence[PointReadings]
+    start: str
+    """File name of the starting model."""
+
+    def write(self, path: Path) -> None:
+        """Write the model file; RecordingError if there is a file already, or it cannot be written."""
+        write_new(path, commented(self.model, self.findings, self.changes, self.start))
+
+    def publish(self, folder: Path) -> Path:
+        """Write all numbers and the page, and return the page; UserError if they cannot be written."""
+        write_new(folder / NUMBERS, as_json(self.findings))
+        from msp_lab.characterise.page.picture_data import PictureData
+        from msp_lab.characterise.page.write import write_report
+
+        return write_report(PictureData(self.findings, self.points, self.model), folder)
 
 
 def characterise(
     loaded: LoadedReadings,
     sensor: SensorModel,
-    *,
-    date: str,
-    rng: np.random.Generator,
-    reference_std_cm: float | None = None,
-    set_up_std_cm: float | None = None,
+    how: Characterisation,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Characterised:
     """Characterise a sensor by readings with true ranges, from a model with its limits and codes to start with.
 
-    `date` is recorded, `rng` is for the goodness of fit, the standard deviations are as for `calibration.calibrate`,
-    and `progress` is called with a description of the current analysis. RecordingError if nothing can be found in
-    these readings, if they are of different sensors, or if most are far from their true ranges.
+    `progress` is called with a description of the current analysis. RecordingError if nothing can be found in these
+    readings, if they are of different sensors, or if most are far from their true ranges; ConfigError if what was found
+    does not go with the rest of the model.
     """
     start, (sensor, about_step) = sensor, _with_step(sensor, loaded)
     progress("sorting readings into points")
@@ -73,10 +111,10 @@ def characterise(
     _check_one_kind(loaded, points)
     _check_together(loaded, undisturbed)
     progress("calibration")
-    calibration = calibrate(undisturbed, reference_std_cm, set_up_std_cm)
+    calibration = calibrate(undisturbed, how.reference_std_cm, how.set_up_std_cm)
     curve = curve_through(() if calibration is None else calibration.knots)
     progress("mixture")
-    mixture, parameters, no_mixture = _mixture(undisturbed, loaded, curve, sensor, rng)
+    mixture, parameters, no_mixture = _mixture(undisturbed, loaded, curve, sensor, default_rng(how.seed))
     progress("maximum range, field of view and sonar equation")
     view, longest = find_field_of_view(by["field_of_view"], curve), by["maximum_range"]
     angles = view.angles if view else ()
@@ -88,11 +126,11 @@ def characterise(
     questions = answer_questions(found)
     findings = Findings(
         sensor=sensor.name,
-        date=date,
+        date=how.date,
         calibration_temperature_c=calibration_c,
         sources=loaded.sources,
         points=found,
-        baseline=baseline(by[BASELINE], reference_std_cm),
+        baseline=baseline(by[BASELINE], how.reference_std_cm),
         calibration=calibration,
         mixture=mixture,
         maximum_range=maximum_range(longest, sensor),
@@ -108,7 +146,7 @@ def characterise(
     changes = _changes(findings, sensor, rows, heard_on_axis_cm=heard_cm, reading_model=parameters)
     if sensor.resolution_cm != start.resolution_cm:
         changes["resolution_cm"] = sensor.resolution_cm
-    return Characterised(findings, changes, points)
+    return Characterised(changed(start, findings, changes), findings, changes, points, how.start.name)
 
 
 def _mixture(

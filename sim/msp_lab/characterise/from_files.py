@@ -6,8 +6,9 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from msp_lab.characterise.analysis import Characterisation
 from msp_lab.characterise.findings import as_json
-from msp_lab.characterise.sensors import Characterisation, characterised
+from msp_lab.characterise.sensors import characterised
 from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
 from msp_range.clock import SystemClock, date_of
 from msp_range.yaml_file import config_path

@@ -4,69 +4,18 @@ Each sensor's readings are read where its model is made: the workers of a cluste
 they write to, under the same path.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 from urllib.parse import quote
 
-from numpy.random import default_rng
-
-from msp_lab.characterise.analysis import characterise
-from msp_lab.characterise.findings import Findings, as_json
-from msp_lab.characterise.model_file import changed, commented, write_new
-from msp_lab.characterise.points import PointReadings
+from msp_lab.characterise.analysis import NUMBERS, PAGE, Characterisation, Characterised, characterise
 from msp_lab.readings.column_map import load_maps
-from msp_lab.readings.intake import load_readings, sensors_in, without_impossible
-from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
+from msp_lab.readings.intake import load_readings, without_impossible
+from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 
-NUMBERS, PAGE, TABLE = "findings.json", "report.html", "sensors.csv"
-
-
-@dataclass(frozen=True)
-class Characterisation:
-    """What a model is made from, and how."""
-
-    data: tuple[Path, ...]
-    start: Path
-    """Files of readings, and of the starting model."""
-    column_map: tuple[str, ...]
-    truth: Literal["recorded", "others"]
-    """Options ``--map`` and ``--truth``."""
-    date: str
-    seed: int
-    """Date to record, and random seed of the goodness-of-fit test."""
-    reference_std_cm: float | None = None
-    set_up_std_cm: float | None = None
-    """As for `msp_lab.characterise.analysis.characterise`."""
-
-    def sensors(self) -> list[str]:
-        """Names of the sensors in the readings."""
-        return sensors_in(self.data, load_sensor_model(self.start), load_maps(self.column_map), truth=self.truth)
-
-
-@dataclass(frozen=True)
-class SensorResult:
-    """A model, what was found, which fields of the starting model (its file's name) were changed, and its points."""
-
-    model: SensorModel
-    findings: Findings
-    changes: Mapping[str, Any]
-    points: Sequence[PointReadings]
-    start: str
-
-    def write(self, path: Path) -> None:
-        """Write the model file; RecordingError if there is a file already, or it cannot be written."""
-        write_new(path, commented(self.model, self.findings, self.changes, self.start))
-
-    def publish(self, folder: Path) -> Path:
-        """Write all numbers and the page, and return the page; UserError if they cannot be written."""
-        write_new(folder / NUMBERS, as_json(self.findings))
-        from msp_lab.characterise.page.picture_data import PictureData
-        from msp_lab.characterise.page.write import write_report
-
-        return write_report(PictureData(self.findings, self.points, self.model), folder)
+TABLE = "sensors.csv"
 
 
 def check_free(out: Path, folder: Path | None) -> None:
@@ -87,21 +36,11 @@ def check_free(out: Path, folder: Path | None) -> None:
 
 def characterised(
     how: Characterisation, sensors: Sequence[str] = (), progress: Callable[[str], None] = lambda what: None
-) -> SensorResult:
+) -> Characterised:
     """Make a model from the readings of these sensors (none: all); UserError if they cannot be used."""
     start = load_sensor_model(how.start)
     loaded = load_readings(how.data, start, load_maps(how.column_map), sensors=sensors, truth=how.truth)
-    loaded = without_impossible(loaded, start)
-    findings, changes, points = characterise(
-        loaded,
-        start,
-        date=how.date,
-        rng=default_rng(how.seed),
-        reference_std_cm=how.reference_std_cm,
-        set_up_std_cm=how.set_up_std_cm,
-        progress=progress,
-    )
-    return SensorResult(changed(start, findings, changes), findings, changes, points, how.start.name)
+    return characterise(without_impossible(loaded, start), start, how, progress)
 
 
 @dataclass(frozen=True)
