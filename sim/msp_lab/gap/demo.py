@@ -14,11 +14,9 @@ import yaml
 from msp_lab.gap.findings import FittedValue, GapFindings, Settings
 from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.steps import Steps
-from msp_range.clock import VirtualClock
-from msp_range.recording.writer import Recorder
 from msp_range.yaml_file import ConfigError, config_path
-from msp_sim.flight.flight import Simulation
 from msp_sim.flight.scenario import load_scenario
+from msp_sim.flight.simulate import fly_through
 from msp_sim.model.model import load_model
 
 HIDDEN: tuple[dict[str, Any], ...] = (
@@ -108,15 +106,8 @@ def write_scenario(folder: Path, number: int) -> Path:
 
 def fly(folder: Path, scenario_file: Path, model: Path, seed: int) -> Path:
     """Fly a scenario with a sensor model; the recording."""
-    scenario, clock = load_scenario(scenario_file), VirtualClock()
     path = folder / f"{scenario_file.stem}.mcap"
-    recorder = Recorder(path, clock, files=scenario.airframe.files, metadata={"scenario": scenario.name})
-    sensor = load_model(model).sensor
-    try:
-        for _ in Simulation(scenario, clock, seed, model=sensor, recorder=recorder).fly():
-            pass
-    finally:
-        recorder.close()
+    fly_through(load_scenario(scenario_file), seed, load_model(model).sensor, path)
     return path
 
 
