@@ -6,14 +6,14 @@ reliable angle and the next that was tried.
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import accumulate, groupby
+from itertools import accumulate
 from typing import Literal
 
 import numpy as np
 from scipy.special import xlogy
 
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle, FieldOfView, Oblique, SonarFit, SonarRow
-from msp_lab.characterise.points import GATE_CM, PointReadings
+from msp_lab.characterise.points import GATE_CM, PointReadings, grouped
 from msp_lab.estimates import IntervalEstimate, fit_points, half_of_mean, share
 from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
@@ -44,7 +44,7 @@ def find_field_of_view(points: Sequence[PointReadings], calibration: Calibration
         (_angle_point(point, calibration) for point in points if abs(point.incidence_deg) < 90.0),
         key=lambda each: (each.range_cm, each.incidence_deg),
     )
-    by_range = {range_cm: list(here) for range_cm, here in groupby(found, key=lambda each: each.range_cm)}
+    by_range = grouped(found, lambda each: each.range_cm)
     angles = tuple(angle for range_cm, here in by_range.items() for angle in _breakaway(range_cm, here))
     return FieldOfView(CRITERION, tuple(found), angles, _oblique(found)) if angles else None
 

@@ -6,9 +6,11 @@ scatter of readings use points as their unit.
 """
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from itertools import groupby
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy import stats
@@ -42,6 +44,7 @@ by 2 mm within one."""
 MIN_READINGS = 5
 """If most ranges have fewer readings, they are not set-ups of a bench: the range changed while it was read."""
 
+Record = TypeVar("Record")
 BASELINE = "baseline"
 VARIED = {"incidence_deg": "field_of_view", "vibration_hz": "vibration", "external_level_db": "external_interference"}
 """Experiment of a reading without a `condition`: that of a column which is known and not zero."""
@@ -323,6 +326,11 @@ def _places(truth_cm: Array) -> Array:
     if np.median(counts[which.ravel()]) >= MIN_READINGS:
         return truth_cm
     return (np.floor(truth_cm / BIN_CM) + 0.5) * BIN_CM
+
+
+def grouped(records: Iterable[Record], key: Callable[[Record], Any]) -> dict[Any, list[Record]]:
+    """Points, or others, by what distinguishes them, in its order."""
+    return {each: list(here) for each, here in groupby(sorted(records, key=key), key)}
 
 
 def _mean(values: Array) -> float:

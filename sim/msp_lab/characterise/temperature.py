@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from msp_lab.characterise.findings import AirBefore, CompensationRow, HotBox, HotBoxRow, Question
-from msp_lab.characterise.points import PointReadings
+from msp_lab.characterise.points import PointReadings, grouped
 from msp_lab.estimates import CONFIDENCE, LIKELIHOOD_DROP, IntervalEstimate, Z, fit_line, half_of_mean, mean_of_points
 from msp_range.acoustics.air import ZERO_CELSIUS_K, speed_of_sound
 from msp_range.arrays import Array
@@ -116,8 +116,7 @@ def compensation_table(points: Sequence[PointReadings], calibration: Calibration
 
     The sensor's calibration is inverted first: compensation is about the air alone.
     """
-    for range_cm in sorted({round(point.range_cm, 3) for point in points}):
-        here = [point for point in points if round(point.range_cm, 3) == range_cm]
+    for range_cm, here in grouped(points, lambda point: round(point.range_cm, 3)).items():
         columns = [
             np.array([calibration.inverse(point.reading_cm), point.air_temperature_c, point.compensation])[
                 :, point.is_hit

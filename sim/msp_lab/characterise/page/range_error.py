@@ -1,10 +1,8 @@
 """Pictures of the range error over range: the calibration, nothing varied, and each experiment of a campaign."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from itertools import groupby
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ from msp_lab.characterise.findings import CalibrationFindings
 from msp_lab.characterise.page.errors import draw_errors, scale_of
 from msp_lab.characterise.page.picture_data import PictureData, errors_of, summary
 from msp_lab.characterise.page.text import interval, span
-from msp_lab.characterise.points import PointReadings
+from msp_lab.characterise.points import PointReadings, grouped
 from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 from msp_lab.estimates import Z
 from msp_range.correction.calibration import curve_through
@@ -111,17 +109,9 @@ def baseline(rows: PictureData) -> Drawn:
     return draw_errors([errors], band=band if largest_cm > 0.0 else None), caption
 
 
-def _groups(
-    points: Sequence[PointReadings], key: Callable[[PointReadings], str] = attrgetter("level")
-) -> dict[str, list[PointReadings]]:
-    """Points by what distinguishes them, in the order of its words."""
-    return {word: list(here) for word, here in groupby(sorted(points, key=key), key)}
-
-
 def _materials(rows: PictureData) -> dict[str, list[PointReadings]]:
     """Points of the material experiment by target; none where it was not done."""
-    there = _groups([point for point in rows.points if point.condition == "material"])
-    return {name: points for name, points in there.items() if name}
+    return grouped((p for p in rows.points if p.condition == "material" and p.level), lambda point: point.level)
 
 
 def material(rows: PictureData, name: str) -> Drawn:
@@ -167,19 +157,18 @@ def temperature(rows: PictureData, kind: str) -> Drawn:
 
 def vibration(rows: PictureData) -> Drawn:
     """Draw the range error at each frequency of vibration."""
-    levels = {float(level.split()[0]): points for level, points in _groups(rows.of("vibration")).items() if level}
-    shaken = {each_hz: levels[each_hz] for each_hz in sorted(levels) if each_hz > 0.0}
-    if not shaken:
+    known = [point for point in rows.of("vibration") if point.level not in ("", "0 Hz")]
+    shaken = grouped(known, lambda point: float(point.level.split()[0]))
+    if not known:
         raise Absent("No readings with vibration (column vibration_hz above 0).")
     panels = [errors_of(points, points[0].level) for points in shaken.values()]
-    together = errors_of([point for points in shaken.values() for point in points])
-    counts = f"Vibration of {span(np.array([*shaken]))} Hz. {summary(together)}"
+    counts = f"Vibration of {span(np.array([*shaken]))} Hz. {summary(errors_of(known))}"
     return draw_errors(panels), counts + _answers(rows, "vibration")
 
 
 def crosstalk(rows: PictureData, condition: str) -> Drawn:
     """Draw the range error of two sensors that ping at once or in turn."""
-    by_sensor = _groups(rows.of(condition), attrgetter("sensor"))
+    by_sensor = grouped(rows.of(condition), lambda point: point.sensor)
     panels = [
         errors_of(points, name if name.startswith("sensor") else f"sensor {place}, {name}")
         for place, (name, points) in enumerate(by_sensor.items(), start=1)
@@ -191,7 +180,7 @@ def crosstalk(rows: PictureData, condition: str) -> Drawn:
 def external(rows: PictureData) -> Drawn:
     """Draw the range error at each level of external ultrasound."""
     found = rows.of("external_interference")
-    by_level = _groups(found)
+    by_level = grouped(found, lambda point: point.level)
     levels = sorted(
         by_level, key=lambda level: (level != "quiet", "frequency" in level, float(re.sub(r"\D.*", "", level) or "0"))
     )
