@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect
+from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
 from msp_lab.mixture_fit.parameters import PARAMETERS
 from msp_sim.effects.plain import digits
 
@@ -105,24 +105,6 @@ def finding_label(finding: FoundEffect | UnknownEffect) -> str:
 def unit_after(unit: str) -> str:
     """A unit as it follows a number; nothing for a number without one."""
     return "" if unit in ("1", "") else f" {unit}"
-
-
-def parameter_words(name: str, value: FittedValue) -> str:
-    """A parameter with its value, unit and interval.
-
-    Examples
-    --------
-    >>> parameter_words("offset_cm", FittedValue(1.512, 1.06, 1.95, "cm"))
-    'offset_cm 1.51 cm (1.06 to 1.95)'
-    >>> parameter_words("share", FittedValue(1.0, 0.99965, 1.0, "1"))
-    'share 1 (0.99965 to 1)'
-    """
-    interval = ""
-    if value.low is not None and value.high is not None:
-        ends = [(f"{value.low:.{digits}g}", f"{value.high:.{digits}g}") for digits in (3, 6)]
-        low, high = next((pair for pair in ends if pair[0] != pair[1]), ends[-1])
-        interval = f" ({low} to {high})"
-    return f"{name} {value.value:.3g}{unit_after(value.unit)}{interval}"
 
 
 def size_label(name: str, size: float, unit: str) -> str:

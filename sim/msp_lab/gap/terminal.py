@@ -8,6 +8,7 @@ from rich.progress import BarColumn, TaskProgressColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from msp_lab.estimates import IntervalEstimate
 from msp_lab.gap.conclusion import in_words
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
@@ -16,7 +17,6 @@ from msp_lab.gap.labels import (
     effect_label,
     finding_label,
     interval,
-    parameter_words,
     short,
     slice_label,
     unit_after,
@@ -143,7 +143,10 @@ def _found_table(findings: GapFindings) -> Table:
     for effect in findings.effects:
         label = effect_label(effect.name, effect.of)
         what = label if effect.verdict == "named" else f"{label} ({effect.verdict})"
-        values = [parameter_words(name, value) for name, value in effect.parameters.items()]
+        values = [
+            f"{name} {IntervalEstimate(each.value, each.low, each.high, unit_after(each.unit).strip())}"
+            for name, each in effect.parameters.items()
+        ]
         table.add_row(
             _with_place(effect, findings), "\n".join([what, *values, *filter(None, [effect.doubt])]), effect.experiment
         )
