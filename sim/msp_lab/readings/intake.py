@@ -7,7 +7,7 @@ resolution of their file.
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, TypedDict, Unpack
@@ -95,27 +95,11 @@ class Which(TypedDict, total=False):
 def load_readings(
     paths: Sequence[Path], sensor: SensorModel, column_map: ColumnMap | None = None, **which: Unpack[Which]
 ) -> LoadedReadings:
-    """Read and check all files.
+    """Read and check CSV files, recordings, datasets of ``msp-lab import``, or with a map other people's tables.
 
-    Parameters
-    ----------
-    paths
-        CSV files in the one form, recordings, datasets of ``msp-lab import``, or with `column_map` other people's
-        tables.
-    sensor
-        Its limits and its code of no echo, to see whether units are right.
-    column_map
-        Names and units of the columns.
-    which
-        As `Which`.
-
-    Raises
-    ------
-    RecordingError
-        A file cannot be read, its readings are given twice, or they cannot be compared with a truth; in a line, with
-        what to do.
-    ConfigError
-        There is no such column.
+    The sensor's limits and its code of no echo show whether units are right. RecordingError if a file cannot be read,
+    its readings are given twice, or they cannot be compared with a truth; in a line, with what to do. ConfigError if
+    there is no such column.
     """
     messages = [column_map.note] if column_map is not None and column_map.note else []
     tables: list[MeasuredData] = []
@@ -134,11 +118,11 @@ def load_readings(
             referenced += of_runs
         # Of some runs of a large dataset the others are not read: their logs' SHA-256 are in this file.
         source = SourceFile(path.name, sha256(path / ORIGIN if runs else path), len(table))
-        same = next((p for p, each in zip(paths, sources, strict=False) if each.sha256 == source.sha256), None)
-        if same is not None:
-            raise RecordingError(f"{path}: has the same content as {same}; each reading may count once")
-        if column_map is None:
-            _check_overlap(path, table, zip(paths, tables, strict=False))
+        for other, earlier, its in zip(paths, tables, sources, strict=False):
+            if its.sha256 == source.sha256:
+                raise RecordingError(f"{path}: has the same content as {other}; each reading may count once")
+            if column_map is None:
+                _check_overlap(path, table, other, earlier)
         tables.append(table)
         sources.append(source)
     of_rows, renamed = runs_of(tables, paths, run_column)
@@ -261,17 +245,16 @@ def _about_offsets(referenced: Sequence[Referenced]) -> list[str]:
     ]
 
 
-def _check_overlap(path: Path, table: MeasuredData, before: Iterable[tuple[Path, MeasuredData]]) -> None:
+def _check_overlap(path: Path, table: MeasuredData, other: Path, earlier: MeasuredData) -> None:
     """Refuse readings that are in an earlier file, as those of a recording are in the table made of it."""
-    for other, earlier in before:
-        keys = ("time_s", "sensor", "reading_cm", "true_range_cm")
-        names = [name for name in keys if name in table and name in earlier]
-        rows, others = _rows(table, names), _rows(earlier, names)
-        both = len(rows & others)
-        if both > OVERLAP_SHARE * min(len(rows), len(others)):
-            raise RecordingError(
-                f"{path}: {both} of its readings are in {other} too; each may count once, so leave one of them out"
-            )
+    keys = ("time_s", "sensor", "reading_cm", "true_range_cm")
+    names = [name for name in keys if name in table and name in earlier]
+    rows, others = _rows(table, names), _rows(earlier, names)
+    both = len(rows & others)
+    if both > OVERLAP_SHARE * min(len(rows), len(others)):
+        raise RecordingError(
+            f"{path}: {both} of its readings are in {other} too; each may count once, so leave one of them out"
+        )
 
 
 def _rows(table: MeasuredData, names: Sequence[str]) -> set[tuple[object, ...]]:
