@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 WIDTH = 118
-"""Longest line [characters]: an editor's 120 and a little."""
+"""Characters of a line, behind the ``# `` of a comment: 120 with it, as in all of the project's files."""
 _SECTIONS = (
     ("name", "maker", "driver", "medium", "minimum_cm", "maximum_cm"),
     ("resolution_cm",),
