@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal, norm
 from scipy.stats import t as student
 
 from msp_lab.gap import rules
-from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offset_nats, shift_between, wander_inflation
+from msp_lab.gap.evidence import evidence_nats, lead_nats, of_one_run, offsets_of, shift_between, wander_inflation
 from msp_lab.gap.refit import JointFit
 from msp_lab.gap.run_offsets import p_beyond_wander
 
@@ -44,8 +44,8 @@ def test_integrated_offsets_are_those_of_the_normal_theory() -> None:
 
     best = minimize(lambda at: -density(*np.exp(at)), np.zeros(2), method="Nelder-Mead")
     alone = density(float((residual**2).mean()), 0.0)
-    assert offset_nats(fit(residual), unit) == pytest.approx(-best.fun - alone, abs=0.02)
-    assert offset_nats(fit(noise(1)), UNIT) < 1.0
+    assert offsets_of(fit(residual), unit).nats == pytest.approx(-best.fun - alone, abs=0.02)
+    assert offsets_of(fit(noise(1)), UNIT).nats < 1.0
 
 
 def test_a_gain_inside_runs_counts_whole_whatever_the_runs_share() -> None:
@@ -119,7 +119,7 @@ def test_a_gain_over_blocks_of_one_run_counts_at_least_by_its_own_scatter() -> N
     variance = (np.bincount(unit, gain) ** 2).sum() / (gain**2).sum()
     p_value = student.sf(np.sqrt(2.0 * plain / variance), 40 - 2)
     by_scatter = 0.5 * norm.isf(p_value) ** 2
-    by_offsets = plain + offset_nats(larger, unit) - offset_nats(smaller, unit)
+    by_offsets = plain + offsets_of(larger, unit).nats - offsets_of(smaller, unit).nats
     assert by_scatter > by_offsets + 1.0
     assert evidence_nats(smaller, larger, unit) == pytest.approx(by_scatter, rel=1e-6)
 

@@ -11,7 +11,7 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_test import STEP_PLACES, CandidateCurve, degrees_of, log_p_of, ripples, scan, step_of
-from msp_lab.gap.evidence import offset_nats, shift_between
+from msp_lab.gap.evidence import offsets_of, shift_between
 from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.findings import Alternative
 from msp_lab.gap.problem import Problem, State, loss, screened, trials, with_terms
@@ -164,7 +164,7 @@ def instead_of_offsets(problem: Problem, state: State, needed_nats: float) -> tu
     """
     found: dict[str, float] = {}
     by_run = replace(state, by_run=True)
-    with_offsets = state.fit.log_likelihood + offset_nats(state.fit, problem.unit)
+    with_offsets = state.fit.log_likelihood + offsets_of(state.fit, problem.unit).nats
     for form in scan(problem.contexts, problem.asked_of_runs, state.fit, ("bias",)):
         for knots in form.forms:
             degrees = degrees_of(knots)

@@ -29,7 +29,7 @@ RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
 
 
 @dataclass(frozen=True)
-class _Offsets:
+class Offsets:
     """Normal offsets of the runs, of the best deviation."""
 
     nats: float
@@ -38,29 +38,25 @@ class _Offsets:
     """Mean slope of each run with readings, as far as an offset accounts for it, (runs,); 0 for the others."""
 
 
-def _offsets(fit: JointFit, unit: Indices) -> _Offsets:
+def offsets_of(fit: JointFit, unit: Indices) -> Offsets:
+    """Normal offsets of the runs that a fit lacks."""
     slope = fit.offset_slope
     counts = np.bincount(unit)
     mean = np.bincount(unit, slope) / np.maximum(counts, 1.0)
     between = counts * mean**2
     within = float((slope**2).sum() - between.sum())
     if within <= 0.0:
-        return _Offsets(0.0, np.zeros(counts.size))
+        return Offsets(0.0, np.zeros(counts.size))
     shrunk = 1.0 + RATIO_GRID[:, None] * counts
     spread = within + (between / shrunk).sum(axis=1)
     gained = slope.size * np.log((within + between.sum()) / spread) - np.log(shrunk).sum(axis=1)
     best = int(gained.argmax())
     if gained[best] <= 0.0:
-        return _Offsets(0.0, np.zeros(counts.size))
-    return _Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]))
+        return Offsets(0.0, np.zeros(counts.size))
+    return Offsets(0.5 * float(gained[best]), mean * (1.0 - 1.0 / shrunk[best]))
 
 
-def offset_nats(fit: JointFit, unit: Indices) -> float:
-    """What normal offsets of the runs, of the best deviation and integrated out, add to a fit [nat], at least 0."""
-    return _offsets(fit, unit).nats
-
-
-def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: _Offsets) -> Array:
+def _log_p_beside_offsets(fit: JointFit, unit: Indices, offsets: Offsets) -> Array:
     """Log-likelihood of each reading with its run's offset taken off, by a quadratic in that offset, (n,)."""
     slope, removed = fit.offset_slope, offsets.slope_removed[unit]
     log_p: Array = fit.here.log_p + removed * (slope - 0.5 * removed) / max(float((slope**2).mean()), 1e-12)
@@ -138,7 +134,7 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, lef
     if unit is None:
         return plain
     runs = np.unique(unit).size
-    gained = plain + offset_nats(larger, unit) - offset_nats(smaller, unit)
+    gained = plain + offsets_of(larger, unit).nats - offsets_of(smaller, unit).nats
     if gained > 0.0:
         inside = min((1.0 - shift_between(smaller, larger, unit)) * plain, gained)
         gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
@@ -158,7 +154,7 @@ def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:
     plain = one.log_likelihood - other.log_likelihood
     if unit is None:
         return plain
-    of_one, of_other = (_offsets(fit, unit) for fit in (one, other))
+    of_one, of_other = (offsets_of(fit, unit) for fit in (one, other))
     nats = plain + of_one.nats - of_other.nats
     gain = _log_p_beside_offsets(one, unit, of_one) - _log_p_beside_offsets(other, unit, of_other)
     runs = np.unique(unit).size

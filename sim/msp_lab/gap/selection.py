@@ -62,23 +62,23 @@ def select(problem: Problem, max_terms: int) -> Selection:
 
 def _search(problem: Problem, state: State, seen: Screen, needed_nats: float, max_terms: int) -> State:
     """Add effects, and curves for what they leave, twice: a curve may show an effect that it hid."""
-    for turn in range(2):
-        state = add_effects(problem, state, seen, needed_nats, max_terms)
-        with_curves = add_curves(problem, state, needed_nats, max_terms)
-        unchanged, state = with_curves is state, with_curves
-        if unchanged or len(state.terms) >= max_terms or turn:
-            break
-        state = reinformed(problem, state)
-        seen = screened(problem, state)
-    return state
+    first = add_effects(problem, state, seen, needed_nats, max_terms)
+    state = add_curves(problem, first, needed_nats, max_terms)
+    if state is first or len(state.terms) >= max_terms:
+        return state
+    again = reinformed(problem, state)
+    more = add_effects(problem, again, screened(problem, again), needed_nats, max_terms)
+    # Next to the same fit no other curve is found, unless those before were as many as are added in one go.
+    if more is again and len(again.terms) - len(first.terms) < rules.MAX_CURVES:
+        return more
+    return add_curves(problem, more, needed_nats, max_terms)
 
 
 def select_more(problem: Problem, selection: Selection, without: Set[Key], max_terms: int) -> Selection:
     """Go on where the search had ended for want of room, without these effects, which did not hold."""
     problem = replace(problem, candidates=tuple(each for each in problem.candidates if each.key not in without))
     state = reinformed(problem, selection.state)
-    seen = screened(problem, state)
-    state = _search(problem, state, seen, selection.needed_nats, max_terms)
+    state = _search(problem, state, screened(problem, state), selection.needed_nats, max_terms)
     is_full = max_terms <= len(state.terms)
     return settled(problem, replace(selection, state=state, is_full=is_full))
 
