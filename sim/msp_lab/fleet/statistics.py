@@ -6,8 +6,8 @@ common to the fleet: the value at which the median vehicle's sessions scatter as
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -36,26 +36,13 @@ class Change:
     """By how much the number is larger after it, or a drift's rise from the first session to the last."""
     log_p: float
     """Logarithm of its p-value, with the search for the place counted."""
+    series: Sessions
+    """Of which it is one."""
 
     @property
     def nats(self) -> float:
         """By how much the likelihood of its sessions grows [nat]."""
         return 0.5 * (self.size / self.error) ** 2
-
-
-class Deviation(NamedTuple):
-    """How one number of a unit deviates from the others', or that of the fleet from nothing."""
-
-    log_p: float
-    """Logarithm of its p-value."""
-    term: FleetTerm
-    """The number."""
-    unit: int
-    """Place of the unit."""
-    value: float
-    """Its estimate."""
-    mean: float
-    """That of the fleet."""
 
 
 @dataclass(frozen=True)
@@ -74,60 +61,43 @@ class Number:
     fleet: Pooled
     """Mean, spread, and how far each unit is off."""
 
-    @property
-    def deviations(self) -> list[Deviation]:
-        """That of each unit."""
-        of_units = zip(self.fleet.deviation_log_p.tolist(), self.units.tolist(), self.value.tolist(), strict=True)
-        return [Deviation(log_p, self.term, unit, value, self.fleet.mean) for log_p, unit, value in of_units]
+    def p_of(self, unit: int) -> float:
+        """Logarithm of the p-value of a unit's deviation from the others; 0 if it has no such number."""
+        return float(self.fleet.deviation_log_p[self.units == unit].min(initial=0.0))
 
 
-def series_of(units: Sequence[UnitNumbers]) -> dict[FleetTerm, list[tuple[int, Sessions]]]:
-    """Every number that is fitted, by session, with the places of the units in which it is."""
-    found: dict[FleetTerm, list[tuple[int, Sessions]]] = {}
+def _series(units: Sequence[UnitNumbers]) -> dict[FleetTerm, dict[int, Sessions]]:
+    """Every number by session, by the places of the units that have it."""
+    found: dict[FleetTerm, dict[int, Sessions]] = {}
     for k, unit in enumerate(units):
-        for term, sessions in unit.over_sessions():
-            found.setdefault(replace(term, start=0.0), []).append((k, sessions))
+        for term, sessions in unit.numbers:
+            found.setdefault(term.anywhere, {})[k] = sessions
     return found
 
 
-def _one_sided(term: FleetTerm) -> bool:
-    return not term.is_base and candidate_of(term).one_sided
-
-
-def numbers_of(units: Sequence[UnitNumbers]) -> list[Number]:
-    """Every number that more than `MIN_ORDINARY` units have."""
-    places: dict[FleetTerm, list[tuple[int, int]]] = {}
-    for k, unit in enumerate(units):
-        for j in np.flatnonzero(np.isfinite(unit.error)).tolist():
-            places.setdefault(replace(unit.terms[j], start=0.0), []).append((k, j))
-    series = series_of(units)
-    found = []
-    for term, where in places.items():
-        if len(where) <= MIN_ORDINARY:
+def numbers_of(units: Sequence[UnitNumbers]) -> dict[FleetTerm, Number]:
+    """Every number that more than `MIN_ORDINARY` units have; a term starts nowhere here."""
+    found = {}
+    for term, of_units in _series(units).items():
+        if len(of_units) <= MIN_ORDINARY:
             continue
-        fitted = dict(series.get(term, ()))
-        omega2 = between_sessions(list(fitted.values()))
-        shares = [float((fitted[k].share ** 2).sum()) if k in fitted else 0.0 for k, _ in where]
-        value = np.array([units[k].value[j] for k, j in where])
-        error = np.sqrt([units[k].error[j] ** 2 + omega2 * share for (k, j), share in zip(where, shares, strict=True)])
-        if fitted and _one_sided(term):
+        omega2 = between_sessions(list(of_units.values()))
+        value, error = np.array([sessions.estimate(omega2) for sessions in of_units.values()]).T
+        if not term.is_base and candidate_of(term).one_sided:
             # The variance of a share is in proportion to it: a small one is known no better than the others' would be.
             error *= np.sqrt(np.maximum(np.median(value) / np.maximum(value, error), 1.0))
-        fleet = pooled(value, error)
-        found.append(Number(term, np.array([k for k, _ in where]), value, error, float(np.sqrt(omega2)), fleet))
+        found[term] = Number(term, np.array(list(of_units)), value, error, float(np.sqrt(omega2)), pooled(value, error))
     return found
 
 
 def changes_of(units: Sequence[UnitNumbers]) -> list[tuple[FleetTerm, int, Change]]:
     """Changes and drifts of the numbers of the base and of the effects that a unit was found to have."""
     found = []
-    for term, of_units in series_of(units).items():
-        if term.sessions:
-            continue
-        omega2 = between_sessions([sessions for _, sessions in of_units])
-        for unit, sessions in of_units:
-            change = over_sessions(sessions.value, sessions.variance + omega2)
-            if change is not None:
+    for term, of_units in _series(units).items():
+        omega2 = between_sessions(list(of_units.values()))
+        for unit, sessions in of_units.items():
+            change = over_sessions(sessions, omega2)
+            if change is not None and not term.sessions:
                 found.append((term, unit, change))
     return found
 
@@ -135,14 +105,12 @@ def changes_of(units: Sequence[UnitNumbers]) -> list[tuple[FleetTerm, int, Chang
 def between_sessions(series: Sequence[Sessions]) -> float:
     """Variance of a number between sessions of one unit, common to the fleet."""
     several = [sessions for sessions in series if sessions.value.size >= 2]
-    if not several:
-        return 0.0
-    usual = np.array([chi2.median(sessions.value.size - 1) for sessions in several])
 
     def ratio(omega2: float) -> float:
-        return float(np.median([_squares(sessions.value, sessions.variance + omega2) for sessions in several] / usual))
+        each = [_squares(own.value, own.variance + omega2) / chi2.median(own.value.size - 1) for own in several]
+        return float(np.median(each))
 
-    return where_one(ratio, max(float(np.ptp(sessions.value)) ** 2 for sessions in several))
+    return where_one(ratio, max(float(np.ptp(own.value)) ** 2 for own in several)) if several else 0.0
 
 
 def _squares(value: Array, variance: Array) -> float:
@@ -151,13 +119,15 @@ def _squares(value: Array, variance: Array) -> float:
     return float(((value - mean) ** 2 / variance).sum())
 
 
-def over_sessions(value: Array, variance: Array) -> Change | None:
+def over_sessions(series: Sessions, omega2: float) -> Change | None:
     """The likeliest change or drift of one unit's number.
 
     Parameters
     ----------
-    value, variance
+    series
         Of its sessions, (R,).
+    omega2
+        Variance between sessions of one unit.
 
     Returns
     -------
@@ -166,15 +136,16 @@ def over_sessions(value: Array, variance: Array) -> Change | None:
         over the sessions' numbers. The place of the step that is the most standard errors is taken, and its p-value
         times the number of places (Bonferroni). None: there are too few sessions.
     """
+    value = series.value
     if value.size < MIN_SESSIONS:
         return None
     places = np.arange(MIN_SIDE, value.size - MIN_SIDE + 1)
     shapes = np.vstack([np.arange(value.size) >= places[:, None], np.arange(value.size) / (value.size - 1.0)])
-    weight = 1.0 / variance
+    weight = 1.0 / (series.variance + omega2)
     about = shapes - (shapes @ weight / weight.sum())[:, None]
     gained = about**2 @ weight
     size, error = about @ (weight * value) / gained, gained**-0.5
     log_p = np.log(2.0) + norm.logsf(np.abs(size / error)) + np.log(np.append(np.full(places.size, places.size), 1.0))
     k = int(np.argmin(log_p))
-    found = float(size[k]), float(error[k]), min(float(log_p[k]), 0.0)
+    found = float(size[k]), float(error[k]), min(float(log_p[k]), 0.0), series
     return Change("change", int(places[k]), *found) if k < places.size else Change("drift", 0, *found)

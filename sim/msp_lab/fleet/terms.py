@@ -13,6 +13,7 @@ import numpy as np
 from msp_lab.gap.candidates import CandidateEffect
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import Contribution, Effect, Parameter, Scene, Values
+from msp_sim.model.model import Term
 
 _FIELDS = {"offset": "bias_cm", "scatter": "log_spread"} | {
     kind: f"log_odds_{kind}" for kind in ("short", "missed", "random")
@@ -39,11 +40,9 @@ class FleetTerm:
     of: str | None = None
     """The target that it is of, or None."""
     shape: tuple[tuple[str, float], ...] = ()
-    """Values of its other parameters."""
+    """Values of its other parameters, which are held, so that numbers of vehicles compare."""
     sessions: tuple[str, ...] = ()
     """Sessions in which it acts; none: all."""
-    shape_fitted: bool = False
-    """Whether the shape is fitted for each vehicle; else it is held, so that numbers of vehicles compare."""
     start: float = 0.0
     """Its number where a fit starts, as a change from the neutral value; 0: not known."""
 
@@ -53,14 +52,19 @@ class FleetTerm:
         return self.effect, self.of
 
     @property
-    def identity(self) -> tuple[object, ...]:
-        """What terms have in common that are of one number, wherever their fits start."""
-        return self.effect, self.number, self.of, self.shape, self.sessions
+    def anywhere(self) -> "FleetTerm":
+        """The same number, wherever its fits start."""
+        return replace(self, start=0.0)
 
     @property
     def is_base(self) -> bool:
         """A number that every sensor has."""
         return self.effect in BASE_NUMBERS
+
+    @property
+    def calibrates(self) -> bool:
+        """It says what a number of the sensor model says too."""
+        return effect_of(self.effect).base is not None
 
 
 def base_effect(name: str) -> Effect:
@@ -88,14 +92,16 @@ def candidate_of(term: FleetTerm) -> CandidateEffect:
     number = next(parameter for parameter in effect.parameters if parameter.name == term.number)
     if term.sessions:
         effect = _in_sessions(effect, term.sessions)
-    if not term.shape_fitted:
-        effect = replace(effect, parameters=(number,))
-    return CandidateEffect(effect, term.of, term.shape, number)
+    return CandidateEffect(replace(effect, parameters=(number,)), term.of, term.shape, number)
 
 
-def term_of(candidate: CandidateEffect) -> FleetTerm:
-    """A candidate of the search as plain data."""
-    return FleetTerm(candidate.effect.name, candidate.parameter.name, candidate.of, candidate.shape)
+def term_of(active: Term, candidate: CandidateEffect | None = None) -> FleetTerm:
+    """What the search found as plain data; of several numbers that of its candidate, or the first one."""
+    numbers = [parameter for parameter in active.effect.parameters if parameter.neutral is not None]
+    number = numbers[0] if candidate is None else candidate.parameter
+    shape = tuple((name, value) for name, value in active.values.items() if name != number.name)
+    start = active.values[number.name] - (number.neutral or 0.0)
+    return FleetTerm(active.effect.name, number.name, active.of, shape, start=start)
 
 
 def _in_sessions(effect: Effect, sessions: Sequence[str]) -> Effect:

@@ -1,16 +1,14 @@
-"""One sensor of one vehicle: estimates of all numbers that the fleet is compared by, and what one more effect gains.
+"""One sensor of one vehicle: estimates of the numbers that the fleet is compared by, and what else it has.
 
-A `Unit` and the terms that it is known to have enter; plain arrays leave. `examine` and `compare` are pure functions of
-what they are given, so that another process can do them; the latest prepared readings and joint fits are kept for the
-next question about the same unit, which changes how long an answer takes and nothing else.
+A `Unit` and the terms that it is known to have enter; plain data leave. `examine`, `search` and `held` are pure
+functions of what they are given, so that another process can do them; the latest prepared readings and joint fits are
+kept for the next question about the same unit, which changes how long an answer takes and nothing else.
 
-Everything is asked of the gap workflow: the joint fit of base and terms, the screen of all other effects next to it,
-with the session as the unit of evidence, and refits with one effect more.
+Everything is asked of the gap workflow: the joint fit of base and terms, and its own search for what else is missing.
 """
 
 import pickle
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -23,7 +21,8 @@ from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.problem import Problem, State, screened, with_candidate
 from msp_lab.gap.refit import JointFit, sums_by
-from msp_range.arrays import Array, Indices, numbered
+from msp_lab.gap.selection import Selection, add_effects, settled
+from msp_range.arrays import Array, numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model
 
@@ -33,9 +32,9 @@ read, and fits made, again for each question."""
 MIN_READINGS = 200
 """A sensor with fewer readings is left out, with the reason. Its base has seven numbers, of which three are odds of a
 few per cent. Fewer: numbers that rest on single readings."""
-FIRST_STEPS = 30.0
-"""A fit of a number of which nothing is known starts so many of its numeric steps from its neutral value: 0.03 of its
-unit. Smaller: the first slope of a share is rounding."""
+MAX_EFFECTS = 4
+"""A sensor is searched for so many effects at most that the fleet does not share: as `msp-lab gap --max-effects`, but
+a sensor with more differs in more than can be told. More: slower."""
 MAX_SHARE_LEFT_OUT = 0.5
 """A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
 unit is wrong. Higher: fits to what is left of them."""
@@ -72,50 +71,50 @@ class UnusableError(UserError):
 
 
 class Sessions(NamedTuple):
-    """One fitted number by session, (R,) each: estimates, their variances, and shares of the readings."""
+    """One number of a sensor by session, (R,) each: estimates, their variances, and shares of the readings."""
 
     value: Array
     variance: Array
     share: Array
 
+    def estimate(self, omega2: float) -> tuple[float, float]:
+        """That of all sessions and its standard error, where sessions differ with this variance."""
+        variance = (self.share**2 * (self.variance + omega2)).sum()
+        return float((self.share * self.value).sum()), float(np.sqrt(variance))
+
 
 @dataclass(frozen=True)
 class UnitNumbers:
-    """What a sensor's readings say of C numbers, the first F of which are fitted, and of these by R sessions."""
+    """What a sensor's readings say of the numbers of the base and of its terms."""
 
-    terms: tuple[FleetTerm, ...]
-    """The numbers, (C,): of the base, of the unit's terms, and of all other effects."""
-    value: Array
-    error: Array
-    """Estimates and standard errors, (C,): of the fit, and of other effects by the screen. Of a number whose error is
-    infinite the readings say nothing."""
+    numbers: tuple[tuple[FleetTerm, Sessions], ...]
+    """Those of which the readings say something. By session they are one step from the fit by the session's scores;
+    their variance is the expected or the measured one, whichever is larger: a sum of few improbable readings varies by
+    more than is expected."""
     sessions: tuple[str, ...]
     """Sessions that have readings, in their order."""
-    readings: Indices
-    """How many, (R,)."""
-    by_session: Array
-    variance: Array
-    """Of the fitted numbers by session, (R, F): one step from the fit by the session's scores; and its variance,
-    expected or measured, whichever is larger: a sum of few improbable readings varies by more than is expected."""
+    readings: int
+    """How many."""
+    gain_nats: float
+    """What the last of the terms gains next to the others [nat]."""
+    asked: int
+    """Number of effects that the readings can show."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
     """Effects that lack a column, with the columns."""
 
-    def over_sessions(self) -> list[tuple[FleetTerm, Sessions]]:
-        """The fitted numbers of which the readings say something."""
-        share = self.readings / self.readings.sum()
-        columns = zip(self.terms, self.error.tolist(), self.by_session.T, self.variance.T, strict=False)
-        return [(term, Sessions(value, variance, share)) for term, error, value, variance in columns if error < np.inf]
+
+Names = tuple[tuple[FleetTerm, float], ...]
+"""An effect that a sensor has, and others that explain it as well, each with how much less it gains [nat]: 0 first."""
 
 
-@dataclass(frozen=True)
-class RefittedTerm:
-    """A term refitted next to what a sensor has: what it gains [nat], and its values."""
+class OwnEffects(NamedTuple):
+    """What a sensor has next to the terms that it was known to have, and what all of that gains [nat]."""
 
+    effects: tuple[Names, ...]
     gain_nats: float
-    values: tuple[tuple[str, float], ...]
 
 
-def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitNumbers:
+def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbers:
     """Estimates of a unit's numbers.
 
     Parameters
@@ -123,14 +122,14 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitN
     model
         Sensor model.
     task
-        The unit, its terms, and whether all other effects are asked next to them.
+        The unit and its terms.
 
     Raises
     ------
     UserError
         As `_fitted`.
     """
-    unit, terms, with_others = task
+    unit, terms = task
     problem, fit = _fitted(model, unit, terms)
     run = problem.contexts["run"].tolist()
     sessions = [session for session in unit.sessions if session in set(run)]
@@ -144,59 +143,70 @@ def examine(model: Model, task: tuple[Unit, Sequence[FleetTerm], bool]) -> UnitN
     covariance = fit.covariance()
     covariance[at_bound, at_bound] = 1.0 / np.maximum(np.diag(fit.at.information), fit.at.gradient**2)[at_bound]
     moved = fit.at.scores @ covariance[:, places]
-    share = readings[:, None] / len(here)
-    by_session = fit.values[places] + sums_by(here, moved) / share
-    variance = np.maximum(sums_by(here, moved**2) / share**2, np.diag(covariance)[places] / share)
-    total = (share**2 * variance).sum(axis=0)
-    error = np.where(total > 0.0, np.sqrt(total), np.inf)
-    # With random numbers of its own each time, so that the answer is the same wherever it was asked before.
-    asked = replace(problem, rng=unit.rng(1))
-    others, of_others = _others(asked, fit, terms) if with_others else ((), np.zeros((2, 0)))
+    share = readings / len(here)
+    value = fit.values[places] + sums_by(here, moved) / share[:, None]
+    variance = np.maximum(sums_by(here, moved**2) / share[:, None] ** 2, np.diag(covariance)[places] / share[:, None])
+    of_all = (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms)
+    numbers = [
+        (term, Sessions(*own, share)) for term, own in zip(of_all, zip(value.T, variance.T, strict=True), strict=True)
+    ]
+    gain_nats = 0.0
+    if terms:
+        smaller = _fitted(model, unit, terms[:-1])[1]
+        gain_nats = problem.candidate_nats(smaller, fit, candidate_of(terms[-1]), problem.depends(smaller))
     return UnitNumbers(
-        (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms, *others),
-        np.append((share * by_session).sum(axis=0), of_others[0]),
-        np.append(error, of_others[1]),
+        tuple((term, own) for term, own in numbers if own.variance.max() > 0.0),
         tuple(sessions),
-        readings,
-        by_session,
-        variance,
+        len(here),
+        gain_nats,
+        len({(*candidate.key, candidate.parameter.name) for candidate in _asked(problem).candidates}),
         problem.untestable,
     )
 
 
-def _others(problem: Problem, fit: JointFit, terms: Sequence[FleetTerm]) -> tuple[tuple[FleetTerm, ...], Array]:
-    """Effects that a unit with these terms may have as well; estimates and errors by the screen, (2, effects)."""
-    accepted = tuple(
+def _asked(problem: Problem, only_calibration: bool = False) -> Problem:
+    """With the effects that vehicles are asked for; what sessions differ by is compared over the fleet."""
+    asked = [each for each in problem.candidates if each.effect.per != "run" and each.is_base >= only_calibration]
+    return replace(problem, candidates=tuple(asked))
+
+
+def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float, bool]) -> OwnEffects:
+    """What a unit has next to its terms, by the search of the gap workflow.
+
+    Parameters
+    ----------
+    model
+        Sensor model.
+    task
+        The unit, its terms, what an effect has to gain [nat], and whether only those are asked that say what a number
+        of the sensor model says too.
+    """
+    unit, terms, needed_nats, only_calibration = task
+    problem, fit = _fitted(model, unit, terms)
+    # With random numbers and a memory of its own, so that the answer is the same wherever and whenever it was asked.
+    problem = replace(_asked(problem, only_calibration), rng=unit.rng(1), kept={})
+    known = tuple(
         SelectedTerm(active, None if term.sessions else candidate_of(term))
         for active, term in zip(fit.effects, terms, strict=True)
     )
-    seen = screened(problem, State(fit, accepted, problem.information(fit), False))
-    own = {(*term.key, term.number) for term in terms if not term.sessions}
-    asked = [
-        j
-        for j, candidate in enumerate(problem.candidates)
-        if candidate.effect.per != "run"
-        and (*candidate.key, candidate.parameter.name) not in own
-        and np.isfinite(seen.deviation[j])
-    ]
-    deviation = seen.deviation[asked]
-    return tuple(term_of(problem.candidates[j]) for j in asked), np.stack([seen.z[asked] * deviation, deviation])
+    begun = State(fit, known, problem.information(fit), problem.depends(fit))
+    seen = screened(problem, begun)
+    state = add_effects(problem, begun, seen, needed_nats, len(terms) + MAX_EFFECTS)
+    if state is begun:
+        return OwnEffects((), 0.0)
+    found = settled(problem, Selection(begun, state, seen, {}, needed_nats))
+    own = [term for term in found.state.terms if term.candidate is not None and term.key not in begun.keys]
+    names = (
+        (
+            (term_of(term.active, term.candidate), 0.0),
+            *((term_of(each.active), each.loss_nats) for each in found.alternatives.get(term.key, ())),
+        )
+        for term in own
+    )
+    return OwnEffects(tuple(names), found.state.fit.log_likelihood - fit.log_likelihood)
 
 
-def compare(model: Model, task: tuple[Unit, Sequence[FleetTerm], Sequence[FleetTerm]]) -> list[RefittedTerm]:
-    """Refits of a unit with its terms and one more, each of the last ones in its turn."""
-    unit, terms, tried = task
-    problem, fit = _fitted(model, unit, terms)
-    found = []
-    for term in tried:
-        best = _with_term(problem, fit, term)
-        candidate = candidate_of(term)
-        gained = problem.candidate_nats(fit, best, candidate, problem.depends(fit)) - candidate.cost_nats
-        found.append(RefittedTerm(gained, tuple(best.effects[-1].values.items())))
-    return found
-
-
-def held(model: Model, task: tuple[Unit, Sequence[FleetTerm], int, float]) -> float:
+def held(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], int, float]) -> float:
     """What a unit's fit loses if the number of one of its terms is held at a value [nat].
 
     A fitted number need not be as far off as its standard error says: a share of tails a little wider than the hits may
@@ -210,7 +220,7 @@ def held(model: Model, task: tuple[Unit, Sequence[FleetTerm], int, float]) -> fl
     return fit.log_likelihood - problem.refit(effects, fit.base).log_likelihood
 
 
-def _fitted(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> tuple[Problem, JointFit]:
+def _fitted(model: Model, unit: Unit, terms: tuple[FleetTerm, ...]) -> tuple[Problem, JointFit]:
     """The readings of a unit, ready for fits, and the joint fit of base and terms, which are added one after another.
 
     Raises
@@ -221,7 +231,7 @@ def _fitted(model: Model, unit: Unit, terms: Sequence[FleetTerm]) -> tuple[Probl
         There are too few readings.
     """
     pickled = pickle.dumps(model)
-    return _problem(pickled, unit), _fit(pickled, unit, tuple(terms))
+    return _problem(pickled, unit), _fit(pickled, unit, terms)
 
 
 @lru_cache(maxsize=KEPT_UNITS)
@@ -243,17 +253,7 @@ def _problem(pickled: bytes, unit: Unit) -> Problem:
 @lru_cache(maxsize=KEPT_UNITS)
 def _fit(pickled: bytes, unit: Unit, terms: tuple[FleetTerm, ...]) -> JointFit:
     problem = _problem(pickled, unit)
-    return _with_term(problem, _fit(pickled, unit, terms[:-1]), terms[-1]) if terms else problem.base
-
-
-def _with_term(problem: Problem, fit: JointFit, term: FleetTerm) -> JointFit:
-    """The joint fit with one more term, from where it is expected."""
-    candidate = candidate_of(term)
-    parameter = candidate.parameter
-    small = FIRST_STEPS * parameter.step
-    starts = [term.start] if abs(term.start) > parameter.step else [small, -small]
-    starts = [start for start in starts if start > 0.0 or not candidate.one_sided] or [small]
-    at = [float(np.clip(candidate.neutral + start, parameter.low, parameter.high)) for start in starts]
-    return max(
-        (with_candidate(problem, fit, candidate, start) for start in at), key=lambda fitted: fitted.log_likelihood
-    )
+    if not terms:
+        return problem.base
+    candidate = candidate_of(terms[-1])
+    return with_candidate(problem, _fit(pickled, unit, terms[:-1]), candidate, candidate.from_neutral(terms[-1].start))

@@ -13,8 +13,8 @@ import numpy as np
 import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
 from msp_lab.fleet.meta import shrunk
-from msp_lab.fleet.search import FleetFinding, Search
-from msp_lab.fleet.statistics import Change, Number, numbers_of
+from msp_lab.fleet.search import FleetFinding, FleetSearch
+from msp_lab.fleet.statistics import Change, numbers_of
 from msp_lab.fleet.terms import FleetTerm, effect_of
 from msp_lab.fleet.unit import Unit, UnitNumbers, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
@@ -23,6 +23,8 @@ from msp_range.recording.error import RecordingError
 from msp_sim.model.model import load_model
 from msp_sim.workers import Workers
 
+OFFSET = FleetTerm("offset", "value")
+"""The number that is shown where nothing was found."""
 TWO_SIDED_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""
 
@@ -54,34 +56,29 @@ def find_in_fleet(
     """
     run = partial(where.map, shared=load_model(model), what="sensors")
     every = units_of(dataset, pattern, seed)
-    outcomes = list(zip(every, run(examine, [(unit, (), True) for unit in every]), strict=True))
+    outcomes = list(zip(every, run(examine, [(unit, ()) for unit in every]), strict=True))
     left_out = [LeftOut(unit.vehicle, unit.sensor, made.error) for unit, made in outcomes if made.error is not None]
     units = [unit for unit, made in outcomes if made.error is None]
-    vehicles = len({unit.vehicle for unit in units})
-    if vehicles < MIN_VEHICLES:
-        reasons = "; ".join(f"{left.vehicle} {left.sensor}: {left.why}" for left in left_out[:3])
-        raise RecordingError(
-            f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
-            + (f". Left out: {reasons}" if reasons else "")
-        )
-    search = Search(units, [made.value for _, made in outcomes if made.value is not None], fdr, run)
-    search.search()
+    vehicles = _vehicles(dataset, units, left_out)
+    numbers = [made.value for _, made in outcomes if made.value is not None]
+    search = FleetSearch(units, numbers, fdr, run)
+    nothing = FleetFinding("calibration", OFFSET, (), numbers_of(numbers)[OFFSET])
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
-    effects = sorted((_effect(search, finding) for finding in search.found), key=lambda effect: order[effect.kind])
+    effects = sorted((_effect(search, finding) for finding in search.all()), key=lambda effect: order[effect.kind])
     findings = FleetFindings(
         sentence="",
         dataset=str(dataset),
         model=str(model),
         vehicles=vehicles,
         sensors=len(units),
-        sessions=sum(len(numbers.sessions) for numbers in search.scores),
-        readings=sum(int(numbers.readings.sum()) for numbers in search.scores),
-        effects=tuple(effects) or (_effect(search, FleetFinding("calibration", FleetTerm("offset", "value"), ())),),
+        sessions=sum(len(unit.sessions) for unit in numbers),
+        readings=sum(unit.readings for unit in numbers),
+        effects=tuple(effects) or (_effect(search, nothing),),
         found=len(effects),
         left_out=tuple(left_out),
         fdr=fdr,
         tests=search.tests,
-        untestable=_untestable(search.scores),
+        untestable=_untestable(numbers),
         seed=seed,
         date=date,
         version=msp_range.__version__,
@@ -89,22 +86,35 @@ def find_in_fleet(
     return replace(findings, sentence=sentence_of(findings))
 
 
-def _untestable(scores: Sequence[UnitNumbers]) -> tuple[tuple[str, tuple[str, ...]], ...]:
+def _vehicles(dataset: Path, units: Sequence[Unit], left_out: Sequence[LeftOut]) -> int:
+    """How many there are; an error where they are no fleet."""
+    vehicles = len({unit.vehicle for unit in units})
+    if vehicles < MIN_VEHICLES:
+        reasons = "; ".join(f"{left.vehicle} {left.sensor}: {left.why}" for left in left_out[:3])
+        raise RecordingError(
+            f"{dataset}: readings of {vehicles} vehicles can be used, and a fleet is at least {MIN_VEHICLES}"
+            + (f". Left out: {reasons}" if reasons else "")
+        )
+    return vehicles
+
+
+def _untestable(units: Sequence[UnitNumbers]) -> tuple[tuple[str, tuple[str, ...]], ...]:
     """Effects that no sensor has the columns for."""
-    common = set.intersection(*({name for name, _ in numbers.untestable} for numbers in scores))
-    return tuple((name, absent) for name, absent in scores[0].untestable if name in common)
+    common = set.intersection(*({name for name, _ in unit.untestable} for unit in units))
+    return tuple((name, absent) for name, absent in units[0].untestable if name in common)
 
 
-def _effect(search: Search, finding: FleetFinding) -> FleetEffect:
+def _effect(search: FleetSearch, finding: FleetFinding) -> FleetEffect:
     term = finding.term
     unit_label = next(
         parameter.unit for parameter in effect_of(term.effect).parameters if parameter.name == term.number
     )
     alternatives = tuple((other.effect, lost) for other, lost in finding.alternatives)
     effect = FleetEffect(finding.kind, term.effect, term.number, unit_label, term.shape, "", alternatives)
-    if finding.change is not None:
+    number = finding.number
+    if number is None:
+        assert finding.change is not None
         return _changed(search, finding, finding.change, effect)
-    number = _estimated(search, term)
     fleet = number.fleet
     is_odd = np.isin(number.units, finding.units) & (finding.kind == "odd")
     numbers = (
@@ -139,30 +149,16 @@ def _estimate(
     return UnitEstimate(unit.vehicle, unit.sensor, value, error, near, near - half, near + half, odd, p_value)
 
 
-def _estimated(search: Search, term: FleetTerm) -> Number:
-    """The number in every sensor, next to what else each is known to have."""
-    if term.is_base:
-        scores = search.scores
-    else:
-        lacking = [k for k in range(len(search.units)) if not search.fits(k, term)]
-        added = search.examined(lacking, [(*own, term) for own in search.terms], with_others=False)
-        again = dict(zip(lacking, added, strict=True))
-        scores = [again.get(k, numbers_of_unit) for k, numbers_of_unit in enumerate(search.scores)]
-    # A number that hardly any unit has any more, next to what was found, is that of the first fit.
-    return next(number for number in (*numbers_of(scores), *search.first) if number.term.identity == term.identity)
-
-
-def _changed(search: Search, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
+def _changed(search: FleetSearch, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
     """The effect with what a unit's number changed by, and its estimates by session."""
     unit = finding.units[0]
-    scores = search.before_change[unit]
-    series = next(own for term, own in scores.over_sessions() if term.identity == finding.term.identity)
-    sessions = zip(scores.sessions, series.value.tolist(), np.sqrt(series.variance).tolist(), strict=True)
+    names = search.first[unit].sessions
+    series = zip(names, change.series.value.tolist(), np.sqrt(change.series.variance).tolist(), strict=True)
     size = change.size, change.error
     return replace(
         effect,
         plain=plain_of(finding.term, change.size, with_size=True),
         estimates=(_estimate(search.units[unit], *size, *size, True, float(np.exp(change.log_p))),),
-        since=scores.sessions[change.first] if change.kind == "change" else "",
-        sessions=tuple(SessionEstimate(*session) for session in sessions),
+        since=names[change.first] if change.kind == "change" else "",
+        sessions=tuple(SessionEstimate(*session) for session in series),
     )

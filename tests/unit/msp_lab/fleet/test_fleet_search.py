@@ -1,6 +1,6 @@
-"""Which p-values the search goes by."""
+"""Which numbers the search goes by, on a fleet whose sensors answer as they are told."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,135 +8,209 @@ from typing import Any
 import numpy as np
 import pytest
 
-from msp_lab.fleet.meta import pooled
-from msp_lab.fleet.search import FleetFinding, Search, _Suspect, _tried, mean_nats
-from msp_lab.fleet.statistics import Deviation, Number
+from msp_lab.fleet.search import FleetFinding, FleetSearch, named_by, near
 from msp_lab.fleet.terms import FleetTerm
-from msp_lab.fleet.unit import RefittedTerm, Unit
+from msp_lab.fleet.unit import Names, OwnEffects, Sessions, Unit, UnitNumbers, examine, held, search
 from msp_sim.workers import ItemOutcome
 
 SCATTER = FleetTerm("scatter", "value")
-UNITS = [Unit(Path("readings"), f"V{k}", "down", ("flight1",), 1) for k in range(5)]
+TAILS = FleetTerm("heavy_tails", "share", shape=(("wider", 2.0),))
+VIBRATION = FleetTerm("vibration", "growth")
+LATE = FleetTerm("latency", "delay_ms")
+BEND = FleetTerm("bend", "slope_pct", shape=(("place_cm", 300.0),))
+NAMES = ("flight1", "flight2", "flight3", "flight4")
+VEHICLES = 20
+UNITS = [Unit(Path("readings"), f"V{k}", "down", NAMES, 1) for k in range(VEHICLES)]
 
 
-def scatter(log_p: list[float]) -> Number:
-    value, error = np.zeros(5), np.ones(5)
-    fleet = replace(pooled(value, error), deviation_log_p=np.array(log_p))
-    return Number(SCATTER, np.arange(5), value, error, 0.0, fleet)
+def numbers(values: Sequence[tuple[FleetTerm, float]], gain_nats: float = 0.0) -> UnitNumbers:
+    """Each number the same in all four sessions, with an error of 1 in all of them together."""
+    sessions = [(term, Sessions(np.full(4, value), np.full(4, 4.0), np.full(4, 0.25))) for term, value in values]
+    return UnitNumbers(tuple(sessions), NAMES, 400, gain_nats, 40, ())
 
 
-def search() -> Search:
-    made = Search(UNITS, [], 0.05, lambda *_: ())
-    made.plain_tests, made.other_tests = 5, 1000
-    made.first = [scatter([-6.0 if k == 3 else -1.0 for k in range(5)])]
-    return made
+class Fleet:
+    """Twenty sensors: what each one's own search names, and its numbers and gains by term."""
+
+    def __init__(
+        self,
+        own: Callable[[int, frozenset[str]], Sequence[FleetTerm]] = lambda k, known: (),
+        value: Callable[[int, FleetTerm], float] = lambda k, term: 0.0,
+        gain_nats: Callable[[int, FleetTerm], float] = lambda k, term: 0.0,
+        lost_nats: float = 100.0,
+    ) -> None:
+        self.own, self.value, self.gain_nats, self.lost_nats = own, value, gain_nats, lost_nats
+        self.asked: list[tuple[str, str]] = []
+
+    def of(self, k: int, terms: Sequence[FleetTerm]) -> UnitNumbers:
+        scatter = float(np.random.default_rng([k, 1]).standard_normal())
+        values = [(SCATTER, scatter + self.value(k, SCATTER)), *((term, self.value(k, term)) for term in terms)]
+        return numbers(values, self.gain_nats(k, terms[-1]) if terms else 0.0)
+
+    def run(self, function: Any, tasks: Sequence[Any]) -> list[ItemOutcome[Any]]:
+        return [ItemOutcome(i, self._answer(function, *task), None) for i, task in enumerate(tasks)]
+
+    def _answer(self, function: Any, unit: Unit, terms: Sequence[FleetTerm], *rest: float) -> Any:
+        k = UNITS.index(unit)
+        self.asked.append((function.__name__, unit.vehicle))
+        if function is examine:
+            return self.of(k, terms)
+        if function is held:
+            return self.lost_nats
+        assert function is search
+        named = [term for term in self.own(k, frozenset(term.effect for term in terms)) if term.calibrates >= rest[1]]
+        return OwnEffects(tuple(((term, 0.0),) for term in named), 50.0 * len(named))
+
+    def found(self) -> list[FleetFinding]:
+        return FleetSearch(UNITS, [self.of(k, ()) for k in range(VEHICLES)], 0.05, self.run).all()
 
 
-def test_a_plain_number_keeps_the_answer_of_the_first_fit() -> None:
-    """What the whole fleet has is fitted in each unit, and leaves less to see."""
-    made = search()
-    assert made._of_base([scatter([-1.0] * 5)])
-    assert [(each.kind, each.term, each.units) for each in made.found] == [("odd", SCATTER, (3,))]
-    assert not made._of_base([scatter([-1.0] * 5)])
+def test_a_fleet_in_which_nothing_is_odd_has_no_finding() -> None:
+    assert Fleet().found() == []
 
 
-def test_of_a_unit_in_which_something_was_found_it_is_what_is_left() -> None:
-    made = search()
-    made.found.append(FleetFinding("odd", FleetTerm("vibration", "growth"), (3,)))
-    assert not made._of_base([scatter([-1.0] * 5)])
+def test_what_one_sensor_names_and_its_number_confirms_is_odd() -> None:
+    fleet = Fleet(
+        lambda k, known: [LATE] * (k == 3 and "latency" not in known), lambda k, term: 30.0 * (term == LATE and k == 3)
+    )
+    (finding,) = fleet.found()
+    assert (finding.kind, finding.term, finding.units) == ("odd", LATE, (3,))
+    assert finding.number is not None
+    assert finding.number.value[3] == pytest.approx(30.0)
 
 
-def test_plain_numbers_have_a_share_of_the_rate_of_their_own() -> None:
-    made = search()
-    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 5.0))
-    assert made.level == pytest.approx(np.log(0.05 / 2.0 / 1000.0))
-    assert made.tests == 1005
-    # Nothing is wrong with what is calibrated, so that no more may be false.
-    made.found.append(FleetFinding("calibration", FleetTerm("heavy_tails", "share"), ()))
-    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 5.0))
-    made.found.append(FleetFinding("odd", SCATTER, (3, 1)))
-    assert made.plain_level == pytest.approx(np.log(3.0 * 0.05 / 2.0 / 5.0))
+def test_what_vehicles_differ_by_anyway_is_not_odd_though_it_is_certain_in_one() -> None:
+    fleet = Fleet(lambda k, known: [LATE] * (k == 3), lambda k, term: (12.0 * (k - 9.5)) * (term == LATE))
+    assert fleet.found() == []
+
+
+def test_a_number_of_the_base_is_odd_where_no_effect_explains_it() -> None:
+    def scatter(k: int, term: FleetTerm) -> float:
+        return 15.0 * (term == SCATTER and k == 3)
+
+    (finding,) = Fleet(value=scatter).found()
+    assert (finding.kind, finding.term, finding.units) == ("odd", SCATTER, (3,))
+
+    class Vibrates(Fleet):
+        """Next to the effect, its scatter is as the others'."""
+
+        def of(self, k: int, terms: Sequence[FleetTerm]) -> UnitNumbers:
+            if not terms or k != 3:
+                return super().of(k, terms)
+            return numbers([(SCATTER, 0.0), (VIBRATION, 30.0)])
+
+    (finding,) = Vibrates(lambda k, known: [VIBRATION] * (k == 3 and not known), scatter).found()
+    assert (finding.term, finding.units) == (VIBRATION, (3,))
+
+
+def test_the_odd_ones_of_one_number_are_one_finding() -> None:
+    (finding,) = Fleet(value=lambda k, term: (15.0 + k) * (term == SCATTER and k in (1, 3))).found()
+    assert finding.units == (3, 1)
 
 
 def test_what_three_odd_vehicles_gain_is_not_given_to_the_fleet() -> None:
     """Each of them gains 100 nats by a bend, the 17 others next to nothing, and the fleet's mean is not quite 0."""
-    value = np.array([-0.2] * 3 + [-0.02] * 17)
-    error = np.full(20, 0.01)
-    fleet = pooled(value, error)
-    bend = Number(FleetTerm("bend", "slope_pct"), np.arange(20), value, error, 0.0, fleet)
-    nats = np.array([[100.0]] * 3 + [[0.5]] * 17)
-    assert mean_nats(nats, [bend]) == pytest.approx([0.5])
+    fleet = Fleet(
+        lambda k, known: [BEND] * (k < 3 and "bend" not in known),
+        lambda k, term: (40.0 * (k < 3) + 2.0) * (term.effect == "bend"),
+        lambda k, term: 100.0 if k < 3 else 0.5,
+    )
+    (finding,) = fleet.found()
+    assert (finding.kind, finding.term.effect, finding.units) == ("odd", "bend", (0, 1, 2))
 
 
-def test_the_odd_ones_of_one_effect_are_one_finding_whenever_they_were_found() -> None:
-    made = search()
-    for unit in (3, 1):
-        made._take_odd(SCATTER, (unit,))
-    assert [each.units for each in made.found] == [(3, 1)]
-    made._replace(made.found[0], (1,))
-    assert [each.units for each in made.found] == [(1,)]
-    made._replace(made.found[0], ())
-    assert made.found == []
-
-
-def test_what_a_vehicle_was_odd_by_is_not_fitted_twice_where_the_fleet_shares_it() -> None:
-    term = FleetTerm("vibration", "growth")
-    fitted: list[str] = []
-
-    def run(function: Any, tasks: Sequence[Any]) -> list[ItemOutcome[Any]]:
-        fitted.extend(unit.vehicle for unit, _, _ in tasks)
-        return [ItemOutcome(k, "its scores", None) for k in range(len(tasks))]
-
-    first: list[Any] = ["scores"] * 5
-    made = Search(UNITS, first, 0.05, run)
-    made._fit([2], term)
-    made._fit(range(5), term)
-    assert made.terms == [(term,)] * 5
-    assert fitted == ["V2", "V0", "V1", "V3", "V4"]
-    # A change of it is a term of its own.
-    since = replace(term, sessions=("flight2",))
-    made._fit([2], since)
-    assert made.terms[2] == (term, since)
-
-
-@pytest.mark.parametrize(("lost", "is_odd"), [(30.0, True), (3.0, False)])
-def test_more_of_what_all_have_counts_where_the_fleets_number_is_unlikely(lost: float, is_odd: bool) -> None:
-    tails = FleetTerm("heavy_tails", "share")
-    asked: list[Any] = []
-
-    def run(function: Any, tasks: Sequence[Any]) -> list[ItemOutcome[Any]]:
-        asked.extend(tasks)
-        return [ItemOutcome(k, lost, None) for k in range(len(tasks))]
-
-    made = Search(UNITS, [], 0.05, run)
-    made.other_tests = 1000
-    made.found.append(FleetFinding("calibration", tails, ()))
-    made.terms = [(tails,)] * 5
-    made._odd({2: _Suspect(-40.0, [Deviation(-40.0, tails, 2, 0.6, 0.1)])}, made.level)
-    assert asked == [(UNITS[2], (tails,), 0, 0.1)]
-    assert [each.units for each in made.found if each.kind == "odd"] == [(2,)] * is_odd
-    assert made._has(2, tails.key)
-
-
-def test_a_refit_starts_where_the_score_says_unless_it_rests_on_few_readings() -> None:
-    for name, number, start in (("latency", "delay_ms", 20.0), ("multipath", "share", 0.0)):
-        term = FleetTerm(name, number)
-        assert _tried(Deviation(-20.0, term, 1, 20.0, 0.0)).start == start
+@pytest.mark.parametrize(("nats", "kinds"), [(9.0, ["shared"]), (7.0, [])])
+def test_what_the_ordinary_ones_gain_is_the_fleets(nats: float, kinds: list[str]) -> None:
+    """One sensor names it, and all have it; then each is asked what it has next to it."""
+    fleet = Fleet(
+        lambda k, known: [LATE] * (k == 3 and "latency" not in known),
+        lambda k, term: 4.0 * (term == LATE),
+        lambda k, term: nats,
+    )
+    assert [each.kind for each in fleet.found()] == kinds
+    # Once for its calibration.
+    assert fleet.asked.count(("search", "V0")) == 2 + len(kinds)
 
 
 def test_tails_are_calibrated_before_what_looks_like_them_is_named() -> None:
-    """The slip is more certain by its score; the tails of the noise are tried first, and alone."""
-    tried: list[str] = []
+    """More sensors name the slip; the tails of the noise are tried first, and a little of them is enough."""
+    slip = FleetTerm("cycle_slip", "share", shape=(("cycles", 3.0),))
+    fleet = Fleet(
+        lambda k, known: () if "heavy_tails" in known else [slip] if k else [TAILS],
+        lambda k, term: 4.0 * (term.effect in ("heavy_tails", "cycle_slip")),
+        lambda k, term: 30.0 if term.effect == "cycle_slip" else 2.0,
+    )
+    assert [(each.kind, each.term.effect) for each in fleet.found()] == [("calibration", "heavy_tails")]
 
-    def run(function: Any, tasks: Sequence[Any]) -> list[ItemOutcome[Any]]:
-        tried.extend(term.effect for term in tasks[0][2])
-        return [ItemOutcome(k, [RefittedTerm(0.0, (("share", 0.1),))], None) for k in range(len(tasks))]
 
-    made = Search(UNITS, [], 0.05, run)
-    made.other_tests = 1000
-    numbers = []
-    for name, log_p in (("cycle_slip", -30.0), ("heavy_tails", -7.0)):
-        fleet = replace(pooled(np.ones(5), np.ones(5)), log_p=log_p)
-        numbers.append(Number(FleetTerm(name, "share"), np.arange(5), np.ones(5), np.ones(5), 0.0, fleet))
-    assert made._shared(numbers)
-    assert tried == ["heavy_tails"]
+@pytest.mark.parametrize(("lost", "units"), [(30.0, [(2,)]), (3.0, [])])
+def test_more_of_what_all_have_counts_where_the_fleets_number_is_unlikely(lost: float, units: list[Any]) -> None:
+    fleet = Fleet(
+        lambda k, known: [TAILS] * (not known),
+        lambda k, term: (4.0 + 40.0 * (k == 2)) * (term.effect == "heavy_tails"),
+        lambda k, term: 20.0,
+        lost,
+    )
+    assert [each.units for each in fleet.found() if each.kind == "odd"] == units
+
+
+@pytest.mark.parametrize(("gain_nats", "kind"), [(0.0, "change"), (1000.0, "odd")])
+def test_a_change_counts_where_no_effect_explains_more(gain_nats: float, kind: str) -> None:
+    class Changes(Fleet):
+        def of(self, k: int, terms: Sequence[FleetTerm]) -> UnitNumbers:
+            plain = super().of(k, terms)
+            if terms or k != 3:
+                return plain
+            (_, sessions), *others = plain.numbers
+            changed = sessions._replace(value=sessions.value + np.array([0.0, 0.0, 40.0, 40.0]))
+            return replace(plain, numbers=((SCATTER, changed), *others))
+
+        def _answer(self, function: Any, unit: Unit, terms: Sequence[FleetTerm], *rest: float) -> Any:
+            if function is search and unit.vehicle == "V3" and not terms and gain_nats > 0.0:
+                return OwnEffects((((LATE, 0.0),),), gain_nats)
+            return super()._answer(function, unit, terms, *rest)
+
+    (finding,) = Changes(value=lambda k, term: 40.0 * (term == LATE and k == 3)).found()
+    assert (finding.kind, finding.units) == (kind, (3,))
+    assert (finding.term == SCATTER) == (kind == "change")
+    if finding.change is not None:
+        assert finding.change.first == 2
+        assert finding.change.size == pytest.approx(40.0)
+
+
+def test_numbers_of_the_base_have_a_share_of_the_rate_of_their_own() -> None:
+    made = FleetSearch(UNITS, [numbers([(SCATTER, 0.0)])] * VEHICLES, 0.05, Fleet().run)
+    assert (made.plain_tests, made.other_tests) == (20, 20 * 40 + 2 * 20)
+    assert made.tests == 860
+    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 20.0))
+    assert made.level == pytest.approx(np.log(0.05 / 2.0 / 840.0))
+    # Nothing is wrong with what is calibrated, so that no more may be false.
+    made.found.append(FleetFinding("calibration", TAILS, ()))
+    assert made.level == pytest.approx(np.log(0.05 / 2.0 / 840.0))
+    # Neither family makes findings of the other easier.
+    made.found.append(FleetFinding("odd", SCATTER, (3, 1)))
+    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 18.0))
+    made.found.append(FleetFinding("odd", LATE, (3, 1)))
+    assert made.level == pytest.approx(np.log(3.0 * 0.05 / 2.0 / 840.0))
+    assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 18.0))
+
+
+def test_a_name_is_that_which_most_of_the_odd_ones_may_have_with_the_median_shape() -> None:
+    def bend(place_cm: float, start: float) -> FleetTerm:
+        return replace(BEND, shape=(("place_cm", place_cm),), start=start)
+
+    scale = FleetTerm("range_scale", "scale_pct", start=1.0)
+    effects: list[list[Names]] = [
+        [((bend(100.0, 1.0), 0.0), (scale, 1.0))],
+        [((scale, 0.0), (bend(300.0, 2.0), 2.5))],
+        [((bend(200.0, 6.0), 0.0),)],
+    ]
+    first, second = named_by(effects)
+    assert first.term == replace(BEND, shape=(("place_cm", 200.0),), start=2.0)
+    assert (first.units, first.lost_nats) == ((0, 1, 2), 2.5)
+    assert (second.term.effect, second.units, second.lost_nats) == ("range_scale", (0, 1), 1.0)
+    # The scale explains two of the three; of these alone both are as good.
+    assert near(first, [first, second]) == ()
+    first, second = named_by(effects[:2])
+    assert first.term.effect == "range_scale"
+    assert near(first, [first, second]) == ((second.term, 1.5),)

@@ -1,4 +1,4 @@
-"""Numbers of one sensor: what the screen sees of an effect, its fit, and that by session, against the truth."""
+"""Numbers of one sensor: what its search finds, the fit of it, and that by session, against the truth."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm
-from msp_lab.fleet.unit import Unit, compare, examine, held
+from msp_lab.fleet.unit import Unit, examine, held, search
 from msp_lab.readings.dataset import record_runs, write_tables
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData
@@ -34,36 +34,40 @@ def unit(tmp_path: Path) -> Unit:
     return Unit(tmp_path, "V1", "down", SESSIONS, 1)
 
 
-def test_repeated_readings_are_seen_by_the_screen_and_their_share_is_fitted(unit: Unit) -> None:
+def test_repeated_readings_are_found_next_to_what_is_known_and_their_share_is_fitted(unit: Unit) -> None:
     since = FleetTerm("offset", "value", sessions=SESSIONS[3:], start=4.0)
-    found = examine(MODEL, (unit, (since,), True))
-    deviation = dict(zip([each.effect for each in found.terms], found.value / found.error, strict=True))
-    assert deviation["stale"] > 10.0
-    # Of the other shares there is nothing.
-    assert max(abs(deviation.get(name, 0.0)) for name in ("multipath", "dead_zone_minimum", "clutter")) < 4.0
-    (gained,) = compare(MODEL, (unit, (since,), (FleetTerm("stale", "share"),)))
-    assert gained.gain_nats > 50.0
-    stale = FleetTerm("stale", "share", start=dict(gained.values)["share"])
-    fitted = examine(MODEL, (unit, (since, stale), False))
-    assert [each.effect for each in fitted.terms] == [*BASE_NUMBERS, "offset", "stale"]
+    own = search(MODEL, (unit, (since,), 11.0, False))
+    ((term, lost), *_), *others = own.effects
+    assert (term.effect, term.number, lost, others) == ("stale", "share", 0.0, [])
+    assert own.gain_nats > 50.0
+    assert search(MODEL, (unit, (since, term), 11.0, False)) == ((), 0.0)
+    # No number of the sensor model says that readings come again.
+    assert all(names[0][0].calibrates for names in search(MODEL, (unit, (since,), 11.0, True)).effects)
+    fitted = examine(MODEL, (unit, (since, term)))
+    assert [each.effect for each, _ in fitted.numbers] == [*BASE_NUMBERS, "offset", "stale"]
+    assert 50.0 < fitted.gain_nats <= own.gain_nats + 1.0
     # 100 repeats, of which most are off the truth by several sigma.
-    assert abs(fitted.value[-1] - SHARE) < 3.0 * fitted.error[-1]
-    assert fitted.error[-1] < 0.01
+    value, error = fitted.numbers[-1][1].estimate(0.0)
+    assert abs(value - SHARE) < 3.0 * error
+    assert error < 0.01
     # Held where it is nothing is lost; elsewhere as much as a parabola has, where the likelihood is one.
-    value, error = float(fitted.value[-1]), float(fitted.error[-1])
-    lost = [held(MODEL, (unit, (since, stale), 1, value + off * error)) for off in (0.0, 2.0, 30.0)]
-    assert lost[0] == pytest.approx(0.0, abs=0.1)
-    assert lost[1] == pytest.approx(2.0, abs=1.5)
-    assert lost[2] > 50.0
+    off = [held(MODEL, (unit, (since, term), 1, value + off * error)) for off in (0.0, 2.0, 30.0)]
+    assert off[0] == pytest.approx(0.0, abs=0.1)
+    assert off[1] == pytest.approx(2.0, abs=1.5)
+    assert off[2] > 50.0
 
 
 def test_a_number_of_the_base_is_estimated_in_each_session(unit: Unit) -> None:
-    found = examine(MODEL, (unit, (), False))
-    offset = dict(found.over_sessions())[FleetTerm("offset", "value")]
+    found = examine(MODEL, (unit, ()))
+    offset = dict(found.numbers)[FleetTerm("offset", "value")]
     assert found.sessions == SESSIONS
-    assert found.readings.tolist() == [500] * 4
+    assert offset.share.tolist() == [0.25] * 4
+    assert (found.readings, found.gain_nats) == (2000, 0.0)
     error = np.sqrt(offset.variance)
     assert offset.value[3] - offset.value[:3].mean() == pytest.approx(4.0, abs=4.0 * error.max())
-    assert found.value[0] == pytest.approx(offset.value.mean())
+    value, of_all = offset.estimate(0.0)
+    assert value == pytest.approx(offset.value.mean())
     # A session of a quarter of the readings is known half as well.
-    assert error[:3] == pytest.approx(2.0 * found.error[0], rel=0.3)
+    assert error[:3] == pytest.approx(2.0 * of_all, rel=0.3)
+    # Where sessions differ by much more than their errors, four of them are known half as well as one.
+    assert offset.estimate(100.0)[1] == pytest.approx(5.0, rel=0.01)
