@@ -7,12 +7,9 @@ that does not belong is odd where no effect explains it, and a number that becom
 grows over all of them, is a change or a drift.
 
 The numbers of the base (offset, scatter, share of a kind of outlier) have a share of the false-discovery rate of their
-own, by Holm (1979, Scand. J. Stat. 6:65), and all other tests share the rest, for they are ten times as many. Of these
-the smallest p-value is a finding if it is at most ``share fdr (found + 1) / tests``: the limits of Benjamini & Hochberg
-(1995, J. R. Stat. Soc. B 57:289), one step at a time from the smallest. An effect has to gain as many nats as the
-logarithm of that in its sensor, which a sensor without it does six times less often than that. Where vehicles differ in
-it anyway, that is no test: then the deviation of each vehicle in each effect that was named is one, with that many
-tests.
+own, by Holm (1979, Scand. J. Stat. 6:65), and all other tests share the rest, for they are ten times as many: of these
+findings have p-values of at most ``share fdr found / tests`` (Benjamini & Hochberg 1995, J. R. Stat. Soc. B 57:289), as
+many as come in together counted. An effect also has to gain as many nats in its sensor as the smallest p-value has.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -110,16 +107,18 @@ class FleetSearch:
         found = sum(len(finding.units) for finding in self.found if finding.is_plain)
         return float(np.log(PLAIN_SHARE * self.fdr / max(self.plain_tests - found, 1)))
 
-    @property
-    def level(self) -> float:
-        """The same of all others."""
-        return self._level(self.other_tests)
-
-    def _level(self, tests: int) -> float:
+    def level(self, ahead: int = 0) -> float:
+        """The same of all others, with so many that come in with it."""
         # A calibration says of nothing that it is wrong.
         others = [finding for finding in self.found if not (finding.is_plain or finding.kind == "calibration")]
-        count = sum(max(len(finding.units), 1) for finding in others)
-        return float(np.log((1.0 - PLAIN_SHARE) * self.fdr * (count + 1) / max(tests, 1)))
+        count = sum(max(len(finding.units), 1) for finding in others) + ahead
+        return float(np.log((1.0 - PLAIN_SHARE) * self.fdr * (count + 1) / max(self.other_tests, 1)))
+
+    def _odd_of(self, units: Iterable[int], number: Number | None) -> list[int]:
+        """Those of some units that deviate in a number."""
+        ranked = sorted(units, key=number.p_of) if number is not None else []
+        below = [k for k, unit in enumerate(ranked) if number is not None and number.p_of(unit) <= self.level(k)]
+        return sorted(ranked[: max(below, default=-1) + 1])
 
     def all(self) -> list[FleetFinding]:
         """Find everything: what the fleet shares, its calibration first, for nothing is wrong with that."""
@@ -137,7 +136,7 @@ class FleetSearch:
 
     def _own(self, places: Sequence[int], only_calibration: bool = False) -> list[OwnEffects]:
         """What units have next to their terms."""
-        tasks = [(self.units[k], self.terms[k], -self.level, only_calibration) for k in places]
+        tasks = [(self.units[k], self.terms[k], -self.level(), only_calibration) for k in places]
         return values_of(self.run(search, tasks))
 
     def _with(self, term: FleetTerm) -> tuple[list[UnitNumbers], Number | None]:
@@ -150,14 +149,14 @@ class FleetSearch:
         """One more effect that the ordinary units have, if there is one."""
         for name in names:
             numbers, number = self._with(name.term)
-            if number is None or number.fleet.log_p > self.level:
+            if number is None or number.fleet.log_p > self.level():
                 continue
             ordinary = number.units[number.fleet.ordinary]
             # What a few odd ones gain is no reason to give it to all.
             nats = len(self.units) * float(np.mean([numbers[k].gain_nats for k in ordinary]))
             kind: Kind = "calibration" if name.term.calibrates else "shared"
-            needed_nats = -self.level if name.term.calibrates else SHARED_NATS * len(self.units)
-            if ordinary.size > len(self.units) / 2.0 and nats >= max(needed_nats, -self.level):
+            needed_nats = -self.level() if name.term.calibrates else SHARED_NATS * len(self.units)
+            if ordinary.size > len(self.units) / 2.0 and nats >= max(needed_nats, -self.level()):
                 self.found.append(FleetFinding(kind, number.term, (), number, near(name, names)))
                 self.terms = [(*terms, name.term) for terms in self.terms]
                 self.numbers = numbers
@@ -167,12 +166,10 @@ class FleetSearch:
     def _take_odd(self, own: Sequence[OwnEffects]) -> None:
         """What some units have by their own searches, and the others have not."""
         left = [list(each.effects) for each in own]
-        asked = len(named_by(left)) * len(self.units)
         while names := named_by(left):
             best = names[0]
             _, number = self._with(best.term)
-            odd = [] if number is None else [k for k in best.units if number.p_of(k) <= self._level(asked)]
-            if odd:
+            if odd := self._odd_of(best.units, number):
                 self.found.append(FleetFinding("odd", best.term, tuple(odd), number, near(best, names)))
                 self._fit(odd, best.term)
             for k in best.units:
@@ -186,15 +183,14 @@ class FleetSearch:
         """
         numbers = numbers_of(self.numbers)
         shared = [finding.term for finding in self.found if finding.kind in ("shared", "calibration")]
-        asked = len(shared) * len(self.units)
         for place, term in enumerate(shared):
             number = numbers.get(term)
             if number is None:
                 continue
-            odd = [k for k in number.units.tolist() if number.p_of(k) <= self._level(asked)]
+            odd = self._odd_of(number.units.tolist(), number)
             tasks = [(self.units[k], self.terms[k], place, number.fleet.mean) for k in odd]
             lost: list[float] = values_of(self.run(held, tasks))
-            units = tuple(k for k, nats in zip(odd, lost, strict=True) if nats >= -self.level)
+            units = tuple(k for k, nats in zip(odd, lost, strict=True) if nats >= -self.level())
             if units:
                 self.found.append(FleetFinding("odd", term, units, number))
 
@@ -205,7 +201,7 @@ class FleetSearch:
             of_unit.setdefault(unit, []).append((term, change))
         changed = {finding.units[0] for finding in self.found if finding.change is not None}
         for unit, ((term, change), *others) in of_unit.items():
-            if change.log_p > self.level or unit in changed or change.nats < own[unit].gain_nats:
+            if change.log_p > self.level() or unit in changed or change.nats < own[unit].gain_nats:
                 continue
             lost = [(each, change.nats - other.nats) for each, other in others if each != term]
             alternatives = tuple(each for each in lost if each[1] <= rules.ALTERNATIVE_NATS)

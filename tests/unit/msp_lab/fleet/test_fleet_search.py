@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from msp_lab.fleet.meta import pooled
 from msp_lab.fleet.search import FleetFinding, FleetSearch, named_by, near
+from msp_lab.fleet.statistics import Number
 from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.unit import Names, OwnEffects, Sessions, Unit, UnitNumbers, examine, held, search
 from msp_sim.workers import ItemOutcome
@@ -178,20 +180,32 @@ def test_a_change_counts_where_no_effect_explains_more(gain_nats: float, kind: s
         assert finding.change.size == pytest.approx(40.0)
 
 
+def test_three_vehicles_that_are_odd_in_the_same_way_are_more_certain_than_one() -> None:
+    """Their p-values are below three times the level and not below the level itself."""
+    made = FleetSearch(UNITS, [numbers([(SCATTER, 0.0)])] * VEHICLES, 0.05, Fleet().run)
+    log_p = np.full(VEHICLES, -1.0)
+    log_p[:3] = made.level() + np.log([1.5, 2.0, 2.5])
+    fleet = replace(pooled(np.zeros(VEHICLES), np.ones(VEHICLES)), deviation_log_p=log_p)
+    number = Number(LATE, np.arange(VEHICLES), np.zeros(VEHICLES), np.ones(VEHICLES), 0.0, fleet)
+    assert made._odd_of((0, 1, 2, 3), number) == [0, 1, 2]
+    assert made._odd_of((2, 3), number) == []
+    assert made._odd_of((2, 3), None) == []
+
+
 def test_numbers_of_the_base_have_a_share_of_the_rate_of_their_own() -> None:
     made = FleetSearch(UNITS, [numbers([(SCATTER, 0.0)])] * VEHICLES, 0.05, Fleet().run)
     assert (made.plain_tests, made.other_tests) == (20, 20 * 40 + 2 * 20)
     assert made.tests == 860
     assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 20.0))
-    assert made.level == pytest.approx(np.log(0.05 / 2.0 / 840.0))
+    assert made.level() == pytest.approx(np.log(0.05 / 2.0 / 840.0))
     # Nothing is wrong with what is calibrated, so that no more may be false.
     made.found.append(FleetFinding("calibration", TAILS, ()))
-    assert made.level == pytest.approx(np.log(0.05 / 2.0 / 840.0))
+    assert made.level() == pytest.approx(np.log(0.05 / 2.0 / 840.0))
     # Neither family makes findings of the other easier.
     made.found.append(FleetFinding("odd", SCATTER, (3, 1)))
     assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 18.0))
     made.found.append(FleetFinding("odd", LATE, (3, 1)))
-    assert made.level == pytest.approx(np.log(3.0 * 0.05 / 2.0 / 840.0))
+    assert made.level() == pytest.approx(np.log(3.0 * 0.05 / 2.0 / 840.0))
     assert made.plain_level == pytest.approx(np.log(0.05 / 2.0 / 18.0))
 
 
