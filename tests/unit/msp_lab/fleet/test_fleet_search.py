@@ -172,10 +172,13 @@ def test_a_change_counts_where_no_effect_explains_more(gain_nats: float, kind: s
                 return OwnEffects((((LATE, 0.0),),), gain_nats)
             return super()._answer(function, unit, terms, *rest)
 
-    (finding,) = Changes(value=lambda k, term: 40.0 * (term == LATE and k == 3)).found()
+    fleet = Changes(value=lambda k, term: 40.0 * (term == LATE and k == 3))
+    (finding,) = fleet.found()
     assert (finding.kind, finding.units) == (kind, (3,))
     assert (finding.term == SCATTER) == (kind == "change")
     if finding.change is not None:
+        # Asked again what it has next to the change.
+        assert fleet.asked.count(("search", "V3")) == fleet.asked.count(("search", "V4")) + 1
         assert finding.change.first == 2
         assert finding.change.size == pytest.approx(40.0)
 
@@ -189,7 +192,6 @@ def test_three_vehicles_that_are_odd_in_the_same_way_are_more_certain_than_one()
     number = Number(LATE, np.arange(VEHICLES), np.zeros(VEHICLES), np.ones(VEHICLES), 0.0, fleet)
     assert made._odd_of((0, 1, 2, 3), number) == [0, 1, 2]
     assert made._odd_of((2, 3), number) == []
-    assert made._odd_of((2, 3), None) == []
 
 
 def test_numbers_of_the_base_have_a_share_of_the_rate_of_their_own() -> None:
