@@ -18,7 +18,7 @@ from scipy.optimize import bisect
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from msp_lab.characterise.estimates import PointsFit, fit_points
+from msp_lab.estimates import PointsFit, fit_points
 from msp_range.arrays import Array, Flags
 
 MEDIAN_SQUARE = float(chi2.median(1))
