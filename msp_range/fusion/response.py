@@ -14,7 +14,8 @@ Over ground u is the measured acceleration, over something fixed it is 0, and wh
 of its ping before it is that of a turn earlier; a sensor that is asked out of turn answers for h + w times what its own
 ping before is later than that. b is the bias of the accelerometer, which the ranges themselves show:
 the barometer does not, where rotors change the pressure. A vehicle at rest or at a steady rate favours none of the
-three.
+three. A fourth is that the range has stopped, as where a vehicle climbs away from the ground until what is fixed to it
+is nearer: the mean of the readings since they were last seen to move.
 """
 
 import math
@@ -68,6 +69,9 @@ what is fixed leaves the ground within a turn. Larger takes readings of an edge.
 NOISE_STD_M, NOISE_READINGS = 0.02, 20.0
 """The readings' noise about the best prediction, standard deviation at the start [m]: a sensor's of its own; later a
 mean over so many."""
+WANDERS_M2_S = 4e-4
+"""By how much something fixed to the vehicle moves, as a variance in a second [m^2/s]: a strap swings by centimetres.
+Larger takes a slow climb for that, smaller finds later that a range has stopped."""
 OUT_OF_TURN = 0.4
 """From this share of a turn on a ping is out of turn: one of two sensors that is asked twice is so by a half. Smaller
 takes what a turn varies by for one."""
@@ -130,7 +134,7 @@ class MotionResponse:
         self._turn_s = turn_s
         self.is_in_doubt = self.is_late = False
         self._taken_s: dict[str, float] = {}
-        # Log odds of the first over each of the other two.
+        # Log odds of the first over each of the other two; and over a range that has stopped.
         self._fixed = self._late = 0.0
         self._apart = 0.0  # Of the third over the second.
         self._answered = 0.0
@@ -139,6 +143,8 @@ class MotionResponse:
     def _begin(self) -> None:
         """Begin to predict; what has been shown stays."""
         self._time_s: float | None = None
+        self._stopped = FOLLOWS
+        self._level_m = self._level_m2 = 0.0
         self._change_m_s = 0.0
         self._noise_m2 = NOISE_STD_M**2
         self._covariance: Covariance = (*_START, B_START_M_S2**2)
@@ -156,12 +162,12 @@ class MotionResponse:
         if self.is_late and not self.misleads:
             return max(self._fixed, min(self._apart, FOLLOWS))
         late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed: not where it is inherited.
-        return min(self._fixed, late) + max(self._answered - FOLLOWS, 0.0)
+        return min(self._fixed, self._stopped, late) + max(self._answered - FOLLOWS, 0.0)
 
     @property
     def is_fixed(self) -> bool:
         """Whether the surface is fixed to the vehicle."""
-        return self._fixed <= DECIDED and self._apart <= DECIDED_APART
+        return self._stopped <= DECIDED or (self._fixed <= DECIDED and self._apart <= DECIDED_APART)
 
     @property
     def may_be_late(self) -> bool:
@@ -253,7 +259,8 @@ class MotionResponse:
         (k_h, k_w, k_b), (hh, hw, hb, ww, wb, bb) = corrected(covariance, variance_m2)
         self._covariance = max(hh, LEAST_VARIANCE_M2 if is_least else 0.0), hw, hb, ww, wb, bb
         if own_m is not None:
-            squares = [square_m2 / total_m2 for square_m2 in squares_m2]
+            off_level_m2 = self._off_level_m2(t, height_m, variance_m2)
+            squares = [square_m2 / total_m2 for square_m2 in (*squares_m2, off_level_m2)]
             if self._turn_s < LATE_S and abs(self._turn_s - since_s) < OUT_OF_TURN * self._turn_s:
                 squares[2] = squares[0]
             self._decide(t, squares, k_h, up_m_s2, may_slope)
@@ -263,6 +270,15 @@ class MotionResponse:
             (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) if abs(off_m) < nearest_m else (h, w, b)
             for (h, w, b), off_m in zip(predicted, offs_m, strict=True)
         ]
+
+    def _off_level_m2(self, t: float, height_m: float, variance_m2: float) -> float:
+        """Square of how far a reading is from the level at which the range has stopped; it then moves the level."""
+        level_m2 = self._level_m2 + WANDERS_M2_S * t
+        gain = level_m2 / (level_m2 + variance_m2) if self._stopped < FOLLOWS else 1.0
+        off_m = height_m - self._level_m
+        self._level_m += gain * off_m
+        self._level_m2 = gain * variance_m2
+        return off_m * off_m
 
     def _predicted(self, t: float, fades: float) -> Covariance:
         """P' = F P F^T + Q; b falls to ``fades`` of itself."""
@@ -278,8 +294,8 @@ class MotionResponse:
         )
 
     def _decide(self, t: float, squares: list[float], share: float, up_m_s2: float, may_slope: bool) -> None:
-        """Update the log odds with the normalised squares of the three predictions' errors."""
-        follows, fixed, late = squares
+        """Update the log odds with the normalised squares of the three predictions' errors, and of the level's."""
+        follows, fixed, late, stopped = squares
         self._change_m_s = self._change_m_s * math.exp(-t / SPEED_LASTS_S) + up_m_s2 * t
         least = -STRONGEST
         if may_slope:
@@ -290,7 +306,8 @@ class MotionResponse:
             return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
 
         self._fixed = updated(self._fixed, fades, 0.5 * (fixed - follows + NOISE_SHARE * share), least)
-        answers = min(max(0.5 * (fixed - follows + REST_SHARE * share), least), STRONGEST)
+        self._stopped = updated(self._stopped, fades, 0.5 * (stopped - min(follows, late) + share), least)
+        answers = min(max(0.5 * (min(fixed, stopped) - follows + REST_SHARE * share), least), STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
         self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
         self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows), -STRONGEST)

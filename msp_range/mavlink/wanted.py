@@ -16,9 +16,11 @@ MEASURED_S = 5.0
 """Time over which a rate is measured [s], and at least three intervals. It is also the time after which an unanswered
 request is repeated. Shorter detects a lost request sooner, and mistakes a delay of the loop for a slow message."""
 MEASURED_INTERVALS = 3
-FIRST_MEASURED_S = 1.0
-"""Time for which messages are counted before the first request [s], so that a message which already arrives faster than
-required is not made slower for other programs. Longer delays the first request."""
+FIRST_MEASURED_S = 0.3
+"""Time for which messages are counted before the first request [s], or an interval of the message if that is longer, so
+that a message which already arrives faster than required is not made slower for other programs: three intervals of
+attitude and pressure. Until then a bridge that starts in flight knows no acceleration, and sees no part of the vehicle
+for what it is; shorter slows what arrives in bursts."""
 QUICK_REQUESTS = 6
 """Number of successive requests without effect after which a message is requested only every `SLOW_REQUEST_S`, to limit
 the traffic on a slow port and to an autopilot that does not answer."""
@@ -40,7 +42,7 @@ class _Message:
         self.refused = False
         self.requests = self.received = 0
         self.first_s = now_s
-        self.next_check_s = now_s + FIRST_MEASURED_S
+        self.next_check_s = now_s + max(FIRST_MEASURED_S, 1.0 / rate_hz)
 
 
 class WantedMessages:

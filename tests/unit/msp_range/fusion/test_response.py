@@ -78,6 +78,15 @@ def test_what_does_not_follow_a_take_off_is_fixed(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_a_range_that_stops_in_a_steady_climb_is_fixed(seed: int) -> None:
+    """As below a payload: the ground is nearer at first, and leaves without an acceleration."""
+    climb = ramp(5.0, 0.8, 12.0)
+    found_s, _ = fly(climb, lambda time_s: min(climb(time_s) + 0.3, 1.0), 11.5, seed=seed)
+    assert found_s is not None
+    assert 6.2 < found_s < 8.0
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_a_hill_that_is_followed_is_ground(seed: int) -> None:
     """The vehicle begins to climb with the ground, and its range stays."""
     assert fly(ramp(5.0, 0.3, 20.0), lambda time_s: 3.0, 20.0, may_slope=True, seed=seed) == (None, None)

@@ -70,6 +70,14 @@ def test_all_that_does_not_come_is_asked_for_soon_at_its_rate() -> None:
     assert len(autopilot.asked) == len(WITNESSES)
 
 
+def test_what_shows_the_vehicles_motion_is_asked_for_at_once_and_slow_messages_after_an_interval() -> None:
+    wanted = WantedMessages({"RAW_IMU": 25.0, "SCALED_PRESSURE": 1.0})
+    (motion_s, first, _), (slow_s, second, _) = Autopilot(wanted, {}).fly(2.0).asked
+    assert (first, second) == ("RAW_IMU", "SCALED_PRESSURE")
+    assert 100.2 < motion_s < 100.4
+    assert 100.9 < slow_s < 101.1
+
+
 def test_what_an_autopilot_sends_when_it_is_asked_is_not_asked_for_again() -> None:
     autopilot = Autopilot(WantedMessages(WITNESSES), {"ATTITUDE": 4.0}, obeys=True).fly(120.0)
     assert autopilot.counts() == dict.fromkeys(WITNESSES, 1)
