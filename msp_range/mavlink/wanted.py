@@ -12,15 +12,17 @@ from msp_range.mavlink.dialect import dialect
 ENOUGH = 0.8
 """A message that arrives with at least this share of its rate is not requested. Autopilots round intervals to their own
 loop and lose messages on a slow port; closer to 1 they would be requested for ever, lower makes attitudes older."""
+SOON_ENOUGH = 0.5
+"""The same after the first three intervals: a message that arrives clearly slower is requested then, so that a bridge
+that starts in flight soon knows the accelerations, without which it sees no part of the vehicle for what it is. Larger
+makes messages that arrive in bursts slower for other programs."""
 MEASURED_S = 5.0
 """Time over which a rate is measured [s], and at least three intervals. It is also the time after which an unanswered
 request is repeated. Shorter detects a lost request sooner, and mistakes a delay of the loop for a slow message."""
 MEASURED_INTERVALS = 3
-FIRST_MEASURED_S = 0.3
-"""Time for which messages are counted before the first request [s], or an interval of the message if that is longer, so
-that a message which already arrives faster than required is not made slower for other programs: three intervals of
-attitude and pressure. Until then a bridge that starts in flight knows no acceleration, and sees no part of the vehicle
-for what it is; shorter slows what arrives in bursts."""
+FIRST_MEASURED_S = 1.0
+"""Time for which messages are counted before the first request [s], so that a message which already arrives faster than
+required is not made slower for other programs. Longer delays the first request."""
 QUICK_REQUESTS = 6
 """Number of successive requests without effect after which a message is requested only every `SLOW_REQUEST_S`, to limit
 the traffic on a slow port and to an autopilot that does not answer."""
@@ -42,7 +44,8 @@ class _Message:
         self.refused = False
         self.requests = self.received = 0
         self.first_s = now_s
-        self.next_check_s = now_s + max(FIRST_MEASURED_S, 1.0 / rate_hz)
+        self.measured_s = now_s + FIRST_MEASURED_S
+        self.next_check_s = min(now_s + MEASURED_INTERVALS / rate_hz, self.measured_s)
 
 
 class WantedMessages:
@@ -100,7 +103,12 @@ class WantedMessages:
             if message.refused or now_s < message.next_check_s:
                 continue
             # Not since the last check, or too slowly since it first arrived.
-            slow = message.received == 0 or message.received < ENOUGH * message.rate_hz * (now_s - message.first_s)
+            is_soon = now_s < message.measured_s
+            received, enough = (message.received - 1, SOON_ENOUGH) if is_soon else (message.received, ENOUGH)
+            slow = received <= 0 or received < enough * message.rate_hz * (now_s - message.first_s)
+            if is_soon and not slow:
+                message.next_check_s = message.measured_s
+                continue
             message.requests = message.requests + 1 if slow else 0
             message.received = 0
             measured_s = max(MEASURED_S, MEASURED_INTERVALS / message.rate_hz)

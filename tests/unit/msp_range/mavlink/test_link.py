@@ -476,7 +476,7 @@ class TestWanted:
         bench.run(2.0, Component(7).heartbeat)
         asked = self.requests(bench)
         assert [(each.target_system, each.target_component) for each in asked] == [(7, 1)] * 2
-        assert [(each.param1, each.param2) for each in asked] == [(self.PRESSURE, 500_000), (30, 50_000)]
+        assert [(each.param1, each.param2) for each in asked] == [(30, 50_000), (self.PRESSURE, 500_000)]
 
     def test_is_asked_for_again_only_while_it_does_not_come(self) -> None:
         bench = Bench(wanted={"SCALED_PRESSURE": 2.0})

@@ -70,12 +70,13 @@ def test_all_that_does_not_come_is_asked_for_soon_at_its_rate() -> None:
     assert len(autopilot.asked) == len(WITNESSES)
 
 
-def test_what_shows_the_vehicles_motion_is_asked_for_at_once_and_slow_messages_after_an_interval() -> None:
-    wanted = WantedMessages({"RAW_IMU": 25.0, "SCALED_PRESSURE": 1.0})
-    (motion_s, first, _), (slow_s, second, _) = Autopilot(wanted, {}).fly(2.0).asked
-    assert (first, second) == ("RAW_IMU", "SCALED_PRESSURE")
-    assert 100.2 < motion_s < 100.4
-    assert 100.9 < slow_s < 101.1
+@pytest.mark.parametrize(("sends_hz", "after_s"), [(0.0, 0.3), (4.0, 0.3), (8.0, None), (10.0, None), (50.0, None)])
+def test_what_does_not_come_for_three_intervals_is_asked_for_then(sends_hz: float, after_s: float | None) -> None:
+    sends = {"ATTITUDE": sends_hz} if sends_hz else {}
+    asked = Autopilot(WantedMessages({"ATTITUDE": 10.0, "SCALED_PRESSURE": 1.0}), sends).fly(2.0).asked
+    assert [time_s for time_s, name, _ in asked if name == "SCALED_PRESSURE"] == pytest.approx([101.0], abs=0.06)
+    soon_s = [time_s - 100.0 for time_s, name, _ in asked if name == "ATTITUDE"]
+    assert soon_s == ([] if after_s is None else pytest.approx([after_s], abs=0.02))
 
 
 def test_what_an_autopilot_sends_when_it_is_asked_is_not_asked_for_again() -> None:
