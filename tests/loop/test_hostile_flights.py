@@ -26,6 +26,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(819, 1_000_928, 0.0, 0.5, id="a single outlier in a climb makes nothing late"),
         pytest.param(820, 1_001_004, 0.0, 0.0, id="a take-off from a slope"),
         pytest.param(820, 1_000_074, 0.0, 0.0, id="a take-off with eight slow sensors, and an outlier"),
+        pytest.param(822, 1_001_014, 0.0, 2.0, id="a landing that bounces, below one slow sensor"),
         pytest.param(821, 1_000_270, 0.0, None, id="a strap below a vehicle that climbs fast between two readings"),
         pytest.param(821, 1_000_444, 2.0, 0.5, id="a landing that bounces so hard that the accelerometer leads away"),
         pytest.param(51, 266, 0.0, 1.0, id="a noisy reading where a late one would be"),
