@@ -359,7 +359,7 @@ class Fusion:
         return HeightReading(look.reading.sensor, self._time_s, look.mode.since_s, seen.height_m, variance_m2)
 
     def _lifts_off(self, parent: Surface, look: Look, seen: Seen) -> bool:
-        """Whether a reading is of the ground that the vehicle has just left or hits; then the filter's height moves there.
+        """Whether a reading is of the ground that the vehicle has just left, or hits; then the filter moves there.
 
         While the sensors read their minimum the filter does not see that the vehicle climbs, but its acceleration does;
         and after a bounce it may be below the ground, which any minimum is farther than.
