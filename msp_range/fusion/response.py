@@ -223,8 +223,8 @@ class MotionResponse:
         may_slope
             Whether the ground may begin to slope here: it does slope, or the sensors cannot show whether.
         moves_all
-            Whether the reading is of the ground, or the least that a sensor can say: another one moves only the
-            predictions that it is near.
+            Whether the reading is of the ground, or the least that a sensor can say: another one moves only the second
+            and third prediction, where it is near them.
         """
         sensor, time_s, since_s, height_m, variance_m2 = reading
         if self._time_s is None:
@@ -265,10 +265,10 @@ class MotionResponse:
                 squares[2] = squares[0]
             self._decide(t, squares, k_h, up_m_s2, may_slope)
             self._noise_m2 += (min(squares_m2) - self._noise_m2) / NOISE_READINGS
-        nearest_m = math.inf if moves_all else NEAR_M
+        nearest_m = [math.inf] * 3 if moves_all else [0.0, NEAR_M, NEAR_M]
         self._states = [
-            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) if abs(off_m) < nearest_m else (h, w, b)
-            for (h, w, b), off_m in zip(predicted, offs_m, strict=True)
+            (h + k_h * off_m, w + k_w * off_m, b + k_b * off_m) if abs(off_m) < near_m else (h, w, b)
+            for (h, w, b), off_m, near_m in zip(predicted, offs_m, nearest_m, strict=True)
         ]
 
     def _off_level_m2(self, t: float, height_m: float, variance_m2: float) -> float:
