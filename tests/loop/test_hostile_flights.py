@@ -30,6 +30,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(821, 1_000_270, 0.0, None, id="a strap below a vehicle that climbs fast between two readings"),
         pytest.param(821, 1_000_444, 2.0, 0.5, id="a landing that bounces so hard that the accelerometer leads away"),
         pytest.param(1, 497, 0.0, 1.0, id="an outlier in a hover that follows the motion and not what is fixed"),
+        pytest.param(94, 216, 0.0, 1.0, id="one sensor after a fast descent is neither higher nor lower than others"),
         pytest.param(51, 266, 0.0, 1.0, id="a noisy reading where a late one would be"),
         pytest.param(501, 1_000_173, 8.0, None, id="late answers over a hover between two movements"),
     ],
