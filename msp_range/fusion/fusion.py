@@ -290,7 +290,7 @@ class Fusion:
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
         found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
-        if parent is not None and found is None and not suspect and self._lifts_off(parent, look, seen):
+        if parent is not None and found is None and not suspect and self._leaves_or_hits(parent, look, seen):
             mode.see(parent, self._time_s)
             return self._on_surface(parent, look, look.over(parent.filter) or seen, PER_M)
         known = list(belief.surfaces) if parent is None else [parent]
@@ -358,7 +358,7 @@ class Fusion:
             variance_m2 += NEARER_M * NEARER_M
         return HeightReading(look.reading.sensor, self._time_s, look.mode.since_s, seen.height_m, variance_m2)
 
-    def _lifts_off(self, parent: Surface, look: Look, seen: Seen) -> bool:
+    def _leaves_or_hits(self, parent: Surface, look: Look, seen: Seen) -> bool:
         """Whether a reading is of the ground that the vehicle has just left, or hits; then the filter moves there.
 
         While the sensors read their minimum the filter does not see that the vehicle climbs, but its acceleration does;
