@@ -249,8 +249,9 @@ class MotionResponse:
         total_m2 = covariance[0] + variance_m2
         share = OWN_STD_M**2 / total_m2 if own_m is None else OWN_SHARE
         height_m -= own_m or 0.0
-        is_alone = len(self._own_m | {sensor: 0.0}) == 1  # It is neither higher nor lower than others.
-        self._own_m[sensor] = 0.0 if is_alone else (own_m or 0.0) + share * (height_m - predicted[1][0])
+        others = len(self._own_m) - (own_m is not None)
+        # One sensor alone is neither higher nor lower than others.
+        self._own_m[sensor] = (own_m or 0.0) + share * (height_m - predicted[1][0]) if others else 0.0
         offs_m = [height_m - expected_m for expected_m in self._heights_m(predicted, since_s)]
         squares_m2 = [off_m * off_m for off_m in offs_m]
         if min(squares_m2) > OUTLIER_SIGMAS**2 * total_m2 and not self._was_outlier:

@@ -34,7 +34,7 @@ MIN_READINGS = 200
 few per cent. Fewer: numbers that rest on single readings."""
 MAX_EFFECTS = 4
 """A sensor is searched for so many effects at most that the fleet does not share: as `msp-lab gap --max-effects`, but
-a sensor with more differs in more than can be told. More: slower."""
+of a sensor with more nobody could say what each of them is. More: slower."""
 MAX_SHARE_LEFT_OUT = 0.5
 """A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
 unit is wrong. Higher: fits to what is left of them."""
@@ -207,11 +207,7 @@ def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float, bool]) 
 
 
 def held(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], int, float]) -> float:
-    """What a unit's fit loses if the number of one of its terms is held at a value [nat].
-
-    A fitted number need not be as far off as its standard error says: a share of tails a little wider than the hits may
-    be a half as well as a tenth.
-    """
+    """What a unit's fit loses if the number of one of its terms is held at a value [nat]."""
     unit, terms, k, value = task
     problem, fit = _fitted(model, unit, terms)
     effects = list(fit.effects)

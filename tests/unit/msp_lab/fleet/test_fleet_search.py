@@ -1,4 +1,4 @@
-"""Which numbers the search goes by, on a fleet whose sensors answer as they are told."""
+"""Which numbers the search goes by, on a fleet whose sensors have given numbers."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -163,6 +163,31 @@ def test_a_reading_that_is_not_of_the_ground_does_not_move_what_follows_the_moti
     assert fixed_m > 0.3
 
 
+@pytest.mark.parametrize(("outlier_m", "most_m"), [(0.12, 0.02), (-0.12, 0.02)])
+def test_an_outlier_at_rest_does_not_move_what_follows_the_motion(outlier_m: float, most_m: float) -> None:
+    """Though it is near: the good readings after it would call the ground fixed."""
+    motion = VerticalMotion()
+    response = MotionResponse(motion, TURN_S)
+    for i in range(61):
+        for k in range(3):
+            motion.on_acceleration(0.1 * i - 0.08 + 0.04 * k, 0.0)
+        is_ground = i < 60
+        seen_m = 1.7 + (0.0 if is_ground else outlier_m)
+        response.update(HeightReading(NAMES[i % 4], 0.1 * i, TURN_S, seen_m, 4e-4), 0.0, False, is_ground)
+    assert response.offs_m(HeightReading("b", 6.1, TURN_S, 1.7, 4e-4))[0] < most_m
+
+
+def test_one_sensor_alone_is_neither_higher_nor_lower_than_others() -> None:
+    """The predictions follow its readings, as where a thermometer's jump has moved them."""
+    motion = VerticalMotion()
+    response = MotionResponse(motion, 0.2)
+    for i in range(100):
+        for k in range(5):
+            motion.on_acceleration(0.2 * i - 0.16 + 0.04 * k, 0.0)
+        response.update(HeightReading("a", 0.2 * i, 0.2, 1.5 if i < 50 else 2.0, 4e-4), 0.0, False)
+    assert max(response.offs_m(HeightReading("a", 20.0, 0.2, 2.0, 4e-4))) < 0.05
+
+
 def test_without_an_accelerometer_nothing_is_decided() -> None:
     response = MotionResponse(VerticalMotion(), TURN_S)
     for i in range(100):
