@@ -290,7 +290,7 @@ class Fusion:
                 if not suspect or (density > DOUBTFUL_PER_M and not self._climbs()):
                     seen_over[surface], densities[surface] = at, density
         found, share = belief.best_of(mode, None if suspect else look.range_m, densities)
-        if parent is not None and found is None and not suspect and self._leaves_or_hits(parent, look, seen):
+        if parent is not None and found is None and not suspect and self._lifts_off(parent, look, seen):
             mode.see(parent, self._time_s)
             return self._on_surface(parent, look, look.over(parent.filter) or seen, PER_M)
         known = list(belief.surfaces) if parent is None else [parent]
@@ -358,19 +358,16 @@ class Fusion:
             variance_m2 += NEARER_M * NEARER_M
         return HeightReading(look.reading.sensor, self._time_s, look.mode.since_s, seen.height_m, variance_m2)
 
-    def _leaves_or_hits(self, parent: Surface, look: Look, seen: Seen) -> bool:
-        """Whether a reading is of the ground that the vehicle has just left, or hits; then the filter moves there.
+    def _lifts_off(self, parent: Surface, look: Look, seen: Seen) -> bool:
+        """Whether a reading is of the ground that the vehicle has just left, by its acceleration; then it moves there.
 
-        While the sensors read their minimum the filter does not see that the vehicle climbs, but its acceleration does;
-        and after a bounce it may be below the ground, which any minimum is farther than.
+        While the sensors read their minimum the filter of the height does not see that the vehicle climbs.
         """
         off_m = seen.height_m - parent.filter.height_m
         is_in_flight = self._time_s - parent.least_s > self._windows.fresh_s
-        hits = look.is_least and off_m > 0.0
-        near_m = min(NEAR_M, abs(off_m))
-        if not hits and (is_in_flight or parent.response.offs_m(self._height_reading(look, seen))[0] > near_m):
+        if is_in_flight or parent.response.offs_m(self._height_reading(look, seen))[0] > min(NEAR_M, abs(off_m)):
             return False
-        parent.filter.shift(0.0 if hits else off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
+        parent.filter.shift(off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
         return True
 
     def _is_fixed_after_all(self, surface: Surface, look: Look) -> bool:

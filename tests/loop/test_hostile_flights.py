@@ -56,3 +56,9 @@ def test_what_is_wrong_is_reported_in_time(seed: int, index: int) -> None:
     verdict = fly_plan(draw_plan(seed, index))["verdict"]
     assert verdict["wrong"]
     assert all(event.reported for event in verdict["wrong"])
+
+
+def test_where_half_of_the_sensors_see_what_does_not_follow_the_motion_a_text_says_so() -> None:
+    """One of two, with a strap at another height below the other."""
+    warnings = fly_plan(draw_plan(820, 1_000_150))["verdict"]["warnings"]
+    assert any("do not follow the motion" in warning for warning in warnings if float(warning.split()[0]) < 7.0)

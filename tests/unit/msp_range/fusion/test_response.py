@@ -87,6 +87,25 @@ def test_a_range_that_stops_in_a_steady_climb_is_fixed(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_a_range_that_has_stopped_is_doubted_before_it_is_fixed_and_has_answered_to_nothing(seed: int) -> None:
+    climb, draw, motion = ramp(5.0, 0.8, 12.0), random.Random(seed), VerticalMotion()
+    response, odds, before = MotionResponse(motion, TURN_S), [], 0.0
+    for i in range(80):
+        read_s = 0.1 * i
+        for k in range(3):
+            time_s = read_s - 0.08 + 0.04 * k
+            up_m_s2 = (climb(time_s + 0.02) - 2 * climb(time_s) + climb(time_s - 0.02)) / 0.02**2
+            motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        seen_m = min(climb(read_s) + 0.3, 1.0) + draw.gauss(0.0, 0.01)
+        if read_s < 6.0:
+            before = response._answered
+        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.0, False)
+        odds += [] if response.is_fixed else [response.log_odds]
+    assert min(odds) < -5.0
+    assert response._answered < before + 5.0
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_a_hill_that_is_followed_is_ground(seed: int) -> None:
     """The vehicle begins to climb with the ground, and its range stays."""
     assert fly(ramp(5.0, 0.3, 20.0), lambda time_s: 3.0, 20.0, may_slope=True, seed=seed) == (None, None)
