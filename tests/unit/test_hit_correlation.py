@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from msp_lab.characterise.mixture import hit_correlation
+from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.points import sort_into_points
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import MeasuredData

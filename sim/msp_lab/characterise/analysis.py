@@ -15,10 +15,11 @@ from numpy.random import default_rng
 
 from msp_lab.characterise.accuracy import baseline, longest_reliable_cm, maximum_range
 from msp_lab.characterise.calibration import calibrate
+from msp_lab.characterise.correlation import hit_correlation
 from msp_lab.characterise.experiments import EXPERIMENTS, QUESTIONS
 from msp_lab.characterise.field_of_view import breakaway_rows, find_field_of_view, sonar_through
 from msp_lab.characterise.findings import BreakawayAngle, CalibrationFindings, Findings, Mixture, as_json
-from msp_lab.characterise.mixture import fit_mixture, hit_correlation
+from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.model_file import changed, commented, write_new
 from msp_lab.characterise.points import BASELINE, MIN_HITS, PointReadings, sort_into_points
 from msp_lab.characterise.questions import answer_questions

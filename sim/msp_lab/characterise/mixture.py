@@ -1,18 +1,16 @@
 """The reading model's mixture fitted to the undisturbed readings, and how well it fits.
 
 The fit itself is `msp_lab.mixture_fit.fit`. Each set-up is fitted about the mean of its own hits, since the error of
-its placement is not noise of the sensor; the calibration deals with the differences between set-ups. The fit takes
-readings as independent; how alike the errors of neighbouring hits are is estimated apart (`hit_correlation`), about the
-mean of each point's own hits, and the simulator and the gap workflow draw and score readings with it.
+its placement is not noise of the sensor; the calibration deals with the differences between set-ups.
 """
 
 import math
 from collections.abc import Collection, Iterator, Sequence
 from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 
+from msp_lab.characterise.correlation import HitCorrelation
 from msp_lab.characterise.findings import Mixture, MixtureParameter, PlacementError
 from msp_lab.characterise.points import PointReadings
 from msp_lab.estimates import IntervalEstimate
@@ -25,36 +23,9 @@ from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM, MixtureParameters, SensorModel
-from msp_range.recording.csv_form import MeasuredData
-from msp_sim.model.history import MAX_CORRELATION
 
 ENOUGH_HITS = 50
 """Set-ups with fewer hits are fitted about the reference: their own mean would lower the variance by 2 % or more."""
-SURE_Z = 3.5
-"""A correlation goes into the file if it is so many standard errors from none (p = 2e-4, one-sided). Lower: models of
-independent readings get correlated noise; higher: weak correlation is found missing later, by the gap workflow."""
-NEIGHBOURS = 1.5
-"""Hits farther apart in time than this many usual steps are no neighbours: something between them was no hit, or the
-range was come back to."""
-MIN_NEIGHBOURS = 10
-"""Points with fewer hits are left out: their own mean takes away a tenth of a correlation and more."""
-
-
-class HitCorrelation(NamedTuple):
-    """Correlation of the errors of two hits that are `spacing_s` apart, and its standard errors from none."""
-
-    correlation: float
-    spacing_s: float
-    z: float
-
-    @property
-    def note(self) -> str:
-        """What to know of it."""
-        return (
-            f"errors of hits {self.spacing_s:.3g} s apart have a correlation of {self.correlation:.2f} ({self.z:.0f} "
-            "standard errors): the simulator draws them so, and intervals that take readings as independent are too "
-            "narrow"
-        )
 
 
 def fit_mixture(
@@ -187,36 +158,3 @@ def _conditional(result: FitResult, expected_cm: Array) -> str:
     shares = zip(KINDS, model.shares(expected_cm), strict=True)
     shown = ", ".join(f"{name} {np.mean(share):.4f}" for name, share in shares)
     return f"{growing}: weights are those at {WEIGHTS_RANGE_CM:g} cm; over these readings: {shown}"
-
-
-def hit_correlation(points: Sequence[PointReadings], data: MeasuredData) -> HitCorrelation | None:
-    """Correlation of neighbouring hits at undisturbed points; None where there is none for sure.
-
-    `data` are the readings from which the points were made, for their times; without these nothing is known.
-    """
-    if "time_s" not in data:
-        return None
-    time_s = data["time_s"]
-    step_s, one_cm, other_cm, hits = np.concatenate([np.empty((4, 0)), *(_steps(p, time_s) for p in points)], axis=1)
-    if not step_s.size or not np.median(step_s) > 0.0:
-        return None
-    spacing_s = float(np.median(step_s))
-    near = step_s <= NEIGHBOURS * spacing_s
-    variance = float(np.mean(one_cm[near] ** 2))
-    if variance <= 0.0:
-        return None
-    # About its own mean a point of n independent hits has a correlation of -1 / n.
-    correlation = float((one_cm * other_cm)[near].mean() / variance + (1.0 / hits[near]).mean())
-    z = correlation * float(np.sqrt(np.count_nonzero(near)))
-    return HitCorrelation(min(correlation, MAX_CORRELATION), spacing_s, z) if z > SURE_Z else None
-
-
-def _steps(point: PointReadings, time_s: Array) -> Array:
-    """From each hit to the next in time, shape (4, steps): seconds, both errors [cm], and hits at this point."""
-    hit = np.flatnonzero(point.is_hit & np.isfinite(time_s[point.rows]))
-    if hit.size < MIN_NEIGHBOURS:
-        return np.empty((4, 0))
-    hit = hit[np.argsort(time_s[point.rows[hit]], kind="stable")]
-    error_cm = point.error_cm[hit] - point.error_cm[hit].mean()
-    step_s = np.diff(time_s[point.rows[hit]])
-    return np.array([step_s, error_cm[:-1], error_cm[1:], np.full(step_s.size, hit.size)])
