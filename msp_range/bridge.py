@@ -27,7 +27,7 @@ from msp_range.config import Airframe, SensorSettings
 from msp_range.correction.air_temperature import AirTemperature
 from msp_range.correction.calibration import IDENTITY, Calibration
 from msp_range.correction.temperature import MavlinkSource
-from msp_range.correction.thermometer import LoopReader, ThermometerReader
+from msp_range.correction.thermometer import LoopReader
 from msp_range.filters.chain import Chain, Filtered
 from msp_range.fusion import (
     OBJECT,
@@ -162,7 +162,6 @@ class Counts:
     rejected: Counter[str] = field(default_factory=Counter)
 
 
-_NOT_FILTERED = Filtered(None)
 MOTIONLESS = (Status.STUCK, Status.FIXED)
 """What the fusion finds about a sensor, by the vehicle's motion."""
 
@@ -222,7 +221,7 @@ class Bridge:
         report: Report | None = None,
         on_message: Callable[[float, Any], None] | None = None,
         wanted: Mapping[str, float] | None = None,
-        thermometer: ThermometerReader | None = None,
+        thermometer: LoopReader | None = None,
         schedule: Schedule | None = None,
         air: Callable[[float], Air] | None = None,
         received: Callable[[float], Iterable[tuple[float, Received]]] | None = None,
@@ -334,7 +333,7 @@ class Bridge:
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
         reading = correct(ranging.reading, air.sonic_c, channel.calibration_temperature_c, channel.calibration)
         boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
-        filtered, fused = _NOT_FILTERED, None
+        filtered, fused = Filtered(None), None
         if self._fusion is not None and channel.is_fused:
             if self._received is not None:
                 for received_s, moved in self._received(now_s):
@@ -416,12 +415,11 @@ class Bridge:
         """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
         if self.airframe.send.nothing:
             sender = dialect.MAVLink(None, self.link.autopilot_system or 1, self.airframe.link.component_id)
-            self._write_frame(WITHHELD_TOPIC, message, message.pack(sender))
-        elif (sent := self.link.send(message)) is not None:
-            self._write_frame(SENT_TOPIC, message, sent)
-
-    def _write_frame(self, topic: str, message: Any, frame: bytes) -> None:
-        self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
+            topic, frame = WITHHELD_TOPIC, message.pack(sender)
+        else:
+            topic, frame = SENT_TOPIC, self.link.send(message)
+        if frame is not None:
+            self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
 
     def _record(self, now_s: float, topic: str, step: Step) -> None:
         if self._recorder is None and self._publish is None:
@@ -492,9 +490,8 @@ class Bridge:
             self._report(severity, text)
 
     def counts(self) -> dict[str, Counts]:
-        """Readings of every sensor so far."""
-        channels = self._channels.items()
-        return {name: Counts(each.counts.readings, each.counts.rejected.copy()) for name, each in channels}
+        """Readings of every sensor so far; they go on counting."""
+        return {name: channel.counts for name, channel in self._channels.items()}
 
 
 def correct(

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 
 from rich.table import Table
 
+from msp_range.acoustics.air import Air, air_error_m, coldest_c
 from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s, sensor_watch_of
 from msp_range.config import Airframe
-from msp_range.correction.air_temperature import describe
+from msp_range.correction.humidity import HYGROMETER, Humidity
+from msp_range.correction.temperature import TemperatureParameters
 from msp_range.mavlink.orientation import CUSTOM, DOWN, PITCH_90
 from msp_range.mavlink.transport.url import SerialUrl, parse_url
 from msp_range.plausible import doubts
@@ -37,7 +39,7 @@ def lines(airframe: Airframe) -> Iterator[str]:
     yield from _streams(airframe)
     watch = sensor_watch_of(airframe)
     yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"
-    yield from describe(airframe.temperature, airframe.maximum_by_sound_m)
+    yield from describe_air(airframe.temperature, airframe.maximum_by_sound_m)
     folder = airframe.recording.folder if airframe.recording else "none, unless --record names a folder"
     yield f"recording: {folder}"
     yield "the autopilot's parameters for this: msp-range params"
@@ -82,6 +84,41 @@ def drawing(airframe: Airframe) -> list[str]:
         f"from above, forward is up, {2 * farthest_m:g} m from edge to edge, {below} m below the reference point (+):",
         *[f"  |{''.join(row)}|" for row in rows],
         f"  {names}",
+    ]
+
+
+def describe_air(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
+    """Describe the accuracy of an airframe file's temperature sources, one line each.
+
+    Parameters
+    ----------
+    maximum_m
+        Longest range of the vehicle's ultrasonic sensors [m]; 0 if there are none.
+
+    Examples
+    --------
+    >>> print(*describe_air(TemperatureParameters(), 7.65), sep="\\n")
+    air: no thermometer
+      fixed_c 20 C +-12 C: up to 33 cm off at 7.65 m; right for air of -4 to 44 C
+    """
+
+    if not maximum_m:
+        return ["air temperature: no sensor depends on it"]
+
+    def off(air: Air) -> str:
+        return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"
+
+    fixed = parameters.fixed_air
+    sources = [
+        f"  {source.name} {off(Air(fixed.temperature_c, source.error_std_c, ''))}" for source in parameters.sources
+    ]
+    humid = Humidity().applied(0.0, Air(fixed.temperature_c, 0.0, ""))
+    humidity = f"  humidity, unless the autopilot sends {HYGROMETER}: also {off(humid)}"
+    held_c = f"{coldest_c(fixed):.0f} to {2 * fixed.temperature_c - coldest_c(fixed):.0f} C"
+    return [
+        "air temperature: the first of these with a value is used" if sources else "air: no thermometer",
+        *([*sources, humidity] if sources else []),
+        f"  fixed_c {fixed.temperature_c:g} C {off(fixed)}; right for air of {held_c}",
     ]
 
 

@@ -4,7 +4,7 @@ The readings are played through a bus whose sensors answer with them, at their o
 change to a filter or a gate is tried on what really happened.
 """
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -104,10 +104,9 @@ class PacedClock(SystemClock):
 
 @dataclass(frozen=True, slots=True)
 class ReplayOutcome:
-    """What the bridge made of a record: readings, outputs and rejections by sensor, and messages by type."""
+    """What the bridge made of a record: readings and rejections by sensor, fused distances, and messages by type."""
 
     counts: Mapping[str, Counts]
-    filtered: Mapping[str, int]
     fused: int
     sent: Mapping[str, int]
     duration_s: float
@@ -161,22 +160,19 @@ def replay(
     )
     expected = sum(len(of_sensor) for of_sensor in pings.values())
     start_s = clock.now()
-    filtered: Counter[str] = Counter()
     taken = fused = 0
     with Bar(BarColumn(), TimeRemainingColumn(), total=expected, on=PlainConsole(stderr=True)) as bar:
         while taken < expected:
             steps = bridge.step()
             taken += len(steps)
-            for step in steps:
-                filtered[step.corrected.sensor] += step.filtered.rejected is None
-                fused += step.fused is not None
+            fused += sum(step.fused is not None for step in steps)
             if steps:
                 bar.show(f"replaying {source.name}", taken)
     # Messages that wait for their turn still go out.
     end_s = clock.now() + 0.1
     while clock.now() < end_s:
         bridge.step()
-    return ReplayOutcome(bridge.counts(), filtered, fused, bridge.link.sent, end_s - start_s, bus.behind_s)
+    return ReplayOutcome(bridge.counts(), fused, bridge.link.sent, end_s - start_s, bus.behind_s)
 
 
 def _received(recorded: Recorded) -> Callable[[float], Iterator[tuple[float, Received]]]:
@@ -196,7 +192,7 @@ def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> 
     rows = []
     for name, counts in outcome.counts.items():
         why = ", ".join(f"{reason} {count}" for reason, count in sorted(counts.rejected.items())) or "none"
-        rows.append((name, str(counts.readings), str(outcome.filtered.get(name, 0)), why))
+        rows.append((name, str(counts.readings), str(counts.readings - counts.rejected.total()), why))
     out = console()
     out.print(plain_table(("sensor", "readings", "used", "rejected, why"), rows, "lrrl", title))
     sent = ", ".join(f"{name} {count}" for name, count in sorted(outcome.sent.items()))

@@ -3,7 +3,7 @@
 import sys
 import textwrap
 from enum import Enum
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from msp_range.doctor.command import INDENT
 from msp_range.input_file import printable
@@ -27,22 +27,6 @@ class Motion(Enum):
     RIGHT_DOWN = "right side down"
     ROCK = "rocked to all sides"
     BOARD = "a board half a metre in front of one side"
-
-
-class Person(Protocol):
-    """The person."""
-
-    def begin(self, text: str) -> None:
-        """Explain a step, and wait until the person is ready."""
-
-    def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
-        """Say what is to be done from now on; ``subject`` is the sensor or the side that it is about."""
-
-    def agrees(self, text: str) -> bool:
-        """Ask whether to make a change."""
-
-    def height_m(self, text: str) -> float | None:
-        """Ask for a measured height [m]; None: there is no further one."""
 
 
 class PersonAtTerminal:
@@ -78,14 +62,17 @@ class PersonAtTerminal:
             self._answer("Press Enter when you are ready, Ctrl-C to go on another time. ")
 
     def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
-        """Say what to do, with the terminal's bell: the person looks at the vehicle."""
+        """Say what is to be done from now on, with the terminal's bell: the person looks at the vehicle.
+
+        ``subject`` is the sensor or the side that it is about.
+        """
         self._show(f">> {text}")
         if self._out.isatty():
             self._out.write("\a")
             self._out.flush()
 
     def agrees(self, text: str) -> bool:
-        """Ask with yes or no."""
+        """Ask with yes or no whether to make a change."""
         self._show(text)
         if self._accepts_all:
             self._show("changed, as --yes says")
@@ -96,7 +83,7 @@ class PersonAtTerminal:
                 return answer.startswith("y")
 
     def height_m(self, text: str) -> float | None:
-        """Ask for a number until it is one."""
+        """Ask for a measured height until it is one [m]; None: there is no further one."""
         if self._heights:
             height_m = self._heights.pop(0)
             self._show(f"{text}\n{height_m:g} m, as --height says")

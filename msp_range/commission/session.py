@@ -15,7 +15,7 @@ from msp_range.bridge import Bridge
 from msp_range.bus import Bus
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock
-from msp_range.commission.operator import Person
+from msp_range.commission.operator import PersonAtTerminal
 from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.autopilot import CONNECT_S, Tap, silence
 from msp_range.doctor.computer import Computer
@@ -177,7 +177,7 @@ class Session:
     computer: Computer
     clock: Clock
     """The computer whose files doctor looks at, and the clock."""
-    operator: Person
+    operator: PersonAtTerminal
     """The person."""
     make_bus: Callable[[int | str], KernelBus] = KernelBus
     make_transport: Callable[[str, Clock], Transport] = open_transport

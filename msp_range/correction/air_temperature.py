@@ -14,7 +14,7 @@ from msp_range.correction.humidity import HYGROMETER, Humidity
 from msp_range.correction.range_comparison import RangeHistory
 from msp_range.correction.temperature import MAVLINK_FIELDS, FileSource, MavlinkSource, TemperatureParameters
 from msp_range.correction.temperature_track import BELIEVED_AFTER_S, TemperatureTrack
-from msp_range.correction.thermometer import ThermometerReader
+from msp_range.correction.thermometer import LoopReader
 from msp_range.pilot_texts import Condition, Text
 from msp_range.reading import Reading, Status
 
@@ -45,9 +45,7 @@ class AirTemperature:
         Longest range of the vehicle's ultrasonic sensors, for the reports to the pilot [m]; 0: none, and no reports.
     """
 
-    def __init__(
-        self, parameters: TemperatureParameters, start_s: float, reader: ThermometerReader, maximum_m: float
-    ) -> None:
+    def __init__(self, parameters: TemperatureParameters, start_s: float, reader: LoopReader, maximum_m: float) -> None:
         self._reader = reader
         self._maximum_m = maximum_m
         self._fixed = parameters.fixed_air
@@ -173,41 +171,6 @@ class AirTemperature:
             Text.NO_TEMPERATURE.when(is_silent, using_c=using_c),
             Text.HANGS.when(self._reader.hangs(now_s)),
         ]
-
-
-def describe(parameters: TemperatureParameters, maximum_m: float) -> list[str]:
-    """Describe the accuracy of an airframe file's temperature sources, one line each.
-
-    Parameters
-    ----------
-    maximum_m
-        Longest range of the vehicle's ultrasonic sensors [m]; 0 if there are none.
-
-    Examples
-    --------
-    >>> print(*describe(TemperatureParameters(), 7.65), sep="\\n")
-    air: no thermometer
-      fixed_c 20 C +-12 C: up to 33 cm off at 7.65 m; right for air of -4 to 44 C
-    """
-
-    if not maximum_m:
-        return ["air temperature: no sensor depends on it"]
-
-    def off(air: Air) -> str:
-        return f"+-{air.std_c:.3g} C: up to {100 * air_error_m(maximum_m, air):.0f} cm off at {maximum_m:.2f} m"
-
-    fixed = parameters.fixed_air
-    sources = [
-        f"  {source.name} {off(Air(fixed.temperature_c, source.error_std_c, ''))}" for source in parameters.sources
-    ]
-    humid = Humidity().applied(0.0, Air(fixed.temperature_c, 0.0, ""))
-    humidity = f"  humidity, unless the autopilot sends {HYGROMETER}: also {off(humid)}"
-    held_c = f"{coldest_c(fixed):.0f} to {2 * fixed.temperature_c - coldest_c(fixed):.0f} C"
-    return [
-        "air temperature: the first of these with a value is used" if sources else "air: no thermometer",
-        *([*sources, humidity] if sources else []),
-        f"  fixed_c {fixed.temperature_c:g} C {off(fixed)}; right for air of {held_c}",
-    ]
 
 
 def _agree(one: Air, other: Air) -> bool:

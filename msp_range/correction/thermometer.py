@@ -11,7 +11,7 @@ import os
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from msp_range.clock import Clock
 from msp_range.correction.temperature import FileSource
@@ -30,16 +30,6 @@ class Sample(NamedTuple):
 
     time_s: float
     reported_c: float
-
-
-class ThermometerReader(Protocol):
-    """The interface of a reader of files."""
-
-    def newest(self, source: FileSource, now_s: float) -> Sample | None:
-        """A new value, or None. Never waits on a vehicle."""
-
-    def hangs(self, now_s: float) -> bool:
-        """True if a read started long ago and has not ended."""
 
 
 def read_thermometer(source: FileSource) -> float:
@@ -86,7 +76,7 @@ class LoopReader:
         """When the file of each source is read again [s]."""
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
-        """Read the file if that is due."""
+        """A new value, or None: reads the file if that is due."""
         if now_s < self.next_s.get(source, now_s):
             return None
         self.next_s[source] = now_s + source.period_s
@@ -103,12 +93,12 @@ class LoopReader:
         return sample
 
     def hangs(self, now_s: float) -> bool:
-        """Always False: the loop itself would hang."""
+        """Whether a read started long ago and has not ended: never here, where the loop itself would hang."""
         return False
 
 
-class ThreadReader:
-    """A `LoopReader` in a thread of its own; the loop gets the newest values.
+class ThreadReader(LoopReader):
+    """A `LoopReader` in a thread of its own; the loop gets the newest values, and never waits.
 
     The thread starts with the first source. It is a daemon thread, so a hanging read does not keep the program from
     ending.
@@ -127,8 +117,8 @@ class ThreadReader:
         read: Callable[[FileSource], float] = read_thermometer,
         on_error: Callable[[str], object] = lambda text: None,
     ) -> None:
+        super().__init__(read, on_error)
         self._clock = clock
-        self._files = LoopReader(read, on_error)
         self._sources: list[FileSource] = []
         self._newest: dict[FileSource, Sample] = {}
         self._reading_since_s: float | None = None
@@ -159,9 +149,9 @@ class ThreadReader:
         while not self._is_closed:
             for source in self._sources:
                 self._reading_since_s = now_s = self._clock.now()
-                if (sample := self._files.newest(source, now_s)) is not None:
+                if (sample := super().newest(source, now_s)) is not None:
                     self._newest[source] = sample
                 self._reading_since_s = None
-            wait_s = min(self._files.next_s.values()) - self._clock.now()
+            wait_s = min(self.next_s.values()) - self._clock.now()
             self._has_changed.wait(max(wait_s, 0.0))
             self._has_changed.clear()

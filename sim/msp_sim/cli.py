@@ -220,8 +220,8 @@ def sample(
     Columns that the model uses and the CSV lacks are computed from others where that is possible: the rate of the
     range, the time in the run, the incidence from roll_deg and pitch_deg. The previous reading is the one drawn before.
     """
-    from msp_range.recording.context_limits import check_contexts
     from msp_range.recording.csv_form import read_csv, write_csv
+    from msp_sim.model.context_limits import check_contexts
     from msp_sim.model.derived import PREVIOUS, derived_columns, sample_in_order
     from msp_sim.model.model import load_model
 

@@ -4,6 +4,7 @@ Emulated sensors at their true places, over a flat floor, and an autopilot that 
 virtual, unless a clock is given. `Person` does what commissioning asks for.
 """
 
+import io
 import math
 import random
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from numpy.random import SeedSequence, default_rng
 from msp_range.bus import Bus
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, VirtualClock
-from msp_range.commission.operator import Motion
+from msp_range.commission.operator import Motion, PersonAtTerminal
 from msp_range.commission.steps.directions import SIDES
 from msp_range.config import Airframe
 from msp_range.geometry import angle_between, boresight
@@ -254,7 +255,7 @@ class EmulatedBus(KernelBus):
         return self._devices.read(address, count)
 
 
-class Person:
+class Person(PersonAtTerminal):
     """Does what commissioning asks for, not quite exactly, and agrees to everything.
 
     Parameters
@@ -268,6 +269,7 @@ class Person:
     """
 
     def __init__(self, vehicle: HandHeld, heights_m: tuple[float, ...] = (0.7, 1.6), seed: int = 1) -> None:
+        super().__init__(True, (), io.StringIO())
         self._vehicle = vehicle
         self.heights = list(heights_m)
         self._draw = random.Random(seed)

@@ -53,7 +53,7 @@ def test_a_file_of_any_name_is_reported_and_replayed(tmp_path: Path, capsys: pyt
     result = run("msp-range replay", path, code=3)
     assert "\\x1b[31m[red]quad" in result.output
     assert "\x1b" not in result.output
-    show(ReplayOutcome({}, {}, 0, {}, 1.0, 0.0), Path(path.name))
+    show(ReplayOutcome({}, 0, {}, 1.0, 0.0), Path(path.name))
     assert "\\x1b[31m[red]quad" in "".join(capsys.readouterr().out.split("\n"))
 
 

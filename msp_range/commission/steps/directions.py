@@ -9,10 +9,10 @@ too. A sensor without a floor shows its direction by a board.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
+from msp_range.acoustics.beam import BreakawayTable
 from msp_range.arrays import Array, angle_deg
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Places
@@ -60,13 +60,6 @@ BOARD_M = (0.25, 0.85)
 """Distances that a board half a metre away gives [m]."""
 
 
-class Beam(Protocol):
-    """What is known of a sensor's beam: `msp_range.acoustics.beam.BreakawayTable` is one."""
-
-    def half_angle_rad(self, range_m: Array) -> Array:
-        """Largest angle with an echo [rad] at a range [m], shape (n,)."""
-
-
 @dataclass(frozen=True)
 class Axis:
     """Where a sensor looks."""
@@ -97,7 +90,9 @@ AXES = _grid()
 """Axes that are tried, unit vectors, shape (a, 3)."""
 
 
-def axis_of(samples: Samples, name: str, places: Places, position_m: Array, from_file: Array, beam: Beam) -> Axis:
+def axis_of(
+    samples: Samples, name: str, places: Places, position_m: Array, from_file: Array, beam: BreakawayTable
+) -> Axis:
     """Where one sensor looks.
 
     Parameters

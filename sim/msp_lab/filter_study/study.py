@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from msp_lab.filter_study.candidates import changepoint, oracle
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, apply, behind_the_gate, over_samples
@@ -139,10 +140,23 @@ def innovations(name: str, seeds: int, rng: np.random.Generator) -> Array:
         reading_m = runs.reading_cm[:, sample] / 100.0
         elapsed_s = np.full(seeds, INTERVAL_S if sample else 0.0)
         if sample:
-            total += hypotheses.innovation(elapsed_s, reading_m, noise_m2) ** 2
+            total += _innovation(hypotheses, elapsed_s, reading_m, noise_m2) ** 2
         hypotheses.update(elapsed_s, reading_m, noise_m2)
     mean: Array = total / (runs.reading_cm.shape[1] - 1)
     return mean
+
+
+def _innovation(histories: RunHistories, elapsed_s: Array, reading_m: Array, variance_m2: Array) -> Array:
+    """The next reading's normalised innovation before the update, shape (streams,), by a likelihood without outliers.
+
+    The normal quantile of the reading's cumulative probability under the mixture of predictions.
+    """
+    likelihood = histories.likelihood
+    runs, level_change, _ = histories.take(np.arange(reading_m.size)).predict(elapsed_s[:, None])
+    below = ndtr((reading_m[:, None] - runs[1]) / np.sqrt(runs[3] + variance_m2[:, None]))
+    share = np.clip((reading_m - likelihood.minimum_m) / likelihood.length_m, 0.0, 1.0)
+    cumulative = (runs[0] * below).sum(axis=1) + (level_change[:, 0] + histories.unlocated) * share
+    return np.asarray(ndtri(np.clip(cumulative, 1e-12, 1.0 - 1e-12)))
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import numpy as np
 
 from msp_range.arrays import Column
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.context_limits import span
 from msp_range.recording.csv_form import MeasuredData
 from msp_range.recording.error import RecordingError
+from msp_sim.model.context_limits import span
 
 MIN_READINGS = 30
 """Refuse tables with fewer readings with a true range: their intervals would be wider than any effect that is asked

@@ -24,12 +24,12 @@ from msp_lab.readings.runs import runs_of
 from msp_lab.readings.vehicle import others_as_reference
 from msp_range.arrays import Column, Indices, numbered
 from msp_range.reading_model.sensor_model import SensorModel
-from msp_range.recording.context_limits import check_contexts
 from msp_range.recording.csv_form import MeasuredData, join_tables
 from msp_range.recording.error import RecordingError
 from msp_range.recording.export import measured_data
 from msp_range.recording.reader import Recording, is_recording
 from msp_sim.effects.base import OTHERS, REFERENCE, REFERENCE_STD, TRUE_RANGE
+from msp_sim.model.context_limits import check_contexts
 from msp_sim.model.derived import DERIVED, PREVIOUS, derived_columns
 from msp_sim.model.model import Model
 

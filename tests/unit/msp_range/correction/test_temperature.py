@@ -9,7 +9,8 @@ from pydantic import TypeAdapter, ValidationError
 from pymavlink.dialects.v20 import common
 
 from msp_range.acoustics.air import FIXED, HELD, Air
-from msp_range.correction.air_temperature import GRACE_S, AirTemperature, describe
+from msp_range.check import describe_air
+from msp_range.correction.air_temperature import GRACE_S, AirTemperature
 from msp_range.correction.temperature import (
     AIRSPEED_STD_C,
     BIAS_SHARE,
@@ -71,7 +72,7 @@ def test_a_vehicle_without_a_thermometer_is_reported_with_what_that_costs() -> N
 
 
 def test_a_person_reads_what_each_source_is_worth() -> None:
-    lines = describe(parameters({"source": "mavlink", "message": "SCALED_PRESSURE", "std_c": 4.0}), MAXIMUM_M)
+    lines = describe_air(parameters({"source": "mavlink", "message": "SCALED_PRESSURE", "std_c": 4.0}), MAXIMUM_M)
     assert len(lines) == 4
     assert "SCALED_PRESSURE.temperature +-4.12 C: up to 11 cm off at 7.65 m" in lines[1]
     assert "humidity, unless the autopilot sends HYGROMETER_SENSOR: also +-1.09 C" in lines[2]
