@@ -347,15 +347,20 @@ class Bridge:
                 self._temperature.record_range(ranging.reading)
         if channel.chain is not None:
             filtered = channel.chain.update(reading)
-            self._send_single(channel, reading, filtered, air, now_s, boot_ms)
-        step = Step(ranging, air, reading, filtered, fused)
-        self._record(now_s, channel.topic, step)
+            if self._streams.send_single(now_s, boot_ms, reading, filtered, air):
+                self._output.on_usable(reading.sensor, now_s)
+            if not channel.is_fused and reading.range_m is not None:
+                self._output.on_range(filtered.estimate is not None, 1.0)
+        if self._recorder is not None or self._publish is not None:
+            self.write(channel.topic, now_s, stages_of(ranging, air, reading, filtered))
+            if fused is not None:
+                self.write(FUSED_TOPIC, now_s, fused.record(ranging.reading.time_s))
         channel.counts.readings += 1
         if filtered.rejected is not None:
             channel.counts.rejected[filtered.rejected] += 1
         self.health.on_ranging(ranging._replace(reading=reading) if reading.status in MOTIONLESS else ranging)
         self._bus_health.on_ranging(now_s, ranging)
-        return step
+        return Step(ranging, air, reading, filtered, fused)
 
     def _compare(self, watch: SensorWatch, fusion: Fusion, outcome: Outcome) -> None:
         """Hold a reading against its sensor's model."""
@@ -402,15 +407,6 @@ class Bridge:
         if rejected == OBJECT and object_m is not None and object_m > 0:
             self._streams.send_object(now_s, boot_ms, reading, air)
 
-    def _send_single(
-        self, channel: _Channel, reading: Reading, filtered: Filtered, air: Air, now_s: float, boot_ms: int
-    ) -> None:
-        """Send the distance of one sensor's own stream."""
-        if self._streams.send_single(now_s, boot_ms, reading, filtered, air):
-            self._output.on_usable(reading.sensor, now_s)
-        if not channel.is_fused and reading.range_m is not None:
-            self._output.on_range(filtered.estimate is not None, 1.0)
-
     def _send(self, message: Any) -> None:
         """Send a stream's message and record it; where nothing is to be sent, record it as withheld."""
         if self.airframe.send.nothing:
@@ -420,13 +416,6 @@ class Bridge:
             topic, frame = SENT_TOPIC, self.link.send(message)
         if frame is not None:
             self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
-
-    def _record(self, now_s: float, topic: str, step: Step) -> None:
-        if self._recorder is None and self._publish is None:
-            return
-        self.write(topic, now_s, stages_of(step.ranging, step.air, step.corrected, step.filtered))
-        if step.fused is not None:
-            self.write(FUSED_TOPIC, now_s, step.fused.record(step.ranging.reading.time_s))
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record one message, and show it to whoever watches."""

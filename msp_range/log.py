@@ -35,16 +35,20 @@ class Log:
 
     def __init__(self, form: str, stream: TextIO | None = None, clock: Clock | None = None) -> None:
         self.form = form
-        self._line = _json_line if form == "json" else _text_line
         self._stream = stream or sys.stderr
         self._clock = clock or SystemClock()
 
     def write(self, level: str, event: str, **values: object) -> None:
         """Log at a level: info, warning or error."""
         utc = datetime.fromtimestamp(self._clock.utc(), UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        if self.form == "json":
+            line = json.dumps({"timestamp": utc, "level": level, "event": event, **values})
+        else:
+            words = " ".join(f"{key}={_word(value)}" for key, value in values.items())
+            line = f"{utc} {level:<8} {event}  {words}".rstrip()
         # A full disk, or no reader at the other end of the pipe.
         with suppress(OSError):
-            print(self._line(utc, level, event, values), file=self._stream, flush=True)
+            print(line, file=self._stream, flush=True)
 
     info = partialmethod(write, "info")
     """Log normal operation."""
@@ -52,15 +56,6 @@ class Log:
     """Log something that does not work and may recover."""
     error = partialmethod(write, "error")
     """Log an error."""
-
-
-def _json_line(utc: str, level: str, event: str, values: dict[str, object]) -> str:
-    return json.dumps({"timestamp": utc, "level": level, "event": event, **values})
-
-
-def _text_line(utc: str, level: str, event: str, values: dict[str, object]) -> str:
-    words = " ".join(f"{key}={_word(value)}" for key, value in values.items())
-    return f"{utc} {level:<8} {event}  {words}".rstrip()
 
 
 def _word(value: object) -> str:

@@ -41,7 +41,7 @@ def replay(
     else:
         raise ConfigError(f"{file}: a table does not contain its airframe; name the file with --airframe")
     airframe = airframe.changed(link=link)
-    recorded = read_recorded(source, run_name, {sensor.name: sensor.driver for sensor in airframe.sensors})
+    recorded = read_recorded(source, run_name, {sensor.name: sensor.sensor_model for sensor in airframe.sensors})
     transport = replaying.Nowhere() if link is None else open_transport(link, SystemClock())
     clock = (replaying.PacedClock if realtime else VirtualClock)(recorded.first_ping_s)
     recorder = None if record is None else Recorder(record, clock, files=airframe.files)

@@ -157,8 +157,8 @@ class AirTemperature:
         flapping_c = {track: levels_c for track in self._tracks if (levels_c := track.flapping_c(now_s))}
         low_c, high_c = next(iter(flapping_c.values()), (0.0, 0.0))
         jumps = [track.jump for track in self._tracks if track.jump is not None and track not in flapping_c]
-        jump_c = jumps[0].level.value_c if jumps else None
-        wrong_c = next((jump.level.value_c for jump in jumps if jump.refused), None)
+        jump_c = jumps[0].value_c if jumps else None
+        wrong_c = next((jump.value_c for jump in jumps if jump.refused), None)
         # If another source has a value, that decides.
         is_open = is_without and jumps and wrong_c is None and now_s - jumps[0].since_s >= JUMP_REPORTED_S
         is_silent = is_without and not jumps and not flapping_c and now_s - self._had_value_s > GRACE_S

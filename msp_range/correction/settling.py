@@ -114,7 +114,8 @@ class Settling:
         while len(values) > 1 and values[0][0] < time_s - MEMORY_S:
             values.popleft()
         if self._start is None:
-            self._start = self._far_from(value_c, ORDINARY_C + ORDINARY_NOISES * self._noise_c)
+            least_c = ORDINARY_C + ORDINARY_NOISES * self._noise_c
+            self._start = next((past for past in reversed(values) if abs(value_c - past[1]) > least_c), None)
             if self._start is None and time_s < self._until_s:
                 all_c = [*[past_c for _, past_c in values], value_c]
                 largest_c = max([after_c - before_c for before_c, after_c in pairwise(all_c)], key=abs)
@@ -137,10 +138,6 @@ class Settling:
         most_c = FASTEST_C_PER_S * elapsed_s
         self.ahead_c += min(max(probable_c - self.ahead_c, -most_c), most_c)
         self.std_c = math.hypot(max(self.std_c, LAG_SHARE * abs(self.lag_c)), probable_c - self.ahead_c)
-
-    def _far_from(self, value_c: float, least_c: float) -> tuple[float, float] | None:
-        """The last value that differs by more than this from another one, and its time."""
-        return next((past for past in reversed(self._values) if abs(value_c - past[1]) > least_c), None)
 
     def _begin_s(self, before_s: float) -> float:
         """When it began to settle: the last value that is that of before [s]."""

@@ -71,13 +71,11 @@ class Level:
         return is_near
 
 
-class Jump:
+class Jump(Level):
     """A level that a source has reached faster than air changes.
 
     Attributes
     ----------
-    level
-        The new level.
     since_s
         Time at which the source left its last good level [s].
     steady_since_s
@@ -89,18 +87,18 @@ class Jump:
     """
 
     def __init__(self, since_s: float, time_s: float, level_c: float, ranges: RangeComparison) -> None:
-        self.level = Level(time_s, level_c)
+        super().__init__(time_s, level_c)
         self.since_s, self.steady_since_s = since_s, time_s
         self.refused = False
         self.ranges = ranges
         self._anchor_c = level_c
 
-    def reaches(self, time_s: float, level_c: float, allowed_c: float) -> bool:
+    def reaches(self, time_s: float, value_c: float, allowed_c: float) -> bool:
         """Follow to the next value if it is near enough; a level that moves away is no longer refused."""
-        if not self.level.reaches(time_s, level_c, allowed_c):
+        if not super().reaches(time_s, value_c, allowed_c):
             return False
-        if abs(level_c - self._anchor_c) > STEADY_C:
-            self._anchor_c, self.steady_since_s = level_c, time_s
+        if abs(value_c - self._anchor_c) > STEADY_C:
+            self._anchor_c, self.steady_since_s = value_c, time_s
             self.refused = False
         return True
 
@@ -167,7 +165,7 @@ class TemperatureTrack:
         assert self.jump is not None
         self._std_c = math.hypot(self.source.error_std_c, doubt_c)
         self._departures.clear()
-        self._start(self._reported_s, self.jump.level.value_c)
+        self._start(self._reported_s, self.jump.value_c)
 
     @property
     def doubt_c(self) -> float:
@@ -179,7 +177,7 @@ class TemperatureTrack:
         jump, good = self.jump, self._good
         if jump is None or good is None or (jump.refused and jump.since_s - good.since_s >= BELIEVED_AFTER_S):
             return 0.0
-        return COVERS * abs(jump.level.value_c - good.value_c)
+        return COVERS * abs(jump.value_c - good.value_c)
 
     def flapping_c(self, now_s: float) -> tuple[float, float] | None:
         """Lowest and highest level of a source that flaps [deg C]; None: it does not."""
@@ -191,7 +189,7 @@ class TemperatureTrack:
     @property
     def settling(self) -> Settling | None:
         """How far the air may be ahead of the newest level; None before the first."""
-        level = self._good if self.jump is None or self.jump.refused else self.jump.level
+        level = self._good if self.jump is None or self.jump.refused else self.jump
         return None if level is None else level.settling
 
     @property
@@ -232,5 +230,5 @@ class TemperatureTrack:
         """The present value, confirmed or not; None if the source is silent or flaps."""
         if self._good is None or now_s - self._reported_s > self.source.max_age_s or self.flapping_c(now_s):
             return None
-        level = self._good if self.jump is None else self.jump.level
+        level = self.jump or self._good
         return Air(level.value_c, self._std_c, self.source.name)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import UNKNOWN, Finding, first_of, unknown
+from msp_range.recording.flight_recorder import START_FREE_BYTES
 from msp_range.state_folder import SERVICE_USER
 
-NEEDED_BYTES = 16 * 2**20
-"""What a new recording wants, as msp_range/recording has it."""
 BYTES_PER_HOUR = 10e6
 """Size of a recording of four sensors (docs/flying.md)."""
 SHORT_HOURS = 10
@@ -48,7 +47,7 @@ def check_disk(computer: Computer, folder: str | None) -> Finding:
             f"{who} may not write into {there}, where {folder} is to be",
             f"sudo mkdir -p {folder} && sudo chown {who} {folder}",
         ),
-        (left < NEEDED_BYTES, f"{folder} has {left_mb}: nothing would be recorded", "delete old recordings"),
+        (left < START_FREE_BYTES, f"{folder} has {left_mb}: nothing would be recorded", "delete old recordings"),
         (hours < SHORT_HOURS, f"{folder} has {left_mb}, for {hours:.0f} hours", "delete old recordings", UNKNOWN),
         (True, f"{folder} has room for {hours:.0f} hours"),
     )

@@ -1,8 +1,7 @@
 """The interface of a filter: one estimate in, one estimate out, or None if it rejects the reading."""
 
-from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 
@@ -23,21 +22,21 @@ class Filter(Protocol):
         """Forget everything, as after a long gap."""
 
 
-class Windowed(ABC):
-    """A filter that combines the last ``window`` readings; fewer until there are as many."""
+class Windowed:
+    """A filter that combines the last ``window`` readings; fewer until there are as many.
 
-    def __init__(self, window: int) -> None:
+    ``combined`` makes the estimate, from the ranges [m] and the variance of their mean [m^2].
+    """
+
+    def __init__(self, window: int, combined: Callable[[Sequence[float], float], Estimate]) -> None:
         self._recent: deque[Estimate] = deque(maxlen=window)
+        self._combined = combined
 
     def update(self, time_s: float, measured: Estimate) -> Estimate:
         """Update with a reading; the mean of M independent ones has the variance (sum of their variances) / M^2."""
         self._recent.append(measured)
         mean_variance_m2 = sum([each.variance_m2 for each in self._recent]) / len(self._recent) ** 2
-        return self.combined([each.range_m for each in self._recent], mean_variance_m2)
-
-    @abstractmethod
-    def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
-        """The estimate, from the ranges [m] and the variance of their mean [m^2]."""
+        return self._combined([each.range_m for each in self._recent], mean_variance_m2)
 
     def reset(self) -> None:
         """Forget all readings."""

@@ -20,14 +20,14 @@ class MedianParameters(Section):
     window: int = Field(3, ge=1, le=999)
     """number of readings (whole number, 1 to 999)"""
 
-    def make(self, sensor: SensorModel | None = None) -> "Median":
+    def make(self, sensor: SensorModel | None = None) -> Windowed:
         """Make a filter in its initial state."""
-        return Median(self.window)
+        return Windowed(self.window, _median)
 
 
-class Median(Windowed):
-    """y[i] = median of x[i - M + 1] ... x[i]; of fewer until there are M readings."""
+def _median(ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
+    """y[i] = median of x[i - M + 1] ... x[i]; its variance is about (pi / 2) sigma^2 / M, for M of 3 or more.
 
-    def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
-        """Variance of the median of M independent normal readings, about (pi / 2) sigma^2 / M, for M of 3 or more."""
-        return Estimate(median(ranges_m), mean_variance_m2 * (math.pi / 2 if len(ranges_m) > 2 else 1.0))
+    That is the variance of the median of M independent normal readings.
+    """
+    return Estimate(median(ranges_m), mean_variance_m2 * (math.pi / 2 if len(ranges_m) > 2 else 1.0))

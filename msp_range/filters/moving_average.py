@@ -18,14 +18,11 @@ class MovingAverageParameters(Section):
     window: int = Field(5, ge=1, le=1000)
     """number of readings (whole number, 1 to 1000)"""
 
-    def make(self, sensor: SensorModel | None = None) -> "MovingAverage":
+    def make(self, sensor: SensorModel | None = None) -> Windowed:
         """Make a filter in its initial state."""
-        return MovingAverage(self.window)
+        return Windowed(self.window, _mean)
 
 
-class MovingAverage(Windowed):
-    """y[i] = (1/M) sum over j = 0..M-1 of x[i - j]; of fewer until there are M readings."""
-
-    def combined(self, ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
-        """The mean."""
-        return Estimate(sum(ranges_m) / len(ranges_m), mean_variance_m2)
+def _mean(ranges_m: Sequence[float], mean_variance_m2: float) -> Estimate:
+    """y[i] = (1/M) sum over j = 0..M-1 of x[i - j]."""
+    return Estimate(sum(ranges_m) / len(ranges_m), mean_variance_m2)

@@ -115,11 +115,8 @@ class RangeLikelihood:
 
     def outlier_density(self, reading_m: Array, range_m: Array) -> Array:
         """Density of an outlier, given a surface at ``range_m`` [1/m]."""
-        density = self.random / self.length_m
-        if self.short == 0.0:
-            return np.full_like(range_m, density)
-        result: Array = density + (reading_m < range_m) * self.short_density(reading_m, range_m)
-        return result
+        shorter = (reading_m < range_m) * self.short_density(reading_m, range_m)
+        return np.asarray(self.random / self.length_m + shorter)
 
     def unlocated_outlier_density(self, reading_m: Array) -> Array:
         """Density of an outlier for an unknown range, uniform over what the sensor can report [1/m].
@@ -127,11 +124,9 @@ class RangeLikelihood:
         The integral over the range of the truncated exponential has no closed form; its norm is taken at the middle
         of the ranges beyond the reading.
         """
-        density = np.full_like(reading_m, self.random / self.length_m)
-        if self.short > 0.0:
-            beyond = np.clip((self.maximum_m - reading_m) / self.length_m, 0.0, 1.0)
-            density += beyond * self.short_density(reading_m, (reading_m + self.maximum_m) / 2)
-        return density
+        beyond = np.clip((self.maximum_m - reading_m) / self.length_m, 0.0, 1.0)
+        shorter = beyond * self.short_density(reading_m, (reading_m + self.maximum_m) / 2)
+        return np.asarray(self.random / self.length_m + shorter)
 
 
 def rounding_bias_m2(std_m: float, step_m: float) -> float:

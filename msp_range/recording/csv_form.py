@@ -187,8 +187,13 @@ def read_columns(
         if len({each.dtype.kind for each in blocks}) > 1:
             # Numbers at first, and words further on: it was words all along.
             columns[name] = word_column(str(path), name, [cells[index] for _, cells in rows()])
+        elif blocks:
+            if blocks[0].dtype.kind == "U":
+                longest = max(each.dtype.itemsize // 4 for each in blocks)
+                _check_words(str(path), name, sum(map(len, blocks)), longest)
+            columns[name] = np.concatenate(blocks)
         else:
-            columns[name] = join_columns(str(path), name, blocks)
+            columns[name] = np.array([], dtype=str if name in WORD_COLUMNS else float)
         # Many readings are there once, and not twice.
         blocks.clear()
     return MeasuredData(columns)
@@ -296,21 +301,6 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
             near = difflib.get_close_matches(name, [each[:64] for each in header if each not in required], n=1)
             hint = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
-
-
-def join_columns(source: str, name: str, parts: Sequence[Column]) -> Column:
-    """Pieces of a column as one.
-
-    Raises
-    ------
-    RecordingError
-        They are words that would take too much memory together.
-    """
-    if not parts:
-        return np.array([], dtype=str if name in WORD_COLUMNS else float)
-    if parts[0].dtype.kind == "U":
-        _check_words(source, name, sum(map(len, parts)), max(part.dtype.itemsize // 4 for part in parts))
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def word_column(source: str, name: str, words: Sequence[str]) -> Column:

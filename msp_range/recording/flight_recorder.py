@@ -95,7 +95,10 @@ class FlightRecorder:
 
     def flush_if_due(self, now_s: float) -> None:
         """Hand over to the disk what is due, begin a new file where it is time, and check `fault`."""
-        self._drop_ended()
+        for each in self._ending:
+            if each.file.has_ended and each.fault is None and each.file.error is not None:
+                self._on_failure(each.failure())
+        self._ending = [each for each in self._ending if not each.file.has_ended]
         if self._recorder is None:
             # A disk that hangs has ended nothing: its last file has to end before there is another.
             if now_s >= self._retry_s and not self._ending:
@@ -139,12 +142,6 @@ class FlightRecorder:
     def _end(self, recorder: Recorder) -> None:
         recorder.finish()
         self._ending.append(recorder)
-
-    def _drop_ended(self) -> None:
-        for recorder in self._ending:
-            if recorder.file.has_ended and recorder.fault is None and recorder.file.error is not None:
-                self._on_failure(recorder.failure())
-        self._ending = [recorder for recorder in self._ending if not recorder.file.has_ended]
 
 
 def new_recording(folder: Path, name: str, utc_s: float) -> FileIO:

@@ -20,12 +20,13 @@ from msp_range.correction.temperature import COLDEST_C, FIXED_STD_C, GRADIENT_ST
 from msp_range.fusion import Acceleration, PressureHeight, Received
 from msp_range.fusion.attitude import Angles
 from msp_range.reading import Status
+from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_range.recording.csv_form import MeasuredData, read_csv
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording, is_recording
 from msp_range.recording.topics import ATTITUDE_TOPIC, LARGEST_TIME_S, MOTION_TOPIC, RANGE_PREFIX
-from msp_range.sensors.base import Driver, RecordedPing
-from msp_range.sensors.table import default_driver
+from msp_range.sensors.base import RecordedPing
+from msp_range.sensors.table import DRIVERS
 
 ROUNDING_S = 1e-6
 """Recorded times are rounded to nanoseconds [s]."""
@@ -62,7 +63,7 @@ class Recorded(NamedTuple):
 def read_recorded(
     source: Path | str | Recording,
     run: str | None = None,
-    drivers: Mapping[str, type[Driver]] = MappingProxyType({}),
+    models: Mapping[str, SensorModel] = MappingProxyType({}),
 ) -> Recorded:
     """Read a recording or a CSV file.
 
@@ -72,8 +73,9 @@ def read_recorded(
         An MCAP recording, whole or cut, or measured data in the one CSV form.
     run
         Which run of a CSV file; needed where there are several.
-    drivers
-        Of the sensors of a CSV file, by name: their pings follow from their kind. Others are of the default kind.
+    models
+        Of the sensors of a CSV file, by name: when they were pinged follows from their timing. Others are of the first
+        kind of `DRIVERS`.
 
     Raises
     ------
@@ -87,7 +89,7 @@ def read_recorded(
         path, recorded = source.path, _of_recording(source)
     else:
         path = Path(source)
-        recorded = _of_table(path, _one_run(path, read_csv(path), run), drivers)
+        recorded = _of_table(path, _one_run(path, read_csv(path), run), models)
     if not recorded.pings:
         raise RecordingError(f"{path}: no readings to replay")
     # Values that the bridge would not believe of a thermometer are left out.
@@ -147,13 +149,13 @@ def _air_of(message: dict[str, Any]) -> Air:
     return Air(message["temperature_c"], std_c, source, message.get("humidity_pct", 0.0))
 
 
-def _of_table(path: Path, data: MeasuredData, drivers: Mapping[str, type[Driver]]) -> Recorded:
+def _of_table(path: Path, data: MeasuredData, models: Mapping[str, SensorModel]) -> Recorded:
     pings: dict[str, list[RecordedPing]] = {}
     for name in np.unique(data["sensor"]).tolist():
-        own, driver = data.select(data["sensor"] == name), drivers.get(name, default_driver())
+        own, model = data.select(data["sensor"] == name), models.get(name) or load_sensor_model(next(iter(DRIVERS)))
         _check(path, name, own["time_s"], own["reading_cm"], ("time_s", "reading_cm"))
         pings[name] = [
-            driver.recorded_ping(time_s, None if word != word else int(word))
+            _ping_of(model, time_s, None if word != word else int(word))
             for time_s, word in zip(own["time_s"].tolist(), np.rint(own["reading_cm"]).tolist(), strict=True)
         ]
     known = data.select(~np.isnan(data.column("air_temperature_c")))
@@ -161,6 +163,16 @@ def _of_table(path: Path, data: MeasuredData, drivers: Mapping[str, type[Driver]
     rows = np.column_stack((known["time_s"], known.column("air_temperature_c"), humidity_pct)).tolist()
     air = [(time_s, Air(air_c, MEASURED_STD_C, "recorded", percent)) for time_s, air_c, percent in rows]
     return Recorded(pings, air)
+
+
+def _ping_of(model: SensorModel, echo_s: float, raw: int | None) -> RecordedPing:
+    """The ping of an answer: half a time of flight before the echo, if there was one."""
+    timing = model.timing
+    # A flag above the centimetres is no other time.
+    echo_cm = (raw or 0) % 0x8000
+    is_range = raw is not None and model.minimum_cm <= raw < model.maximum_cm
+    ready_s = timing.ready_s + timing.s_per_cm * echo_cm if echo_cm < model.maximum_cm else timing.cycle_s
+    return RecordedPing(echo_s - 0.5 * timing.s_per_cm * echo_cm * is_range, raw, ready_s)
 
 
 def _one_run(path: Path, data: MeasuredData, run: str | None) -> MeasuredData:

@@ -135,11 +135,6 @@ class Driver(RangeSensor):
         """Answers [cm] that a bus fault would change into ``raw``; none if the driver knows no such fault."""
         return ()
 
-    @classmethod
-    @abstractmethod
-    def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """The ping of an answer if only ``raw`` and the time of its echo [s] were recorded."""
-
     @staticmethod
     @abstractmethod
     def playback() -> Playback:

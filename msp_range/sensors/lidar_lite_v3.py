@@ -22,7 +22,6 @@ from msp_range.sensors.base import (
     AddressError,
     Driver,
     FoundDevice,
-    RecordedPing,
     acknowledges,
     stranger,
 )
@@ -52,8 +51,6 @@ LONGEST_S = 0.1
 """A measurement is over by then [s]: twice the 20 ms of the default 50 a second, and what PX4 allows it."""
 SETTLE_S = 0.001
 """After a write to a register [s], as in the maker's library."""
-READY_S = 0.020
-"""A measurement takes this long where no record says it [s]: the maker's default of 50 a second."""
 
 
 def recorded_word(status: int, answer: bytes) -> int:
@@ -189,11 +186,6 @@ class LidarLiteV3(Driver):
         if acknowledges(bus, new):
             bus.write(new, bytes([ADDRESS_MODE, DISABLE_DEFAULT]))
             clock.sleep_until(clock.now() + SETTLE_S)
-
-    @classmethod
-    def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """Light takes no time."""
-        return RecordedPing(echo_s, raw, READY_S)
 
 
 def _registers(bus: Bus, address: int, register: int, count: int) -> bytes:

@@ -10,7 +10,7 @@ without power.
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Decoded, Status
-from msp_range.sensors.base import POLL_INTERVAL_S, Driver, FoundDevice, RecordedPing, acknowledges, stranger
+from msp_range.sensors.base import POLL_INTERVAL_S, Driver, FoundDevice, acknowledges, stranger
 
 COMMAND_RANGE = b"\x51"
 ANSWER_BYTES = 2
@@ -43,10 +43,6 @@ TRIES = 5
 
 PART_INFO = 0x012C
 """Answer before the first ping; the real bytes are not documented, these look like 300 cm."""
-READY_S = 0.020
-"""A measurement ends this long plus the time of flight after its ping [s]; assumed, also by the simulator."""
-NO_ECHO_READY_S = 0.067
-"""Duration of a full cycle, after which a sensor without an echo answers [s]."""
 
 
 def decode(answer: bytes, *, pinged: bool = True) -> Decoded:
@@ -194,15 +190,6 @@ class MB1242(Driver):
         lost = [high << 8 | raw for high in (1, 2)]
         mixed = [high << 8 | raw & ~high for high in (1, 2) if raw & high]
         return tuple([answer for answer in dict.fromkeys([*lost, *mixed]) if answer < NO_ECHO_CM])
-
-    @classmethod
-    def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """The ping was half the time of flight before the echo, if there was one."""
-        is_range = raw is not None and MINIMUM_CM <= raw < NO_ECHO_CM
-        ping_s = echo_s - (0.5 * ECHO_S_PER_CM * raw if raw is not None and is_range else 0.0)
-        # A clock fault sets one bit of an answer, but not its time.
-        echo_cm = (raw or 0) % CLOCK_FAULT_BIT
-        return RecordedPing(ping_s, raw, READY_S + ECHO_S_PER_CM * echo_cm if echo_cm < NO_ECHO_CM else NO_ECHO_READY_S)
 
 
 def _soonest_s(answer: bytes) -> float:

@@ -24,11 +24,6 @@ DRIVERS: dict[str, type[Driver]] = {
 of readings without an airframe, or a device at an address that is not any driver's default."""
 
 
-def default_driver() -> type[Driver]:
-    """The default driver, for sensors whose kind is not stated."""
-    return next(iter(DRIVERS.values()))
-
-
 def driver_names() -> list[str]:
     """Names that a model file may use."""
     return [*DRIVERS, *sorted(installed(GROUP).keys() - DRIVERS.keys()), NONE]
@@ -57,9 +52,9 @@ def find_driver(name: str) -> type[Driver] | None:
 
 
 def drivers_at(address: int) -> list[type[Driver]]:
-    """Kinds of sensors that may be at an address: those with this default address, then the default driver."""
-    kinds = [kind for kind in _all_drivers() if kind.default_address == address]
-    return list(dict.fromkeys([*kinds, default_driver()]))
+    """Kinds of sensors that may be at an address: those with this default address, then the first of all."""
+    kinds = [*_all_drivers()]
+    return list(dict.fromkeys([*(kind for kind in kinds if kind.default_address == address), kinds[0]]))
 
 
 def longest_busy_s() -> float:

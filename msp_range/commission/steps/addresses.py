@@ -30,11 +30,6 @@ of it (upside down, or across two chairs). You will be asked to cover each senso
 names that you have written on them or on their wires, and keep the other hand and the arm away from the others."""
 
 
-def near_share(readings: SensorReadings) -> float:
-    """Share of the answers that say that something is right in front of the sensor."""
-    return float(_within(readings, NEAR_M).mean())
-
-
 def _within(readings: SensorReadings, distance_m: float) -> Flags:
     return np.isin(readings.status, "at_minimum") | (readings.range_m < distance_m)
 
@@ -57,7 +52,7 @@ def covered(during: Samples) -> str | None:
     during
         What was received while a hand covered one sensor.
     """
-    shares = {name: near_share(readings) for name, readings in during.readings.items()}
+    shares = {name: float(_within(readings, NEAR_M).mean()) for name, readings in during.readings.items()}
     first = max(shares, key=lambda name: shares[name], default=None)
     others = [share for name, share in shares.items() if name != first]
     clear = first is not None and shares[first] >= COVERED_SHARE and max(others, default=0.0) <= FREE_SHARE

@@ -3,7 +3,7 @@
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.reading import Decoded, Status
-from msp_range.sensors.base import Driver, FoundDevice, RecordedPing, stranger
+from msp_range.sensors.base import Driver, FoundDevice, stranger
 
 RANGE_COMMAND = b"\x01"
 ADDRESS_COMMAND = 0x02
@@ -52,12 +52,6 @@ class Acme(Driver):
     def move(cls, bus: Bus, clock: Clock, old: int, new: int) -> None:
         """Give it another address, at once."""
         bus.write(old, bytes([ADDRESS_COMMAND, new]))
-
-    @classmethod
-    def recorded_ping(cls, echo_s: float, raw: int | None) -> RecordedPing:
-        """Sound takes 58 us per centimetre there and back; the echo came half of that after the ping."""
-        flight_s = 58e-6 * (raw if raw is not None and raw != MAXIMUM_CM else 0)
-        return RecordedPing(echo_s - flight_s / 2, raw, RANGING_S)
 
     @classmethod
     def playback(cls) -> "_Playback":
