@@ -19,7 +19,26 @@ from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
 
 def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
     """The airframe's sensors on a bus, by name."""
-    return {sensor.name: _polled(sensor, bus, airframe.polling.adaptive) for sensor in airframe.sensors}
+    polled = {}
+    for sensor in airframe.sensors:
+        model = sensor.sensor_model
+        # Rounding to whole centimetres adds its variance.
+        std_m = math.sqrt(model.reading_model.sigma_cm**2 + model.answered_cm**2 / 12) / 100
+        polled[sensor.name] = PolledSensor(
+            sensor.name,
+            sensor.driver(bus, sensor.address),
+            answer_timing(model, airframe.polling.adaptive),
+            std_m,
+            model.reading_model.sigma_growth_cm_per_m / 100,
+        )
+    return polled
+
+
+def answer_timing(model: SensorModel, adaptive: bool = True) -> AnswerTiming:
+    """When a sensor is asked after a ping: from its shortest report on, or only at its deadline."""
+    timing = model.timing
+    first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm if adaptive else timing.deadline_s
+    return AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
 
 
 def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
@@ -41,21 +60,6 @@ def polling_interval_s(airframe: Airframe) -> float:
     if interval_s is not None:
         return interval_s
     return max(sensor.sensor_model.timing.ping_interval_s for sensor in airframe.sensors)
-
-
-def _polled(sensor: SensorSettings, bus: Bus, adaptive: bool) -> PolledSensor:
-    model = sensor.sensor_model
-    timing = model.timing
-    first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm if adaptive else timing.deadline_s
-    # Rounding to whole centimetres adds its variance.
-    std_m = math.sqrt(model.reading_model.sigma_cm**2 + model.answered_cm**2 / 12) / 100
-    return PolledSensor(
-        sensor.name,
-        sensor.driver(bus, sensor.address),
-        AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100),
-        std_m,
-        model.reading_model.sigma_growth_cm_per_m / 100,
-    )
 
 
 def windows_of(airframe: Airframe) -> Windows:

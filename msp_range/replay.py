@@ -6,7 +6,7 @@ change to a filter or a gate is tried on what really happened.
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -75,7 +75,7 @@ class RecordedOrder:
         first_s = min(ping.ping_s for ping, _ in pings)
         # Both times count from the ping. The first try to read is the one that succeeded, whatever the interval was.
         return first_s, [
-            replace(each, timing=replace(each.timing, first_answer_s=ping.ready_s))
+            each._replace(timing=each.timing._replace(first_answer_s=ping.ready_s))
             for ping, each in pings
             if ping.ping_s - first_s <= TOGETHER_S
         ]

@@ -44,6 +44,7 @@ class Changepoint:
 
     def __init__(self, likelihood: "RangeLikelihood") -> None:
         self._likelihood = likelihood
+        self._time_s: float | None = None
         self.reset()
 
     def update(self, time_s: float, measured: Estimate) -> Estimate | None:
@@ -65,4 +66,4 @@ class Changepoint:
         from msp_range.filters.runs import RunHistories
 
         self._runs = RunHistories(self._likelihood, 1)
-        self._time_s: float | None = None
+        self._time_s = None

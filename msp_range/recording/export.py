@@ -86,8 +86,8 @@ def measured_data(recording: Recording, *, faults: bool = True, stages: bool = F
     lags_ms = neighbour_lags_ms(np.array(pings_s, dtype=float), sensors, numbered(np.array(runs)))
     for row, lag_ms in zip(rows, lags_ms.tolist(), strict=True):
         row.setdefault("neighbour_lag_ms", round(lag_ms, 3))
-    names = dict.fromkeys(["time_s", "sensor", "run", "reading_cm", "true_range_cm"])
-    names |= dict.fromkeys(name for row in rows for name in row)
+    first = ("time_s", "sensor", "run", "reading_cm", "true_range_cm")
+    names = dict.fromkeys([*first, *(name for row in rows for name in row)])
     if len(names) > MOST_COLUMNS:
         raise RecordingError(f"{recording.path}: found {len(names)} kinds of context, expected at most {MOST_COLUMNS}")
     return table_of(str(recording.path), rows, names)

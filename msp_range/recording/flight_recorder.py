@@ -77,8 +77,7 @@ class FlightRecorder:
     ) -> None:
         self.fault: str | None = None
         self.path: Path | None = None
-        self._folder = folder
-        self._name = file_stem(vehicle)
+        self._open = partial(new_recording, folder, file_stem(vehicle))
         self._clock = clock
         self._files = files
         self._on_file = on_file
@@ -136,7 +135,7 @@ class FlightRecorder:
 
     def _begin(self) -> Recorder:
         self._is_reported = False
-        file = BackgroundFile(partial(new_recording, self._folder, self._name, self._clock.utc()))
+        file = BackgroundFile(partial(self._open, self._clock.utc()))
         return Recorder(file, self._clock, files=self._files)
 
     def _end(self, recorder: Recorder) -> None:

@@ -137,8 +137,7 @@ def _of_recording(recording: Recording) -> Recorded:
                 sensor = topic.removeprefix(RANGE_PREFIX)
                 pings.setdefault(sensor, []).append(RecordedPing(message["ping_s"], word, ready_s))
     for sensor, of_sensor in pings.items():
-        ping_s = np.array([ping.ping_s for ping in of_sensor])
-        words = np.array([math.nan if ping.word is None else float(ping.word) for ping in of_sensor])
+        ping_s, words, _ = np.array(of_sensor, dtype=float).T  # None becomes NaN
         _check(recording.path, sensor, ping_s, words, ("ping_s", "raw"))
     return Recorded(pings, air, sorted(received, key=itemgetter(0)))
 

@@ -5,7 +5,6 @@ changes them, its default address, how its address is changed, and how it behave
 """
 
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
 from msp_range.bus import Bus, BusError
@@ -47,8 +46,7 @@ class RangeSensor(Protocol):
         """The measurement's result; raises BusError while there is none."""
 
 
-@dataclass(frozen=True, slots=True)
-class FoundDevice:
+class FoundDevice(NamedTuple):
     """A device that acknowledged."""
 
     address: int

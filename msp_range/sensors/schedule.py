@@ -8,7 +8,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from pydantic import Field
 
@@ -29,8 +29,7 @@ RETRY_S = 2.0
 acknowledges its ping takes a turn from the others each time, one in twenty at 100 ms."""
 
 
-@dataclass(frozen=True, slots=True)
-class AnswerTiming:
+class AnswerTiming(NamedTuple):
     """Times at which a sensor can be read, relative to its ping [s]."""
 
     first_answer_s: float
@@ -41,8 +40,7 @@ class AnswerTiming:
     """Two-way time of flight that the sensor assumes per metre of range [s/m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class PolledSensor:
+class PolledSensor(NamedTuple):
     """A sensor with its name in the airframe, its timing, and the spread of its readings.
 
     The standard deviation of a reading of range z is sqrt(std_m^2 + (std_growth z)^2) [m]; None: unknown.

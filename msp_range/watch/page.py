@@ -30,7 +30,7 @@ class PageProcess:
 
     def __init__(self, listen: str, socket: Path, now_s: float, log: Log) -> None:
         program = [sys.executable, "-m", "msp_range.web", listen]
-        self._command = [*program, "--socket", str(socket), "--log", log.form, "--end-with-stdin"]
+        self._command = [*program, "--socket", str(socket), "--log", log.form]
         self._log = log
         self._process: subprocess.Popen[bytes] | None = None
         self._start_s = now_s + START_S

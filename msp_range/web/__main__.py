@@ -13,18 +13,17 @@ from msp_range.yaml_file import ConfigError
 
 
 def main() -> int:
-    """Serve until standard input ends or a signal arrives."""
+    """Serve until standard input ends, as with the bridge, or a signal arrives."""
     parser = argparse.ArgumentParser(prog="python -m msp_range.web")
     parser.add_argument("listen", metavar="[HOST:]PORT")
     parser.add_argument("--socket", type=Path, required=True)
     parser.add_argument("--log", choices=["text", "json"], default="text")
-    parser.add_argument("--end-with-stdin", action="store_true")
     options = parser.parse_args()
     log = Log(options.log)
     try:
         listen = parse_listen(options.listen)
         page = Page(options.socket, token_for(listen))
-        asyncio.run(page.serve(listen, options.end_with_stdin, lambda url: log.info("web page", url=url)))
+        asyncio.run(page.serve(listen, lambda url: log.info("web page", url=url)))
     except KeyboardInterrupt:
         pass
     except (ConfigError, OSError) as error:

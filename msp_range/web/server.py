@@ -75,15 +75,13 @@ class Page:
         self._registry.register(BridgeMetrics(self._newest))
         self._files = {file.name: file.read_bytes() for file in (files("msp_range.web") / "static").iterdir()}
 
-    async def serve(self, listen: Listen, ends_with_stdin: bool, on_ready: Callable[[str], None]) -> None:
-        """Serve until SIGTERM, SIGINT or, if wanted, the end of standard input.
+    async def serve(self, listen: Listen, on_ready: Callable[[str], None]) -> None:
+        """Serve until SIGTERM, SIGINT or the end of standard input.
 
         Parameters
         ----------
         listen
             Host and port.
-        ends_with_stdin
-            Whether to end when standard input does.
         on_ready
             Called with the page's address.
 
@@ -96,8 +94,7 @@ class Page:
         loop = asyncio.get_running_loop()
         for signum in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(signum, stop.set)
-        if ends_with_stdin:
-            loop.add_reader(sys.stdin.fileno(), stop.set)
+        loop.add_reader(sys.stdin.fileno(), stop.set)
         async with serve(
             self._on_browser,
             listen.host,

@@ -92,7 +92,7 @@ def options_of(*commands: Any) -> list[set[str]]:
 
 
 DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-NO_OPTIONS = {"--help", "--before-", "--end-with-stdin", "--nthreads", "--nworkers", "--start", "--end", "--now"}
+NO_OPTIONS = {"--help", "--before-", "--nthreads", "--nworkers", "--start", "--end", "--now"}
 """Options of every command, of programs of others (Dask, mcap, systemctl), and what only looks like one."""
 INTAKE = ("import", "gap", "compare")
 """Commands that read measurements: a hint of what they share has to hold in each of them."""

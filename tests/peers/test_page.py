@@ -113,7 +113,7 @@ def browser(url: str, **options: Any) -> Iterator[tuple[Page, list[str]]]:
 def page_alone(listen: str, feed: Path, stderr: int) -> Iterator[subprocess.Popen[str]]:
     """A page's process without a bridge's help, which ends with the block also where a check in it fails."""
     command = [str(COMMAND.with_name("python")), "-m", "msp_range.web", listen, "--socket", str(feed)]
-    with subprocess.Popen(command, stderr=stderr, text=True) as server:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=stderr, text=True) as server:
         try:
             yield server
         finally:

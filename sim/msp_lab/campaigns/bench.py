@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 from msp_lab.campaigns.campaign import Campaign
 from msp_lab.campaigns.plan import Point
+from msp_range.assembly import answer_timing
 from msp_range.bus import Bus, BusError
 from msp_range.bus.smbus import BusInUse, KernelBus
 from msp_range.clock import Clock, SystemClock
@@ -19,7 +20,7 @@ from msp_range.correction.thermometer import Sample, ThreadReader
 from msp_range.reading import Decoded
 from msp_range.sensors.base import RangeSensor
 from msp_range.sensors.polling import Poller, Ranging
-from msp_range.sensors.schedule import AnswerTiming, PolledSensor, RoundRobin
+from msp_range.sensors.schedule import PolledSensor, RoundRobin
 from msp_range.yaml_file import ConfigError
 
 Columns = Mapping[str, float | str]
@@ -173,13 +174,9 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
     interval_s = 0.0
     for name in point.setup.sensors:
         sensor = campaign.sensor(name)
-        model = sensor.sensor_model
-        timing = model.timing
         devices[name] = _RecordedSensor(name, sensor.driver(bus, sensor.address), clock, pings_s)
-        first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm
-        asked = AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
-        polled.append(PolledSensor(name, devices[name], asked))
-        interval_s = max(interval_s, timing.ping_interval_s)
+        polled.append(PolledSensor(name, devices[name], answer_timing(sensor.sensor_model)))
+        interval_s = max(interval_s, sensor.sensor_model.timing.ping_interval_s)
     groups = [polled] if point.firing == "simultaneous" else [[each] for each in polled]
     start_s = clock.now()
     # The order of the pings is part of the set-up: a sensor that does not answer keeps its slot.

@@ -1,7 +1,9 @@
 """Who may see the page of a running bridge, and where it listens."""
 
 import asyncio
+import os
 import socket
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,14 +56,15 @@ def test_a_page_for_this_computer_is_seen_by_its_own_name_only(
 )
 @pytest.mark.parametrize("token", [None, "secret"])
 def test_a_request_without_a_clear_address_is_refused(
-    head: str, token: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    head: str, token: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It was an error of the server with a traceback, and came before the token was asked for."""
+    ends, bridge = os.pipe()
 
     async def answer(port: int) -> bytes:
         page = Page(tmp_path / "none", token)
         ready = asyncio.Event()
-        serving = asyncio.create_task(page.serve(Listen("127.0.0.1", port), False, lambda _: ready.set()))
+        serving = asyncio.create_task(page.serve(Listen("127.0.0.1", port), lambda _: ready.set()))
         await ready.wait()
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(f"{head}\r\n\r\n".encode())
@@ -71,7 +74,9 @@ def test_a_request_without_a_clear_address_is_refused(
         await asyncio.gather(serving, return_exceptions=True)
         return received
 
-    status_line = asyncio.run(answer(free_port(socket.SOCK_STREAM))).split(b"\r\n")[0]
+    with open(ends) as stdin, open(bridge, "w"):
+        monkeypatch.setattr(sys, "stdin", stdin)
+        status_line = asyncio.run(answer(free_port(socket.SOCK_STREAM))).split(b"\r\n")[0]
     assert status_line.split()[1] in (b"400", b"401", b"403")
     assert [record for record in caplog.records if record.exc_info] == []
 
