@@ -199,6 +199,8 @@ class Bridge:
     ----------
     airframe
         The vehicle.
+    air
+        The air that sound travels through now.
     started_s
         When it was made [s].
     sensor_watch_off
@@ -239,7 +241,7 @@ class Bridge:
         self._temperature = AirTemperature(
             airframe.temperature, now_s, thermometer or LoopReader(), airframe.maximum_by_sound_m
         )
-        self._air = self._temperature.now(now_s)
+        self.air = self._temperature.now(now_s)
         self._recorded_air = air
         sources = airframe.temperature.sources
         asked = {source.message: TEMPERATURE_REQUEST_HZ for source in sources if isinstance(source, MavlinkSource)}
@@ -275,11 +277,6 @@ class Bridge:
         self._reminder = Reminder()
         self.verdict = BridgeVerdict(BridgeState.STARTING)
         self._fused_is_sent = False
-
-    @property
-    def air(self) -> Air:
-        """The air that sound travels through now."""
-        return self._air
 
     @property
     def sensor_findings(self) -> Sequence[SensorFinding]:
@@ -327,7 +324,7 @@ class Bridge:
         """Correct, fuse, filter, send and record one reading."""
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
-        vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self._air
+        vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self.air
         if abs(vehicle_air.sonic_c - self._limits_c) > LIMITS_FOLLOW_C:
             self._set_limits(vehicle_air.sonic_c)
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
@@ -448,7 +445,7 @@ class Bridge:
         self._next_conditions_s = min(now_s + CONDITIONS_INTERVAL_S, self._output.next_event_s(now_s))
         conditions = [self._bus_health.condition(), *self.link.conditions()]
         if self._recorded_air is None:
-            self._air = self._temperature.now(now_s)
+            self.air = self._temperature.now(now_s)
             conditions += self._temperature.conditions(now_s)
         finding = self.sensor_findings[-1] if self.sensor_findings else None
         conditions += self._output.conditions(now_s, self.health.failing_sensors, finding)

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from msp_range.options import AirframeFile, LinkOption, PortOption
+from msp_range.params.cli import params, sign
 from msp_range.recordings_cli import export, layout, recover, replay, tune
 from msp_range.user_errors import EXIT_COMMAND_LINE, Commands, VersionOption
-from msp_range.yaml_file import ConfigError, write_file
+from msp_range.yaml_file import ConfigError
 
 if TYPE_CHECKING:
     from msp_range.sensors.base import Driver
@@ -38,8 +40,6 @@ def _options(version: VersionOption = False) -> None:
     """Options of the program itself."""
 
 
-AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
-LinkOption = Annotated[str | None, typer.Option(help="link URL instead of the airframe's")]
 BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
 SocketOption = Annotated[
     Path | None,
@@ -48,12 +48,6 @@ SocketOption = Annotated[
 DriverOption = Annotated[
     str | None,
     typer.Option("--driver", help="driver name, as in sensor model files; default: by the sensor's address"),
-]
-PortOption = Annotated[
-    int,
-    typer.Option(
-        min=0, max=9, help="the autopilot's port with the bridge: n of ArduPilot's SERIALn (0 to 9), of PX4's TELEM n"
-    ),
 ]
 
 
@@ -225,94 +219,8 @@ def status(
     raise typer.Exit(show(socket, once, json_lines))
 
 
-@app.command()
-def params(
-    airframe_file: AirframeFile,
-    out: Annotated[Path | None, typer.Option(help="file to write (.parm) instead of printing")] = None,
-    vehicle: Annotated[
-        Literal["copter", "plane", "sub", "rover"], typer.Option(help="ArduPilot's vehicle, where none is connected")
-    ] = "copter",
-    before_4_7: Annotated[bool, typer.Option("--before-4.7", help="names and units of ArduPilot before 4.7")] = False,
-    port: PortOption = 2,
-    compare: Annotated[bool, typer.Option("--compare", help="compare with the connected autopilot's values")] = False,
-    write: Annotated[bool, typer.Option("--write", help="set them, with a question for each change")] = False,
-    restore: Annotated[Path | None, typer.Option(help="set the values of this file (.parm) instead")] = None,
-    link: LinkOption = None,
-) -> None:
-    """Print the autopilot's parameters for an airframe, compare them with the autopilot's, or set them there.
-
-    Parameters are set only while the vehicle is disarmed. Exit code 1: --compare found differences.
-    """
-    from msp_range.clock import SystemClock
-    from msp_range.config import load_airframe
-    from msp_range.params import commands
-    from msp_range.params.settings import Firmware
-
-    if compare + write + (restore is not None) > 1:
-        raise ConfigError("--compare, --write and --restore: give one of them")
-    airframe = load_airframe(airframe_file).changed(link=link)
-    if not (compare or write or restore):
-        text = commands.file_text(airframe, Firmware(airframe.link.autopilot, vehicle, before_4_7), port)
-        print(text, end="") if out is None else _save(out, text)
-        return
-    to_restore = None if restore is None else commands.restored(restore)
-    clock = SystemClock()
-    client = commands.connect(airframe, clock)
-    firmware, settings = commands.wanted(airframe, client, port)
-    if out is not None:
-        _save(out, commands.file_text(airframe, firmware, port))
-    if to_restore is not None:
-        settings = to_restore
-    changes = commands.differences(client, settings)
-    print(f"{firmware}: {len(settings) - len(changes)} of {len(settings)} parameters are as they should be")
-    if not (write or restore):
-        for change in changes:
-            print(commands.described(change))
-        raise typer.Exit(bool(changes))
-    undo = commands.undo_path(clock)
-    done = commands.write(client, changes, lambda text: typer.confirm(f"{text}\nSet it?"), undo, airframe.vehicle)
-    if done:
-        print(f"{len(done)} set. Restart the autopilot. To undo: msp-range params {airframe_file} --restore {undo}")
-
-
-def _save(path: Path, text: str) -> None:
-    write_file(path, text)
-    print(f"written: {path}")
-
-
-@app.command()
-def sign(
-    airframe_file: AirframeFile,
-    passphrase: Annotated[
-        bool,
-        typer.Option("--passphrase", help="make the key from a passphrase, as ground stations do; default: at random"),
-    ] = False,
-    remove: Annotated[bool, typer.Option("--remove", help="make the autopilot accept unsigned messages again")] = False,
-    link: LinkOption = None,
-) -> None:
-    """Make a key for MAVLink signing, and give it to the connected autopilot. The key is never printed.
-
-    The key's file is the airframe's link.signing_key; one that exists is used. Only while the vehicle is disarmed. Send
-    keys over a cable, since whoever reads along has the key.
-    """
-    from msp_range.clock import SystemClock
-    from msp_range.config import load_airframe
-    from msp_range.params import keys
-
-    airframe = load_airframe(airframe_file).changed(link=link)
-    key_file = keys.key_file(airframe)
-    if remove:
-        keys.give(airframe, SystemClock(), removes=True)
-        print(f"the autopilot does not sign any more; take link.signing_key out of {airframe_file}")
-        return
-    if not key_file.exists():
-        text = typer.prompt("passphrase", hide_input=True, confirmation_prompt=True) if passphrase else None
-        keys.make(key_file, text)
-        print(f"made: {key_file}")
-    elif passphrase:
-        raise ConfigError(f"{key_file}: there is a key already; remove the file to make another one")
-    keys.give(airframe, SystemClock())
-    print("the autopilot signs with this key; restart the bridge to sign too")
+app.command()(params)
+app.command()(sign)
 
 
 @app.command()

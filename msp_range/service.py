@@ -12,7 +12,8 @@ import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -113,9 +114,8 @@ def received_signals(*signals: signal.Signals) -> Iterator[list[int]]:
             signal.signal(signum, handler)
 
 
-def stop_signals() -> AbstractContextManager[list[int]]:
-    """Context in which SIGTERM and SIGINT are added to the list instead of ending the program."""
-    return received_signals(signal.SIGTERM, signal.SIGINT)
+stop_signals = partial(received_signals, signal.SIGTERM, signal.SIGINT)
+"""Context in which SIGTERM and SIGINT are added to the list instead of ending the program."""
 
 
 def flight_recorder(

@@ -41,15 +41,15 @@ def parm_text(heading: Iterable[str], settings: Sequence[Setting]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_parm(path: Path) -> dict[str, float]:
-    """Names and values of a file.
+def restored(path: Path) -> list[Setting]:
+    """The settings of a file, such as one that `write` left.
 
     Raises
     ------
     ConfigError
         It cannot be read, or a line is no parameter.
     """
-    values = {}
+    values: dict[str, float] = {}
     for number, line in enumerate(read_config(path).splitlines(), start=1):
         words = line.split("#")[0].replace(",", " ").split()
         if not words:
@@ -59,7 +59,7 @@ def read_parm(path: Path) -> dict[str, float]:
             values[name] = float(value)
         except ValueError:
             raise ConfigError(f"{path}:{number}: found {line!r}; expected NAME,VALUE") from None
-    return values
+    return [Setting(name, value, "as it was", str(path)) for name, value in values.items()]
 
 
 class Difference(NamedTuple):
@@ -122,14 +122,10 @@ def differences(client: ParameterClient, some: Sequence[Setting]) -> list[Differ
     ]
 
 
-def heading(airframe: Airframe, firmware: Firmware) -> list[str]:
-    """First lines of a file of parameters."""
-    return [f"{airframe.vehicle}: parameters of {firmware} for msp-range, in this order.", *remarks(airframe, firmware)]
-
-
 def file_text(airframe: Airframe, firmware: Firmware, port: int) -> str:
     """The file of parameters of an airframe."""
-    return parm_text(heading(airframe, firmware), settings(airframe, firmware, port))
+    first = f"{airframe.vehicle}: parameters of {firmware} for msp-range, in this order."
+    return parm_text([first, *remarks(airframe, firmware)], settings(airframe, firmware, port))
 
 
 def described(difference: Difference) -> str:
@@ -138,11 +134,6 @@ def described(difference: Difference) -> str:
     if found is None:
         return f"{setting.name}: not known by this autopilot; expected {text_of(setting.value)} ({setting.reason})"
     return f"{setting.name}: {text_of(found)} -> {text_of(setting.value)}: {setting.reason} ({setting.source})"
-
-
-def restored(path: Path) -> list[Setting]:
-    """The settings of a file, such as one that `write` left."""
-    return [Setting(name, value, "as it was", str(path)) for name, value in read_parm(path).items()]
 
 
 def write(

@@ -14,9 +14,8 @@ from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX
 
-USED, FILTERED, FUSED = "#1f77b4", "#2ca02c", "#9467bd"
+_CURVES = {"corrected_m": "#1f77b4", "filtered_m": "#2ca02c", "range_m": "#9467bd"}
 """Colours of corrected readings, filtered ones and the fused distance, which the colour-blind distinguish too."""
-_CURVES = {"corrected_m": USED, "filtered_m": FILTERED, "range_m": FUSED}
 
 
 class Plot(NamedTuple):

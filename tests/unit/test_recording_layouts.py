@@ -8,9 +8,12 @@ import pytest
 from foxglove import layouts
 
 from msp_range.recording.error import RecordingError
-from msp_range.recording.layouts import FILTERED, FUSED, USED, foxglove, plotjuggler, plots_of
+from msp_range.recording.layouts import foxglove, plotjuggler, plots_of
 from msp_range.recording.reader import Recording
 from tests.unit.test_recording_export import reading, recorded
+
+USED, FILTERED, FUSED = "#1f77b4", "#2ca02c", "#9467bd"
+"""Colours of corrected readings, filtered ones and the fused distance."""
 
 
 @pytest.fixture
