@@ -33,14 +33,13 @@ def rotation_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Matrix
 
 def down_axis(roll_rad: float, pitch_rad: float) -> Vector:
     """Last row of `rotation_matrix`: straight down in the body's frame."""
-    cp = math.cos(pitch_rad)
-    return (-math.sin(pitch_rad), cp * math.sin(roll_rad), cp * math.cos(roll_rad))
+    return rotation_matrix(roll_rad, pitch_rad, 0.0)[2]
 
 
 def boresight(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:
     """First column of `rotation_matrix`: the direction in which the sensor looks, body FRD."""
-    cp = math.cos(pitch_rad)
-    return (math.cos(yaw_rad) * cp, math.sin(yaw_rad) * cp, -math.sin(pitch_rad))
+    first, second, third = rotation_matrix(roll_rad, pitch_rad, yaw_rad)
+    return first[0], second[0], third[0]
 
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:

@@ -23,10 +23,8 @@ class ChangepointParameters(Section):
     filter: Literal["changepoint"]
     """the word changepoint"""
 
-    def make(self, sensor: SensorModel | None = None) -> "Changepoint":
+    def make(self, sensor: SensorModel) -> "Changepoint":
         """Make a filter in its initial state."""
-        if sensor is None:
-            raise ValueError("filter changepoint: requires the sensor model, whose reading model is its likelihood")
         # Imports numpy, which is not needed to check a file.
         from msp_range.filters.runs import RangeLikelihood
 

@@ -40,7 +40,7 @@ class KalmanParameters(Section):
     """readings further from the prediction than this many standard deviations are rejected until a second one agrees;
     null: none are"""
 
-    def make(self, sensor: SensorModel | None = None) -> "Kalman":
+    def make(self, sensor: SensorModel) -> "Kalman":
         """Make a filter in its initial state."""
         return Kalman(self)
 

@@ -20,7 +20,7 @@ class MedianParameters(Section):
     window: int = Field(3, ge=1, le=999)
     """number of readings (whole number, 1 to 999)"""
 
-    def make(self, sensor: SensorModel | None = None) -> Windowed:
+    def make(self, sensor: SensorModel) -> Windowed:
         """Make a filter in its initial state."""
         return Windowed(self.window, _median)
 

@@ -18,7 +18,7 @@ class MovingAverageParameters(Section):
     window: int = Field(5, ge=1, le=1000)
     """number of readings (whole number, 1 to 1000)"""
 
-    def make(self, sensor: SensorModel | None = None) -> Windowed:
+    def make(self, sensor: SensorModel) -> Windowed:
         """Make a filter in its initial state."""
         return Windowed(self.window, _mean)
 

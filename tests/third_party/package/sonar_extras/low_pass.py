@@ -18,7 +18,7 @@ class LowPassParameters(Section):
     time_constant_s: float = Field(0.3, gt=0, le=10)
     """tau [s]"""
 
-    def make(self, sensor: SensorModel | None = None) -> "LowPass":
+    def make(self, sensor: SensorModel) -> "LowPass":
         """A filter in its starting state."""
         return LowPass(self.time_constant_s)
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_range.filters.base import Estimate
-from msp_range.filters.changepoint import Changepoint, ChangepointParameters
+from msp_range.filters.changepoint import Changepoint
 from msp_range.filters.runs import RangeLikelihood, RunHistories, rounding_bias_m2
 
 STD_M = 0.02
@@ -181,8 +181,3 @@ def test_rounding_leaves_an_error_that_no_averaging_takes_away() -> None:
         readings = np.round((place_m[:, None] + rng.normal(0.0, std_m, (200, 4000))) / 0.01) * 0.01
         bias_m = readings.mean(axis=1) - place_m
         assert rounding_bias_m2(std_m, 0.01) == pytest.approx(bias_m.var(), rel=0.02, abs=1e-8)
-
-
-def test_it_needs_the_sensor_model() -> None:
-    with pytest.raises(ValueError, match="sensor model"):
-        ChangepointParameters(filter="changepoint").make()

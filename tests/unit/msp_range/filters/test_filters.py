@@ -13,7 +13,9 @@ from msp_range.filters.kalman import START_SPEED_STD_M_S, KalmanParameters
 from msp_range.filters.median import MedianParameters
 from msp_range.filters.moving_average import MovingAverageParameters
 from msp_range.reading import Reading, Status
+from msp_range.reading_model.sensor_model import load_sensor_model
 
+SENSOR = load_sensor_model("mb1242")
 SIGMA_M = 0.0195
 VARIANCE_M2 = SIGMA_M**2
 GENERATOR = np.random.default_rng(20)
@@ -38,7 +40,7 @@ def run(one: Filter, ranges_m: Sequence[float] = tuple(RANGES_M), times_s: Seque
     [(MovingAverageParameters, np.mean, 1.0), (MedianParameters, np.median, math.pi / 2)],
 )
 def test_moving_window(make: Any, statistic: Callable[[Any], float], factor: float, window: int) -> None:
-    one = make(filter=make.model_fields["filter"].annotation.__args__[0], window=window).make()
+    one = make(filter=make.model_fields["filter"].annotation.__args__[0], window=window).make(SENSOR)
     out = run(one)
     windows = [RANGES_M[max(0, i - window + 1) : i + 1] for i in range(len(RANGES_M))]
     np.testing.assert_allclose(out[:, 0], [statistic(each) for each in windows], rtol=1e-12)
@@ -53,13 +55,13 @@ def test_the_stated_variance_of_a_median_is_about_that_of_many_medians() -> None
     """(pi / 2) / M holds for large M; at 3 and 7 the true variances are 0.449 and 0.210 of one reading's."""
     for window, tolerance in [(3, 0.20), (7, 0.10)]:
         medians = np.median(np.random.default_rng(1).normal(size=(40_000, window)), axis=1)
-        one = MedianParameters(filter="median", window=window).make()
+        one = MedianParameters(filter="median", window=window).make(SENSOR)
         stated = run(one, [3.0] * window)[-1, 1] / VARIANCE_M2
         assert stated == pytest.approx(medians.var(), rel=tolerance)
 
 
 def kalman(**parameters: Any) -> Filter:
-    return KalmanParameters(filter="kalman", **parameters).make()
+    return KalmanParameters(filter="kalman", **parameters).make(SENSOR)
 
 
 @pytest.mark.parametrize("process_variance_cm2", [0.01, 1.0, 100.0])
@@ -179,7 +181,7 @@ def started(filters: list[Any], time_s: float, range_m: float, memory_s: float =
 
 @pytest.mark.parametrize("status", [status for status in Status if not status.has_range])
 def test_no_code_passes_the_gate_and_none_touches_a_filter(status: Status) -> None:
-    chain = started([MovingAverageParameters(filter="moving_average").make()], 0.0, 3.0)
+    chain = started([MovingAverageParameters(filter="moving_average").make(SENSOR)], 0.0, 3.0)
     assert chain.update(reading(0.4, None, status)) == Filtered(None, status.value)
     assert outcome(chain, 0.8, 4.5) == 3.5
 
@@ -192,13 +194,13 @@ def test_an_empty_chain_gives_the_reading_and_its_variance() -> None:
 
 def test_filters_run_in_order() -> None:
     median, mean = MedianParameters(filter="median", window=3), MovingAverageParameters(filter="moving_average")
-    chain = Chain([median.make(), mean.make()])
+    chain = Chain([median.make(SENSOR), mean.make(SENSOR)])
     out = [outcome(chain, ROUND_S * i, range_m) for i, range_m in enumerate([3.0, 3.0, 9.0, 3.0])]
     assert out == [UNCONFIRMED, 3.0, 3.0, 3.0]
 
 
 def test_what_a_filter_holds_back_goes_no_further() -> None:
-    chain = Chain([kalman(), MovingAverageParameters(filter="moving_average").make()])
+    chain = Chain([kalman(), MovingAverageParameters(filter="moving_average").make(SENSOR)])
     for i in range(5):
         outcome(chain, ROUND_S * i, 5.0)
     assert outcome(chain, 2.0, 1.0) == "unexpected"
@@ -252,7 +254,7 @@ def test_an_ordinary_reading_at_255_needs_no_prediction() -> None:
 
 @pytest.mark.parametrize(("gap_s", "forgotten"), [(1.4, False), (1.6, True)])
 def test_after_a_gap_the_filters_start_anew(gap_s: float, forgotten: bool) -> None:
-    chain = started([MovingAverageParameters(filter="moving_average").make()], 10.0, 3.0)
+    chain = started([MovingAverageParameters(filter="moving_average").make(SENSOR)], 10.0, 3.0)
     first, second = outcome(chain, 10.0 + gap_s, 4.5), outcome(chain, 10.1 + gap_s, 4.5)
     assert (first, second) == ((UNCONFIRMED, 4.5) if forgotten else (3.5, pytest.approx(3.75)))
 
@@ -283,7 +285,7 @@ def test_a_prediction_is_as_old_as_the_filters_memory_at_most(gap_s: float, pass
 def test_after_a_gap_every_filter_of_the_chain_starts_anew() -> None:
     both: list[Any] = [MedianParameters(filter="median", window=3), MovingAverageParameters(filter="moving_average")]
     for filters in (both, both[::-1]):
-        chain = Chain([parameters.make() for parameters in filters])
+        chain = Chain([parameters.make(SENSOR) for parameters in filters])
         for number in range(5):
             chain.update(Reading(0.1 * number, "a", Status.OK, 6.0, 0.02, 600))
         chain.update(Reading(2.9, "a", Status.OK, 1.0, 0.02, 100))
