@@ -123,6 +123,17 @@ class Records(Protocol):
         """Bring to the disk what was kept, where it is time."""
 
 
+class Replayed(Schedule, Protocol):
+    """A recorded flight that is played again: when who pings, and what was known of air and motion."""
+
+    def air_at(self, now_s: float) -> Air:
+        """The air at a time on the clock [s]."""
+
+    def received(self, now_s: float) -> Iterable[tuple[float, Received]]:
+        """Attitudes, accelerations and pressures that were received by a time and not before the last call, each with
+        its time [s]."""
+
+
 class _Channel:
     """What the bridge has of one sensor: its correction, its filters, and counts of its readings."""
 
@@ -185,13 +196,9 @@ class Bridge:
         Messages to ask the autopilot for: name -> rate [Hz].
     thermometer
         Reads the temperature sources that are files; None: in the loop.
-    schedule
-        Who pings when; None: the airframe's polling order.
-    air
-        The air at a time on the clock [s]; None: by the airframe's sources.
-    received
-        What of a recorded flight's attitudes, accelerations and pressures has been received by a time on the clock [s]
-        and was not before, with the time of each; None: they come from the autopilot.
+    replayed
+        A recorded flight; None: pings are in the airframe's polling order, the air is by its sources, and the autopilot
+        sends attitudes, accelerations and pressures.
     signing
         Signs and verifies messages; None: they are not signed.
 
@@ -224,9 +231,7 @@ class Bridge:
         on_message: Callable[[float, Any], None] | None = None,
         wanted: Mapping[str, float] | None = None,
         thermometer: LoopReader | None = None,
-        schedule: Schedule | None = None,
-        air: Callable[[float], Air] | None = None,
-        received: Callable[[float], Iterable[tuple[float, Received]]] | None = None,
+        replayed: Replayed | None = None,
         signing: Signing | None = None,
     ) -> None:
         self.airframe = airframe
@@ -234,20 +239,17 @@ class Bridge:
         self.started_s = self.completed_s = self._next_conditions_s = now_s = clock.now()
         self._recorder = recorder
         self._publish: Callable[[str, float, dict[str, Any]], None] | None = None
-        self._report = report
-        self._report_message = on_message
+        self._report, self._report_message = report, on_message
         windows = windows_of(airframe)
         self._channels = {sensor.name: _Channel(sensor, airframe, windows.memory_s) for sensor in airframe.sensors}
         self._temperature = AirTemperature(
             airframe.temperature, now_s, thermometer or LoopReader(), airframe.maximum_by_sound_m
         )
         self.air = self._temperature.now(now_s)
-        self._recorded_air = air
+        self._replayed = replayed
         sources = airframe.temperature.sources
         asked = {source.message: TEMPERATURE_REQUEST_HZ for source in sources if isinstance(source, MavlinkSource)}
-        self._attitude = AttitudeTrack()
-        self._motion = VerticalMotion()
-        self._received = received
+        self._attitude, self._motion = AttitudeTrack(), VerticalMotion()
         self._fusion = fusion_of(airframe, self._attitude, self._motion)
         self._fused_by_sound = any(sensor.sensor_model.medium == "sound" for sensor in airframe.downward)
         if self._fusion is not None:
@@ -262,7 +264,7 @@ class Bridge:
             system_id=airframe.link.system_id,
             signing=signing,
         )
-        self._schedule = schedule or polling_order(airframe, bus, now_s)
+        self._schedule = replayed or polling_order(airframe, bus, now_s)
         self._poller = Poller(bus, clock, self._schedule)
         self._streams = Streams({sensor.name: sensor.sensor_model.beam for sensor in airframe.sensors}, self._send)
         self._limits_c = float("inf")  # The first reading sets the limits of its air.
@@ -324,7 +326,7 @@ class Bridge:
         """Correct, fuse, filter, send and record one reading."""
         now_s = self._clock.now()
         channel = self._channels[ranging.reading.sensor]
-        vehicle_air = self._recorded_air(now_s) if self._recorded_air is not None else self.air
+        vehicle_air = self.air if self._replayed is None else self._replayed.air_at(now_s)
         if abs(vehicle_air.sonic_c - self._limits_c) > LIMITS_FOLLOW_C:
             self._set_limits(vehicle_air.sonic_c)
         air = vehicle_air if channel.by_sound else Air(channel.calibration_temperature_c, 0.0, NO_AIR)
@@ -332,8 +334,8 @@ class Bridge:
         boot_ms = self.link.autopilot_clock.time_boot_ms(reading.time_s)
         filtered, fused = Filtered(None), None
         if self._fusion is not None and channel.is_fused:
-            if self._received is not None:
-                for received_s, moved in self._received(now_s):
+            if self._replayed is not None:
+                for received_s, moved in self._replayed.received(now_s):
                     self._on_moved(received_s, moved)
             outcome = self._fusion.update(reading, now_s)
             reading, fused, filtered = outcome.reading, outcome.fused, Filtered(None, outcome.rejected)
@@ -444,7 +446,7 @@ class Bridge:
         # A usable message only defers the limit of silence: no check is later than one that is reached.
         self._next_conditions_s = min(now_s + CONDITIONS_INTERVAL_S, self._output.next_event_s(now_s))
         conditions = [self._bus_health.condition(), *self.link.conditions()]
-        if self._recorded_air is None:
+        if self._replayed is None:
             self.air = self._temperature.now(now_s)
             conditions += self._temperature.conditions(now_s)
         finding = self.sensor_findings[-1] if self.sensor_findings else None

@@ -5,7 +5,7 @@ change to a filter or a gate is tried on what really happened.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -60,11 +60,14 @@ class Nowhere:
         """Nothing to release."""
 
 
-class RecordedOrder:
-    """A `Schedule`: sensors ping when they did, and are asked when they answered."""
+class RecordedFlight:
+    """A record, played again (`msp_range.bridge.Replayed`): sensors ping when they did, and are asked when they
+    answered; air and motion were known when they were."""
 
-    def __init__(self, airframe: Airframe, bus: ReplayBus) -> None:
+    def __init__(self, airframe: Airframe, bus: ReplayBus, recorded: Recorded) -> None:
         self._bus = bus
+        self.air_at = recorded.air_at
+        self._coming = deque(recorded.received)
         self._sensors = {sensor.device.address: sensor for sensor in polled_sensors(airframe, bus).values()}
 
     def turn(self, last_ping_s: float, acknowledged: bool) -> tuple[float, Sequence[PolledSensor]]:
@@ -85,6 +88,11 @@ class RecordedOrder:
 
     def again(self, sensor: str) -> None:
         """Nothing: the record has no other ping of a sensor whose reading does not fit."""
+
+    def received(self, now_s: float) -> Iterator[tuple[float, Received]]:
+        """What of the vehicle's motion was received since the last call, by the time that it is now."""
+        while self._coming and self._coming[0][0] <= now_s:
+            yield self._coming.popleft()
 
 
 class PacedClock(SystemClock):
@@ -154,9 +162,7 @@ def replay(
         clock,
         transport,
         recorder=recorder,
-        schedule=RecordedOrder(airframe, bus),
-        air=recorded.air_at,
-        received=_received(recorded),
+        replayed=RecordedFlight(airframe, bus, recorded),
     )
     expected = sum(len(of_sensor) for of_sensor in pings.values())
     start_s = clock.now()
@@ -173,17 +179,6 @@ def replay(
     while clock.now() < end_s:
         bridge.step()
     return ReplayOutcome(bridge.counts(), fused, bridge.link.sent, end_s - start_s, bus.behind_s)
-
-
-def _received(recorded: Recorded) -> Callable[[float], Iterator[tuple[float, Received]]]:
-    """What of the vehicle's motion was received since the last call, by the time that it is now."""
-    coming = deque(recorded.received)
-
-    def received(now_s: float) -> Iterator[tuple[float, Received]]:
-        while coming and coming[0][0] <= now_s:
-            yield coming.popleft()
-
-    return received
 
 
 def show(outcome: ReplayOutcome, source: Path, losses: Losses | None = None) -> None:

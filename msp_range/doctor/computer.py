@@ -7,6 +7,7 @@ import grp
 import os
 import pwd
 import re
+import shutil
 import stat
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -49,12 +50,6 @@ def user_of_this_program() -> User:
     return User(name, os.geteuid(), frozenset([os.getegid(), *os.getgroups()]))
 
 
-def free_bytes(path: Path) -> int:
-    """Space that is left on the disk of an existing path."""
-    found = os.statvfs(path)
-    return found.f_bavail * found.f_frsize
-
-
 @dataclass(frozen=True)
 class Computer:
     """Facts of a computer."""
@@ -65,7 +60,7 @@ class Computer:
     """Who is to use its devices."""
     utc_s: Callable[[], float]
     """Its date [s since 1970]."""
-    free_bytes: Callable[[Path], int] = free_bytes
+    free_bytes: Callable[[Path], int] = lambda path: shutil.disk_usage(path).free
     """Space that is left on the disk of an existing path of this program."""
 
     def at(self, path: str | Path) -> Path:
@@ -104,10 +99,9 @@ class Computer:
         return seen
 
     @property
-    def raspberry_pi(self) -> str | None:
-        """The model, such as 'Raspberry Pi 4 Model B Rev 1.4'; None for another computer."""
-        model = self.text("/proc/device-tree/model") or ""
-        return model if "Raspberry Pi" in model else None
+    def is_raspberry_pi(self) -> bool:
+        """Whether it is a Raspberry Pi of any model."""
+        return "Raspberry Pi" in (self.text("/proc/device-tree/model") or "")
 
     @property
     def boot_config(self) -> str:

@@ -37,7 +37,7 @@ def _interface(computer: Computer, path: str) -> Iterator[Finding]:
 
 
 def _device_file(computer: Computer, path: str) -> Finding:
-    name, config, is_pi = path.removeprefix("/dev/"), computer.boot_config, computer.raspberry_pi
+    name, config, is_pi = path.removeprefix("/dev/"), computer.boot_config, computer.is_raspberry_pi
     others = computer.names("/dev/i2c-*")
     text = f"there is no {path}{'; there is ' * bool(others)}{', '.join(others)}"
     how = f"dtparam=i2c_arm=on,i2c_arm_baudrate={SLOW_HZ} in {config}"
@@ -100,7 +100,7 @@ def _port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
 
 def _there(computer: Computer, path: str) -> Finding:
     target, pins, other = (computer.target(each) for each in (path, "/dev/serial0", "/dev/serial1"))
-    is_there, is_pi, config = computer.exists(target), computer.raspberry_pi, computer.boot_config
+    is_there, is_pi, config = computer.exists(target), computer.is_raspberry_pi, computer.boot_config
     is_uart = is_pi and path.startswith(UARTS)
     ports = [name for pattern in PORTS for name in computer.names(pattern)]
     return first_of(

@@ -10,6 +10,7 @@ import errno
 import itertools
 import os
 import re
+import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
 from io import FileIO
@@ -155,8 +156,7 @@ def new_recording(folder: Path, name: str, utc_s: float) -> FileIO:
         The folder or file cannot be made, or less than `START_FREE_BYTES` are free.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    space = os.statvfs(folder)
-    if space.f_bavail * space.f_frsize < START_FREE_BYTES:
+    if shutil.disk_usage(folder).free < START_FREE_BYTES:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
     if utc_s >= EARLIEST_UTC_S:
         stem, first = f"{name}-{stamp_of(utc_s)}", 0

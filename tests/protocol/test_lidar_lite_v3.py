@@ -13,7 +13,7 @@ from msp_range.reading import Status
 from msp_range.recording.pings import read_recorded
 from msp_range.recording.replay_bus import ReplayBus
 from msp_range.recording.writer import Recorder
-from msp_range.replay import RecordedOrder
+from msp_range.replay import RecordedFlight
 from msp_range.sensors.addressing import change_address, check_new_address, scan
 from msp_range.sensors.base import AddressError, FoundDevice
 from msp_range.sensors.lidar_lite_v3 import LidarLiteV3
@@ -305,7 +305,7 @@ def test_it_flies_higher_than_sound_and_a_replay_has_the_same_answers(tmp_path: 
     vehicle = scenario.airframe
     clock = VirtualClock(first[0].time_s)
     bus = ReplayBus({ADDRESS: read_recorded(path).pings["down"]}, clock, {ADDRESS: LidarLiteV3.playback})
-    poller = Poller(bus, clock, RecordedOrder(vehicle, bus))
+    poller = Poller(bus, clock, RecordedFlight(vehicle, bus, read_recorded(path)))
     again = []
     while poller.next_event_s < math.inf:
         clock.sleep_until(poller.next_event_s)
