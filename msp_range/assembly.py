@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 from msp_range.acoustics.air import compensate_range
 from msp_range.bus import Bus
@@ -171,49 +172,49 @@ def _below_reference_m(airframe: Airframe, sensor: SensorSettings) -> float:
     return sensor.position_m[2] - airframe.reference_down_m
 
 
-def single_streams(airframe: Airframe, temperature_c: float | None = None) -> dict[str, Stream]:
-    """The streams of sensors with a stream of their own, by name, in air of this temperature; see `maximum_m`."""
-    return {sensor.name: _own_stream(airframe, sensor, sensor.orientation, temperature_c) for sensor in airframe.sent}
+class AirframeStreams(NamedTuple):
+    """All streams of an airframe."""
+
+    singles: dict[str, Stream]
+    """Those of sensors with a stream of their own, by name."""
+    fused: Stream | None
+    """The fused downward stream."""
+    objects: dict[str, Stream]
+    """Those for objects below single sensors of the fused stream that have no stream of their own, by name. Their
+    orientation is CUSTOM, with the mounting as a quaternion: ArduPilot and PX4 would mix another downward stream with
+    the fused one."""
 
 
-def object_streams(airframe: Airframe, temperature_c: float | None = None) -> dict[str, Stream]:
-    """Streams for objects below single sensors of the fused stream that have no stream of their own, by name.
-
-    Their orientation is CUSTOM, with the mounting as a quaternion: ArduPilot and PX4
-    would mix another downward stream with the fused one.
-    """
-    return {
-        sensor.name: _own_stream(
-            airframe, sensor, Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)), temperature_c
-        )
-        for sensor in airframe.downward
-        if sensor.name not in airframe.sent_names
-    }
-
-
-def _own_stream(
-    airframe: Airframe, sensor: SensorSettings, orientation: Orientation, temperature_c: float | None
-) -> Stream:
-    minimum_cm, maximum_cm = round(sensor.sensor_model.minimum_cm), round(100 * maximum_m(sensor, temperature_c))
+def streams_of(airframe: Airframe, temperature_c: float | None = None) -> AirframeStreams:
+    """The streams in air of this temperature; see `maximum_m`."""
     autopilot = airframe.link.autopilot
-    return Stream(sensor.id, orientation, minimum_cm, maximum_cm, autopilot, _stream_type([sensor]))
 
+    def own(sensor: SensorSettings, orientation: Orientation) -> Stream:
+        minimum_cm, maximum_cm = round(sensor.sensor_model.minimum_cm), round(100 * maximum_m(sensor, temperature_c))
+        return Stream(sensor.id, orientation, minimum_cm, maximum_cm, autopilot, _stream_type([sensor]))
 
-def fused_stream(airframe: Airframe, temperature_c: float | None = None) -> Stream | None:
-    """The fused downward stream in air of this temperature (see `maximum_m`), or None."""
-    if airframe.send.fused is None:
-        return None
-    # Counted from the reference point: for a sensor below it both limits are larger.
-    return Stream(
-        airframe.send.fused.id,
-        Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)),
-        min(
-            round(sensor.sensor_model.minimum_cm + 100 * _below_reference_m(airframe, sensor))
+    fused = None
+    if airframe.send.fused is not None:
+        # Counted from the reference point: for a sensor below it both limits are larger.
+        fused = Stream(
+            airframe.send.fused.id,
+            Orientation(DOWN, (0.0, 0.0, 0.0, 0.0)),
+            min(
+                round(sensor.sensor_model.minimum_cm + 100 * _below_reference_m(airframe, sensor))
+                for sensor in airframe.downward
+            ),
+            round(100 * fused_maximum_m(airframe, temperature_c)),
+            autopilot,
+            _stream_type(airframe.downward),
+        )
+    return AirframeStreams(
+        {sensor.name: own(sensor, sensor.orientation) for sensor in airframe.sent},
+        fused,
+        {
+            sensor.name: own(sensor, Orientation(CUSTOM, quaternion(*sensor.rotation_deg.radians)))
             for sensor in airframe.downward
-        ),
-        round(100 * fused_maximum_m(airframe, temperature_c)),
-        airframe.link.autopilot,
-        _stream_type(airframe.downward),
+            if sensor.name not in airframe.sent_names
+        },
     )
 
 

@@ -13,12 +13,10 @@ from typing import Any, NamedTuple, Protocol
 from msp_range.acoustics.air import NO_AIR, Air, compensate_range
 from msp_range.assembly import (
     fused_maximum_m,
-    fused_stream,
     fusion_of,
-    object_streams,
     polling_order,
     sensor_watch_of,
-    single_streams,
+    streams_of,
     windows_of,
 )
 from msp_range.bus import Bus
@@ -379,11 +377,7 @@ class Bridge:
         """The longest distances of the streams are those that sound reaches in air of this temperature."""
         self._limits_c = temperature_c
         airframe = self.airframe
-        self._streams.set_streams(
-            single_streams(airframe, temperature_c),
-            fused_stream(airframe, temperature_c),
-            object_streams(airframe, temperature_c),
-        )
+        self._streams.set_streams(*streams_of(airframe, temperature_c))
         if self._fusion is not None:
             self._fusion.set_maximum(fused_maximum_m(airframe, temperature_c))
 

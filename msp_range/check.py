@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from rich.table import Table
 
 from msp_range.acoustics.air import Air, air_error_m, coldest_c
-from msp_range.assembly import fused_stream, intervals_s, polling_groups, polling_interval_s, sensor_watch_of
+from msp_range.assembly import intervals_s, polling_groups, polling_interval_s, sensor_watch_of, streams_of
 from msp_range.config import Airframe
 from msp_range.correction.humidity import HYGROMETER, Humidity
 from msp_range.correction.temperature import TemperatureParameters
@@ -125,7 +125,7 @@ def describe_air(parameters: TemperatureParameters, maximum_m: float) -> list[st
 def _streams(airframe: Airframe) -> Iterator[str]:
     if airframe.send.nothing:
         yield "send: nothing; these streams are worked out, recorded and shown, but not sent:"
-    if (bounds := fused_stream(airframe)) is not None:
+    if (bounds := streams_of(airframe).fused) is not None:
         yield (
             f"fused: id {bounds.id}, orientation 25 down, from {len(airframe.downward)} sensors, "
             f"{bounds.min_distance_cm + 1} to {bounds.max_distance_cm} cm: {_use(airframe, DOWN)}"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from msp_range.assembly import fused_stream, single_streams
+from msp_range.assembly import streams_of
 from msp_range.config import Airframe
 from msp_range.mavlink.distance_sensor import Autopilot, Stream
 from msp_range.mavlink.orientation import DOWN, PITCH_90
@@ -127,7 +127,7 @@ def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
         if firmware.autopilot == "ardupilot" and firmware.vehicle == "copter":
             lines += [line.replace("WP_", "WPNAV_") if firmware.centimetres else line for line in COPTER_USE]
     outward = [
-        stream for stream in single_streams(airframe).values() if stream.orientation.value not in (DOWN, PITCH_90)
+        stream for stream in streams_of(airframe).singles.values() if stream.orientation.value not in (DOWN, PITCH_90)
     ]
     if firmware.autopilot == "px4" and outward:
         lines.append("CP_DIST switches collision prevention on: it is the distance to keep [m], for you to choose.")
@@ -138,11 +138,8 @@ def remarks(airframe: Airframe, firmware: Firmware) -> list[str]:
 
 def downward_stream(airframe: Airframe) -> Stream | None:
     """The stream with orientation 25, down: the fused one, or a single sensor's; None where there is none."""
-    fused = fused_stream(airframe)
-    if fused is not None:
-        return fused
-    singles = [stream for stream in single_streams(airframe).values() if stream.orientation.value == DOWN]
-    return singles[0] if singles else None
+    singles, fused, _ = streams_of(airframe)
+    return fused or next((stream for stream in singles.values() if stream.orientation.value == DOWN), None)
 
 
 def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Setting]:
@@ -174,7 +171,7 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
         if firmware.vehicle == "plane":
             yield Setting("RNGFND_LANDING", 1, "the plane uses the range finder to land", "ArduPlane/Parameters.cpp")
     around = [
-        stream for stream in single_streams(airframe).values() if stream.orientation.value in PROXIMITY_ORIENTATIONS
+        stream for stream in streams_of(airframe).singles.values() if stream.orientation.value in PROXIMITY_ORIENTATIONS
     ]
     # ArduPlane has no proximity (ArduPlane/Parameters.cpp).
     if around and firmware.vehicle != "plane":

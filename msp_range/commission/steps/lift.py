@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msp_range.arrays import Array
-from msp_range.assembly import fused_stream
+from msp_range.assembly import streams_of
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import NotMeasured, places
 from msp_range.commission.operator import Motion
@@ -150,7 +150,7 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
 
 def _standing(airframe: Airframe, floor: Samples, outcome: StepOutcome) -> None:
     """What the fused stream reads on the floor: for the autopilot the distance at which the vehicle stands."""
-    stream = fused_stream(airframe)
+    stream = streams_of(airframe).fused
     if stream is None or airframe.send.nothing or not len(floor.fused):
         return
     step, in_file_m = "standing on the floor", standing_m(airframe, stream)

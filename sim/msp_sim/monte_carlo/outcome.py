@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import SeedSequence, default_rng
 
 from msp_range.arrays import Array
-from msp_range.assembly import fused_stream, polling_groups, polling_interval_s, single_streams, windows_of
+from msp_range.assembly import polling_groups, polling_interval_s, streams_of, windows_of
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.no_echo import QUALITY_INVALID
@@ -153,10 +153,10 @@ def judged(
     duration_s: float,
 ) -> Numbers:
     """The numbers `FLOWN` of a flight, over all of its streams; None where there is nothing to compute one from."""
-    fused = fused_stream(airframe)
+    singles, fused, _ = streams_of(airframe)
     # What a stream sends holds for the reading before; the fused one for that of any downward sensor.
     truths = {fused.id: _merged(flight)} if fused is not None else {}
-    for name, stream in single_streams(airframe).items():
+    for name, stream in singles.items():
         truths[stream.id] = list(zip(flight.tracks[name].time_s, flight.tracks[name].truth_m, strict=True))
     wrong_s, errors_cm, silences = 0.0, [], []
     limit_s = max(SHORTEST_SILENCE_S, 2.0 * windows_of(airframe).turn_s)
