@@ -38,7 +38,7 @@ def polled_sensors(airframe: Airframe, bus: Bus) -> dict[str, PolledSensor]:
 def answer_timing(model: SensorModel, adaptive: bool = True) -> AnswerTiming:
     """When a sensor is asked after a ping: from its shortest report on, or only at its deadline."""
     timing = model.timing
-    first_answer_s = timing.ready_s + model.minimum_cm * timing.s_per_cm if adaptive else timing.deadline_s
+    first_answer_s = timing.answer_s(model.minimum_cm) if adaptive else timing.deadline_s
     return AnswerTiming(first_answer_s, timing.deadline_s, timing.s_per_cm * 100)
 
 

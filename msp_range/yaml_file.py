@@ -299,20 +299,16 @@ def _explain(path: Path | str, section: type[Section], error: ValidationError) -
             places.setdefault(str(cause), []).append(place_of(spot.path))
         else:
             found, expected = _describe(spot, problem)
-            lines.setdefault((_prefix(path, spot, problem), found), []).append(expected)
+            place = place_of(spot.path)
+            if (discriminator := problem.get("ctx", {}).get("discriminator")) is not None:
+                place += f".{discriminator.strip(_QUOTE)}"
+            # Checks of the whole file contain the place in their message.
+            prefix = f"{path}: {place}: " if place else f"{path}: "
+            lines.setdefault((prefix, found), []).append(expected)
     for text, named_at in places.items():
         yield f"{text} (named in {': '.join(filter(None, [str(path), _join(named_at)]))})"
     for (prefix, found), expected_here in lines.items():
         yield f"{prefix}{found}{' or '.join(dict.fromkeys(expected_here))}"
-
-
-def _prefix(path: Path | str, spot: _Spot, problem: Any) -> str:
-    place = place_of(spot.path)
-    discriminator = problem.get("ctx", {}).get("discriminator")
-    if discriminator is not None:
-        place += f".{discriminator.strip(_QUOTE)}"
-    # Checks of the whole file contain the place in their message.
-    return f"{path}: {place}: " if place else f"{path}: "
 
 
 def _describe(spot: _Spot, problem: Any) -> tuple[str, str]:

@@ -122,7 +122,12 @@ class Settling:
                 if abs(value_c - all_c[0] - largest_c) > SWITCHED_ON_C and _straight_nats(all_c) > STRAIGHT_NATS:
                     self._start = values[0]
             if self._start is not None:
-                self._begun_s = self._begin_s(self._start[0])
+                # The last value that is that of before it began to settle.
+                before_s = self._start[0]
+                level_c = median([past_c for past_s, past_c in values if past_s <= before_s][-LEVEL_VALUES:])
+                near_c = LEVEL_NOISES * max(self._noise_c, LEAST_NOISE_C)
+                level_s = [past_s for past_s, past_c in values if abs(past_c - level_c) <= near_c]
+                self._begun_s = max(level_s, default=before_s)
         if self._start is not None:
             # Of the last seconds only: the change may be over by now.
             since_s = max(self._start[0], time_s - RATE_S)
@@ -138,12 +143,6 @@ class Settling:
         most_c = FASTEST_C_PER_S * elapsed_s
         self.ahead_c += min(max(probable_c - self.ahead_c, -most_c), most_c)
         self.std_c = math.hypot(max(self.std_c, LAG_SHARE * abs(self.lag_c)), probable_c - self.ahead_c)
-
-    def _begin_s(self, before_s: float) -> float:
-        """When it began to settle: the last value that is that of before [s]."""
-        level_c = median([past_c for past_s, past_c in self._values if past_s <= before_s][-LEVEL_VALUES:])
-        near_c = LEVEL_NOISES * max(self._noise_c, LEAST_NOISE_C)
-        return max((past_s for past_s, past_c in self._values if abs(past_c - level_c) <= near_c), default=before_s)
 
     def _fitted(self, since_s: float, now_s: float) -> tuple[float, float]:
         """Mean and standard deviation of the lag by the values since a time [deg C].

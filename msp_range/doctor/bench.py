@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from msp_range.assembly import polling_interval_s
 from msp_range.bridge import Bridge
 from msp_range.clock import Clock, SystemClock
-from msp_range.config import Airframe, SensorSettings, load_airframe
+from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right
 from msp_range.recording.flight_recorder import FlightRecorder
 from msp_range.recording.replay_bus import ReplayBus
@@ -70,7 +70,9 @@ def _flown(airframe: Airframe, clock: Clock) -> Iterator[Finding]:
     count = round(2 * BENCH_S / polling_interval_s(airframe)) + 2
     pings = {
         # Not always the same: the bridge would take the sensors for stuck.
-        sensor.address: [RecordedPing(0.0, RANGE_CM + i % 3, _ready_s(sensor)) for i in range(count)]
+        sensor.address: [
+            RecordedPing(0.0, RANGE_CM + i % 3, sensor.sensor_model.timing.answer_s(RANGE_CM)) for i in range(count)
+        ]
         for sensor in airframe.sensors
     }
     bus = ReplayBus(pings, clock, {sensor.address: sensor.driver.playback for sensor in airframe.sensors})
@@ -102,11 +104,6 @@ def _flown(airframe: Airframe, clock: Clock) -> Iterator[Finding]:
     yield _judged("schedule", worst_s > LATE_S, f"no ping more than {1e3 * worst_s:.1f} ms away from its time")
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     yield right("memory", f"{memory_mb:.0f} MB")
-
-
-def _ready_s(sensor: SensorSettings) -> float:
-    timing = sensor.sensor_model.timing
-    return timing.ready_s + RANGE_CM * timing.s_per_cm
 
 
 def _processor_s() -> float:

@@ -62,6 +62,10 @@ class Timing(Section):
             )
         return self
 
+    def answer_s(self, range_cm: float) -> float:
+        """Time from the ping to the answer where the echo is from a range [s]."""
+        return self.ready_s + self.s_per_cm * range_cm
+
 
 class BreakawayPoint(Section):
     """One row of the breakaway table (report 4.3.3)."""
@@ -300,7 +304,7 @@ class SensorModel(Section):
                 f"{self.maximum_cm} cm, which leave out 255"
             )
         timing = self.timing
-        farthest_s = timing.ready_s + self.maximum_cm * timing.s_per_cm
+        farthest_s = timing.answer_s(self.maximum_cm)
         if farthest_s > timing.cycle_s:
             raise ValueError(
                 f"expected an echo from maximum_cm within timing.cycle_s ({timing.cycle_s:g} s), "

@@ -170,7 +170,7 @@ def _ping_of(model: SensorModel, echo_s: float, raw: int | None) -> RecordedPing
     # A flag above the centimetres is no other time.
     echo_cm = (raw or 0) % 0x8000
     is_range = raw is not None and model.minimum_cm <= raw < model.maximum_cm
-    ready_s = timing.ready_s + timing.s_per_cm * echo_cm if echo_cm < model.maximum_cm else timing.cycle_s
+    ready_s = timing.answer_s(echo_cm) if echo_cm < model.maximum_cm else timing.cycle_s
     return RecordedPing(echo_s - 0.5 * timing.s_per_cm * echo_cm * is_range, raw, ready_s)
 
 

@@ -48,7 +48,7 @@ def refusal(
     """
     if host is None:
         return HTTPStatus.FORBIDDEN, "the request has no Host header\n"
-    if token is None and _name(host) not in LOOPBACK:
+    if token is None and urlsplit(f"//{host}").hostname not in LOOPBACK:
         return HTTPStatus.FORBIDDEN, f"this page is for {LOOPBACK[0]} only; found Host {host}\n"
     if origin is not None and urlsplit(origin).netloc != host:
         return HTTPStatus.FORBIDDEN, f"this page is not for other sites; found Origin {origin}\n"
@@ -65,11 +65,6 @@ def token_for(listen: Listen) -> str | None:
     The token outlives a restart, so that an open page finds the bridge again.
     """
     return None if listen.host in LOOPBACK else _token(state_folder() / "web-token")
-
-
-def _name(host: str) -> str:
-    """The name in a Host header, without port and brackets."""
-    return urlsplit(f"//{host}").hostname or ""
 
 
 def _token(path: Path) -> str:
