@@ -7,7 +7,6 @@ import grp
 import os
 import pwd
 import re
-import shutil
 import stat
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -60,8 +59,8 @@ class Computer:
     """Who is to use its devices."""
     utc_s: Callable[[], float]
     """Its date [s since 1970]."""
-    free_bytes: Callable[[Path], int] = lambda path: shutil.disk_usage(path).free
-    """Space that is left on the disk of an existing path of this program."""
+    disk: Callable[[Path], os.statvfs_result] = os.statvfs
+    """The disk of an existing path of this program."""
 
     def at(self, path: str | Path) -> Path:
         """Where this program finds a path of the computer."""

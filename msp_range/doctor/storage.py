@@ -1,5 +1,6 @@
 """Disk, date and supply of the computer."""
 
+import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -27,12 +28,13 @@ def check_disk(computer: Computer, folder: str | None) -> Finding:
     if not path.is_absolute():
         return unknown(step, f"{folder} is relative: it depends on where the bridge is started", "give the whole path")
     there = next(each for each in (path, *path.parents) if computer.at(each).is_dir() or each == each.parent)
-    who, left = computer.user.name, computer.free_bytes(computer.at(there))
+    who, disk = computer.user.name, computer.disk(computer.at(there))
+    left = disk.f_bavail * disk.f_frsize
     is_refused, hours, left_mb = not computer.may_write(str(there)), left / BYTES_PER_HOUR, f"{left / 1e6:.0f} MB left"
     return first_of(
         step,
         (
-            _is_read_only(computer, str(there)),
+            disk.f_flag & os.ST_RDONLY,
             f"{folder} is on a disk that is read-only",
             "mount it for writing, or name another folder",
         ),
@@ -51,19 +53,6 @@ def check_disk(computer: Computer, folder: str | None) -> Finding:
         (hours < SHORT_HOURS, f"{folder} has {left_mb}, for {hours:.0f} hours", "delete old recordings", UNKNOWN),
         (True, f"{folder} has room for {hours:.0f} hours"),
     )
-
-
-def _is_read_only(computer: Computer, path: str) -> bool:
-    """By the mount with the longest path that leads there."""
-    best, read_only = "", False
-    for line in (computer.text("/proc/mounts") or "").splitlines():
-        words = line.split()
-        if len(words) < 4:
-            continue
-        place = words[1].rstrip("/")
-        if (path == place or path.startswith(f"{place}/")) and len(place) >= len(best):
-            best, read_only = place, "ro" in words[3].split(",")
-    return read_only
 
 
 def check_date(computer: Computer, airframe_file: Path) -> Finding:

@@ -85,7 +85,7 @@ class Vehicle:
         """Have the computer that doctor looks at."""
         fake = FakeComputer(self.path.parent / "computer")
         user = User(fake.user, 54321, frozenset(fake.gids))
-        self.session.computer = Computer(fake.root, user, lambda: fake.utc_s, lambda _: fake.free_bytes)
+        self.session.computer = Computer(fake.root, user, lambda: fake.utc_s, fake.disk)
 
     @property
     def airframe(self) -> Airframe:

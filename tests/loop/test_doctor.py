@@ -308,6 +308,11 @@ def card_full_of_recordings(setup: Setup) -> None:
     setup.computer.free_bytes = 300_000
 
 
+@broken("disk", "read-only", "mount it for writing")
+def disk_that_is_mounted_for_reading(setup: Setup) -> None:
+    setup.computer.disk_is_read_only = True
+
+
 @broken("disk", "may not write into", "chown")
 def folder_of_another_user(setup: Setup) -> None:
     setup.computer.folder("/var/lib/msp-range", 0o755)

@@ -12,13 +12,14 @@ from msp_range.clock import SystemClock
 from msp_range.doctor.computer import Computer, User
 from msp_range.doctor.examination import examine
 from msp_range.mavlink.transport import open_transport
+from tests.support.fake_computer import disk_with
 
 
 def main() -> None:
     """Examine, and print."""
     spec = SimpleNamespace(**json.loads(sys.argv[1]))
     user = User(spec.user, 54321, frozenset(spec.gids))
-    computer = Computer(Path(spec.root), user, lambda: spec.utc_s, lambda _: spec.free_bytes)
+    computer = Computer(Path(spec.root), user, lambda: spec.utc_s, lambda _: disk_with(*spec.disk))
     findings = examine(
         Path(spec.airframe),
         computer,

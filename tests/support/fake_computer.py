@@ -11,6 +11,11 @@ GROUP_ID = os.getgid()
 """Files that a test makes belong to this group: it stands for i2c and dialout."""
 
 
+def disk_with(free_bytes: int, is_read_only: bool) -> os.statvfs_result:
+    """A disk with blocks of a byte."""
+    return os.statvfs_result((1, 1, 0, 0, free_bytes, 0, 0, 0, os.ST_RDONLY * is_read_only, 255))
+
+
 class FakeComputer:
     """A Raspberry Pi 4 with I2C at 50 kHz, a serial port and a thermometer, all allowed to the user msp-range."""
 
@@ -20,9 +25,9 @@ class FakeComputer:
         self.gids = [GROUP_ID]
         self.utc_s = 4e9
         self.free_bytes = 20 * 10**9
+        self.disk_is_read_only = False
         self.write("/proc/device-tree/model", "Raspberry Pi 4 Model B Rev 1.4\0")
         self.write("/proc/cmdline", "console=tty1 root=PARTUUID=0a rootwait\n")
-        self.write("/proc/mounts", "/dev/mmcblk0p2 / ext4 rw,noatime 0 0\n")
         self.write("/etc/group", f"i2c:x:{GROUP_ID}:msp-range\ndialout:x:{GROUP_ID}:msp-range\n")
         self.write(
             "/boot/firmware/config.txt",
@@ -38,6 +43,10 @@ class FakeComputer:
         self.thermometer("21450\n")
         self.write("/run/systemd/timesync/synchronized", "")
         self.folder("/var/lib/msp-range")
+
+    def disk(self, path: Path) -> os.statvfs_result:
+        """The only disk, with blocks of a byte."""
+        return disk_with(self.free_bytes, self.disk_is_read_only)
 
     def at(self, path: str) -> Path:
         """Where a file of the computer is."""

@@ -27,7 +27,7 @@ def files(tmp_path: Path) -> FakeComputer:
 
 def seen(files: FakeComputer) -> Computer:
     user = User(files.user, 54321, frozenset(files.gids))
-    return Computer(files.root, user, lambda: files.utc_s, lambda _: files.free_bytes)
+    return Computer(files.root, user, lambda: files.utc_s, files.disk)
 
 
 @pytest.mark.parametrize(
