@@ -9,7 +9,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
+from typer import Argument, Exit, Option, Typer, confirm
 
 from msp_range.options import AirframeFile, LinkOption, PortOption
 from msp_range.params.cli import params, sign
@@ -20,7 +20,7 @@ from msp_range.yaml_file import ConfigError
 if TYPE_CHECKING:
     from msp_range.sensors.base import Driver
 
-app = typer.Typer(
+app = Typer(
     name="msp-range",
     help="Bridge from ultrasonic range finders on I2C to ArduPilot or PX4 by MAVLink DISTANCE_SENSOR.",
     epilog="Start with: msp-range check configs/quad_pallet.yaml, then: msp-range run configs/quad_pallet.yaml",
@@ -40,28 +40,28 @@ def _options(version: VersionOption = False) -> None:
     """Options of the program itself."""
 
 
-BusOption = Annotated[str, typer.Option("--bus", help="I2C bus number, or the path of its device file")]
+BusOption = Annotated[str, Option("--bus", help="I2C bus number, or the path of its device file")]
 SocketOption = Annotated[
     Path | None,
-    typer.Option(help="socket by which a running bridge is watched; default: the service's, or this user's"),
+    Option(help="socket by which a running bridge is watched; default: the service's, or this user's"),
 ]
 DriverOption = Annotated[
     str | None,
-    typer.Option("--driver", help="driver name, as in sensor model files; default: by the sensor's address"),
+    Option("--driver", help="driver name, as in sensor model files; default: by the sensor's address"),
 ]
 
 
 @app.command()
 def run(
     airframe_file: AirframeFile,
-    log: Annotated[Literal["text", "json"], typer.Option(help="format of log lines")] = "text",
-    record: Annotated[Path | None, typer.Option(help="folder for the recording, instead of the airframe's")] = None,
-    no_record: Annotated[bool, typer.Option("--no-record", help="record nothing")] = False,
+    log: Annotated[Literal["text", "json"], Option(help="format of log lines")] = "text",
+    record: Annotated[Path | None, Option(help="folder for the recording, instead of the airframe's")] = None,
+    no_record: Annotated[bool, Option("--no-record", help="record nothing")] = False,
     link: LinkOption = None,
-    bus: Annotated[str | None, typer.Option(help="I2C bus instead of the airframe's")] = None,
+    bus: Annotated[str | None, Option(help="I2C bus instead of the airframe's")] = None,
     web: Annotated[
         str | None,
-        typer.Option(
+        Option(
             metavar="[HOST:]PORT", help="serve a page that shows what the bridge does; default host: this computer only"
         ),
     ] = None,
@@ -141,15 +141,13 @@ def check(airframe_file: AirframeFile) -> None:
 
 @app.command()
 def doctor(
-    airframe_file: Annotated[
-        Path, typer.Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")
-    ] = Path("/etc/msp-range/airframe.yaml"),
-    json_lines: Annotated[bool, typer.Option("--json", help="print one JSON object instead of text")] = False,
+    airframe_file: Annotated[Path, Argument(metavar="[AIRFRAME.yaml]", help="the vehicle: an airframe file")] = Path(
+        "/etc/msp-range/airframe.yaml"
+    ),
+    json_lines: Annotated[bool, Option("--json", help="print one JSON object instead of text")] = False,
     bench: Annotated[
         bool,
-        typer.Option(
-            "--bench", help="instead measure what the bridge costs on this computer: start, processor, delays"
-        ),
+        Option("--bench", help="instead measure what the bridge costs on this computer: start, processor, delays"),
     ] = False,
 ) -> None:
     """Look for what is wrong, from the bus to the autopilot, and say what to do. Changes nothing.
@@ -160,7 +158,7 @@ def doctor(
     from msp_range.doctor.command import show
     from msp_range.doctor.computer import this_computer
 
-    raise typer.Exit(show(airframe_file, this_computer(), json_lines, bench))
+    raise Exit(show(airframe_file, this_computer(), json_lines, bench))
 
 
 @app.command()
@@ -168,19 +166,19 @@ def commission(
     airframe_file: AirframeFile,
     step: Annotated[
         Literal["wires", "addresses", "bench", "parameters", "lift", "hover", "review"] | None,
-        typer.Option(help="do this step only; default: all that have not passed yet"),
+        Option(help="do this step only; default: all that have not passed yet"),
     ] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="make every change that is proposed, and wait for no key")] = False,
+    yes: Annotated[bool, Option("--yes", help="make every change that is proposed, and wait for no key")] = False,
     height: Annotated[
         list[float] | None,
-        typer.Option(metavar="METRES", help="measured height of the bench check; give it again for a second one"),
+        Option(metavar="METRES", help="measured height of the bench check; give it again for a second one"),
     ] = None,
     recording: Annotated[
-        Path | None, typer.Option(help="recording of the hover (.mcap); default: the newest of the airframe's folder")
+        Path | None, Option(help="recording of the hover (.mcap); default: the newest of the airframe's folder")
     ] = None,
     port: PortOption = 2,
     json_lines: Annotated[
-        bool, typer.Option("--json", help="print one JSON object at the end; instructions go to standard error")
+        bool, Option("--json", help="print one JSON object at the end; instructions go to standard error")
     ] = False,
 ) -> None:
     """Commission a vehicle step by step: wires, addresses, bench, parameters, a lift by hand, hover, review.
@@ -198,15 +196,13 @@ def commission(
     clock = SystemClock()
     operator = PersonAtTerminal(yes, tuple(height or ()), sys.stderr if json_lines else sys.stdout)
     session = Session(airframe_file, this_computer(), clock, operator, recording=recording, port=port)
-    raise typer.Exit(do(session, step, sys.stdout, json_lines))
+    raise Exit(do(session, step, sys.stdout, json_lines))
 
 
 @app.command()
 def status(
-    once: Annotated[
-        bool, typer.Option("--once", help="print once and exit; default where there is no terminal")
-    ] = False,
-    json_lines: Annotated[bool, typer.Option("--json", help="print one JSON object and exit")] = False,
+    once: Annotated[bool, Option("--once", help="print once and exit; default where there is no terminal")] = False,
+    json_lines: Annotated[bool, Option("--json", help="print one JSON object and exit")] = False,
     socket: SocketOption = None,
 ) -> None:
     """Show what a running bridge does: distances, rejected readings, faults, air, link and recording.
@@ -216,7 +212,7 @@ def status(
     """
     from msp_range.watch.terminal import show
 
-    raise typer.Exit(show(socket, once, json_lines))
+    raise Exit(show(socket, once, json_lines))
 
 
 app.command()(params)
@@ -225,7 +221,7 @@ app.command()(sign)
 
 @app.command()
 def schema(
-    kind: Annotated[str, typer.Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
+    kind: Annotated[str, Argument(help="which kind of file: airframe, sensor, campaign or flights")] = "airframe",
 ) -> None:
     """Print the JSON Schema of a kind of file, for completion and checks in editors.
 
@@ -238,7 +234,7 @@ def schema(
     kinds = entry_points(group=FILE_KINDS)
     if kind not in kinds.names:
         print(f"schema {kind}: expected one of {', '.join(sorted(kinds.names))}", file=sys.stderr)
-        raise typer.Exit(EXIT_COMMAND_LINE)
+        raise Exit(EXIT_COMMAND_LINE)
     print(json.dumps(kinds[kind].load().model_json_schema(), indent=2))
 
 
@@ -246,7 +242,7 @@ def schema(
 def scan(
     bus: BusOption = "1",
     ping: Annotated[
-        bool, typer.Option("--ping", help="trigger a measurement of each device, to find the range finders")
+        bool, Option("--ping", help="trigger a measurement of each device, to find the range finders")
     ] = False,
     driver: DriverOption = None,
 ) -> None:
@@ -269,10 +265,10 @@ def scan(
 
 @app.command()
 def address(
-    old: Annotated[str, typer.Argument(help="the sensor's present 7-bit address, e.g. 0x70")],
-    new: Annotated[str, typer.Argument(help="its new 7-bit address, e.g. 0x71")],
+    old: Annotated[str, Argument(help="the sensor's present 7-bit address, e.g. 0x70")],
+    new: Annotated[str, Argument(help="its new 7-bit address, e.g. 0x71")],
     bus: BusOption = "1",
-    yes: Annotated[bool, typer.Option("--yes", help="do not ask")] = False,
+    yes: Annotated[bool, Option("--yes", help="do not ask")] = False,
     driver: DriverOption = None,
 ) -> None:
     """Change a sensor's address: shows the bus, refuses changes that could lose the sensor, verifies the result."""
@@ -289,7 +285,7 @@ def address(
     for each in scan_bus(kernel_bus, clock, identify=False):
         print(f"{kernel_bus.path}: 0x{each.address:02x} acknowledges {each.answer}".rstrip())
     if not yes:
-        typer.confirm(f"Move the sensor at 0x{old_address:02x} to 0x{new_address:02x}?", abort=True)
+        confirm(f"Move the sensor at 0x{old_address:02x} to 0x{new_address:02x}?", abort=True)
     found = change_address(kernel_bus, clock, old_address, new_address, kind)
     kernel_bus.close()
     until = "" if kind.keeps_address else " until its power is switched off"

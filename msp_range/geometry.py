@@ -5,7 +5,7 @@ MAVLink and aerospace: R = Rz(yaw) Ry(pitch) Rx(roll) takes a vector from the se
 boresight is its own x axis, so pitch -90 deg looks down.
 """
 
-import math
+from math import atan2, cos, dist, sin
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -17,13 +17,14 @@ def rotation_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Matrix
 
     Examples
     --------
-    >>> boresight = [row[0] for row in rotation_matrix(0.0, -math.pi / 2, 0.0)]
+    >>> from math import pi
+    >>> boresight = [row[0] for row in rotation_matrix(0.0, -pi / 2, 0.0)]
     >>> [f"{component:.1f}" for component in boresight]
     ['0.0', '0.0', '1.0']
     """
-    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
-    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
-    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    cr, sr = cos(roll_rad), sin(roll_rad)
+    cp, sp = cos(pitch_rad), sin(pitch_rad)
+    cy, sy = cos(yaw_rad), sin(yaw_rad)
     return (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
@@ -44,9 +45,9 @@ def boresight(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:
 
 def quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
     """(w, x, y, z) of `rotation_matrix`, w >= 0."""
-    cr, sr = math.cos(roll_rad / 2), math.sin(roll_rad / 2)
-    cp, sp = math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
-    cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    cr, sr = cos(roll_rad / 2), sin(roll_rad / 2)
+    cp, sp = cos(pitch_rad / 2), sin(pitch_rad / 2)
+    cy, sy = cos(yaw_rad / 2), sin(yaw_rad / 2)
     w = cr * cp * cy + sr * sp * sy
     x = sr * cp * cy - cr * sp * sy
     y = cr * sp * cy + sr * cp * sy
@@ -74,4 +75,4 @@ def rotate_back(rotation: Matrix, vector: Vector) -> Vector:
 def angle_between(a: Vector, b: Vector) -> float:
     """Angle between two unit vectors [rad], 0 to pi; exact near 0 and pi, where the arc cosine is not."""
     opposite = [-each for each in b]
-    return 2 * math.atan2(math.dist(a, b), math.dist(a, opposite))
+    return 2 * atan2(dist(a, b), dist(a, opposite))

@@ -3,13 +3,13 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-AirframeFile = Annotated[Path, typer.Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
-LinkOption = Annotated[str | None, typer.Option(help="link URL instead of the airframe's")]
+AirframeFile = Annotated[Path, Argument(metavar="AIRFRAME.yaml", help="the vehicle: an airframe file")]
+LinkOption = Annotated[str | None, Option(help="link URL instead of the airframe's")]
 PortOption = Annotated[
     int,
-    typer.Option(
+    Option(
         min=0, max=9, help="the autopilot's port with the bridge: n of ArduPilot's SERIALn (0 to 9), of PX4's TELEM n"
     ),
 ]

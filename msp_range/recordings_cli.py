@@ -3,25 +3,23 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
 from msp_range.yaml_file import ConfigError, write_file
 
-RecordingFile = Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording")]
+RecordingFile = Annotated[Path, Argument(metavar="FILE.mcap", help="a recording")]
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
+    file: Annotated[Path, Argument(metavar="FILE", help="a recording (.mcap), or measured readings (.csv)")],
     airframe_file: Annotated[
         Path | None,
-        typer.Option("--airframe", help="airframe file; default: the one in the recording. Required for a CSV file"),
+        Option("--airframe", help="airframe file; default: the one in the recording. Required for a CSV file"),
     ] = None,
-    run_name: Annotated[
-        str | None, typer.Option("--run", help="the run to replay, for a CSV file with several")
-    ] = None,
-    record: Annotated[Path | None, typer.Option(help="new recording to write (.mcap)")] = None,
-    link: Annotated[str | None, typer.Option(help="link URL to send on; default: none")] = None,
-    realtime: Annotated[bool, typer.Option("--realtime", help="replay in real time")] = False,
+    run_name: Annotated[str | None, Option("--run", help="the run to replay, for a CSV file with several")] = None,
+    record: Annotated[Path | None, Option(help="new recording to write (.mcap)")] = None,
+    link: Annotated[str | None, Option(help="link URL to send on; default: none")] = None,
+    realtime: Annotated[bool, Option("--realtime", help="replay in real time")] = False,
 ) -> None:
     """Play recorded or measured readings through the bridge again, and show the results."""
     from msp_range import replay as replaying
@@ -52,14 +50,14 @@ def replay(
 
 
 def tune(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
+    recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="recorded flights (.mcap)")],
     airframe_file: Annotated[
         Path | None,
-        typer.Option("--airframe", metavar="AIRFRAME.yaml", help="airframe file; default: the one that was flown"),
+        Option("--airframe", metavar="AIRFRAME.yaml", help="airframe file; default: the one that was flown"),
     ] = None,
     model: Annotated[
         Literal["constant", "constant_velocity"] | None,
-        typer.Option(help="model of the Kalman filter; default: the airframe's"),
+        Option(help="model of the Kalman filter; default: the airframe's"),
     ] = None,
 ) -> None:
     """Fit a Kalman filter's Q and R to recorded flights, and print the line for the airframe file."""
@@ -72,8 +70,8 @@ def tune(
 
 
 def recover(
-    recording: Annotated[Path, typer.Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
-    out: Annotated[Path, typer.Argument(metavar="OUT.mcap", help="the repaired copy to write")],
+    recording: Annotated[Path, Argument(metavar="FILE.mcap", help="a recording cut by a power failure")],
+    out: Annotated[Path, Argument(metavar="OUT.mcap", help="the repaired copy to write")],
 ) -> None:
     """Repair a recording that a power cut left incomplete, so that Foxglove and other tools can open it."""
     from msp_range.recording.recover import recover as recover_recording
@@ -85,7 +83,7 @@ def recover(
 
 def export(
     recording: RecordingFile,
-    out: Annotated[Path, typer.Argument(metavar="OUT.csv", help="the table to make")],
+    out: Annotated[Path, Argument(metavar="OUT.csv", help="the table to make")],
 ) -> None:
     """Write a recording's readings as CSV: time_s, sensor, reading_cm, and known context."""
     from msp_range.recording.export import export as export_recording
@@ -100,7 +98,7 @@ def layout(
     recording: RecordingFile,
     out: Annotated[
         Path,
-        typer.Argument(metavar="OUT.json|OUT.xml", help="the layout to make: .json for Foxglove, .xml for PlotJuggler"),
+        Argument(metavar="OUT.json|OUT.xml", help="the layout to make: .json for Foxglove, .xml for PlotJuggler"),
     ],
 ) -> None:
     """Write a layout with which Foxglove or PlotJuggler shows a recording: each sensor's ranges, and the fused one."""

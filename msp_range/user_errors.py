@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Annotated, Any, ParamSpec
 
-import typer
+from typer import Context, Exit, Option
 from typer.core import TyperGroup
 
 from msp_range import __version__
@@ -39,15 +39,15 @@ def report_user_errors(command: Callable[Parameters, None]) -> Callable[Paramete
                 signal.signal(signal.SIGINT, signal.default_int_handler)
             command(*args, **kwargs)
         except KeyboardInterrupt:
-            raise typer.Exit(EXIT_INTERRUPTED) from None
+            raise Exit(EXIT_INTERRUPTED) from None
         except UserError as error:
             print(printable(str(error)), file=sys.stderr)
-            raise typer.Exit(EXIT_FILE) from None
+            raise Exit(EXIT_FILE) from None
         except OSError as error:
             if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.ENAMETOOLONG):
                 raise
             print(f"{error.filename or 'the disk'}: {error.strerror}", file=sys.stderr)
-            raise typer.Exit(EXIT_FILE) from None
+            raise Exit(EXIT_FILE) from None
 
     return reporting
 
@@ -60,13 +60,13 @@ class Commands(TyperGroup):
         return report_user_errors(super().invoke)(context)
 
 
-def _show_version(context: typer.Context, wanted: bool) -> None:
+def _show_version(context: Context, wanted: bool) -> None:
     if wanted:
         print(f"{context.info_name} {__version__} (Python {sys.version.split()[0]})")
-        raise typer.Exit
+        raise Exit
 
 
 VersionOption = Annotated[
-    bool, typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and exit")
+    bool, Option("--version", callback=_show_version, is_eager=True, help="print the version and exit")
 ]
 """Options of all programs of the project."""

@@ -7,11 +7,10 @@ contain the file, the path inside it, what was found, what was expected and, for
 import difflib
 import os
 import types
-import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, ValidationInfo
@@ -323,9 +322,7 @@ def _describe(spot: _Spot, problem: Any) -> tuple[str, str]:
         return "", f"this key is missing; expected {_meaning(around, spot.path[-1])}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         key, tag = context["discriminator"].strip(_QUOTE), context.get("tag")
-        known = [
-            str(each) for section in spot.choices for each in typing.get_args(section.model_fields[key].annotation)
-        ]
+        known = [str(each) for section in spot.choices for each in get_args(section.model_fields[key].annotation)]
         if tag is None:
             return "", f"this key is missing; expected one of {_join(known)}"
         return f"found {_show(tag)}; expected one of ", f"{_join(known)}.{suggest(tag, known)}"
@@ -341,7 +338,7 @@ def _describe(spot: _Spot, problem: Any) -> tuple[str, str]:
     elif kind == "string_pattern_mismatch":
         expected = f"text that matches {context['pattern']}"
     elif kind == "literal_error":
-        options = [str(option) for choice in spot.choices for option in typing.get_args(choice)]
+        options = [str(option) for choice in spot.choices for option in get_args(choice)]
         near = suggest(value, options)
         expected += f".{near}" if near else ""
     return f"found {_show(value)}; expected ", expected
@@ -377,18 +374,16 @@ def _inside(annotation: Any, part: int | str) -> list[Any]:
     if _is_section(annotation):
         field = annotation.model_fields.get(part)
         return [] if field is None else [field.annotation]
-    inside = [each for each in typing.get_args(annotation) if each is not Ellipsis]
-    return inside[1:] if typing.get_origin(annotation) is dict else inside
+    inside = [each for each in get_args(annotation) if each is not Ellipsis]
+    return inside[1:] if get_origin(annotation) is dict else inside
 
 
 def _members(annotation: Any) -> list[Any]:
     """The members of a union without None, or the annotation itself."""
-    if typing.get_origin(annotation) is Annotated:
-        return _members(typing.get_args(annotation)[0])
-    if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        return [
-            member for each in typing.get_args(annotation) if each is not types.NoneType for member in _members(each)
-        ]
+    if get_origin(annotation) is Annotated:
+        return _members(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, types.UnionType):
+        return [member for each in get_args(annotation) if each is not types.NoneType for member in _members(each)]
     return [annotation]
 
 
@@ -399,8 +394,8 @@ def _literals(annotation: Any) -> set[Any]:
     return {
         value
         for field in annotation.model_fields.values()
-        if typing.get_origin(field.annotation) is Literal
-        for value in typing.get_args(field.annotation)
+        if get_origin(field.annotation) is Literal
+        for value in get_args(field.annotation)
     }
 
 

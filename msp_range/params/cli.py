@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
+from typer import Exit, Option, confirm, prompt
 
 from msp_range.options import AirframeFile, LinkOption, PortOption
 from msp_range.yaml_file import ConfigError, write_file
@@ -11,15 +11,15 @@ from msp_range.yaml_file import ConfigError, write_file
 
 def params(
     airframe_file: AirframeFile,
-    out: Annotated[Path | None, typer.Option(help="file to write (.parm) instead of printing")] = None,
+    out: Annotated[Path | None, Option(help="file to write (.parm) instead of printing")] = None,
     vehicle: Annotated[
-        Literal["copter", "plane", "sub", "rover"], typer.Option(help="ArduPilot's vehicle, where none is connected")
+        Literal["copter", "plane", "sub", "rover"], Option(help="ArduPilot's vehicle, where none is connected")
     ] = "copter",
-    before_4_7: Annotated[bool, typer.Option("--before-4.7", help="names and units of ArduPilot before 4.7")] = False,
+    before_4_7: Annotated[bool, Option("--before-4.7", help="names and units of ArduPilot before 4.7")] = False,
     port: PortOption = 2,
-    compare: Annotated[bool, typer.Option("--compare", help="compare with the connected autopilot's values")] = False,
-    write: Annotated[bool, typer.Option("--write", help="set them, with a question for each change")] = False,
-    restore: Annotated[Path | None, typer.Option(help="set the values of this file (.parm) instead")] = None,
+    compare: Annotated[bool, Option("--compare", help="compare with the connected autopilot's values")] = False,
+    write: Annotated[bool, Option("--write", help="set them, with a question for each change")] = False,
+    restore: Annotated[Path | None, Option(help="set the values of this file (.parm) instead")] = None,
     link: LinkOption = None,
 ) -> None:
     """Print the autopilot's parameters for an airframe, compare them with the autopilot's, or set them there.
@@ -51,9 +51,9 @@ def params(
     if not (write or restore):
         for change in changes:
             print(commands.described(change))
-        raise typer.Exit(bool(changes))
+        raise Exit(bool(changes))
     undo = commands.undo_path(clock)
-    done = commands.write(client, changes, lambda text: typer.confirm(f"{text}\nSet it?"), undo, airframe.vehicle)
+    done = commands.write(client, changes, lambda text: confirm(f"{text}\nSet it?"), undo, airframe.vehicle)
     if done:
         print(f"{len(done)} set. Restart the autopilot. To undo: msp-range params {airframe_file} --restore {undo}")
 
@@ -67,9 +67,9 @@ def sign(
     airframe_file: AirframeFile,
     passphrase: Annotated[
         bool,
-        typer.Option("--passphrase", help="make the key from a passphrase, as ground stations do; default: at random"),
+        Option("--passphrase", help="make the key from a passphrase, as ground stations do; default: at random"),
     ] = False,
-    remove: Annotated[bool, typer.Option("--remove", help="make the autopilot accept unsigned messages again")] = False,
+    remove: Annotated[bool, Option("--remove", help="make the autopilot accept unsigned messages again")] = False,
     link: LinkOption = None,
 ) -> None:
     """Make a key for MAVLink signing, and give it to the connected autopilot. The key is never printed.
@@ -88,7 +88,7 @@ def sign(
         print(f"the autopilot does not sign any more; take link.signing_key out of {airframe_file}")
         return
     if not key_file.exists():
-        text = typer.prompt("passphrase", hide_input=True, confirmation_prompt=True) if passphrase else None
+        text = prompt("passphrase", hide_input=True, confirmation_prompt=True) if passphrase else None
         keys.make(key_file, text)
         print(f"made: {key_file}")
     elif passphrase:

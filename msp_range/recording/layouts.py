@@ -8,7 +8,7 @@ fused distance without a click. The forms are those of foxglove-sdk's ``foxglove
 import json
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
@@ -64,21 +64,21 @@ def foxglove(plots: Sequence[Plot]) -> str:
 
 def plotjuggler(plots: Sequence[Plot]) -> str:
     """A layout for PlotJuggler: the plots below each other, readings as dots."""
-    root = ElementTree.Element("root")
-    main = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
-    tab = ElementTree.SubElement(main, "Tab", tab_name="ranges", containers="1")
+    root = Element("root")
+    main = SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
+    tab = SubElement(main, "Tab", tab_name="ranges", containers="1")
     sizes = ";".join([f"{1 / len(plots):.6g}"] * len(plots))
-    container = ElementTree.SubElement(tab, "Container")
-    splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=sizes)
+    container = SubElement(tab, "Container")
+    splitter = SubElement(container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=sizes)
     for each in plots:
-        area = ElementTree.SubElement(splitter, "DockArea", name=each.title)
-        plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="LinesAndDots")
+        area = SubElement(splitter, "DockArea", name=each.title)
+        plot = SubElement(area, "plot", mode="TimeSeries", style="LinesAndDots")
         for key in each.keys:
-            ElementTree.SubElement(plot, "curve", name=f"{each.topic}/{key}", color=_CURVES[key])
-    ElementTree.SubElement(main, "currentTabIndex", index="0")
-    ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
+            SubElement(plot, "curve", name=f"{each.topic}/{key}", color=_CURVES[key])
+    SubElement(main, "currentTabIndex", index="0")
+    SubElement(root, "use_relative_time_offset", enabled="1")
+    indent(root)
+    return tostring(root, encoding="unicode", xml_declaration=True)
 
 
 FORMS: dict[str, Callable[[Sequence[Plot]], str]] = {".json": foxglove, ".xml": plotjuggler}

@@ -2,7 +2,6 @@
 
 import json
 import sys
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from rich.text import Text
 
 from msp_range.clock import SystemClock
 from msp_range.health import BridgeState
-from msp_range.terminal import NARROW, PlainConsole, plain_table
+from msp_range.terminal import NARROW, PlainConsole, plain_table, wrapped
 from msp_range.watch.client import connect, packets, read_once
 from msp_range.watch.facts import DISTANCE, facts_of
 from msp_range.watch.newest import Newest
@@ -87,7 +86,7 @@ def _wrong(newest: Newest) -> Iterator[tuple[str, str]]:
             yield f"   so {fault['text']}", style
         else:
             yield f"{fault['severity']}: {fault['text']}", f"bold {style}"
-            yield textwrap.fill(fault["remedy"], NARROW, initial_indent="   -> ", subsequent_indent=6 * " "), ""
+            yield "\n".join(wrapped("   -> ", fault["remedy"])), ""
 
 
 def _sensors(newest: Newest) -> Table:
