@@ -45,30 +45,16 @@ def answer_timing(model: SensorModel, adaptive: bool = True) -> AnswerTiming:
 def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
     """The airframe's sensors in their polling order, from ``start_s`` on."""
     polled = polled_sensors(airframe, bus)
-    groups = [[polled[name] for name in group] for group in polling_groups(airframe)]
-    return RoundRobin(groups, polling_interval_s(airframe), start_s, airframe.polling.near)
-
-
-def polling_groups(airframe: Airframe) -> list[list[str]]:
-    """Names of the sensors that ping together, group after group."""
-    groups = airframe.polling.groups
-    return groups if groups is not None else [[sensor.name] for sensor in airframe.sensors]
-
-
-def polling_interval_s(airframe: Airframe) -> float:
-    """Time between the pings of two groups [s]."""
-    interval_s = airframe.polling.ping_interval_s
-    if interval_s is not None:
-        return interval_s
-    return max(sensor.sensor_model.timing.ping_interval_s for sensor in airframe.sensors)
+    groups = [[polled[name] for name in group] for group in airframe.polling_groups]
+    return RoundRobin(groups, airframe.polling_interval_s, start_s, airframe.polling.near)
 
 
 def windows_of(airframe: Airframe) -> Windows:
     """For how long a downward sensor's readings count, from the airframe's polling order."""
-    groups = polling_groups(airframe)
+    groups = airframe.polling_groups
     # A ping waits for the answer of the previous one.
     ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
-    interval_s = max(polling_interval_s(airframe), ranging_s)
+    interval_s = max(airframe.polling_interval_s, ranging_s)
     fused = set(airframe.fused_names)
     turns = [i for i, group in enumerate(groups) if fused & set(group)] or [0]
     longest = max(late - early for early, late in pairwise([*turns, turns[0] + len(groups)]))

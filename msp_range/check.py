@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from rich.table import Table
 
 from msp_range.acoustics.air import Air, air_error_m, coldest_c
-from msp_range.assembly import intervals_s, polling_groups, polling_interval_s, sensor_watch_of, streams_of
+from msp_range.assembly import intervals_s, sensor_watch_of, streams_of
 from msp_range.config import Airframe
 from msp_range.correction.humidity import HYGROMETER, Humidity
 from msp_range.correction.temperature import TemperatureParameters
@@ -33,9 +33,9 @@ def lines(airframe: Airframe) -> Iterator[str]:
     url, near = parse_url(airframe.link.url), airframe.polling.near
     how = f"{url.path} at {url.baud} baud" if isinstance(url, SerialUrl) else f"{url}, no serial port"
     yield f"link: {how}, as component {airframe.link.component_id}"
-    order = ", then ".join(" with ".join(group) for group in polling_groups(airframe))
+    order = ", then ".join(" with ".join(group) for group in airframe.polling_groups)
     faster = f", {near.ping_interval_s:g} s below {near.below_m:g} m" if near else ""
-    yield f"polling: {order}; {polling_interval_s(airframe):g} s apart{faster}"
+    yield f"polling: {order}; {airframe.polling_interval_s:g} s apart{faster}"
     yield from _streams(airframe)
     watch = sensor_watch_of(airframe)
     yield f"sensor watch: off, {watch}" if isinstance(watch, str) else "sensor watch: on"

@@ -308,6 +308,20 @@ class Airframe(Section):
         return self.send.fused.reference_down_m if self.send.fused is not None else 0.0
 
     @property
+    def polling_groups(self) -> list[list[str]]:
+        """Names of the sensors that ping together, group after group."""
+        groups = self.polling.groups
+        return groups if groups is not None else [[sensor.name] for sensor in self.sensors]
+
+    @property
+    def polling_interval_s(self) -> float:
+        """Time between the pings of two groups [s]."""
+        interval_s = self.polling.ping_interval_s
+        if interval_s is not None:
+            return interval_s
+        return max(sensor.sensor_model.timing.ping_interval_s for sensor in self.sensors)
+
+    @property
     def without_thermometers(self) -> "Airframe":
         """The airframe with its fixed temperature only."""
         return self.model_copy(update={"temperature": self.temperature.model_copy(update={"sources": ()})})

@@ -13,7 +13,6 @@ from pathlib import Path
 from statistics import quantiles
 from tempfile import TemporaryDirectory
 
-from msp_range.assembly import polling_interval_s
 from msp_range.bridge import Bridge
 from msp_range.clock import Clock, SystemClock
 from msp_range.config import Airframe, load_airframe
@@ -67,7 +66,7 @@ def _start_s(path: Path, clock: Clock) -> float:
 
 def _flown(airframe: Airframe, clock: Clock) -> Iterator[Finding]:
     # More than are used: at most one ping for each sensor in each interval.
-    count = round(2 * BENCH_S / polling_interval_s(airframe)) + 2
+    count = round(2 * BENCH_S / airframe.polling_interval_s) + 2
     pings = {
         # Not always the same: the bridge would take the sensors for stuck.
         sensor.address: [
@@ -97,7 +96,7 @@ def _flown(airframe: Airframe, clock: Clock) -> Iterator[Finding]:
     if len(delays_s) > 1:
         late_s = quantiles(delays_s, n=100)[98]
         yield _judged("delay", late_s > LATE_S, f"99 % of messages go out within {1e3 * late_s:.1f} ms of the answer")
-    interval_s = polling_interval_s(airframe)
+    interval_s = airframe.polling_interval_s
     # Sensors of one group ping together.
     gaps_s = [late - early for early, late in pairwise(pinged_s) if late - early > interval_s / 2]
     worst_s = max((abs(gap_s - interval_s) for gap_s in gaps_s), default=0.0)

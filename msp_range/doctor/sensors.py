@@ -10,7 +10,7 @@ from math import cos, inf
 from statistics import median
 from typing import NamedTuple
 
-from msp_range.assembly import polled_sensors, polling_groups, polling_interval_s
+from msp_range.assembly import polled_sensors
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
 from msp_range.config import Airframe, SensorSettings
@@ -256,8 +256,8 @@ def _crosstalk(
     airframe: Airframe, polled: Mapping[str, PolledSensor], bus: Bus, clock: Clock, alone: Mapping[str, list[Ranging]]
 ) -> Finding:
     """Compare what each reads alone with what it reads in the airframe's polling order."""
-    groups = [[polled[name] for name in group if name in alone] for group in polling_groups(airframe)]
-    together = _polled(bus, clock, [*filter(None, groups)], polling_interval_s(airframe), READINGS + 1)
+    groups = [[polled[name] for name in group if name in alone] for group in airframe.polling_groups]
+    together = _polled(bus, clock, [*filter(None, groups)], airframe.polling_interval_s, READINGS + 1)
     disturbed, moved = [], []
     for name, rangings in alone.items():
         # Before the first turn there was no neighbour.

@@ -61,7 +61,7 @@ class ReplayBus:
             ping = sensor.next
             self.behind_s = max(self.behind_s, now_s - ping.ping_s)
             sensor.ping(now_s, ping)
-            if not ping.acknowledged:
+            if ping.word is None and ping.ready_s <= 0:
                 raise BusError(errno.EREMOTEIO, "write", address)
 
     def read(self, address: int, count: int) -> bytes:

@@ -67,11 +67,6 @@ class RecordedPing(NamedTuple):
     ready_s: float
     """Time from the ping until the sensor answers again [s]. Zero without an answer: the ping was not acknowledged."""
 
-    @property
-    def acknowledged(self) -> bool:
-        """Whether the sensor acknowledged the range command."""
-        return self.word is not None or self.ready_s > 0
-
 
 class Playback(Protocol):
     """The behaviour of one sensor in a replay of its recorded answers; made by its driver."""

@@ -13,7 +13,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from msp_lab.design.session import Columns, PlannedSession, chosen
-from msp_range.assembly import polling_groups, polling_interval_s
 from msp_range.config import Airframe
 from msp_range.yaml_file import check
 from msp_sim.flight.scenario import Scenario
@@ -94,7 +93,7 @@ class Pilot:
         A flight records what it can, whatever `record` asks for.
         """
         del record
-        turn_s = polling_interval_s(self.airframe) * len(polling_groups(self.airframe))
+        turn_s = self.airframe.polling_interval_s * len(self.airframe.polling_groups)
         seconds = min(max(readings * turn_s, 20.0), LONGEST_S)
         air_c = chosen(TEMPERATURES_C, ends_only) if "air_temperature_c" in varied else (20.0,)
         scenarios, parts = {}, []

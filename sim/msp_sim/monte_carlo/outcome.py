@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import SeedSequence, default_rng
 
 from msp_range.arrays import Array
-from msp_range.assembly import polling_groups, polling_interval_s, streams_of, windows_of
+from msp_range.assembly import streams_of, windows_of
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.no_echo import QUALITY_INVALID
@@ -133,7 +133,7 @@ def pings_in_flight(
     """The contexts of a flight's pings in the order of the bridge's polling, as `ping_contexts`; rng: the vehicle's."""
     world = scenario.world()
     around = Surroundings(world, scenario.vehicle(world, rng).pose)
-    groups, interval_s = polling_groups(scenario.airframe), polling_interval_s(scenario.airframe)
+    groups, interval_s = scenario.airframe.polling_groups, scenario.airframe.polling_interval_s
     turns = range(math.ceil(scenario.duration_s / interval_s))
     pings = ((turn * interval_s, name) for turn in turns for name in groups[turn % len(groups)])
     return ping_contexts(scenario.airframe, model, around, pings)
