@@ -7,16 +7,22 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from msp_lab.characterise.page.errors import draw_errors, scale_of, with_reach
+from msp_lab.characterise.page.errors import columns, draw_errors, scale_of
 from msp_lab.characterise.page.picture_data import PictureData, errors_of, in_order, summary
 from msp_lab.characterise.page.text import span
 from msp_lab.estimates import IntervalEstimate
 from msp_sim.page.page import Absent, Drawn, Entry
-from msp_sim.page.style import DOTS, GREEN, MARKED, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
+from msp_sim.page.style import GREEN, MARKED, PURPLE, REFERENCE, SERIES, intervals, line_at_zero, new_axes, new_panels
 from msp_sim.page.text import sentence
 
 MAX_BOXES = 3
 """Panels that the picture of hot and cold air has room for."""
+_IDEAS = (
+    ("uniform_cm", ":", REFERENCE, "that air all the way"),
+    ("gradient_cm", "-.", PURPLE, "linear fall to the room's at the target"),
+    ("confined_cm", "-", GREEN, "that air in the box only"),
+)
+"""Where the air may be: field of a `findings.BoxRow` with the shift that it causes, and how it is drawn."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -75,33 +81,30 @@ def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str]
     """Errors before (filled) and after (white; None: not known), at their places, with their intervals."""
     colour, marker = series
     after = [row for row in rows if row[2] is not None]
-    for x, one, other in after:
-        axes.vlines(x, one.value, other.value, color=colour, alpha=0.6)
-    white: dict[str, Any] = {"markerfacecolor": "white", "markeredgewidth": 1.4}
-    for points, end, words, look in ((rows, 1, "uncompensated", {}), (after, 2, "compensated", white)):
-        x, (y, reach) = [x for x, *_ in points], with_reach([row[end] for row in points])
-        axes.plot(x, y, marker, linestyle="none", color=colour, label=f"{who}{words}", **look)
-        if np.any(reach):
-            axes.errorbar(x, y, yerr=reach, linestyle="none", color=colour)
+    for points, end, which, fill in ((rows, 1, "uncompensated", colour), (after, 2, "compensated", "white")):
+        at, (value, ends) = [row[0] for row in points], columns([row[end] for row in points])
+        words = f"{who}{which}"
+        intervals(axes, at, value, ends, marker=marker, color=colour, markerfacecolor=fill, label=words)
+    for range_cm, one, other in after:
+        axes.vlines(range_cm, one.value, other.value, color=colour, alpha=0.6)
 
 
 def _boxes(rows: PictureData) -> Drawn:
     """Draw one panel a box: shift of the mean error over range, and three ideas of where the air is."""
     found = rows.needed(rows.findings.hot_boxes, "hot_boxes")
     boxes = found[:MAX_BOXES]
-    figure = new_figure(3.6)
-    for axes, box in zip(figure.subplots(1, len(boxes), squeeze=False)[0], boxes, strict=True):
+    figure, panels = new_panels(3.6, 1, len(boxes))
+    for axes, box in zip(panels, boxes, strict=True):
         range_cm = [row.range_cm for row in box.rows]
-        uniform, gradient, confined = np.array([(r.uniform_cm, r.gradient_cm, r.confined_cm) for r in box.rows]).T
+        for name, look, colour, words in _IDEAS:
+            shift_cm = [getattr(row, name) for row in box.rows]
+            axes.plot(range_cm, shift_cm, look, color=colour, label=words)
         line_at_zero(axes)
-        axes.plot(range_cm, uniform, ":", color=REFERENCE, label="that air all the way")
-        axes.plot(range_cm, gradient, "-.", color=PURPLE, label="linear fall to the room's at the target")
-        axes.plot(range_cm, confined, "-", color=GREEN, label="that air in the box only")
-        shift_cm, reach_cm = with_reach([row.shift for row in box.rows])
-        axes.errorbar(range_cm, shift_cm, yerr=reach_cm, label="measured, minus room temperature", **DOTS)
+        measured = columns([row.shift for row in box.rows])
+        intervals(axes, range_cm, *measured, label="measured, minus room temperature")
         assumed = " (assumed)" if box.room_is_assumed else ""
         air = f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond"
         axes.set_title(f"{air}\nair that explains it: {box.depth.value:.0f} cm", fontsize=8.5)
         axes.set_xlabel("true range [cm]")
-    figure.axes[0].set_ylabel("shift of the mean error [cm]")
+    panels[0].set_ylabel("shift of the mean error [cm]")
     return figure, " ".join(sentence(box.answer) for box in found)
