@@ -109,11 +109,9 @@ def subjects(findings: GapFindings, readings: HeldOutReadings) -> list[Subject]:
         columns = [column for column in (*effect.requires, *((effect.per,) if effect.per else ())) if column != "run"]
         special = [name for name in columns if name not in ("true_range_cm", PREVIOUS)] or ["true_range_cm"]
         found.append(Subject(special[0], not {"bias", "spread"} & set(effect.channels)))
-    found += [Subject(unknown.variables[0], unknown.channel not in ("bias", "spread")) for unknown in findings.unknown]
-    for piece in findings.slices:
-        if piece.variables:
-            found.append(Subject(piece.variables[0], piece.channel not in ("bias", "spread")))
-            break
+    first = next((piece for piece in findings.slices if piece.variables), None)
+    others: list[UnknownEffect | Slice] = [*findings.unknown, *([first] if first else [])]
+    found += [Subject(each.variables[0], each.channel not in ("bias", "spread")) for each in others]
     found.append(Subject("true_range_cm", False))
     known = [subject for subject in dict.fromkeys(found) if subject.column in readings.contexts]
     usable = [subject for subject in known if len(partitions(readings.contexts, [subject.column], pairs=False)) > 1]

@@ -94,12 +94,7 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
     """The parameters of an effect that was found: value, interval and meaning."""
     meanings = {parameter.name: parameter.meaning for parameter in effect.parameters} if effect is not None else {}
     rows = tuple(
-        (
-            name,
-            meanings.get(name, ""),
-            f"{value.value:.4g}{unit_after(value.unit)}",
-            interval(value.low, value.high, 4),
-        )
+        (name, meanings.get(name, ""), f"{value.value:.4g}{unit_after(value.unit)}", interval(value.low, value.high, 4))
         for name, value in found.parameters.items()
     )
     anchor = "-".join(("parameters", found.name, *([found.of] if found.of else [])))

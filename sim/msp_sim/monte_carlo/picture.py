@@ -59,13 +59,9 @@ def _draw_flights(axes: Axes, rows: Sequence[Row], summary: Summary) -> None:
     """Each flight by its errors and its longest silence; the worst with their numbers."""
     axes.set_title("each flight, the worst with their numbers")
     axes.set(xlabel="95 % of the errors are below [cm]", ylabel="longest silence [s]")
-    worst = {row[NUMBER] for row in summary.worst}
-    for row in rows:
-        if row["error_p95_cm"] is None:
-            continue
-        place = row["error_p95_cm"], row["longest_silence_s"] or 0.0
-        if row[NUMBER] in worst:
-            axes.plot(*place, ".", color=REFERENCE)
-            label(axes, str(row[NUMBER]), place, (4, 3))
-        else:
-            axes.plot(*place, ".", color=GREY, markersize=3)
+    for shown, colour in ((rows, GREY), (summary.worst, REFERENCE)):
+        known = [row for row in shown if row["error_p95_cm"] is not None]
+        places = [(row["error_p95_cm"], row["longest_silence_s"] or 0.0) for row in known]
+        axes.plot(*np.reshape(places, (-1, 2)).T, ".", color=colour)
+    for row, place in zip(known, places, strict=True):
+        label(axes, str(row[NUMBER]), place, (4, 3))

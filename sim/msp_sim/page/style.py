@@ -146,8 +146,11 @@ def choose_format(name: str) -> None:
 
 
 @style()
-def files_of(figure: Figure) -> dict[str, bytes]:
-    """The figure with its legend by format: PNG, and what was chosen. The same drawing always gives the same bytes."""
+def files_of(figure: Figure, only: str = "") -> dict[str, bytes]:
+    """The figure with its legend by format: PNG and what was chosen, or only one.
+
+    The same drawing always gives the same bytes.
+    """
     if not figure.legends:
         _add_legend(figure)
     for text in figure.findobj(Text):
@@ -158,16 +161,13 @@ def files_of(figure: Figure) -> dict[str, bytes]:
         # A figure that has a layout engine is drawn twice by `savefig`, the first time only for the layout.
         layout.execute(figure)
         figure.set_layout_engine(None)
-    return {name: _file(figure, name) for name in dict.fromkeys(("png", _chosen.get()))}
+    return {name: _file(figure, name) for name in ([only] if only else dict.fromkeys(("png", _chosen.get())))}
 
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure: as PNG, and next to it in the chosen format; or in the format that the file's name has."""
-    files = files_of(figure)
     named = path.suffix.removeprefix(".").lower()
-    if named in ("svg", "pdf"):
-        files = {named: _file(figure, named)}
-    for name, content in files.items():
+    for name, content in files_of(figure, named if named in ("svg", "pdf") else "").items():
         (path if name in ("png", named) else path.with_suffix(f".{name}")).write_bytes(content)
 
 

@@ -5,7 +5,7 @@ read, as a bar whose width is its share. Ranges that change all the time are put
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -30,8 +30,8 @@ from msp_sim.page.style import (
 
 MOST_RANGES, BINS = 45, 24
 """With more ranges than this they are taken as continuous, and put into so many bins."""
-MOST_TICKS, MOST_COUNTS = 16, 30
-"""Ranges that have room for a tick each with their counts in full, and for a count of 0."""
+MOST_TICKS = 16
+"""Ranges that have room for a tick each, and for their counts in full."""
 LINEAR_CM = 5.0
 """Errors within this are to scale where the axis has to be compressed, because there are six times as large ones [cm]:
 what calibration and air explain is within 3 cm, and would be too small to see."""
@@ -80,11 +80,7 @@ class Scale(NamedTuple):
         return (error_cm < self.low) | (error_cm > self.high)
 
 
-def draw_errors(
-    panels: Sequence[Errors],
-    scale: Scale | None = None,
-    band: tuple[float, str] | None = None,
-) -> Figure:
+def draw_errors(panels: Sequence[Errors], scale: Scale | None = None, band: tuple[float, str] | None = None) -> Figure:
     """Draw one panel for each of these, at least one, each with at least one reading; one above the other.
 
     `scale` is that of the error axis (None: what the errors need); errors between plus and minus the first of `band`
@@ -111,7 +107,6 @@ def draw_errors(
         if band is not None:
             row.axhspan(-band[0], band[0], label=band[1], **shaded(REFERENCE))
         _draw_panel(row, each, ranges_cm, scale)
-        _count_above(row, each, ranges_cm, scale)
         if len(panels) > 1:
             row.set_title(each.label)
     figure.supylabel("reading − true range [cm]", fontsize=9.0)
@@ -146,18 +141,31 @@ def share_bars(axes: Axes, at: float, reading_cm: Array, of: int, room: float, t
 
 
 def _draw_panel(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None:
-    """Draw each range's errors as a histogram on its side, with their mean near the median."""
-    edges = edges_between(ranges_cm)
+    """Draw each range's errors as a histogram on its side, with their mean near the median.
+
+    Above each range is how many of its readings are missed and, where there are any, how many are far off.
+    """
+    edges, has_room = edges_between(ranges_cm), ranges_cm.size <= MOST_TICKS
     room_cm, thinnest_cm = np.min(np.diff(edges)) * 0.82, 0.008 * (edges[-1] - edges[0])
-    means = []
-    for range_cm in np.unique(each.true_range_cm[~each.missed]):
-        errors = each.error_cm[(each.true_range_cm == range_cm) & ~each.missed]
+    counted, is_far = {"missed": each.missed}, scale.is_far(each.error_cm)
+    if np.any(is_far):
+        counted = {f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis": is_far, **counted}
+    means, above = [], {}
+    for range_cm in np.unique(each.true_range_cm).tolist():
+        here = each.true_range_cm == range_cm
+        counts = [np.count_nonzero(flags[here]) for flags in counted.values()]
+        of = f"/{np.count_nonzero(here)}" if has_room else ""
+        if has_room or any(counts):
+            above[range_cm] = "\n".join(f"{count}{of}" if count else "0" for count in counts)
+        errors = each.error_cm[here & ~each.missed]
+        if not errors.size:
+            continue
         # An error that occurs: between two clusters, half of the readings each, there is none.
         centre_cm = np.quantile(errors, 0.5, method="nearest")
         # Bars of 1 cm, centred where this range's readings lie: half a centimetre off for a range of 304.5.
-        rounded_cm, is_far = centre_cm + np.rint(errors - centre_cm), scale.is_far(errors)
-        share_bars(row, range_cm, rounded_cm[~is_far], errors.size, room_cm, thinnest_cm)
-        far_cm = np.unique(np.clip(rounded_cm[is_far], scale.low, scale.high))
+        rounded_cm, off = centre_cm + np.rint(errors - centre_cm), scale.is_far(errors)
+        share_bars(row, range_cm, rounded_cm[~off], errors.size, room_cm, thinnest_cm)
+        far_cm = np.unique(np.clip(rounded_cm[off], scale.low, scale.high))
         if far_cm.size:
             row.plot(far_cm * 0.0 + range_cm, far_cm, "_", color=OURS, clip_on=False, label="readings farther off")
         near = errors[np.abs(errors - centre_cm) <= scale.linear_cm]
@@ -166,23 +174,13 @@ def _draw_panel(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None
     at_cm, mean_cm, *ends_cm = np.array(means).reshape(-1, 4).T
     intervals(row, at_cm, mean_cm, ends_cm, label="mean near the median, 95 % interval")
     row.set_xlim(edges[0], edges[-1])
-    if ranges_cm.size <= MOST_TICKS:
+    if has_room:
         row.set_xticks(ranges_cm, [f"{range_cm:g}" for range_cm in ranges_cm])
+    _write_above(row, above, "\n".join(counted))
 
 
-def _count_above(row: Axes, errors: Errors, ranges_cm: Array, scale: Scale) -> None:
-    """Write over each range how many of its readings are missed, and where there are any, how many are far off."""
-    counted = {"missed": errors.missed}
-    is_far = scale.is_far(errors.error_cm)
-    if np.any(is_far):
-        counted = {f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis": is_far, **counted}
-    words = {}
-    for range_cm in ranges_cm.tolist():
-        here = errors.true_range_cm == range_cm
-        counts = [np.count_nonzero(flags[here]) for flags in counted.values()]
-        if any(counts) or (np.any(here) and ranges_cm.size <= MOST_COUNTS):
-            of = f"/{np.count_nonzero(here)}" if ranges_cm.size <= MOST_TICKS else ""
-            words[range_cm] = "\n".join(f"{count}{of}" if count else "0" for count in counts)
+def _write_above(row: Axes, words: Mapping[float, str], heading: str) -> None:
+    """Write words over places of an axes, and what they are to the left."""
     above = row.secondary_xaxis("top")
     above.set_xticks(list(words), list(words.values()), fontsize=6.5)
     above.tick_params(length=0)
@@ -190,4 +188,4 @@ def _count_above(row: Axes, errors: Errors, ranges_cm: Array, scale: Scale) -> N
     for text in above.get_xticklabels():
         text.set_color(REFERENCE if set(text.get_text()) - {"0", "\n"} else GREY)
     look = {"xycoords": "axes fraction", "ha": "right", "va": "bottom", "fontsize": 6.5, "color": GREY}
-    label(row, "\n".join(counted), (0.0, 1.0), (-4, 4), **look)
+    label(row, heading, (0.0, 1.0), (-4, 4), **look)

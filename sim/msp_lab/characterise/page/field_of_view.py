@@ -79,22 +79,20 @@ def _draw_sweep(
     edges = edges_between(angle_deg)
     width = 0.86 * np.min(np.diff(edges))
 
-    theta = np.radians(np.linspace(-1.0, 1.0, 241) * np.max(np.abs(angle_deg)))
+    span_deg = np.linspace(-1.0, 1.0, 241) * np.max(np.abs(angle_deg))
     # As calibration and air stretch what is read straight ahead.
     base_cm = min(points, key=lambda point: abs(point.incidence_deg)).nearest_cm
-    slant_cm = base_cm / np.cos(theta)
+    slant_cm = base_cm / np.cos(np.radians(span_deg))
     low, high = min(base_cm, range_cm) - 4.0, max(np.max(slant_cm), range_cm) + 5.0
     for angle, here in grouped(readings, lambda point: round(point.incidence_deg, 3)).items():
         echo_cm = np.concatenate([point.reading_cm[point.is_echo] for point in here])
         of = sum(point.reading_cm.size for point in here)
         share_bars(top, angle, echo_cm[(echo_cm > low) & (echo_cm < high)], of, width)
-    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
+    top.plot(span_deg, slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
     if half_deg > 0.0:
-        nearest_cm = base_cm / np.cos(np.maximum(np.abs(theta) - np.radians(half_deg), 0.0))
-        words = f"nearest point in a beam of ±{half_deg:.1f}°"
-        top.plot(np.degrees(theta), nearest_cm, color=GREEN, label=words)
+        nearest_cm = base_cm / np.cos(np.radians(np.maximum(np.abs(span_deg) - half_deg, 0.0)))
+        top.plot(span_deg, nearest_cm, color=GREEN, label=f"nearest point in a beam of ±{half_deg:.1f}°")
     top.set(ylim=(low, high), ylabel="reading [cm]")
-    top.locator_params(axis="y", nbins=6, integer=True)
 
     of_wall = np.bincount(at, [point.reliable.value * point.readings for point in points])
     reliable = 100.0 * of_wall / np.bincount(at, [point.readings for point in points])
@@ -107,9 +105,6 @@ def _draw_sweep(
         for edge_deg in () if reference_deg is None else (-reference_deg, reference_deg):
             words = f"{reference.name}'s ±{reference_deg:g}°"
             axes.axvline(edge_deg, color=REFERENCE, linestyle=":", label=words)
-    # Of many angles every other one.
-    bottom.set_xticks(angle_deg[:: 1 + (angle_deg.size > 15)])
-    bottom.xaxis.set_major_formatter("{x:g}")
     bottom.set(xlim=(edges[0], edges[-1]), xlabel="angle between the axis and the wall's normal [deg]")
     return figure
 

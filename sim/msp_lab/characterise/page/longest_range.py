@@ -126,9 +126,20 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
     figure, axes = new_axes(3.5, "reading [cm]", "readings" if masked else "readings (logarithmic)")
     words = f"true range, {fixed.true_range_cm:g} cm"
     axes.axvline(fixed.true_range_cm, color=REFERENCE, linestyle="--", label=words)
+    distances_cm = to_step(fixed.distance_cm[np.isfinite(fixed.distance_cm)], 1.0)
+    values, counts = np.unique(distances_cm, return_counts=True)
+    axes.bar(values, counts, 0.86 if masked else 3.0, label=f"{distances_cm.size:,} readings", **BARS)
     caption = f"{fixed.caption}."
     if not masked:
-        _draw_all(axes, fixed)
+        highest = np.max(counts, initial=1)
+        for code_cm in fixed.codes_cm:
+            count = int(np.sum(fixed.reading_cm == code_cm))
+            axes.bar(code_cm, count, 5.0, color=ORANGE, label="code for no echo")
+            label(axes, f"{code_cm:g} cm\n{fixed.percent(count)}", (code_cm, count), (0, 4), ha="center")
+            highest = max(highest, count)
+        right_cm = np.nanmax([*fixed.reading_cm, fixed.true_range_cm])
+        axes.set(yscale="log", ylim=(0.7, 4.0 * highest), xlim=(0.0, 1.06 * right_cm))
+        axes.yaxis.set_major_formatter("{x:,.0f}")
         if found is not None:
             peaks = ", ".join(f"{peak.reading_cm:g} cm ({100.0 * peak.share:.2g} %)" for peak in found.peaks_before)
             caption = (
@@ -136,9 +147,6 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
                 f"{rows.model.maximum_cm} and {found.saturated:,} of 255 are missed echoes."
             )
         return figure, caption
-    distances_cm = to_step(fixed.distance_cm[np.isfinite(fixed.distance_cm)], 1.0)
-    words = f"{distances_cm.size:,} readings"
-    axes.bar(*np.unique(distances_cm, return_counts=True), width=0.86, label=words, **BARS)
     fixed.note_outside(axes, 0.01)
     if found is not None:
         caption = f"Without the codes there {_are_peaks(len(found.peaks_after))}, at {interval(found.peak)}."
@@ -148,29 +156,16 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
         expected = fitted.total * fixed.reading_cm.size
         half, words = Z * np.sqrt(expected), "fitted model, and 95 % of counts"
         intervals(axes, fitted.reading_cm, expected, [expected - half, expected + half], label=words)
-        axes.set_ylim(bottom=0.0)
         caption += " Circles: what the mixture, fitted about these hits' own mean, expects in each centimetre."
     earlier = rows.reference
     if abs(fixed.true_range_cm - earlier.peak_range_cm) < PEAK_RANGE_CM:
         words = f"{earlier.name}'s peak, {earlier.peak_cm:g} cm"
         axes.axvline(earlier.peak_cm, color=GREY, linestyle=":", label=words)
-    axes.set_xlim(*fixed.limits_cm)
+    axes.set(xlim=fixed.limits_cm)
+    axes.set_ylim(bottom=0.0)
     axes.locator_params(axis="x", integer=True)
     return figure, caption
 
 
 def _are_peaks(count: int) -> str:
     return f"{'is' if count == 1 else 'are'} {counted(count, 'peak')}"
-
-
-def _draw_all(axes: Axes, fixed: _FixedRange) -> None:
-    """How often each answer was read, codes too, on a logarithmic scale."""
-    values, counts = np.unique(fixed.reading_cm[np.isfinite(fixed.reading_cm)], return_counts=True)
-    is_code = np.isin(values, fixed.codes_cm)
-    axes.bar(values[~is_code], counts[~is_code], width=3.0, color=OURS, label="readings")
-    axes.bar(values[is_code], counts[is_code], width=5.0, color=ORANGE, label="code for no echo")
-    axes.set(xlim=(0.0, 1.06 * max(np.max(values), fixed.true_range_cm)), yscale="log")
-    axes.set_ylim(0.7, np.max(counts) * 4.0)
-    axes.yaxis.set_major_formatter("{x:,.0f}")
-    for value, count in zip(values[is_code], counts[is_code], strict=True):
-        label(axes, f"{value:g} cm\n{fixed.percent(count)}", (value, count), (0, 4), ha="center")
