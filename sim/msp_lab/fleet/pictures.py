@@ -3,11 +3,10 @@
 Findings enter, a figure leaves. Nothing is decided here.
 """
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from msp_lab.fleet.findings import FleetEffect, FleetFindings
+from msp_lab.fleet.findings import FleetEffect, FleetFindings, SessionEstimate, UnitEstimate
 from msp_lab.gap.labels import name_of
 from msp_sim.page.style import BLUE, GREY, VERMILION, intervals, new_panels, shaded
 
@@ -40,8 +39,7 @@ def _draw_sensors(axes: Axes, effect: FleetEffect, several: bool) -> None:
         axes.axvline(effect.mean, color=GREY)
     for row, one in enumerate(shown):
         look = {"color": VERMILION, "marker": "s"} if one.odd else {"color": BLUE}
-        own = one.value - 2.0 * one.error, one.value + 2.0 * one.error
-        axes.plot(own, [row, row], color=look["color"], linewidth=0.8, alpha=0.5)
+        axes.plot(_own(one), [row, row], color=look["color"], linewidth=0.8, alpha=0.5)
         intervals(axes, row, one.shrunk, (one.low, one.high), across=True, capsize=0, elinewidth=2.0, **look)
     names = [f"{estimate.vehicle} {estimate.sensor}" if several else estimate.vehicle for estimate in shown]
     axes.set_yticks(range(len(shown)), names)
@@ -50,12 +48,15 @@ def _draw_sensors(axes: Axes, effect: FleetEffect, several: bool) -> None:
     axes.set_title({"odd": "odd ones out", "shared": "the whole fleet"}.get(effect.kind, "all sensors"))
 
 
+def _own(one: UnitEstimate | SessionEstimate) -> tuple[float, float]:
+    """The interval of its own readings."""
+    return one.value - 2.0 * one.error, one.value + 2.0 * one.error
+
+
 def _draw_sessions(axes: Axes, effect: FleetEffect) -> None:
-    names = [estimate.session for estimate in effect.sessions]
-    value, error = np.transpose([(estimate.value, estimate.error) for estimate in effect.sessions])
-    places = np.arange(1, len(names) + 1)
-    intervals(axes, places, value, [value - 2.0 * error, value + 2.0 * error], color=BLUE)
-    if effect.since:
-        axes.axvline(names.index(effect.since) + 0.5, color=VERMILION)
+    for place, one in enumerate(effect.sessions, start=1):
+        intervals(axes, place, one.value, _own(one), color=BLUE)
+        if one.session == effect.since:
+            axes.axvline(place - 0.5, color=VERMILION)
     title = f"{effect.estimates[0].vehicle}: {name_of(effect.name)}{effect.unit_label}"
     axes.set(xlabel="session", title=title)

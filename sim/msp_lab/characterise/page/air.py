@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from msp_lab.characterise.page.errors import columns, draw_errors, scale_of
+from msp_lab.characterise.page.errors import draw_errors, scale_of
 from msp_lab.characterise.page.picture_data import PictureData, errors_of, in_order, summary
 from msp_lab.characterise.page.text import span
 from msp_lab.estimates import IntervalEstimate
@@ -47,12 +47,13 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
         both.append(compensated.select(known))
         air = f" Air {span(air_c)} °C; the sensor assumes {rows.model.calibration_temperature_c:g} °C."
     errors = both[int(after)]
-    # A reference's mean errors where they can be compared: next to a range that was measured.
-    earlier, tested_cm = rows.reference.mean_error_cm, np.unique(both[0].true_range_cm)
-    near = {each: earlier[each][int(after)] for each in sorted(earlier) if np.min(np.abs(tested_cm - each)) <= 2.0}
-    figure = draw_errors([errors], scale_of(both, near.values()))
-    if near:
-        figure.axes[0].plot(list(near), list(near.values()), label=f"{rows.reference.name}'s mean error", **MARKED)
+    # A reference's mean errors where they can be compared: at a range that was measured.
+    pairs = {each: rows.reference.mean_errors_at(each) for each in np.unique(both[0].true_range_cm).tolist()}
+    earlier = {each: pair[int(after)] for each, pair in pairs.items() if pair}
+    figure = draw_errors([errors], scale_of(both, earlier.values()))
+    if earlier:
+        words = f"{rows.reference.name}'s mean error"
+        figure.axes[0].plot(list(earlier), list(earlier.values()), label=words, **MARKED)
     return figure, summary(errors) + air
 
 
@@ -80,13 +81,13 @@ def compensation(rows: PictureData) -> Drawn:
 def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str], who: str) -> None:
     """Errors before (filled) and after (white; None: not known), at their places, with their intervals."""
     colour, marker = series
-    after = [row for row in rows if row[2] is not None]
-    for points, end, which, fill in ((rows, 1, "uncompensated", colour), (after, 2, "compensated", "white")):
-        at, (value, ends) = [row[0] for row in points], columns([row[end] for row in points])
-        words = f"{who}{which}"
-        intervals(axes, at, value, ends, marker=marker, color=colour, markerfacecolor=fill, label=words)
-    for range_cm, one, other in after:
-        axes.vlines(range_cm, one.value, other.value, color=colour, alpha=0.6)
+    for at, before, after in rows:
+        for one, words, fill in ((before, "uncompensated", colour), (after, "compensated", "white")):
+            if one is not None:
+                words = f"{who}{words}"
+                intervals(axes, at, one.value, one.ends, marker=marker, color=colour, markerfacecolor=fill, label=words)
+        if after is not None:
+            axes.vlines(at, before.value, after.value, color=colour, alpha=0.6)
 
 
 def _boxes(rows: PictureData) -> Drawn:
@@ -100,8 +101,8 @@ def _boxes(rows: PictureData) -> Drawn:
             shift_cm = [getattr(row, name) for row in box.rows]
             axes.plot(range_cm, shift_cm, look, color=colour, label=words)
         line_at_zero(axes)
-        measured = columns([row.shift for row in box.rows])
-        intervals(axes, range_cm, *measured, label="measured, minus room temperature")
+        for row in box.rows:
+            intervals(axes, row.range_cm, row.shift.value, row.shift.ends, label="measured, minus room temperature")
         assumed = " (assumed)" if box.room_is_assumed else ""
         air = f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond"
         axes.set_title(f"{air}\nair that explains it: {box.depth.value:.0f} cm", fontsize=8.5)

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from msp_lab.estimates import IntervalEstimate, Z
+from msp_lab.estimates import Z
 from msp_range.arrays import Array, Flags
 from msp_sim.page.style import (
     BARS,
@@ -25,7 +25,6 @@ from msp_sim.page.style import (
     label,
     line_at_zero,
     new_panels,
-    shaded,
 )
 
 MOST_RANGES, BINS = 45, 24
@@ -80,11 +79,10 @@ class Scale(NamedTuple):
         return (error_cm < self.low) | (error_cm > self.high)
 
 
-def draw_errors(panels: Sequence[Errors], scale: Scale | None = None, band: tuple[float, str] | None = None) -> Figure:
+def draw_errors(panels: Sequence[Errors], scale: Scale | None = None) -> Figure:
     """Draw one panel for each of these, at least one, each with at least one reading; one above the other.
 
-    `scale` is that of the error axis (None: what the errors need); errors between plus and minus the first of `band`
-    are shaded [cm], and the second says what they are.
+    `scale` is that of the error axis (None: what the errors need).
     """
     scale = scale or scale_of(panels)
     # One axis of ranges for all panels, also where some have fewer of them.
@@ -104,8 +102,6 @@ def draw_errors(panels: Sequence[Errors], scale: Scale | None = None, band: tupl
         row.yaxis.set_major_formatter("{x:g}")
         row.set_ylim(scale.low, scale.high)
         line_at_zero(row)
-        if band is not None:
-            row.axhspan(-band[0], band[0], label=band[1], **shaded(REFERENCE))
         _draw_panel(row, each, ranges_cm, scale)
         if len(panels) > 1:
             row.set_title(each.label)
@@ -122,11 +118,6 @@ def scale_of(panels: Sequence[Errors], marked_cm: Iterable[float] = ()) -> Scale
     shown += [*np.quantile(errors, [0.0025, 0.9975])] if errors.size else []
     scale = Scale(min(shown) - 0.8, max(shown) + 0.8)
     return Scale(min(scale.low, -LINEAR_CM), max(scale.high, LINEAR_CM)) if scale.is_compressed else scale
-
-
-def columns(estimates: Sequence[IntervalEstimate]) -> tuple[Array, Array]:
-    """Values, (n,), and the ends of their intervals, (2, n); infinite where an end is unknown."""
-    return np.array([each.value for each in estimates]), np.array([each.ends for each in estimates]).reshape(-1, 2).T
 
 
 def share_bars(axes: Axes, at: float, reading_cm: Array, of: int, room: float, thinnest: float = 0.0) -> None:
@@ -150,7 +141,7 @@ def _draw_panel(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None
     counted, is_far = {"missed": each.missed}, scale.is_far(each.error_cm)
     if np.any(is_far):
         counted = {f"over ±{LINEAR_CM:g} cm" if scale.is_compressed else "off the axis": is_far, **counted}
-    means, above = [], {}
+    above = {}
     for range_cm in np.unique(each.true_range_cm).tolist():
         here = each.true_range_cm == range_cm
         counts = [np.count_nonzero(flags[here]) for flags in counted.values()]
@@ -169,10 +160,9 @@ def _draw_panel(row: Axes, each: Errors, ranges_cm: Array, scale: Scale) -> None
         if far_cm.size:
             row.plot(far_cm * 0.0 + range_cm, far_cm, "_", color=OURS, clip_on=False, label="readings farther off")
         near = errors[np.abs(errors - centre_cm) <= scale.linear_cm]
-        half_cm = Z * near.std() / math.sqrt(near.size)
-        means.append((range_cm, near.mean(), near.mean() - half_cm, near.mean() + half_cm))
-    at_cm, mean_cm, *ends_cm = np.array(means).reshape(-1, 4).T
-    intervals(row, at_cm, mean_cm, ends_cm, label="mean near the median, 95 % interval")
+        mean_cm, half_cm = near.mean(), Z * near.std() / math.sqrt(near.size)
+        ends_cm, words = (mean_cm - half_cm, mean_cm + half_cm), "mean near the median, 95 % interval"
+        intervals(row, range_cm, mean_cm, ends_cm, label=words)
     row.set_xlim(edges[0], edges[-1])
     if has_room:
         row.set_xticks(ranges_cm, [f"{range_cm:g}" for range_cm in ranges_cm])

@@ -138,10 +138,10 @@ def _sonar(rows: PictureData) -> Drawn:
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
     axes.plot(span_cm, span_deg, color=GREEN, label="sonar equation, fitted")
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    ends_deg = {each.range_cm: each.half_angle.ends for each in view.angles}
-    ends = np.transpose([ends_deg[each] for each in range_cm])
-    words = "measured, up to the next angle tried"
-    intervals(axes, range_cm, measured_deg, ends, color=OURS, markersize=9, label=words)
+    angles, words = {each.range_cm: each.half_angle for each in view.angles}, "measured, up to the next angle tried"
+    for row in sonar.rows:
+        ends_deg = angles[row.range_cm].ends
+        intervals(axes, row.range_cm, row.measured_deg, ends_deg, color=OURS, markersize=9, label=words)
     earlier = {each: angle for each, angle in rows.reference.half_angle_deg.items() if each in range_cm}
     if earlier:
         axes.plot(list(earlier), list(earlier.values()), label=f"{rows.reference.name}'s", **MARKED)

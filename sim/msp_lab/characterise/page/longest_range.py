@@ -131,7 +131,7 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
     axes.bar(values, counts, 0.86 if masked else 3.0, label=f"{distances_cm.size:,} readings", **BARS)
     caption = f"{fixed.caption}."
     if not masked:
-        highest = np.max(counts, initial=1)
+        highest = max(counts.tolist(), default=1)
         for code_cm in fixed.codes_cm:
             count = int(np.sum(fixed.reading_cm == code_cm))
             axes.bar(code_cm, count, 5.0, color=ORANGE, label="code for no echo")

@@ -78,8 +78,8 @@ _KINDS = {
 }
 NO_WEIGHT = 1e-7
 """A smaller weight is that of a kind that was not seen."""
-SINGLE_CM = 25.0
-"""This near to the expected reading each centimetre is shown by itself [cm]."""
+LEAST_SHARE = 0.01
+"""Readings of a bin in which a kind has a smaller share, by the model, say nothing of the kind."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -102,8 +102,6 @@ class Densities:
     """By kind: probability of each reading if the reading is of this kind, shape (k,); its sum is 1."""
     weight: dict[str, float]
     """By kind: share of the readings."""
-    total: Array
-    """Probability of each reading by the whole model, codes in it, shape (k,)."""
     counts: Array
     """How often each was read, shape (k,)."""
 
@@ -111,6 +109,21 @@ class Densities:
     def parts(self) -> dict[str, Array]:
         """By kind: probability of each reading of this kind, of all readings."""
         return {kind: self.weight[kind] * self.density[kind] for kind in KINDS}
+
+    @property
+    def bins(self) -> list[Indices]:
+        """Places of each centimetre with hits or codes, elsewhere of some 25, in which few readings look like few."""
+        hit = self.density["hit"]
+        single = (hit > 1e-7 * np.max(hit)) | (self.density["missed"] > 0.0)
+        stretches = np.split(np.arange(single.size), np.flatnonzero(np.diff(single)) + 1)
+        parts = [np.array_split(each, each.size if single[each[0]] else max(each.size // 25, 1)) for each in stretches]
+        return [cells for part in parts for cells in part]
+
+    @property
+    def total(self) -> Array:
+        """Probability of each reading by the whole model, codes in it, shape (k,)."""
+        total: Array = np.sum(list(self.parts.values()), axis=0)
+        return total
 
 
 def densities(rows: PictureData) -> Densities:
@@ -131,8 +144,7 @@ def densities(rows: PictureData) -> Densities:
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm]
-    *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
-    by_kind = dict(zip(KINDS, by_each_kind, strict=True))
+    by_kind = dict(zip(KINDS, np.average(at_each, axis=0, weights=rows_at), strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
     readings = to_step(reading_cm, 1.0)
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
@@ -141,7 +153,6 @@ def densities(rows: PictureData) -> Densities:
         reading_cm=k,
         density=by_kind,
         weight=dict(zip(KINDS, whole.shares(apparent_cm), strict=True)),
-        total=total,
         counts=np.bincount(readings, minlength=k.size).astype(np.float64),
     )
 
@@ -170,12 +181,12 @@ def _ranges(points: Sequence[PointReadings]) -> tuple[Array, Indices]:
 
 
 def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:
-    """Probability of each reading by each kind alone, and by all of the mixture, at a range."""
+    """Probability of each reading by each kind alone, at a range."""
     mixture = whole.rows(np.full(k.size, apparent_cm))
     hit, short, _, random = mixture.kinds(k, k)
     # The garbled code is drawn with the mass that it comes from.
     missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
-    return [hit.p, short.p, missed, random.p, np.exp(mixture.log_prob(k))]
+    return [hit.p, short.p, missed, random.p]
 
 
 def density(rows: PictureData, kind: str) -> Drawn:
@@ -193,10 +204,11 @@ def density(rows: PictureData, kind: str) -> Drawn:
         note(axes, f"weight 0: no reading was found to be of this kind{rate}", y=0.9)
     else:
         # Readings of a kind cannot be identified one by one: a count is multiplied by the share of the kind in it.
-        bins = _bins_of(kind, fitted, shown)
-        of_all = np.sum(list(fitted.parts.values()), axis=0)
-        scales = [np.sum(p[cells]) / np.sum(of_all[cells]) / cells.size for cells in bins]
-        _dots(axes, fitted, bins, scales, "read, times the model's share of this kind")
+        part, total = fitted.parts[kind], fitted.total
+        bins = [cells for cells in fitted.bins if (cells.size > 1) == (kind in ("short", "random"))]
+        shares = [(cells, np.sum(part[cells]) / np.sum(total[cells])) for cells in bins]
+        scaled = [(cells, share / fitted.weight[kind]) for cells, share in shares if share > LEAST_SHARE]
+        _dots(axes, fitted, scaled, "read, times the model's share of this kind")
     if kind == "missed":
         read = 100.0 * fitted.counts / max(np.sum(fitted.counts), 1.0)
         for at in shown:
@@ -207,16 +219,6 @@ def density(rows: PictureData, kind: str) -> Drawn:
     axes.set_ylim(bottom=0.0)
     axes.yaxis.set_major_formatter("{x:.3g}")
     return figure, f"{caption} {look.remark.format(k[0])}".strip()
-
-
-def _bins_of(kind: str, fitted: Densities, shown: Indices) -> list[Indices]:
-    """Bins of readings in which a kind can be distinguished: each centimetre, or a stretch apart from the hits."""
-    if kind in ("hit", "missed"):
-        return list(shown[:, None])
-    hits = np.flatnonzero(fitted.density["hit"] > 1e-7 * np.max(fitted.density["hit"]))
-    beyond = np.arange(1, hits[0]) if kind == "short" else np.arange(hits[-1] + 1, fitted.reading_cm.size - 1)
-    places = beyond[fitted.density["missed"][beyond] == 0.0]
-    return np.array_split(places, min(places.size // 20, 16)) if places.size >= 20 else []
 
 
 def _fitted(mixture: Mixture, kind: str) -> str:
@@ -230,14 +232,13 @@ def _fitted(mixture: Mixture, kind: str) -> str:
     return f"Fitted: {'; '.join(shown)}." if shown else ""
 
 
-def _dots(axes: Axes, fitted: Densities, bins: Sequence[Indices], scales: Sequence[float], words: str) -> None:
-    """Shares of the readings in bins times a scale each, with their intervals."""
+def _dots(axes: Axes, fitted: Densities, bins: Sequence[tuple[Indices, float]], words: str) -> None:
+    """Share of the readings in each bin by centimetre, times its scale, with its interval."""
     total = np.sum(fitted.counts)
-    counts = [np.sum(fitted.counts[cells]) for cells in bins]
-    if total and bins:
-        ends = np.transpose([wilson(count, total) for count in counts])
-        at = [np.mean(fitted.reading_cm[cells]) for cells in bins]
-        intervals(axes, at, np.multiply(counts, scales) / total, ends * scales, label=words)
+    for cells, scale in bins if total else ():
+        share, ends = np.sum(fitted.counts[cells]) / total, wilson(np.sum(fitted.counts[cells]), total)
+        per_cm = scale / cells.size
+        intervals(axes, np.mean(fitted.reading_cm[cells]), share * per_cm, np.array(ends) * per_cm, label=words)
 
 
 def _whole_mixture(rows: PictureData) -> Drawn:
@@ -248,13 +249,8 @@ def _whole_mixture(rows: PictureData) -> Drawn:
     is_code = fitted.density["missed"] > 0.0
     plain = np.concatenate([p[~is_code & (p > 0.0)] for p in (parts["short"], parts["random"])])
     least = 0.2 * np.min(plain) if plain.size else 1e-7
-    # Each centimetre by itself near the hits and at the codes, elsewhere some 25, in which few readings look like few.
-    single = (np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code
-    stretches = np.split(np.arange(k.size), np.flatnonzero(np.diff(single)) + 1)
-    parted = [np.array_split(each, each.size if single[each[0]] else max(each.size // 25, 1)) for each in stretches]
-    bins = [cells for stretch in parted for cells in stretch if np.any(fitted.counts[cells])]
-    words = f"read ({np.sum(fitted.counts):,.0f} readings)"
-    _dots(axes, fitted, bins, [1.0 / cells.size for cells in bins], words)
+    read = [(cells, 1.0) for cells in fitted.bins if np.any(fitted.counts[cells])]
+    _dots(axes, fitted, read, f"read ({np.sum(fitted.counts):,.0f} readings)")
     for kind, p in parts.items():
         colour, words = _KINDS[kind].colour, f"{kind}, weight {fitted.weight[kind]:.3g}"
         if kind == "missed":

@@ -61,13 +61,8 @@ def _forest(rows: PictureData) -> Drawn:
         _panel(axes, drawn[metric])
         unit = "difference [cm]" if metric == "bias" else "ratio"
         axes.set_title(textwrap.fill(f"{NAMES[metric]}, {unit}", TITLE_LETTERS))
-    first = panels[0]
-    first.set_ylim(np.sum(heights), 0.0)
-    first.set_yticks(middles, labels, fontsize=7.5)
-    for verdict, look in VERDICTS.items():
-        first.plot([], [], linestyle="none", label=verdict, **look)
-    first.fill_between([], [], [], label="too small to matter", **shaded())
-    first.plot([], [], "|", color=INK, markersize=12, label="smallest that these data show")
+    panels[0].set_ylim(np.sum(heights), 0.0)
+    panels[0].set_yticks(middles, labels, fontsize=7.5)
     return figure, (
         "Each line is an effect with its 95 % interval; grey ground is what would be too small to matter, the black "
         "bars the smallest effect that these data would have shown in 80 % of cases. Verdicts are corrected for the "
@@ -83,13 +78,13 @@ def _panel(axes: Axes, rows: Sequence[Row]) -> None:
     _set_scale(axes, rows, is_ratio)
     axes.axvline(1.0 if is_ratio else 0.0, color=GREY)
     for y, effect, size in rows:
-        axes.fill_between([effect.mirrored(effect.bound), effect.bound], y - 0.8, y + 0.8, **shaded())
-        if (smallest := effect.smallest_detectable) is not None:
-            axes.plot([smallest, effect.mirrored(smallest)], [y, y], "|", color=INK, markersize=14)
-        ends = np.clip(size.ends, *axes.get_xlim())
-        intervals(
-            axes, [y], [size.value], ends[:, None], across=True, capsize=0, elinewidth=1.5, **VERDICTS[effect.verdict]
-        )
+        small = effect.mirrored(effect.bound), effect.bound
+        axes.fill_between(small, y - 0.8, y + 0.8, label="too small to matter", **shaded())
+        if (least := effect.smallest_detectable) is not None:
+            words = "smallest that these data show"
+            axes.plot([least, effect.mirrored(least)], [y, y], "|", color=INK, markersize=14, label=words)
+        ends, verdict = np.clip(size.ends, *axes.get_xlim()), effect.verdict
+        intervals(axes, y, size.value, ends, across=True, capsize=0, label=verdict, **VERDICTS[verdict])
 
 
 def _set_scale(axes: Axes, rows: Sequence[Row], is_ratio: bool) -> None:

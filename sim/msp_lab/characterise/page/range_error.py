@@ -99,11 +99,14 @@ def baseline(rows: PictureData) -> Drawn:
     """Draw the range error with nothing varied."""
     errors = errors_of(rows.of("baseline"))
     largest_cm = rows.reference.largest_error_cm
-    band = largest_cm, f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
+    figure = draw_errors([errors])
+    if largest_cm > 0.0:
+        words = f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
+        figure.axes[0].axhspan(-largest_cm, largest_cm, label=words, zorder=0, **shaded(REFERENCE))
     caption, found = summary(errors), rows.findings.baseline
     if found is not None:
         caption += f" Mean error {interval(found.bias)}; largest error of a hit {plus(found.largest_hit_error_cm)} cm."
-    return draw_errors([errors], band=band if largest_cm > 0.0 else None), caption
+    return figure, caption
 
 
 def _materials(rows: PictureData) -> dict[str, list[PointReadings]]:
