@@ -125,12 +125,10 @@ def _sonar(rows: PictureData) -> Drawn:
     """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
     sonar = rows.needed(rows.findings.sonar, "sonar")
     view = rows.needed(rows.findings.field_of_view, "field_of_view")
-    range_cm, measured_deg, fitted_deg, others_deg = np.array(
-        [(row.range_cm, row.measured_deg, row.fitted_deg, row.left_out_deg) for row in sonar.rows], dtype=float
-    ).T
-    used_cm, used_deg = np.array([*zip(range_cm, measured_deg, strict=True), *sonar.beyond]).T
+    measured = [(row.range_cm, row.measured_deg) for row in sonar.rows]
+    used_cm, used_deg = np.transpose([*measured, *sonar.beyond])
     equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
-    span_cm = np.linspace(np.min(range_cm) * 0.6, np.max(used_cm), 120)
+    span_cm = np.linspace(0.6 * np.min(used_cm), np.max(used_cm), 120)
     # Where there is no echo, None becomes NaN.
     span_deg = np.array([equation.half_angle_deg(each / 100.0) for each in span_cm.tolist()], dtype=float)
     figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
@@ -138,27 +136,27 @@ def _sonar(rows: PictureData) -> Drawn:
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
     axes.plot(span_cm, span_deg, color=GREEN, label="sonar equation, fitted")
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    angles, words = {each.range_cm: each.half_angle for each in view.angles}, "measured, up to the next angle tried"
-    for row in sonar.rows:
-        ends_deg = angles[row.range_cm].ends
-        intervals(axes, row.range_cm, row.measured_deg, ends_deg, color=OURS, markersize=9, label=words)
-    earlier = {each: angle for each, angle in rows.reference.half_angle_deg.items() if each in range_cm}
-    if earlier:
-        axes.plot(list(earlier), list(earlier.values()), label=f"{rows.reference.name}'s", **MARKED)
-    predicted = np.isfinite(others_deg)
-    if np.any(predicted):
-        words = "predicted from the others"
-        axes.plot(range_cm, others_deg, "D", color=ORANGE, fillstyle="none", markersize=9, zorder=7, label=words)
-        for where in range_cm[~predicted].tolist():
-            label(axes, "the others predict\nno echo here", (where, 0.0), (0, 6), ha="center", color=GREY)
-    highest_deg = max([*measured_deg, *others_deg[predicted], *earlier.values()])
+    ends_deg = {each.range_cm: each.half_angle.ends for each in view.angles}
+    missed_deg = [abs(row.fitted_deg - row.measured_deg) for row in sonar.rows if row.fitted_deg is not None]
+    others_deg = {row.range_cm: row.left_out_deg for row in sonar.rows if row.left_out_deg is not None}
+    highest_deg = max([*used_deg, *others_deg.values()])
+    for at_cm, angle_deg in measured:
+        words = "measured, up to the next angle tried"
+        intervals(axes, at_cm, angle_deg, ends_deg[at_cm], color=OURS, markersize=9, label=words)
+        if earlier_deg := rows.reference.half_angle_deg.get(at_cm):
+            axes.plot(at_cm, earlier_deg, label=f"{rows.reference.name}'s", **MARKED)
+            highest_deg = max(highest_deg, earlier_deg)
+        if others_deg and at_cm not in others_deg:
+            label(axes, "the others predict\nno echo here", (at_cm, 0.0), (0, 6), ha="center", color=GREY)
     axes.set(xlim=(0.0, np.max(used_cm)), ylim=(0.0, 1.2 * highest_deg))
-    worst_deg = np.abs(fitted_deg - measured_deg)
     caption = "No angle is predicted"
-    if np.any(np.isfinite(worst_deg)):
-        caption = f"The equation misses the measured angles by at most {np.nanmax(worst_deg):.1f}°"
-    if np.any(predicted):
-        caption += f", and predicts each from the others to {np.nanmax(np.abs(others_deg - measured_deg)):.1f}°"
+    if missed_deg:
+        caption = f"The equation misses the measured angles by at most {max(missed_deg):.1f}°"
+    if others_deg:
+        marks, words = (list(others_deg), list(others_deg.values())), "predicted from the others"
+        axes.plot(*marks, "D", color=ORANGE, fillstyle="none", markersize=9, zorder=7, label=words)
+        worst_deg = max(abs(others_deg[at_cm] - angle_deg) for at_cm, angle_deg in measured if at_cm in others_deg)
+        caption += f", and predicts each from the others to {worst_deg:.1f}°"
     return figure, (
         f"{caption}. Equivalent piston {1000.0 * sonar.piston_diameter_m:.1f} mm, gain {sonar.gain_db_per_m:.1f} dB/m. "
         f"{sentence(sonar.note)} Beyond the measured ranges the angle never grows."
