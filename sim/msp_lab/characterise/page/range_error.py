@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from msp_lab.characterise.findings import CalibrationFindings
@@ -80,19 +79,15 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     where = ", in air of the calibration temperature" if by_sound else ""
     axes.set(xlabel=f"true range [cm]{where}", ylabel="mean reading − true range [cm]")
     for each in side:
-        _draw_left_out(each, found)
+        forms = [one.form.replace(" ", "\n", 1) for one in found.held_out]
+        colours = [GREEN if one.form == found.form else PALE for one in found.held_out]
+        bars = each.bar(forms, [one.rms_cm for one in found.held_out], width=0.7, color=colours)
+        each.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
+        each.tick_params(axis="x", labelsize=7)
+        each.set_ylabel("rms on points left out [cm]")
+        each.set_title(f"kept: {found.form}", fontsize=8)
+        each.margins(y=0.15)
     return figure
-
-
-def _draw_left_out(axes: Axes, found: CalibrationFindings) -> None:
-    forms = [each.form.replace(" ", "\n", 1) for each in found.held_out]
-    colours = [GREEN if each.form == found.form else PALE for each in found.held_out]
-    bars = axes.bar(forms, [each.rms_cm for each in found.held_out], width=0.7, color=colours)
-    axes.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
-    axes.tick_params(axis="x", labelsize=7)
-    axes.set_ylabel("rms on points left out [cm]")
-    axes.margins(y=0.15)
-    axes.set_title("kept: " + found.form, fontsize=8)
 
 
 def baseline(rows: PictureData) -> Drawn:
