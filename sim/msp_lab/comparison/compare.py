@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page.answers import peaks_found, with_subject
 from msp_lab.characterise.page.text import half_interval
-from msp_lab.comparison.report import REPORT
+from msp_lab.comparison.report import ANSWERS, REPORT
 from msp_sim.acoustics.sonar import STEP_DEG
 from msp_sim.page.table import PageTable, VerdictMark
 from msp_sim.page.text import plus, sentence
@@ -56,7 +56,7 @@ def _lines(findings: Findings) -> Iterator[Row]:
                 yield _line(subject, found, f"{report_deg:g}°", agrees)
         yield "Reading of a tilted sensor", "", view.oblique.reason, "eq 8: along the axis"
     for subject, question in with_subject(findings.questions):
-        report = sentence(REPORT.answers.get(question.name, "")) if subject else ""
+        report = sentence(ANSWERS.get(question.name, "")) if subject else ""
         yield subject, "", question.answer, report
     for box in findings.hot_boxes:
         report = HOT_BOX if box.box_c > box.room_c else "readings somewhat too far"

@@ -4,8 +4,11 @@ A figure is a picture of `msp_lab.characterise.page` under the report's title, w
 there or gets wrong.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
+
+import numpy as np
 
 from msp_lab.characterise.findings import Findings
 from msp_lab.characterise.page import air, field_of_view, longest_range, mixture, range_error
@@ -16,18 +19,6 @@ from msp_sim.page.page import Drawn, Entry
 from msp_sim.page.table import PageTable
 from msp_sim.page.text import number
 
-_TWO_CODES = "2000 readings at 500 cm, with missed ones that read 765 and 255."
-_LONGEST_RANGE = (
-    (5, "measurements", longest_range.one_by_one, False, _TWO_CODES),
-    (6, "histogram", longest_range.histogram, False, "the same two codes, and the histogram multi-modal for them."),
-    (7, "measurements, missed reports masked", longest_range.one_by_one, True, ""),
-    (8, "histogram, missed reports masked", longest_range.histogram, True, f"a peak near {REPORT.peak_cm:g} cm."),
-)
-_TEMPERATURES = (
-    (16, "room", "70 °F, no errors to speak of."),
-    (17, "hot", "115 °F in the box, errors of 1 to 2 cm."),
-    (18, "cold", "47 °F in the box, readings somewhat too far."),
-)
 _TWO_SENSORS = (
     (20, "simultaneous", "sensor 2 reads short, because it receives the earlier ping of sensor 1."),
     (21, "sequential", "the errors go away, at the price of the rate."),
@@ -39,58 +30,61 @@ _DENSITIES = (
     (6, "random", "random measurement", "eq 12, which begins at 0; the sensor reports nothing under 20 cm."),
 )
 
-
-Figure = tuple[str, str, Callable[[PictureData], Drawn], str]
-"""File, title, what draws it, and what the report shows there."""
+Figure = tuple[str, str, Callable[..., Drawn], Any, str]
+"""File, title, what draws it, of what (None: there is only one), and what the report shows there."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
     """Yield the figures of chapters 4 and 5 in their order."""
-    for name, title, draw, remark in _figures():
-        yield name, title, partial(_with_remark, draw, rows, remark)
+    for name, title, draw, of, remark in _figures():
+        yield name, title, partial(_with_remark, draw, [rows] if of is None else [rows, of], remark)
 
 
 def _figures() -> Iterator[Figure]:
     remark = f"largest error {REPORT.largest_error_cm:g} cm apart from missed readings."
-    yield "figure_4_04_range_error", "Figure 4.4: range error, all ranges", range_error.baseline, remark
-    for figure, what, draw, masked, remark in _LONGEST_RANGE:
-        name, title = f"figure_4_{figure:02d}_maximum_range", f"Figure 4.{figure}: maximum range {what}"
-        yield name, title, partial(draw, masked=masked), remark
+    yield "figure_4_04_range_error", "Figure 4.4: range error, all ranges", range_error.baseline, None, remark
+    remark = "2000 readings at 500 cm, with missed ones that read 765 and 255."
+    yield "figure_4_05_maximum_range", "Figure 4.5: maximum range measurements", longest_range.one_by_one, False, remark
+    name, title = "figure_4_06_maximum_range", "Figure 4.6: maximum range histogram"
+    yield name, title, longest_range.histogram, False, "the same two codes, and the histogram multi-modal for them."
+    name, title = "figure_4_07_maximum_range", "Figure 4.7: maximum range measurements, missed reports masked"
+    yield name, title, longest_range.one_by_one, True, ""
+    name, title = "figure_4_08_maximum_range", "Figure 4.8: maximum range histogram, missed reports masked"
+    yield name, title, longest_range.histogram, True, f"a peak near {REPORT.peak_cm:g} cm."
     for figure, (range_cm, angle_deg) in enumerate(REPORT.half_angle_deg.items(), start=9):
         name = f"figure_4_{figure:02d}_field_of_view_{range_cm:g}cm"
         title = f"Figure 4.{figure}: field of view at {range_cm:g} cm"
-        yield name, title, partial(field_of_view.sweep, range_cm=range_cm), f"{angle_deg:g}°."
+        yield name, title, field_of_view.sweep, range_cm, f"{angle_deg:g}°."
+    remark = "plywood, asphalt and concrete cannot be distinguished."
     for figure, material in enumerate(MATERIALS, start=13):
-        name, title = f"figure_4_{figure}_{material}", f"Figure 4.{figure}: range error, {material} target"
-        make = partial(range_error.material, name=material)
-        yield name, title, make, "plywood, asphalt and concrete cannot be distinguished."
-    for figure, kind, remark in _TEMPERATURES:
-        name, title = f"figure_4_{figure}_{kind}", f"Figure 4.{figure}: range error, {kind} temperature"
-        yield name, title, partial(range_error.temperature, kind=kind), remark
-    remark = "at 60 Hz effectively the same as the baseline."
-    yield "figure_4_19_vibration", "Figure 4.19: range error, vibration", range_error.vibration, remark
+        title = f"Figure 4.{figure}: range error, {material} target"
+        yield f"figure_4_{figure}_{material}", title, range_error.material, material, remark
+    name, title = "figure_4_16_room", "Figure 4.16: range error, room temperature"
+    yield name, title, range_error.temperature, "room", "70 °F, no errors to speak of."
+    name, title = "figure_4_17_hot", "Figure 4.17: range error, hot temperature"
+    yield name, title, range_error.temperature, "hot", "115 °F in the box, errors of 1 to 2 cm."
+    name, title = "figure_4_18_cold", "Figure 4.18: range error, cold temperature"
+    yield name, title, range_error.temperature, "cold", "47 °F in the box, readings somewhat too far."
+    name, title = "figure_4_19_vibration", "Figure 4.19: range error, vibration"
+    yield name, title, range_error.vibration, None, "at 60 Hz effectively the same as the baseline."
     for figure, how, remark in _TWO_SENSORS:
         title = f"Figure 4.{figure}: range error, two sensors, {how} transmission"
-        make = partial(range_error.crosstalk, condition=f"crosstalk_{how}")
-        yield f"figure_4_{figure}_{how}", title, make, remark
-    title = "Section 4.3.8: range error, external ultrasound"
-    yield "section_4_3_8_external", title, range_error.external, "no figure, since its test was inconclusive."
-    for figure, how, compensated in ((1, "without", False), (2, "with", True)):
-        name = f"figure_5_{figure:02d}_{'' if compensated else 'un'}compensated"
-        title = f"Figure 5.{figure}: ranging {how} temperature compensation"
-        yield name, title, partial(air.range_errors, after=compensated), ""
-    pairs = REPORT.mean_error_cm.values()
-    before, after = (sum(column) / len(pairs) for column in zip(*pairs, strict=True))
+        yield f"figure_4_{figure}_{how}", title, range_error.crosstalk, f"crosstalk_{how}", remark
+    name, title = "section_4_3_8_external", "Section 4.3.8: range error, external ultrasound"
+    yield name, title, range_error.external, None, "no figure, since its test was inconclusive."
+    name, title = "figure_5_01_uncompensated", "Figure 5.1: ranging without temperature compensation"
+    yield name, title, air.range_errors, False, ""
+    yield "figure_5_02_compensated", "Figure 5.2: ranging with temperature compensation", air.range_errors, True, ""
+    before, after = np.mean(list(REPORT.mean_error_cm.values()), axis=0)
     remark = f"mean size {before:.2f} cm without compensation and {after:.2f} cm with it."
-    yield "table_5_1_compensation", "Table 5.1 as a picture", air.compensation, remark
+    yield "table_5_1_compensation", "Table 5.1 as a picture", air.compensation, None, remark
     for figure, kind, title, remark in _DENSITIES:
-        name, title = f"figure_5_{figure:02d}_{kind}", f"Figure 5.{figure}: {title} density"
-        yield name, title, partial(mixture.density, kind=kind), remark
+        yield f"figure_5_{figure:02d}_{kind}", f"Figure 5.{figure}: {title} density", mixture.density, kind, remark
 
 
-def _with_remark(draw: Callable[[PictureData], Drawn], rows: PictureData, remark: str) -> Drawn:
+def _with_remark(draw: Callable[..., Drawn], data: Sequence[Any], remark: str) -> Drawn:
     """The picture with what the report shows there in its caption."""
-    figure, caption = draw(rows)
+    figure, caption = draw(*data)
     return figure, f"{caption} The report: {remark}" if remark else caption
 
 

@@ -10,7 +10,6 @@ from msp_range.yaml_file import ConfigError
 
 REPORT = ReferenceNumbers(
     name="the report",
-    sensor="MB1242",
     # Section 4.3.1, figure 4.4: apart from missed readings.
     largest_error_cm=1.0,
     # Section 4.3.2, figures 4.5 to 4.8: a single peak once 765 and 255 are masked.
@@ -26,17 +25,21 @@ REPORT = ReferenceNumbers(
         396.0: (2.724, 0.447),
         427.0: (4.931, 0.921),
     },
-    # 68 deg F, after eq 7; the maker's pulse width implies 22.5 deg C (erratum 5).
-    calibration_temperature_c=20.0,
-    answers={
-        "material": "4.3.4: plywood, asphalt and concrete are indistinguishable at these ranges",
-        "temperature": "4.3.5: errors of 1 to 2 cm, because only the air near the sensor was hot or cold",
-        "vibration": "4.3.6: effectively the same as the baseline",
-        "crosstalk_simultaneous": "4.3.7: the second sensor reads short, because it receives the first one's ping",
-        "crosstalk_sequential": "4.3.7: the errors are reduced when the sensors ping one after the other",
-        "external_interference": "4.3.8: inconclusive",
-    },
 )
+SENSOR = "MB1242"
+"""The sensor model that it is about."""
+CALIBRATION_TEMPERATURE_C = 20.0
+"""Air temperature that its compensation takes the sensor to assume: 68 deg F, after eq 7. The maker's pulse width
+implies 22.5 deg C (erratum 5)."""
+ANSWERS = {
+    "material": "4.3.4: plywood, asphalt and concrete are indistinguishable at these ranges",
+    "temperature": "4.3.5: errors of 1 to 2 cm, because only the air near the sensor was hot or cold",
+    "vibration": "4.3.6: effectively the same as the baseline",
+    "crosstalk_simultaneous": "4.3.7: the second sensor reads short, because it receives the first one's ping",
+    "crosstalk_sequential": "4.3.7: the errors are reduced when the sensors ping one after the other",
+    "external_interference": "4.3.8: inconclusive",
+}
+"""Question (`findings.Question.name`) -> what it answers, in a sentence."""
 MATERIALS = ("plywood", "asphalt", "concrete")
 """Section 4.3.4: figures 4.13 to 4.15 in this order."""
 
@@ -55,7 +58,7 @@ def implied_temperature_c(range_cm: float) -> float | None:
     if pair is None or pair[0] == pair[1]:
         return None
     ratio = (range_cm + pair[1]) / (range_cm + pair[0])
-    return (REPORT.calibration_temperature_c + ZERO_CELSIUS_K) * ratio**2 - ZERO_CELSIUS_K
+    return (CALIBRATION_TEMPERATURE_C + ZERO_CELSIUS_K) * ratio**2 - ZERO_CELSIUS_K
 
 
 def check_sensor(sensor: SensorModel) -> None:
@@ -66,5 +69,5 @@ def check_sensor(sensor: SensorModel) -> None:
     ConfigError
         It is another one.
     """
-    if sensor.name != REPORT.sensor:
-        raise ConfigError(f"--compare-with-report: the report is about the {REPORT.sensor}, not the {sensor.name}")
+    if sensor.name != SENSOR:
+        raise ConfigError(f"--compare-with-report: the report is about the {SENSOR}, not the {sensor.name}")

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from msp_lab.design.choose import Design
 from msp_lab.gap.labels import axis_label
-from msp_sim.page.style import BLUE, GREY, VERMILION, new_figure, style
+from msp_sim.page.style import BLUE, GREY, VERMILION, new_panels, style
 
 DOTS = 3_000
 """Readings that are drawn at most."""
@@ -19,29 +19,24 @@ def draw_session(design: Design) -> Figure:
     session = design.session
     assert session is not None
     varied = list(session.varied) or ["true_range_cm"]
-    figure = new_figure(1.3 * len(varied) + 2.4)
-    axes = figure.subplots(len(varied) + 1, 1, gridspec_kw={"height_ratios": [*[1.0] * len(varied), 1.8]})
+    heights = [*[1.0] * len(varied), 1.8]
+    figure, (*strips, own) = new_panels(1.3 * len(varied) + 2.4, len(heights), height_ratios=heights)
     contexts = session.sampled(min(DOTS, session.readings))
     place = np.linspace(1, session.readings, np.size(contexts["true_range_cm"]))
-    for own, name in zip(axes, varied, strict=False):
-        own.tick_params(labelbottom=name == varied[-1])
-        own.plot(place, contexts[name], ".", color=BLUE, markersize=2.0)
-        own.set_ylabel(axis_label(name).replace(" [", "\n["))
-    axes[len(varied) - 1].set_xlabel("reading")
-    axes[0].set_title(f"{session.kind}: {session.runs} runs, {session.readings} readings, {session.minutes:.0f} min")
-    own = axes[-1]
+    for axes, name in zip(strips, varied, strict=True):
+        axes.plot(place, contexts[name], ".", color=BLUE, markersize=2.0)
+        axes.set_ylabel(axis_label(name).replace(" [", "\n["))
+        axes.tick_params(labelbottom=name == varied[-1])
+    strips[0].set_title(f"{session.kind}: {session.runs} runs, {session.readings} readings, {session.minutes:.0f} min")
+    strips[-1].set_xlabel("reading")
     labels = [answer.answer.label for answer in design.answers]
+    readings = SHARES * session.readings
     for separation in design.separations:
-        nats = [separation.nats(int(share * session.readings), session.runs) for share in SHARES]
-        own.plot(
-            SHARES * session.readings / session.runs,
-            nats,
-            label=f"{labels[separation.truth]}, not {labels[separation.alternative]}",
-        )
-    needed = design.needed_nats
-    own.axhline(needed, color=VERMILION, linestyle="--", label="needed")
+        words = f"{labels[separation.truth]}, not {labels[separation.alternative]}"
+        nats = [separation.nats(int(each), session.runs) for each in readings]
+        own.plot(readings / session.runs, nats, label=words)
+    own.axhline(design.needed_nats, color=VERMILION, linestyle="--", label="needed")
     own.axvline(session.readings / session.runs, color=GREY, linestyle=":", label="planned")
-    own.set_ylim(0.0, max(3.0 * needed, 1.0))
-    own.set_xlabel(f"readings in each of {session.runs} runs")
-    own.set_ylabel("expected separation\n[nats]")
+    own.set_ylim(0.0, max(3.0 * design.needed_nats, 1.0))
+    own.set(xlabel=f"readings in each of {session.runs} runs", ylabel="expected separation\n[nats]")
     return figure

@@ -17,7 +17,7 @@ from msp_lab.filter_study.scenarios import (
     report_readings,
     truth,
 )
-from msp_sim.page.style import GREY, INK, SERIES, new_figure, save, style
+from msp_sim.page.style import GREY, INK, SERIES, new_panels, save, style
 
 FAMILIES: tuple[Family, ...] = ("moving average", "median", "kalman")
 FIRST_FIGURE = 7
@@ -34,33 +34,29 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
         rng = np.random.default_rng([seed, scenario_index])
         runs = report_readings(truth(name, 1, rng), rng)
         newest_cm, _ = changepoint(runs.reading_cm, gaussian_parameters())
-        for family_index, family in enumerate(FAMILIES):
-            number = FIRST_FIGURE + len(FAMILIES) * scenario_index + family_index
-            variants = {each: variant for each, variant in AS_REPORTED.items() if variant.family == family}
-            estimates = {each: apply(variant, runs.reading_cm)[0] for each, variant in variants.items()}
-            path = folder / f"figure_5_{number}.png"
-            save(_figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}"), path)
-            paths.append(path)
+        for number, family in enumerate(FAMILIES, start=FIRST_FIGURE + len(FAMILIES) * scenario_index):
+            of_family = {each: variant for each, variant in AS_REPORTED.items() if variant.family == family}
+            estimates = {each: apply(variant, runs.reading_cm)[0] for each, variant in of_family.items()}
+            paths.append(folder / f"figure_5_{number}.png")
+            save(_figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}"), paths[-1])
     return paths
 
 
 def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array, title: str) -> Figure:
-    figure = new_figure(6.0)
+    figure, panels = new_panels(6.0, 2)
     time_s = np.arange(runs.true_cm.shape[1]) * INTERVAL_S
-    whole, close = figure.subplots(2, 1)
-    for axes in (whole, close):
+    for axes in panels:
         axes.plot(time_s, runs.reading_cm[0], ".", color=GREY, markersize=3, label="readings")
         axes.plot(time_s, runs.true_cm[0], color=INK, label="true range")
         for (name, cm), (colour, _) in zip(estimates.items(), SERIES, strict=False):
             axes.plot(time_s, cm, color=colour, label=name)
         axes.plot(time_s, newest_cm, "--", color=INK, label="changepoint")
         axes.set_ylabel("range [cm]")
-    whole.set_title(title)
     begin_s = _interesting_s(runs)
-    part = (time_s >= begin_s) & (time_s <= begin_s + CLOSE_S)
-    close.set_xlim(begin_s, begin_s + CLOSE_S)
-    close.set_ylim(runs.reading_cm[0][part].min() - 5.0, runs.reading_cm[0][part].max() + 5.0)
-    close.set_xlabel("time [s]")
+    shown_cm = runs.reading_cm[0][(time_s >= begin_s) & (time_s <= begin_s + CLOSE_S)]
+    whole, close = panels
+    whole.set_title(title)
+    close.set(xlim=(begin_s, begin_s + CLOSE_S), ylim=(shown_cm.min() - 5.0, shown_cm.max() + 5.0), xlabel="time [s]")
     return figure
 
 

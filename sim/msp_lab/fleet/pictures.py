@@ -6,9 +6,9 @@ Findings enter, a figure leaves. Nothing is decided here.
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from msp_lab.fleet.findings import FleetEffect, FleetFindings
+from msp_lab.fleet.findings import FleetEffect, FleetFindings, SessionEstimate, UnitEstimate
 from msp_lab.gap.labels import name_of
-from msp_sim.page.style import BLUE, GREY, VERMILION, new_figure, shaded
+from msp_sim.page.style import BLUE, GREY, VERMILION, intervals, new_panels, shaded
 
 MAX_PANELS = 3
 """Numbers in the picture: more are too narrow to read. The table has all."""
@@ -20,17 +20,14 @@ ROW_IN = 0.19
 
 def draw_fleet(findings: FleetFindings) -> Figure:
     """A panel for each number, a row for each sensor; of a change its sessions."""
-    panels = findings.effects[:MAX_PANELS]
-    rows = max(min(len(effect.estimates), MAX_ROWS) for effect in panels)
-    figure = new_figure(max(1.1 + ROW_IN * rows, 3.0))
-    for k, effect in enumerate(panels):
-        axes = figure.add_subplot(1, len(panels), k + 1)
+    effects = findings.effects[:MAX_PANELS]
+    rows = max(min(len(effect.estimates), MAX_ROWS) for effect in effects)
+    figure, panels = new_panels(max(1.1 + ROW_IN * rows, 3.0), 1, len(effects))
+    for axes, effect in zip(panels, effects, strict=True):
         if effect.sessions:
             _draw_sessions(axes, effect)
         else:
             _draw_sensors(axes, effect, findings.sensors > findings.vehicles)
-        label = effect.name if effect.parameter == "value" else f"{effect.name}, {effect.parameter}"
-        axes.set_xlabel(f"{name_of(label)}{effect.unit_label}" if not effect.sessions else "session")
     return figure
 
 
@@ -40,25 +37,26 @@ def _draw_sensors(axes: Axes, effect: FleetEffect, several: bool) -> None:
     if effect.mean is not None:
         axes.axvspan(effect.mean - 2.0 * effect.tau, effect.mean + 2.0 * effect.tau, **shaded())
         axes.axvline(effect.mean, color=GREY)
-    for row, estimate in enumerate(shown):
-        colour = VERMILION if estimate.odd else BLUE
-        axes.errorbar(
-            estimate.value, row, xerr=2.0 * estimate.error, fmt="none", ecolor=colour, elinewidth=0.8, alpha=0.5
-        )
-        axes.plot([estimate.low, estimate.high], [row, row], color=colour, linewidth=2.0)
-        axes.plot(estimate.shrunk, row, marker="s" if estimate.odd else "o", color=colour, markersize=4.0)
+    for row, one in enumerate(shown):
+        look = {"color": VERMILION, "marker": "s"} if one.odd else {"color": BLUE}
+        axes.plot(_own(one), [row, row], color=look["color"], linewidth=0.8, alpha=0.5)
+        intervals(axes, row, one.shrunk, (one.low, one.high), across=True, capsize=0, elinewidth=2.0, **look)
     names = [f"{estimate.vehicle} {estimate.sensor}" if several else estimate.vehicle for estimate in shown]
     axes.set_yticks(range(len(shown)), names)
-    axes.set_ylim(len(shown) - 0.5, -0.5)
-    axes.grid(visible=False, axis="y")
+    name = effect.name if effect.parameter == "value" else f"{effect.name}, {effect.parameter}"
+    axes.set(ylim=(len(shown) - 0.5, -0.5), xlabel=f"{name_of(name)}{effect.unit_label}")
     axes.set_title({"odd": "odd ones out", "shared": "the whole fleet"}.get(effect.kind, "all sensors"))
 
 
+def _own(one: UnitEstimate | SessionEstimate) -> tuple[float, float]:
+    """The interval of its own readings."""
+    return one.value - 2.0 * one.error, one.value + 2.0 * one.error
+
+
 def _draw_sessions(axes: Axes, effect: FleetEffect) -> None:
-    one = effect.estimates[0]
-    for k, estimate in enumerate(effect.sessions):
-        axes.errorbar(k + 1, estimate.value, yerr=2.0 * estimate.error, fmt="o", color=BLUE, markersize=4.0)
-    if effect.since:
-        first = [estimate.session for estimate in effect.sessions].index(effect.since)
-        axes.axvline(first + 0.5, color=VERMILION)
-    axes.set_title(f"{one.vehicle}: {name_of(effect.name)}{effect.unit_label}")
+    for place, one in enumerate(effect.sessions, start=1):
+        intervals(axes, place, one.value, _own(one), color=BLUE)
+        if one.session == effect.since:
+            axes.axvline(place - 0.5, color=VERMILION)
+    title = f"{effect.estimates[0].vehicle}: {name_of(effect.name)}{effect.unit_label}"
+    axes.set(xlabel="session", title=title)

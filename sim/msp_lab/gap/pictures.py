@@ -7,7 +7,6 @@ Each figure is drawn from the findings, both models and the held-out readings. N
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,19 +23,21 @@ from msp_lab.gap.tables import shown_slices, slice_with_count
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array
 from msp_sim.effects import CATALOGUE
+from msp_sim.intervals import Z
 from msp_sim.model.model import Model
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
     BLUE,
     GREY,
     INK,
-    PALE,
     VERMILION,
     draw_pit_bars,
+    intervals,
     line_at_zero,
     new_axes,
-    new_figure,
+    new_panels,
     note,
+    shaded,
 )
 
 BEFORE, AFTER = VERMILION, BLUE
@@ -72,15 +73,14 @@ class BeforeAfter:
     readings: HeldOutReadings
     rng: np.random.Generator
 
-    def panels(
-        self, height_in: float, rows: int = 1, y: str = ""
-    ) -> tuple[Figure, Iterator[tuple[Sequence[Axes], Model, str, str]]]:
+    def panels(self, height_in: float, rows: int = 1) -> tuple[Figure, Iterator[tuple[list[Axes], Model, str, str]]]:
         """A figure with a column of axes for each model; of each column its axes, the model, its colour and a word."""
-        figure = new_figure(height_in)
-        axes = figure.subplots(rows, 2, sharey="row", squeeze=False)
-        axes[0, 0].set(title="before: given model", ylabel=y)
-        axes[0, 1].set_title(f"after: {self.added}")
-        return figure, zip(axes.T, (self.before, self.after), (BEFORE, AFTER), ("before", "after"), strict=True)
+        figure, axes = new_panels(height_in, rows, 2, sharey="row")
+        axes[0].set_title("before: given model")
+        axes[1].set_title(f"after: {self.added}")
+        return figure, zip(
+            (axes[::2], axes[1::2]), (self.before, self.after), (BEFORE, AFTER), ("before", "after"), strict=True
+        )
 
 
 def entries(findings: GapFindings, both: BeforeAfter) -> Iterator[Entry]:
@@ -109,11 +109,9 @@ def subjects(findings: GapFindings, readings: HeldOutReadings) -> list[Subject]:
         columns = [column for column in (*effect.requires, *((effect.per,) if effect.per else ())) if column != "run"]
         special = [name for name in columns if name not in ("true_range_cm", PREVIOUS)] or ["true_range_cm"]
         found.append(Subject(special[0], not {"bias", "spread"} & set(effect.channels)))
-    found += [Subject(unknown.variables[0], unknown.channel not in ("bias", "spread")) for unknown in findings.unknown]
-    for piece in findings.slices:
-        if piece.variables:
-            found.append(Subject(piece.variables[0], piece.channel not in ("bias", "spread")))
-            break
+    first = next((piece for piece in findings.slices if piece.variables), None)
+    others: list[UnknownEffect | Slice] = [*findings.unknown, *([first] if first else [])]
+    found += [Subject(each.variables[0], each.channel not in ("bias", "spread")) for each in others]
     found.append(Subject("true_range_cm", False))
     known = [subject for subject in dict.fromkeys(found) if subject.column in readings.contexts]
     usable = [subject for subject in known if len(partitions(readings.contexts, [subject.column], pairs=False)) > 1]
@@ -131,7 +129,8 @@ def _residuals(wanted: Sequence[Subject], both: BeforeAfter) -> Drawn:
     for column, model, colour, word in columns:
         for axes, subject, part in zip(column, wanted, parts, strict=True):
             draw = _draw_share if subject.of_outliers else _draw_residual
-            draw(axes, model, both, part, {"fmt": "o", "color": colour, "label": f"measured, {word}", "zorder": 5})
+            value, ends = draw(axes, model, both, part)
+            intervals(axes, _bin_places(part), value, ends, color=colour, label=f"measured, {word}")
             if part.centres is None:
                 names = [label.split(" ", 1)[-1] for label in part.labels]
                 axes.set_xticks(range(len(names)), names, rotation=0 if len(names) < 5 else 60)
@@ -162,18 +161,18 @@ def _pit(both: BeforeAfter) -> Drawn:
 
 def _autocorrelation(both: BeforeAfter) -> Drawn:
     """Correlation of errors over the time between two readings."""
-    figure, columns = both.panels(2.9, y="correlation of the errors")
+    figure, columns = both.panels(2.9)
     for (axes,), model, colour, word in columns:
         found = residual_autocorrelation(model, both.readings, both.rng)
         if not found.apart.size:
             raise Absent("There are too few readings in a row")
-        words = "independent errors (95 %)"
-        axes.fill_between(found.apart, -found.band, found.band, color=PALE, zorder=0, label=words)
-        axes.vlines(found.apart, 0.0, found.value, color=colour, linewidth=1.5)
+        axes.fill_between(found.apart, -found.band, found.band, label="independent errors (95 %)", **shaded())
+        axes.vlines(found.apart, 0.0, found.value, color=colour)
         axes.plot(found.apart, found.value, "o", color=colour, label=f"measured, {word}")
         line_at_zero(axes)
         axes.set_xlim(left=0.0)
         axes.set_xlabel("time between two readings [s]" if found.in_seconds else "readings between")
+    figure.axes[0].set_ylabel("correlation of the errors")
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, -0.2), max(high, 0.5))
     return figure, (
@@ -190,15 +189,13 @@ def _path(findings: GapFindings) -> Drawn:
     least = floor / 4.0
     widths = [max(step.nats_per_reading or 0.0, least) for step in steps]
     figure, axes = new_axes(1.2 + 0.36 * len(steps), "gap on held-out runs [nats per reading], logarithmic")
-    axes.set_xscale("log")
-    axes.axvspan(least, floor, color=PALE, label="noise floor: random variation alone (95 %)")
-    bars = axes.barh(range(len(steps)), widths, height=0.6, color=[BEFORE, *([AFTER] * (len(steps) - 1))])
+    axes.axvspan(least, floor, label="noise floor: random variation alone (95 %)", **shaded())
+    bars = axes.barh(range(len(steps)), widths, height=0.6, color=[BEFORE, *[AFTER] * (len(steps) - 1)])
     shown = [f"{width:.2g}" if width > least else "none left" for width in widths]
     axes.bar_label(bars, shown, padding=4, fontsize=8.5, color=INK)
-    axes.set_xlim(least, max(widths) * 2.2)
     axes.set_yticks(range(len(steps)), [step_name(step.added) for step in steps])
+    axes.set(xscale="log", xlim=(least, max(widths) * 2.2))
     axes.invert_yaxis()
-    axes.grid(axis="y", visible=False)
     _plain_decades(axes)
     return figure, (
         "How much better each reading could still be predicted after each addition (in nats, the natural logarithm "
@@ -211,21 +208,18 @@ def _slices(slices: Sequence[Slice]) -> Drawn:
     """Bias and ratios of each slice, before and after, with their errors."""
     if len(slices) < 2:
         raise Absent("No slice of context differs from the model.")
-    figure = new_figure(1.3 + 0.3 * len(slices))
-    left, right = figure.subplots(1, 2, sharey=True)
+    figure, (left, right) = new_panels(1.3 + 0.3 * len(slices), 1, 2, sharey=True)
     # The spread, and those odds in which some slice differs most.
     odds = [kind for kind in ("short", "missed", "random") if kind in {one.channel for one in slices}]
-    names = ["spread", *odds]
     _draw_slices(left, slices, "bias_cm", "", 0.0, "o")
-    for place, (name, marker) in enumerate(zip(names, "sD^v", strict=False)):
+    for place, (name, marker) in enumerate(zip(["spread", *odds], "sD^v", strict=False)):
         column = f"log_odds_{name}" if name in odds else "log_spread"
-        shift = 0.16 * (place - (len(names) - 1) / 2.0)
+        shift = 0.16 * (place - len(odds) / 2.0)
         _draw_slices(right, slices, column, f"{name}, " if odds else "", shift, marker)
-    for axes, words, neutral in ((left, "bias [cm]", 0.0), (right, "ratio to the model (1 is right)", 1.0)):
-        axes.axvline(neutral, color=INK, linewidth=0.8)
-        axes.set_xlabel(words)
-        axes.grid(axis="y", visible=False)
-    right.set_xscale("log")
+    left.axvline(0.0, color=INK, linewidth=0.8)
+    right.axvline(1.0, color=INK, linewidth=0.8)
+    left.set_xlabel("bias [cm]")
+    right.set(xscale="log", xlabel="ratio to the model (1 is right)")
     low, high = right.get_xlim()
     right.set_xlim(max(min(low, 0.5), 0.02), min(max(high, 2.0), 100.0))
     _plain_decades(right)
@@ -244,14 +238,14 @@ def _draw_slices(axes: Axes, slices: Sequence[Slice], column: str, what: str, sh
         [(getattr(piece, column), getattr(piece, error_name(column)), piece.after.get(column)) for piece in slices],
         dtype=float,
     ).T
-    shown = np.array([value, after, value - 1.96 * error, value + 1.96 * error])
+    shown = np.array([value, after, value - Z * error, value + Z * error])
     if column != "bias_cm":
         with np.errstate(over="ignore"):
             shown = np.exp(shown)
     rows = np.arange(len(slices)) + shift
-    axes.hlines(rows, *shown[2:], color=BEFORE, linewidth=1.0, alpha=0.6)
-    axes.plot(shown[0], rows, marker, color=BEFORE, label=f"{what}before, 95 % interval")
-    axes.plot(shown[1], rows, marker, color=AFTER, label=f"{what}after", markerfacecolor="white")
+    words = f"{what}before, 95 % interval"
+    intervals(axes, rows, shown[0], shown[2:], across=True, color=BEFORE, marker=marker, label=words)
+    axes.plot(shown[1], rows, marker, color=AFTER, label=f"{what}after", markerfacecolor="white", zorder=6)
 
 
 def _plain_decades(axes: Axes) -> None:
@@ -265,39 +259,42 @@ def _curve(unknown: UnknownEffect) -> Drawn:
     """An unknown effect over its variable, with its band."""
     figure, axes = new_axes(2.8, axis_label(unknown.variables[0]), channel_label(unknown.channel))
     value, curve, low, high = np.array(unknown.curve).T
-    axes.fill_between(value, low, high, color=PALE, label="95 % band")
+    axes.fill_between(value, low, high, label="95 % band", **shaded())
     axes.plot(value, curve, color=BLUE, marker="o", label="fitted")
     line_at_zero(axes)
     return figure, f"No effect of the catalogue explains it. Its formula: {unknown.formula}."
 
 
-def _draw_residual(axes: Axes, model: Model, both: BeforeAfter, part: Partition, look: dict[str, Any]) -> None:
-    """Residuals as dots, and the band where the model expects two of three; medians of bins with errors."""
+def _draw_residual(axes: Axes, model: Model, both: BeforeAfter, part: Partition) -> tuple[Array, Array]:
+    """Residuals as dots, and the band where the model expects two of three; return medians of bins and intervals."""
     readings, rng = both.readings, both.rng
     centre = _centre(model, readings)
     residual = readings.reading_cm - centre
-    numbers = part.centres is not None
-    x = readings.contexts[part.variables[0]] if numbers else part.cell
-    low, middle, high, error = _of_bins(residual, part)
-    drawn = [_of_bins(model.sample(readings.contexts, rng) - centre, part)[:3] for _ in range(REPLICATES)]
+    low, lower, middle, upper, high = _of_bins(residual, part)
+    drawn = [_of_bins(model.sample(readings.contexts, rng) - centre, part)[::2] for _ in range(REPLICATES)]
     expected = np.mean(drawn, axis=0)
     wide = 1.6 * float(np.nanmedian(np.concatenate([high - low, expected[2] - expected[0]])))
     far = np.abs(middle[np.isfinite(middle)])
     # One bin of outliers must not flatten all others to a line.
     reach = float(far[far <= 8.0 * np.median(far) + 2.0 * wide].max()) + wide + 1.0
     shown = rng.permutation(len(readings))[:DOTS]
-    jitter = 0.0 if numbers else rng.uniform(-0.25, 0.25, shown.size)
-    axes.plot(x[shown] + jitter, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
+    if part.centres is None:
+        x = part.cell[shown] + rng.uniform(-0.25, 0.25, shown.size)
+    else:
+        x = readings.contexts[part.variables[0]][shown]
+    axes.plot(x, residual[shown], ".", color=GREY, markersize=1.6, alpha=0.35, rasterized=True)
     _draw_expected(axes, part, expected, "expected, two of three readings")
     outside = float(np.mean(np.abs(residual) > reach))
     if outside > 0.0:
         note(axes, f"{100.0 * outside:.2g} % outside of the picture", y=0.03)
-    axes.errorbar(_bin_places(part), middle, 1.96 * error, **look)
     _widen(axes, -reach, reach)
+    # Of a median, from the quartiles of a normal distribution.
+    half = Z * 1.2533 * np.maximum((upper - lower) / 1.349, 0.3) / np.sqrt(np.maximum(part.counts, 1))
+    return middle, np.array([middle - half, middle + half])
 
 
-def _draw_share(axes: Axes, model: Model, both: BeforeAfter, part: Partition, look: dict[str, Any]) -> None:
-    """The share of readings that are no hit as expected, and as measured with its errors."""
+def _draw_share(axes: Axes, model: Model, both: BeforeAfter, part: Partition) -> tuple[Array, Array]:
+    """The expected share of readings that are no hit; return the measured one with its intervals."""
     readings = both.readings
     centre = _centre(model, readings)
     sigma_cm = np.concatenate([rows.sigma_cm for _, rows in model.chunks(readings.contexts)])
@@ -312,10 +309,10 @@ def _draw_share(axes: Axes, model: Model, both: BeforeAfter, part: Partition, lo
     low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
     _draw_expected(axes, part, np.array([low, drawn.mean(axis=0), high]), "expected share (95 %)")
     measured = percent(readings.reading_cm)
-    error = 196.0 * np.sqrt(np.maximum(measured * (100.0 - measured) / 1e4, 0.5 / counts) / counts)
-    axes.errorbar(_bin_places(part), measured, error, **look)
+    half = 100.0 * Z * np.sqrt(np.maximum(measured * (100.0 - measured) / 1e4, 0.5 / counts) / counts)
     here = np.isfinite(_bin_places(part))
-    _widen(axes, 0.0, 1.15 * float(max((measured + error)[here].max(), high[here].max())))
+    _widen(axes, 0.0, 1.15 * float(max((measured + half)[here].max(), high[here].max())))
+    return measured, np.array([measured - half, measured + half])
 
 
 def _widen(axes: Axes, low: float, high: float) -> None:
@@ -331,22 +328,17 @@ def _draw_expected(axes: Axes, part: Partition, expected: Array, words: str) -> 
     order = np.argsort(at)
     at, (low, middle, high) = at[order], expected[:, order]
     if part.centres is None:
-        axes.bar(at, high - low, 0.7, low, color=PALE, zorder=0, label=words)
+        axes.bar(at, high - low, 0.7, low, label=words, **shaded())
         axes.hlines(middle, at - 0.35, at + 0.35, color=INK, linewidth=1.0, label="expected")
     else:
-        axes.fill_between(at, low, high, color=PALE, zorder=0, label=words)
+        axes.fill_between(at, low, high, label=words, **shaded())
         axes.plot(at, middle, color=INK, linewidth=1.0, label="expected")
 
 
-def _of_bins(residual: Array, part: Partition) -> tuple[Array, Array, Array, Array]:
-    """The quantiles 1/6, 1/2 and 5/6 of each bin, and the standard error of the middle one."""
+def _of_bins(residual: Array, part: Partition) -> Array:
+    """The quantiles 1/6, 1/4, 1/2, 3/4 and 5/6 of each bin, (5, k)."""
     order = np.argsort(part.cell, kind="stable")
-    first, lower, middle, upper, last = quantiles_of(
-        residual[order], part.counts, (1 / 6, 0.25, 0.5, 0.75, 5 / 6), np.nan
-    )
-    spread = (upper - lower) / 1.349
-    error = 1.2533 * np.maximum(spread, 0.3) / np.sqrt(np.maximum(part.counts, 1))
-    return first, middle, last, error
+    return quantiles_of(residual[order], part.counts, (1 / 6, 0.25, 0.5, 0.75, 5 / 6), np.nan)
 
 
 def _centre(model: Model, readings: HeldOutReadings) -> Array:
@@ -360,18 +352,15 @@ def _apart(part: Partition) -> Partition:
     if part.centres is None or np.isfinite(part.centres).sum() < 2:
         return part
     least = float(np.ptp(part.centres[np.isfinite(part.centres)])) * CLOSEST
-    order = np.argsort(part.centres)
-    group, groups = np.empty(order.size, dtype=np.intp), 0
-    begun = np.nan
-    for cell in order.tolist():
+    group, groups, begun = np.empty(part.centres.size, dtype=np.intp), -1, np.nan
+    for cell in np.argsort(part.centres).tolist():
         if not abs(part.centres[cell] - begun) < least:
             begun, groups = part.centres[cell], groups + 1
-        group[cell] = groups - 1
-    members = [np.flatnonzero(group == number) for number in range(groups)]
-    counts = part.counts
-    centres = [float(np.average(part.centres[cells], weights=np.maximum(counts[cells], 1))) for cells in members]
-    labels = tuple(part.labels[cells[0]] for cells in members)
-    return Partition(part.variables, labels, group[part.cell], np.array(centres))
+        group[cell] = groups
+    weight = np.maximum(part.counts, 1)
+    centres = np.bincount(group, weight * part.centres) / np.bincount(group, weight)
+    labels = tuple(part.labels[first] for first in np.unique(group, return_index=True)[1])
+    return Partition(part.variables, labels, group[part.cell], centres)
 
 
 def _bin_places(part: Partition) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from msp_lab.gap.findings import FoundEffect, GapFindings, Measure, Slice, error_name
+from msp_lab.gap.findings import FoundEffect, GapFindings, Slice, error_name
 from msp_lab.gap.labels import interval, short, slice_label, step_name, unit_after
 from msp_lab.gap.verdict import bounds
 from msp_range.descriptions import descriptions
@@ -33,31 +33,34 @@ def measures_table(findings: GapFindings, given: Model | None = None) -> PageTab
         "odds_missed": "odds of missed echoes, off by a factor of",
         "odds_random": "odds of random readings, off by a factor of",
     }
-    lines: list[tuple[str, ...]] = [(names[name], *_measure(measure)) for name, measure in gap.measures.items()]
+    # Only some measures have a bound.
+    bound = {} if given is None else bounds(findings, given)
+    found = [(names[name], measure, bound.get(name)) for name, measure in gap.measures.items()]
     if (gap.odds.code.before, gap.odds.code.after or 1.0) != (1.0, 1.0):
-        lines.append(("readings that the model cannot give, off by a factor of", *_measure(gap.odds.code)))
-    header: tuple[str, ...] = ("measure", "before", "after", "95 % interval", "noise floor")
-    if given is not None:
-        header = (*header, "closed up to")
-        bound = bounds(findings, given)
-        # Only some measures have one.
-        limits = [*(short(bound.get(name)) for name in gap.measures), ""]
-        lines = [(*line, limit) for line, limit in zip(lines, limits, strict=False)]
+        found.append(("readings that the model cannot give, off by a factor of", gap.odds.code, None))
+    lines = [
+        (
+            name,
+            short(each.before),
+            short(each.after),
+            interval(each.low, each.high),
+            short(each.noise_floor),
+            short(limit),
+        )
+        for name, each, limit in found
+    ]
+    header = ("measure", "before", "after", "95 % interval", "noise floor", "closed up to")
+    columns = len(header) if given is not None else len(header) - 1
     return PageTable(
         "measures",
         "The gap in its measures",
-        header,
-        tuple(lines),
+        header[:columns],
+        tuple(line[:columns] for line in lines),
         "On held-out runs. Root mean squares over the slices of the context in which the measure is most certain, less "
         "random variation. A factor of 1 is right. The interval is that of the last value, with errors of whole runs, "
         "or of blocks of readings where runs are few. 95 of 100 tables that the extended model draws stay below the "
         "noise floor.",
     )
-
-
-def _measure(measure: Measure) -> tuple[str, ...]:
-    ends = interval(measure.low, measure.high)
-    return short(measure.before), short(measure.after), ends, short(measure.noise_floor)
 
 
 def steps_table(findings: GapFindings) -> PageTable:
@@ -94,12 +97,7 @@ def parameters_table(found: FoundEffect, effect: Effect | None) -> PageTable:
     """The parameters of an effect that was found: value, interval and meaning."""
     meanings = {parameter.name: parameter.meaning for parameter in effect.parameters} if effect is not None else {}
     rows = tuple(
-        (
-            name,
-            meanings.get(name, ""),
-            f"{value.value:.4g}{unit_after(value.unit)}",
-            interval(value.low, value.high, 4),
-        )
+        (name, meanings.get(name, ""), f"{value.value:.4g}{unit_after(value.unit)}", interval(value.low, value.high, 4))
         for name, value in found.parameters.items()
     )
     anchor = "-".join(("parameters", found.name, *([found.of] if found.of else [])))

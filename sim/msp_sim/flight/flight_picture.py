@@ -4,7 +4,7 @@ is known."""
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import cycle
+from itertools import cycle, product
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from msp_range.arrays import Array
 from msp_sim.flight.flight_log import USED, FlightResult, SensorTrack
-from msp_sim.page.style import GREY, INK, PALE, SERIES, new_figure, save, shaded, style
+from msp_sim.page.style import GREY, INK, PALE, SERIES, new_panels, save, shaded, style
 
 SHOWN_CM = 40.0
 """Half height of the plot of errors [cm]: the errors of hits fill it, and outliers of metres are left out."""
@@ -29,20 +29,17 @@ def draw(flight: FlightResult, path: Path, title: str) -> None:
     tracks = {name: _Arrays(track) for name, track in flight.tracks.items()}
     fused = _Arrays(flight.fused)
     is_truth_known = any(np.isfinite(track.truth_m).any() for track in (*tracks.values(), fused))
-    rejected: Counter[str] = sum(flight.rejected.values(), Counter())
-    reasons = [reason for reason, _ in rejected.most_common()]
+    reasons = [reason for reason, _ in sum(flight.rejected.values(), Counter[str]()).most_common()]
     ratios = [3.0, *([0.25 * len(tracks) + 0.1] if reasons else []), *([2.0] if is_truth_known else [])]
-    figure = new_figure(1.5 + 1.25 * sum(ratios), 9.6)
-    top, *below = panels = figure.subplots(len(ratios), 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
-    _draw_ranges(top, tracks, fused)
-    top.set_title(f"{title}: {_what_happened(flight)}")
+    figure, panels = new_panels(1.5 + 1.25 * sum(ratios), len(ratios), width_in=9.6, sharex=True, height_ratios=ratios)
+    _draw_ranges(panels[0], tracks, fused)
+    panels[0].set_title(f"{title}: {_what_happened(flight)}")
     if reasons:
-        _draw_rejected(below[0], tracks, reasons)
+        _draw_rejected(panels[1], tracks, reasons)
     if is_truth_known:
-        _draw_errors(below[-1], tracks, fused)
-    for first_s, last_s in _edges(fused):
-        for axes in panels:
-            axes.axvspan(first_s, last_s, label="sensors over different ground", **shaded())
+        _draw_errors(panels[-1], tracks, fused)
+    for span, axes in product(_edges(fused), panels):
+        axes.axvspan(*span, label="sensors over different ground", **shaded())
     panels[-1].set_xlabel("time [s]")
     save(figure, path)
 
@@ -71,24 +68,23 @@ def _draw_ranges(top: Axes, tracks: Mapping[str, _Arrays], fused: _Arrays) -> No
     if np.isfinite(fused.truth_m).any():
         # Where the sensors are over different ground no single distance is true.
         truth = _interrupted(fused.time_s, np.where(fused.why == "edge", np.nan, fused.truth_m))
-        top.plot(*truth, "-", color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
+        top.plot(*truth, color=PALE, linewidth=5, label="true distance (fused)", zorder=0)
     if fused.time_s.size:
-        top.plot(*_interrupted(fused.time_s, fused.filtered_m), "-", color=INK, linewidth=1, label="fused")
+        top.plot(*_interrupted(fused.time_s, fused.filtered_m), color=INK, linewidth=1, label="fused")
     top.set_ylabel("range [m]")
 
 
 def _draw_rejected(axes: Axes, tracks: Mapping[str, _Arrays], reasons: Sequence[str]) -> None:
     """A row for each sensor, and a marker for each reason."""
     for place, reason in enumerate(reasons):
-        times_s = [track.time_s[track.why == reason] for track in tracks.values()]
-        rows = np.repeat(np.arange(len(tracks)), [time_s.size for time_s in times_s])
+        rows = [np.full(np.count_nonzero(track.why == reason), row) for row, track in enumerate(tracks.values())]
+        times_s = np.concatenate([track.time_s[track.why == reason] for track in tracks.values()])
         marker, (colour, _) = MARKERS[min(place, len(MARKERS) - 1)], SERIES[place % len(SERIES)]
         # A reason as a reader knows it; a code with what it stands for.
         words = {"suspect": "255: no echo, garbled?"}.get(reason, reason.replace("_", " "))
-        axes.plot(np.concatenate(times_s), rows, marker, color=colour, markerfacecolor="none", label=words)
+        axes.plot(times_s, np.concatenate(rows), marker, color=colour, fillstyle="none", label=words)
     axes.set_yticks(range(len(tracks)), list(tracks))
-    axes.set_ylim(len(tracks) - 0.5, -0.5)
-    axes.set_title("readings that were not used")
+    axes.set(ylim=(len(tracks) - 0.5, -0.5), title="readings that were not used")
     columns = math.ceil(len(reasons) / 2)
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=columns, borderaxespad=0.0, handletextpad=0.2)
 
@@ -100,10 +96,9 @@ def _draw_errors(axes: Axes, tracks: Mapping[str, _Arrays], fused: _Arrays) -> N
         axes.plot(track.time_s, errors_cm, ".", color=colour, markersize=2, alpha=0.6)
     known = np.isfinite(fused.errors_cm(fused.filtered_m, ""))
     line = _interrupted(fused.time_s[known], fused.errors_cm(fused.filtered_m, "edge")[known])
-    axes.plot(*line, "-", color=INK, linewidth=1)
-    axes.set_ylabel("error [cm]")
-    axes.set_ylim(-SHOWN_CM, SHOWN_CM)
+    axes.plot(*line, color=INK, linewidth=1)
     of_line = "; line: fused" if known.any() else ""
+    axes.set(ylabel="error [cm]", ylim=(-SHOWN_CM, SHOWN_CM))
     axes.set_title(f"error: range minus truth (dots: raw readings{of_line})")
 
 

@@ -6,7 +6,6 @@ marker. pyplot is not used: there is no global figure that could leak, and drawi
 """
 
 import io
-import itertools
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +20,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from numpy.typing import ArrayLike
+
+from msp_range.arrays import Array
 
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
@@ -57,13 +58,12 @@ MARKED: dict[str, Any] = {
 DOTS: dict[str, Any] = {
     "linestyle": "none",
     "marker": "o",
-    "markersize": 4.5,
+    "markersize": 5.0,
     "color": INK,
-    "markerfacecolor": "white",
     "elinewidth": 1.0,
     "zorder": 5,
 }
-"""Look of measured values with their intervals, for `Axes.errorbar`."""
+"""Look of measured values with their intervals, for `intervals`."""
 
 WIDTH_IN = 7.4
 """Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
@@ -132,13 +132,25 @@ def new_axes(height_in: float, x: str = "", y: str = "") -> tuple[Figure, Axes]:
     return figure, figure.subplots(subplot_kw={"xlabel": x, "ylabel": y})
 
 
+def new_panels(
+    height_in: float, rows: int, columns: int = 1, width_in: float = WIDTH_IN, **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """Make a figure with so many panels, row by row; what they share as for `Figure.subplots`."""
+    figure = new_figure(height_in, width_in)
+    return figure, list(figure.subplots(rows, columns, squeeze=False, **shared).flat)
+
+
 def choose_format(name: str) -> None:
     """Choose the format in which all figures are kept from now on, as well as in PNG: ``--format``."""
     _chosen.set(name)
 
 
-def files_of(figure: Figure) -> dict[str, bytes]:
-    """The figure with its legend by format: PNG, and what was chosen. The same drawing always gives the same bytes."""
+@style()
+def files_of(figure: Figure, only: str = "") -> dict[str, bytes]:
+    """The figure with its legend by format: PNG and what was chosen, or only one.
+
+    The same drawing always gives the same bytes.
+    """
     if not figure.legends:
         _add_legend(figure)
     for text in figure.findobj(Text):
@@ -149,16 +161,13 @@ def files_of(figure: Figure) -> dict[str, bytes]:
         # A figure that has a layout engine is drawn twice by `savefig`, the first time only for the layout.
         layout.execute(figure)
         figure.set_layout_engine(None)
-    return {name: _file(figure, name) for name in dict.fromkeys(("png", _chosen.get()))}
+    return {name: _file(figure, name) for name in ([only] if only else dict.fromkeys(("png", _chosen.get())))}
 
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure: as PNG, and next to it in the chosen format; or in the format that the file's name has."""
-    files = files_of(figure)
     named = path.suffix.removeprefix(".").lower()
-    if named in ("svg", "pdf"):
-        files = {named: _file(figure, named)}
-    for name, content in files.items():
+    for name, content in files_of(figure, named if named in ("svg", "pdf") else "").items():
         (path if name in ("png", named) else path.with_suffix(f".{name}")).write_bytes(content)
 
 
@@ -177,35 +186,20 @@ def _file(figure: Figure, name: str) -> bytes:
 
 
 def _add_legend(figure: Figure) -> None:
-    """List each label once below the axes, in as few lines as fit; not those of axes with their own legend."""
+    """List each label once below the axes, in columns as wide as the longest; axes with a legend have their own."""
     drawn = [each for axes in figure.axes if axes.get_legend() is None for each in axes.get_legend_handles_labels()[0]]
     # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
     handles = {str(each.get_label()): each for each in drawn}
-    if not handles:
-        return
-    labels, width_in = list(handles), figure.get_figwidth()
-    # Filled column by column.
-    for lines in range(1, len(labels) + 1):
-        columns = [labels[k : k + lines] for k in range(0, len(labels), lines)]
-        if sum(_LETTER_IN * max(map(len, column)) + _HANDLE_IN for column in columns) < width_in:
-            break
-    figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=len(columns))
+    if handles:
+        columns = int(figure.get_figwidth() / (_LETTER_IN * max(map(len, handles)) + _HANDLE_IN))
+        figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=max(columns, 1))
 
 
 def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
     """Write a few words inside an axes, at a fraction of its width and height, on a white background."""
-    axes.text(
-        x,
-        y,
-        text,
-        transform=axes.transAxes,
-        ha="right" if x > 0.5 else "left",
-        va="top" if y > 0.5 else "bottom",
-        fontsize=8.0,
-        color=INK,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0},
-        zorder=10,
-    )
+    ha, va = "right" if x > 0.5 else "left", "top" if y > 0.5 else "bottom"
+    ground = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0}
+    axes.text(x, y, text, transform=axes.transAxes, ha=ha, va=va, fontsize=8.0, color=INK, bbox=ground, zorder=10)
 
 
 def label(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any) -> None:
@@ -221,6 +215,23 @@ def shaded(colour: str = PALE) -> dict[str, Any]:
 def line_at_zero(axes: Axes) -> None:
     """Draw the line on which there is no difference."""
     axes.axhline(0.0, color=GREY, linewidth=0.9)
+
+
+def intervals(
+    axes: Axes, place: ArrayLike, value: ArrayLike, ends: ArrayLike, across: bool = False, **look: Any
+) -> None:
+    """Draw values (n,) at their places, with their intervals from the first to the second row of ``ends``, (2, n).
+
+    They reach up and down, or to the left and right where ``across``; an end that is NaN or infinite is not drawn.
+    Marks are white, or filled where the look has a colour.
+    """
+    reach = np.abs(np.asarray(ends, dtype=float) - value).reshape(2, -1)
+    reach[~np.isfinite(reach)] = 0.0
+    look = DOTS | {"markerfacecolor": look.get("color", "white")} | look
+    if across:
+        axes.errorbar(value, place, xerr=reach, **look)
+    else:
+        axes.errorbar(place, value, yerr=reach, **look)
 
 
 def draw_pit_bars(axes: Axes, counts: ArrayLike, colour: str = OURS, base: float = 1.0) -> None:
@@ -243,21 +254,16 @@ def draw_pit_bars(axes: Axes, counts: ArrayLike, colour: str = OURS, base: float
     axes.grid(visible=False, axis="x")
 
 
-def edges_between(centres: list[float]) -> list[float]:
-    """Bin edges half way between sorted values; the outer bins are symmetric.
+def edges_between(centres: Array) -> Array:
+    """Bin edges half way between sorted values, (n + 1,); the outer bins are symmetric.
 
     Examples
     --------
-    >>> edges_between([40.0, 60.0, 100.0])
+    >>> edges_between(np.array([40.0, 60.0, 100.0])).tolist()
     [30.0, 50.0, 80.0, 120.0]
     """
-    if len(centres) == 1:
+    if centres.size == 1:
         half = max(abs(centres[0]), 1.0) / 20.0
-        return [centres[0] - half, centres[0] + half]
-    inner = [(left + right) / 2.0 for left, right in itertools.pairwise(centres)]
-    return [2.0 * centres[0] - inner[0], *inner, 2.0 * centres[-1] - inner[-1]]
-
-
-def signed(tick: float, _: float) -> str:
-    """Label of a tick of an axis of differences: with its sign, and 0 without one."""
-    return f"{tick:+g}".replace("-", "−") if tick else "0"
+        return np.array([centres[0] - half, centres[0] + half])
+    inner = (centres[1:] + centres[:-1]) / 2.0
+    return np.array([2.0 * centres[0] - inner[0], *inner, 2.0 * centres[-1] - inner[-1]])

@@ -7,16 +7,22 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from msp_lab.characterise.page.errors import draw_errors, scale_of, with_reach
+from msp_lab.characterise.page.errors import draw_errors, scale_of
 from msp_lab.characterise.page.picture_data import PictureData, errors_of, in_order, summary
 from msp_lab.characterise.page.text import span
 from msp_lab.estimates import IntervalEstimate
 from msp_sim.page.page import Absent, Drawn, Entry
-from msp_sim.page.style import DOTS, GREEN, MARKED, PURPLE, REFERENCE, SERIES, line_at_zero, new_axes, new_figure
+from msp_sim.page.style import GREEN, MARKED, PURPLE, REFERENCE, SERIES, intervals, line_at_zero, new_axes, new_panels
 from msp_sim.page.text import sentence
 
 MAX_BOXES = 3
 """Panels that the picture of hot and cold air has room for."""
+_IDEAS = (
+    ("uniform_cm", ":", REFERENCE, "that air all the way"),
+    ("gradient_cm", "-.", PURPLE, "linear fall to the room's at the target"),
+    ("confined_cm", "-", GREEN, "that air in the box only"),
+)
+"""Where the air may be: field of a `findings.BoxRow` with the shift that it causes, and how it is drawn."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -41,12 +47,13 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
         both.append(compensated.select(known))
         air = f" Air {span(air_c)} °C; the sensor assumes {rows.model.calibration_temperature_c:g} °C."
     errors = both[int(after)]
-    # A reference's mean errors where they can be compared: next to a range that was measured.
-    earlier, tested_cm = rows.reference.mean_error_cm, np.unique(both[0].true_range_cm)
-    near = {each: earlier[each][int(after)] for each in sorted(earlier) if np.min(np.abs(tested_cm - each)) <= 2.0}
-    figure = draw_errors([errors], scale_of(both, near.values()))
-    if near:
-        figure.axes[0].plot(list(near), list(near.values()), label=f"{rows.reference.name}'s mean error", **MARKED)
+    # A reference's mean errors where they can be compared: at a range that was measured.
+    pairs = {each: rows.reference.mean_errors_at(each) for each in np.unique(both[0].true_range_cm).tolist()}
+    earlier = {each: pair[int(after)] for each, pair in pairs.items() if pair}
+    figure = draw_errors([errors], scale_of(both, earlier.values()))
+    if earlier:
+        words = f"{rows.reference.name}'s mean error"
+        figure.axes[0].plot(list(earlier), list(earlier.values()), label=words, **MARKED)
     return figure, summary(errors) + air
 
 
@@ -74,34 +81,31 @@ def compensation(rows: PictureData) -> Drawn:
 def _arrows(axes: Axes, rows: Sequence[tuple[Any, ...]], series: tuple[str, str], who: str) -> None:
     """Errors before (filled) and after (white; None: not known), at their places, with their intervals."""
     colour, marker = series
-    after = [row for row in rows if row[2] is not None]
-    for x, one, other in after:
-        axes.vlines(x, one.value, other.value, color=colour, alpha=0.6)
-    white: dict[str, Any] = {"markerfacecolor": "white", "markeredgewidth": 1.4}
-    for points, end, words, look in ((rows, 1, "uncompensated", {}), (after, 2, "compensated", white)):
-        x, (y, reach) = [x for x, *_ in points], with_reach([row[end] for row in points])
-        axes.plot(x, y, marker, linestyle="none", color=colour, label=f"{who}{words}", **look)
-        if np.any(reach):
-            axes.errorbar(x, y, yerr=reach, linestyle="none", color=colour)
+    for at, before, after in rows:
+        for one, words, fill in ((before, "uncompensated", colour), (after, "compensated", "white")):
+            if one is not None:
+                words = f"{who}{words}"
+                intervals(axes, at, one.value, one.ends, marker=marker, color=colour, markerfacecolor=fill, label=words)
+        if after is not None:
+            axes.vlines(at, before.value, after.value, color=colour, alpha=0.6)
 
 
 def _boxes(rows: PictureData) -> Drawn:
     """Draw one panel a box: shift of the mean error over range, and three ideas of where the air is."""
     found = rows.needed(rows.findings.hot_boxes, "hot_boxes")
     boxes = found[:MAX_BOXES]
-    figure = new_figure(3.6)
-    for axes, box in zip(figure.subplots(1, len(boxes), squeeze=False)[0], boxes, strict=True):
+    figure, panels = new_panels(3.6, 1, len(boxes))
+    for axes, box in zip(panels, boxes, strict=True):
         range_cm = [row.range_cm for row in box.rows]
-        uniform, gradient, confined = np.array([(r.uniform_cm, r.gradient_cm, r.confined_cm) for r in box.rows]).T
+        for name, look, colour, words in _IDEAS:
+            shift_cm = [getattr(row, name) for row in box.rows]
+            axes.plot(range_cm, shift_cm, look, color=colour, label=words)
         line_at_zero(axes)
-        axes.plot(range_cm, uniform, ":", color=REFERENCE, label="that air all the way")
-        axes.plot(range_cm, gradient, "-.", color=PURPLE, label="linear fall to the room's at the target")
-        axes.plot(range_cm, confined, "-", color=GREEN, label="that air in the box only")
-        shift_cm, reach_cm = with_reach([row.shift for row in box.rows])
-        axes.errorbar(range_cm, shift_cm, yerr=reach_cm, label="measured, minus room temperature", **DOTS)
+        for row in box.rows:
+            intervals(axes, row.range_cm, row.shift.value, row.shift.ends, label="measured, minus room temperature")
         assumed = " (assumed)" if box.room_is_assumed else ""
         air = f"{box.box_c:.0f} °C at the sensor, {box.room_c:.0f} °C{assumed} beyond"
         axes.set_title(f"{air}\nair that explains it: {box.depth.value:.0f} cm", fontsize=8.5)
         axes.set_xlabel("true range [cm]")
-    figure.axes[0].set_ylabel("shift of the mean error [cm]")
+    panels[0].set_ylabel("shift of the mean error [cm]")
     return figure, " ".join(sentence(box.answer) for box in found)

@@ -1,22 +1,17 @@
 """Pictures of the field of view: readings over angle at each range, and the sonar equation through the angles."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
-from itertools import product
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from msp_lab.characterise.findings import AnglePoint, BreakawayAngle
-from msp_lab.characterise.page.errors import share_bars, with_reach
+from msp_lab.characterise.page.errors import share_bars
 from msp_lab.characterise.page.picture_data import PictureData, ReferenceNumbers
 from msp_lab.characterise.page.text import half_interval
-from msp_lab.characterise.points import PointReadings
-from msp_range.arrays import Array
+from msp_lab.characterise.points import PointReadings, grouped
 from msp_sim.acoustics.sonar import STEP_DEG, Sonar
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
@@ -30,9 +25,10 @@ from msp_sim.page.style import (
     PALE,
     REFERENCE,
     edges_between,
+    intervals,
     label,
     new_axes,
-    new_figure,
+    new_panels,
     shaded,
 )
 from msp_sim.page.text import sentence
@@ -77,120 +73,90 @@ def _draw_sweep(
 ) -> Figure:
     """Readings over angle with the two ranges that a tilted sensor may report; below, how many are reliable."""
     range_cm, half_deg = breakaway.range_cm, breakaway.half_angle.value
-    figure = new_figure(4.5)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3.2, 1.0))
+    figure, (top, bottom) = new_panels(4.5, 2, sharex=True, height_ratios=(3.2, 1.0))
     # Several sensors or sessions may have been at an angle.
     angle_deg, at = np.unique([point.incidence_deg for point in points], return_inverse=True)
-    edges = edges_between(angle_deg.tolist())
+    edges = edges_between(angle_deg)
     width = 0.86 * np.min(np.diff(edges))
 
-    widest_deg = np.max(np.abs(angle_deg))
-    theta = np.radians(np.linspace(-widest_deg, widest_deg, 241))
+    span_deg = np.linspace(-1.0, 1.0, 241) * np.max(np.abs(angle_deg))
     # As calibration and air stretch what is read straight ahead.
     base_cm = min(points, key=lambda point: abs(point.incidence_deg)).nearest_cm
-    slant_cm = base_cm / np.cos(theta)
+    slant_cm = base_cm / np.cos(np.radians(span_deg))
     low, high = min(base_cm, range_cm) - 4.0, max(np.max(slant_cm), range_cm) + 5.0
-    _draw_shares(top, readings, angle_deg, width, (low, high))
-    top.plot(np.degrees(theta), slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
+    for angle, here in grouped(readings, lambda point: round(point.incidence_deg, 3)).items():
+        echo_cm = np.concatenate([point.reading_cm[point.is_echo] for point in here])
+        of = sum(point.reading_cm.size for point in here)
+        share_bars(top, angle, echo_cm[(echo_cm > low) & (echo_cm < high)], of, width)
+    top.plot(span_deg, slant_cm, "--", color=REFERENCE, label="along the axis, r₀ / cos θ")
     if half_deg > 0.0:
-        nearest_cm = base_cm / np.cos(np.maximum(np.abs(theta) - np.radians(half_deg), 0.0))
-        words = f"nearest point in a beam of ±{half_deg:.1f}°"
-        top.plot(np.degrees(theta), nearest_cm, "-", color=GREEN, label=words)
-    top.set_ylim(low, high)
-    top.set_ylabel("reading [cm]")
-    top.yaxis.set_major_locator(MaxNLocator(6, integer=True))
+        nearest_cm = base_cm / np.cos(np.radians(np.maximum(np.abs(span_deg) - half_deg, 0.0)))
+        top.plot(span_deg, nearest_cm, color=GREEN, label=f"nearest point in a beam of ±{half_deg:.1f}°")
+    top.set(ylim=(low, high), ylabel="reading [cm]")
 
     of_wall = np.bincount(at, [point.reliable.value * point.readings for point in points])
     reliable = 100.0 * of_wall / np.bincount(at, [point.readings for point in points])
     bottom.bar(angle_deg, reliable, width, **BARS)
     bottom.bar(angle_deg, 100.0 - reliable, width, reliable, color=PALE)
-    bottom.set_ylim(0.0, 100.0)
-    bottom.set_yticks([0, 50, 100])
-    bottom.set_ylabel("reliable [%]")
-    bottom.set_xlabel("angle between the axis and the wall's normal [deg]")
-    _mark_breakaway(top, bottom, breakaway)
+    bottom.set(ylim=(0.0, 100.0), yticks=[0, 50, 100], ylabel="reliable [%]")
     reference_deg = reference.half_angle_deg.get(range_cm)
-    if reference_deg is not None:
-        words = f"{reference.name}'s ±{reference_deg:g}°"
-        for axes, edge_deg in product((top, bottom), (-reference_deg, reference_deg)):
+    for axes in (top, bottom):
+        _mark_breakaway(axes, breakaway)
+        for edge_deg in () if reference_deg is None else (-reference_deg, reference_deg):
+            words = f"{reference.name}'s ±{reference_deg:g}°"
             axes.axvline(edge_deg, color=REFERENCE, linestyle=":", label=words)
-    # Of many angles every other one.
-    bottom.set_xticks(angle_deg[:: 1 + (angle_deg.size > 15)])
-    bottom.xaxis.set_major_formatter("{x:g}")
-    bottom.set_xlim(edges[0], edges[-1])
-    top.grid(axis="x", visible=False)
-    bottom.grid(axis="x", visible=False)
+    bottom.set(xlim=(edges[0], edges[-1]), xlabel="angle between the axis and the wall's normal [deg]")
     return figure
 
 
-def _draw_shares(
-    top: Axes, points: Sequence[PointReadings], angle_deg: Array, room: float, limits_cm: tuple[float, float]
-) -> None:
-    """Each angle's readings as a histogram on its side, whole centimetres."""
-    low, high = limits_cm
-    for angle in angle_deg:
-        here = [point for point in points if round(point.incidence_deg, 3) == angle]
-        echo_cm = np.concatenate([point.reading_cm[point.is_echo] for point in here])
-        shown_cm = echo_cm[(echo_cm > low) & (echo_cm < high)]
-        share_bars(top, angle, shown_cm, sum(point.reading_cm.size for point in here), room)
-
-
-def _mark_breakaway(top: Axes, bottom: Axes, breakaway: BreakawayAngle) -> None:
+def _mark_breakaway(axes: Axes, breakaway: BreakawayAngle) -> None:
     """Each side's last reliable angle, and the stretch up to the next one that was tried."""
     for sign, side in ((-1.0, breakaway.negative), (1.0, breakaway.positive)):
         # 0 stands for a side on which no angle is reliable.
         if side is None or not side.value:
             continue
-        last = sign * side.value
-        for axes in (top, bottom):
-            if side.high is not None and side.high > side.value:
-                words = "up to the next angle tried"
-                axes.axvspan(*sorted((last, sign * side.high)), label=words, **shaded(ORANGE))
-            axes.axvline(last, color=INK, label="breakaway: last reliable angle")
-        where, ha = (last, 0.985), "left" if last < 0 else "right"
-        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
-        look: dict[str, Any] = {"weight": "bold", "ha": ha, "va": "top", "color": INK, "bbox": box}
-        top.text(*where, f" {abs(last):.1f}°", transform=top.get_xaxis_transform(), **look)
+        if side.high is not None and side.high > side.value:
+            words = "up to the next angle tried"
+            axes.axvspan(sign * side.value, sign * side.high, label=words, **shaded(ORANGE))
+        axes.axvline(sign * side.value, color=INK, label=f"breakaway: last reliable angle, {side.value:.1f}°")
 
 
 def _sonar(rows: PictureData) -> Drawn:
     """Half angle over range: measured, as the sonar equation has it, as the other rows predict it, as it is used."""
     sonar = rows.needed(rows.findings.sonar, "sonar")
     view = rows.needed(rows.findings.field_of_view, "field_of_view")
-    range_cm, measured_deg, fitted_deg, others_deg = np.array(
-        [(row.range_cm, row.measured_deg, row.fitted_deg, row.left_out_deg) for row in sonar.rows], dtype=float
-    ).T
-    used_cm, used_deg = np.array([*zip(range_cm, measured_deg, strict=True), *sonar.beyond]).T
+    measured = [(row.range_cm, row.measured_deg) for row in sonar.rows]
+    used_cm, used_deg = np.transpose([*measured, *sonar.beyond])
     equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
-    span_cm = np.linspace(np.min(range_cm) * 0.6, np.max(used_cm), 120)
+    span_cm = np.linspace(0.6 * np.min(used_cm), np.max(used_cm), 120)
     # Where there is no echo, None becomes NaN.
     span_deg = np.array([equation.half_angle_deg(each / 100.0) for each in span_cm.tolist()], dtype=float)
     figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
-    axes.plot(span_cm, span_deg, "-", color=GREEN, label="sonar equation, fitted")
+    axes.plot(span_cm, span_deg, color=GREEN, label="sonar equation, fitted")
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    intervals = {each.range_cm: each.half_angle for each in view.angles}
-    known = [replace(intervals[row.range_cm], value=row.measured_deg) for row in sonar.rows]
-    words = "measured, up to the next angle tried"
-    axes.errorbar(range_cm, *with_reach(known), fmt="o", markersize=9, color=OURS, label=words)
-    earlier = {each: angle for each, angle in rows.reference.half_angle_deg.items() if each in range_cm}
-    if earlier:
-        axes.plot(list(earlier), list(earlier.values()), label=f"{rows.reference.name}'s", **MARKED)
-    predicted = np.isfinite(others_deg)
-    if np.any(predicted):
-        look: dict[str, Any] = {"markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.6, "color": ORANGE}
-        axes.plot(range_cm[predicted], others_deg[predicted], "D", label="predicted from the others", zorder=7, **look)
-        for where in range_cm[~predicted].tolist():
-            label(axes, "the others predict\nno echo here", (where, 0.0), (0, 6), ha="center", color=GREY)
-    axes.set_ylim(0.0, 1.2 * max([*measured_deg, *others_deg[predicted], *earlier.values()]))
-    axes.set_xlim(0.0, np.max(used_cm))
-    worst_deg = np.abs(fitted_deg - measured_deg)
+    ends_deg = {each.range_cm: each.half_angle.ends for each in view.angles}
+    missed_deg = [abs(row.fitted_deg - row.measured_deg) for row in sonar.rows if row.fitted_deg is not None]
+    others_deg = {row.range_cm: row.left_out_deg for row in sonar.rows if row.left_out_deg is not None}
+    highest_deg = max([*used_deg, *others_deg.values()])
+    for at_cm, angle_deg in measured:
+        words = "measured, up to the next angle tried"
+        intervals(axes, at_cm, angle_deg, ends_deg[at_cm], color=OURS, markersize=9, label=words)
+        if earlier_deg := rows.reference.half_angle_deg.get(at_cm):
+            axes.plot(at_cm, earlier_deg, label=f"{rows.reference.name}'s", **MARKED)
+            highest_deg = max(highest_deg, earlier_deg)
+        if others_deg and at_cm not in others_deg:
+            label(axes, "the others predict\nno echo here", (at_cm, 0.0), (0, 6), ha="center", color=GREY)
+    axes.set(xlim=(0.0, np.max(used_cm)), ylim=(0.0, 1.2 * highest_deg))
     caption = "No angle is predicted"
-    if np.any(np.isfinite(worst_deg)):
-        caption = f"The equation misses the measured angles by at most {np.nanmax(worst_deg):.1f}°"
-    if np.any(predicted):
-        caption += f", and predicts each from the others to {np.nanmax(np.abs(others_deg - measured_deg)):.1f}°"
+    if missed_deg:
+        caption = f"The equation misses the measured angles by at most {max(missed_deg):.1f}°"
+    if others_deg:
+        marks, words = (list(others_deg), list(others_deg.values())), "predicted from the others"
+        axes.plot(*marks, "D", color=ORANGE, fillstyle="none", markersize=9, zorder=7, label=words)
+        worst_deg = max(abs(others_deg[at_cm] - angle_deg) for at_cm, angle_deg in measured if at_cm in others_deg)
+        caption += f", and predicts each from the others to {worst_deg:.1f}°"
     return figure, (
         f"{caption}. Equivalent piston {1000.0 * sonar.piston_diameter_m:.1f} mm, gain {sonar.gain_db_per_m:.1f} dB/m. "
         f"{sentence(sonar.note)} Beyond the measured ranges the angle never grows."

@@ -6,16 +6,15 @@ from functools import cached_property, partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
-from msp_lab.characterise.page.mixture import Densities, densities, longest_range_cm
+from msp_lab.characterise.page.mixture import densities, longest_range_cm
 from msp_lab.characterise.page.picture_data import PictureData, in_order
 from msp_lab.characterise.page.text import interval
 from msp_lab.estimates import Z
 from msp_lab.readings.resolution import to_step
 from msp_range.arrays import Array, Flags
 from msp_sim.page.page import Absent, Drawn, Entry
-from msp_sim.page.style import BARS, DOTS, GREY, INK, ORANGE, OURS, REFERENCE, label, new_axes, note
+from msp_sim.page.style import BARS, GREY, INK, ORANGE, OURS, REFERENCE, intervals, label, new_axes, note
 from msp_sim.page.text import counted
 
 PEAK_RANGE_CM = 1.0
@@ -50,7 +49,7 @@ class _FixedRange:
     @property
     def caption(self) -> str:
         readings = f"{self.reading_cm.size:,} readings at {self.true_range_cm:g} cm"
-        return f"{readings}, of which {self.percent(int(np.sum(self.missed)))} are codes for no echo"
+        return f"{readings}, of which {100.0 * np.mean(self.missed):.2g} % are codes for no echo"
 
     @cached_property
     def limits_cm(self) -> tuple[float, float]:
@@ -60,18 +59,19 @@ class _FixedRange:
         return min(middle - reach, self.true_range_cm - 3.0), max(middle + reach, self.true_range_cm + 3.0)
 
     @property
-    def inside(self) -> Flags:
+    def is_outside(self) -> Flags:
+        """Distances beyond the limits."""
         low, high = self.limits_cm
-        return np.asarray((self.distance_cm >= low) & (self.distance_cm <= high))
+        return np.asarray((self.distance_cm < low) | (self.distance_cm > high))
 
     def percent(self, count: int) -> str:
-        return f"{100.0 * count / self.reading_cm.size:.2g} %"
+        """A count, and which share of all readings it is."""
+        return f"{count:,} ({100.0 * count / self.reading_cm.size:.2g} %)"
 
     def note_outside(self, axes: Axes, x: float) -> None:
         """Write how many distances are beyond the limits."""
-        outside = int(np.sum(np.isfinite(self.distance_cm) & ~self.inside))
-        if outside:
-            note(axes, f"{outside} readings ({self.percent(outside)})\nlie outside of this picture", x=x)
+        if np.any(self.is_outside):
+            note(axes, f"{self.percent(int(np.sum(self.is_outside)))} readings\nlie outside of this picture", x=x)
 
 
 def _readings(rows: PictureData, masked: bool) -> _FixedRange:
@@ -96,33 +96,28 @@ def one_by_one(rows: PictureData, masked: bool) -> Drawn:
     figure, axes = new_axes(3.3, "reading, in order", "reading [cm]")
     number = np.arange(1.0, fixed.reading_cm.size + 1.0)
     # Thousands of dots would be a bar of one colour: let the ground shine through.
-    alpha = min(1.0, max(0.08, 2000.0 / number.size)) if masked else 1.0
-    axes.plot(number, fixed.distance_cm, "o", markersize=2, markeredgewidth=0, color=OURS, alpha=alpha)
-    axes.plot([], [], "o", color=OURS, markersize=4, label="reading")
+    axes.plot(number, fixed.distance_cm, ".", markersize=3, color=OURS, alpha=0.2 if masked else 1.0)
     axes.axhline(fixed.true_range_cm, color=REFERENCE, linestyle="--", label=f"true range, {fixed.true_range_cm:g} cm")
     if masked:
         axes.set_ylim(*fixed.limits_cm)
         fixed.note_outside(axes, 0.99)
-        _running_mean(axes, number[fixed.inside], fixed.reading_cm[fixed.inside])
-        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        inside = np.flatnonzero(~fixed.is_outside & ~fixed.missed)
+        # Means of a fiftieth of the readings each show a drift that single centimetres hide.
+        if (each := inside.size // 50) >= 10:
+            parts = inside[: each * 50].reshape(50, each)
+            means = number[parts].mean(axis=1), fixed.reading_cm[parts].mean(axis=1)
+            axes.plot(*means, color=INK, label=f"mean of {each} readings")
+        axes.locator_params(axis="y", integer=True)
     else:
         for code_cm in fixed.codes_cm:
             here = number[fixed.reading_cm == code_cm]
-            axes.plot(here, np.full(here.size, code_cm), "|", markersize=9, color=ORANGE, label="code for no echo")
-            words = f"{code_cm:g} cm:\n{here.size} ({fixed.percent(here.size)})"
+            axes.plot(here, here * 0.0 + code_cm, "|", markersize=9, color=ORANGE, label="code for no echo")
+            words = f"{code_cm:g} cm:\n{fixed.percent(here.size)}"
             axes.text(1.005, code_cm, words, transform=axes.get_yaxis_transform(), va="center", fontsize=7.5)
         axes.set_ylim(bottom=0.0)
     axes.set_xlim(0, number.size + 1)
     axes.xaxis.set_major_formatter("{x:,.0f}")
     return figure, f"{fixed.caption}{', left out here' if masked else ''}."
-
-
-def _running_mean(axes: Axes, number: Array, reading_cm: Array) -> None:
-    """Means of a fiftieth of the readings each, which show a drift that single centimetres hide."""
-    each = number.size // 50
-    if each >= 10:
-        x, y = (column[: each * 50].reshape(50, each).mean(axis=1) for column in (number, reading_cm))
-        axes.plot(x, y, "-", color=INK, label=f"mean of {each} readings")
 
 
 def histogram(rows: PictureData, masked: bool) -> Drawn:
@@ -131,10 +126,20 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
     figure, axes = new_axes(3.5, "reading [cm]", "readings" if masked else "readings (logarithmic)")
     words = f"true range, {fixed.true_range_cm:g} cm"
     axes.axvline(fixed.true_range_cm, color=REFERENCE, linestyle="--", label=words)
-    axes.grid(axis="x", visible=False)
+    distances_cm = to_step(fixed.distance_cm[np.isfinite(fixed.distance_cm)], 1.0)
+    values, counts = np.unique(distances_cm, return_counts=True)
+    axes.bar(values, counts, 0.86 if masked else 3.0, label=f"{distances_cm.size:,} readings", **BARS)
     caption = f"{fixed.caption}."
     if not masked:
-        _draw_all(axes, fixed)
+        highest = max(counts.tolist(), default=1)
+        for code_cm in fixed.codes_cm:
+            count = int(np.sum(fixed.reading_cm == code_cm))
+            axes.bar(code_cm, count, 5.0, color=ORANGE, label="code for no echo")
+            label(axes, f"{code_cm:g} cm\n{fixed.percent(count)}", (code_cm, count), (0, 4), ha="center")
+            highest = max(highest, count)
+        right_cm = np.nanmax([*fixed.reading_cm, fixed.true_range_cm])
+        axes.set(yscale="log", ylim=(0.7, 4.0 * highest), xlim=(0.0, 1.06 * right_cm))
+        axes.yaxis.set_major_formatter("{x:,.0f}")
         if found is not None:
             peaks = ", ".join(f"{peak.reading_cm:g} cm ({100.0 * peak.share:.2g} %)" for peak in found.peaks_before)
             caption = (
@@ -142,52 +147,25 @@ def histogram(rows: PictureData, masked: bool) -> Drawn:
                 f"{rows.model.maximum_cm} and {found.saturated:,} of 255 are missed echoes."
             )
         return figure, caption
-    _draw_bulk(axes, fixed)
+    fixed.note_outside(axes, 0.01)
     if found is not None:
         caption = f"Without the codes there {_are_peaks(len(found.peaks_after))}, at {interval(found.peak)}."
     if rows.findings.mixture is not None:
-        _draw_fitted(axes, fixed, densities(rows))
+        # About the range that the fit took it to be.
+        fitted = densities(rows)
+        expected = fitted.total * fixed.reading_cm.size
+        half, words = Z * np.sqrt(expected), "fitted model, and 95 % of counts"
+        intervals(axes, fitted.reading_cm, expected, [expected - half, expected + half], label=words)
         caption += " Circles: what the mixture, fitted about these hits' own mean, expects in each centimetre."
     earlier = rows.reference
     if abs(fixed.true_range_cm - earlier.peak_range_cm) < PEAK_RANGE_CM:
         words = f"{earlier.name}'s peak, {earlier.peak_cm:g} cm"
         axes.axvline(earlier.peak_cm, color=GREY, linestyle=":", label=words)
+    axes.set(xlim=fixed.limits_cm)
+    axes.set_ylim(bottom=0.0)
+    axes.locator_params(axis="x", integer=True)
     return figure, caption
 
 
 def _are_peaks(count: int) -> str:
     return f"{'is' if count == 1 else 'are'} {counted(count, 'peak')}"
-
-
-def _draw_bulk(axes: Axes, fixed: _FixedRange) -> None:
-    """How often each distance was read."""
-    distances_cm = to_step(fixed.distance_cm[np.isfinite(fixed.distance_cm)], 1.0)
-    words = f"{distances_cm.size:,} readings"
-    axes.bar(*np.unique(distances_cm, return_counts=True), width=0.86, label=words, **BARS)
-    axes.set_xlim(*fixed.limits_cm)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    fixed.note_outside(axes, 0.01)
-
-
-def _draw_fitted(axes: Axes, fixed: _FixedRange, fitted: Densities) -> None:
-    """What the fitted model expects in each centimetre, about the range that the fit took it to be."""
-    low, high = fixed.limits_cm
-    shown = (fitted.reading_cm >= low) & (fitted.reading_cm <= high)
-    k, expected = fitted.reading_cm[shown], fitted.total[shown] * fixed.reading_cm.size
-    words = "fitted model, and 95 % of counts"
-    axes.errorbar(k, expected, yerr=Z * np.sqrt(expected), label=words, **DOTS)
-    axes.set_ylim(bottom=0.0)
-
-
-def _draw_all(axes: Axes, fixed: _FixedRange) -> None:
-    """How often each answer was read, codes too, on a logarithmic scale."""
-    values, counts = np.unique(fixed.reading_cm[np.isfinite(fixed.reading_cm)], return_counts=True)
-    is_code = np.isin(values, fixed.codes_cm)
-    axes.bar(values[~is_code], counts[~is_code], width=3.0, color=OURS, label="readings")
-    axes.bar(values[is_code], counts[is_code], width=5.0, color=ORANGE, label="code for no echo")
-    axes.set_xlim(0.0, 1.06 * max(np.max(values), fixed.true_range_cm))
-    axes.set_yscale("log")
-    axes.set_ylim(0.7, np.max(counts) * 4.0)
-    axes.yaxis.set_major_formatter(lambda tick, _: f"{tick:,.0f}" if tick >= 1 else "")
-    for value, count in zip(values[is_code], counts[is_code], strict=True):
-        label(axes, f"{value:g} cm\n{count} ({fixed.percent(count)})", (value, count), (0, 4), ha="center")

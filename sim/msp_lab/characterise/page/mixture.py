@@ -1,14 +1,13 @@
 """Pictures of the fitted mixture: its four densities, all of them together, and how well they fit."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
 
 from msp_lab.characterise.findings import Mixture
 from msp_lab.characterise.page.picture_data import PictureData
@@ -17,12 +16,10 @@ from msp_lab.characterise.points import PointReadings
 from msp_lab.estimates import wilson
 from msp_lab.mixture_fit.parameters import KINDS
 from msp_lab.readings.resolution import to_step
-from msp_range.arrays import Array, Flags, Indices
+from msp_range.arrays import Array, Indices
 from msp_range.reading_model.mixture import ReadingModel
-from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.page.page import Absent, Drawn, Entry
 from msp_sim.page.style import (
-    DOTS,
     GREEN,
     INK,
     ORANGE,
@@ -30,6 +27,7 @@ from msp_sim.page.style import (
     PURPLE,
     REFERENCE,
     draw_pit_bars,
+    intervals,
     label,
     new_axes,
     note,
@@ -80,8 +78,8 @@ _KINDS = {
 }
 NO_WEIGHT = 1e-7
 """A smaller weight is that of a kind that was not seen."""
-SINGLE_CM = 25.0
-"""This near to the expected reading each centimetre is shown by itself [cm]."""
+LEAST_SHARE = 0.01
+"""Readings of a bin in which a kind has a smaller share, by the model, say nothing of the kind."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -104,10 +102,6 @@ class Densities:
     """By kind: probability of each reading if the reading is of this kind, shape (k,); its sum is 1."""
     weight: dict[str, float]
     """By kind: share of the readings."""
-    total: Array
-    """Probability of each reading by the whole model, codes in it, shape (k,)."""
-    codes: list[float]
-    """Readings that are codes for no echo [cm]."""
     counts: Array
     """How often each was read, shape (k,)."""
 
@@ -116,9 +110,20 @@ class Densities:
         """By kind: probability of each reading of this kind, of all readings."""
         return {kind: self.weight[kind] * self.density[kind] for kind in KINDS}
 
-    def bulk(self, share_of_peak: float) -> Indices:
-        """Places of the readings of which the probability by the hits is more than this share of the peak's."""
-        return np.flatnonzero(self.density["hit"] > share_of_peak * np.max(self.density["hit"]))
+    @property
+    def bins(self) -> list[Indices]:
+        """Places of each centimetre with hits or codes, elsewhere of some 25, in which few readings look like few."""
+        hit = self.density["hit"]
+        single = (hit > 1e-7 * np.max(hit)) | (self.density["missed"] > 0.0)
+        stretches = np.split(np.arange(single.size), np.flatnonzero(np.diff(single)) + 1)
+        parts = [np.array_split(each, each.size if single[each[0]] else max(each.size // 25, 1)) for each in stretches]
+        return [cells for part in parts for cells in part]
+
+    @property
+    def total(self) -> Array:
+        """Probability of each reading by the whole model, codes in it, shape (k,)."""
+        total: Array = np.sum(list(self.parts.values()), axis=0)
+        return total
 
 
 def densities(rows: PictureData) -> Densities:
@@ -139,19 +144,15 @@ def densities(rows: PictureData) -> Densities:
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm]
-    *by_each_kind, total = np.average(at_each, axis=0, weights=rows_at)
-    by_kind = dict(zip(KINDS, by_each_kind, strict=True))
+    by_kind = dict(zip(KINDS, np.average(at_each, axis=0, weights=rows_at), strict=True))
     # The model knows whole centimetres within the sensor's limits, and so do the counts.
     readings = to_step(reading_cm, 1.0)
     readings = readings[(readings >= minimum_cm) & (readings <= maximum_cm)].astype(int) - minimum_cm
-    garbled = rows.model.reading_model.saturated_fraction > 0.0
     return Densities(
         true_range_cm=float(np.sum(k * by_kind["hit"])),
         reading_cm=k,
         density=by_kind,
         weight=dict(zip(KINDS, whole.shares(apparent_cm), strict=True)),
-        total=total,
-        codes=[rows.model.maximum_cm, *([SATURATED_CM] if garbled else [])],
         counts=np.bincount(readings, minlength=k.size).astype(np.float64),
     )
 
@@ -180,48 +181,44 @@ def _ranges(points: Sequence[PointReadings]) -> tuple[Array, Indices]:
 
 
 def _probabilities(whole: ReadingModel, k: Array, apparent_cm: float) -> list[Array]:
-    """Probability of each reading by each kind alone, and by all of the mixture, at a range."""
+    """Probability of each reading by each kind alone, at a range."""
     mixture = whole.rows(np.full(k.size, apparent_cm))
     hit, short, _, random = mixture.kinds(k, k)
     # The garbled code is drawn with the mass that it comes from.
     missed = np.exp(replace(mixture, log_weights=(-np.inf, -np.inf, 0.0, -np.inf)).log_prob(k))
-    return [hit.p, short.p, missed, random.p, np.exp(mixture.log_prob(k))]
+    return [hit.p, short.p, missed, random.p]
 
 
 def density(rows: PictureData, kind: str) -> Drawn:
     """Draw the density of a kind of reading, with what was read."""
     caption = _fitted(rows.needed(rows.findings.mixture, "mixture"), kind)
-    fitted = densities(rows)
+    fitted, look = densities(rows), _KINDS[kind]
     figure, axes = new_axes(3.2, "reading [cm]", "probability of a centimetre")
     k, p = fitted.reading_cm, fitted.density[kind]
-    bulk = fitted.bulk(1e-7)
-    shown = fitted.bulk(1e-5) if kind == "hit" else np.flatnonzero(p)
-    if kind == "missed":
-        _draw_missed(axes, fitted)
-    else:
-        axes.fill_between(k[shown], 0.0, p[shown], step="mid", **shaded(_KINDS[kind].colour))
-        axes.step(k[shown], p[shown], where="mid", color=_KINDS[kind].colour, label="fitted, if it is of this kind")
-    if kind == "hit":
-        _dots(axes, fitted, shown[:, None], "share read, and its 95 % interval", of=shown)
-    elif kind == "short":
-        # Nothing else can be distinguished from the hits where they begin.
-        _binned(axes, fitted, kind, slice(1, bulk[0]))
-        axes.set_xlim(0.0, (0.5 + fitted.true_range_cm) * 1.06)
-    elif kind == "random":
-        # Beyond the hits only random readings and codes are left.
-        _binned(axes, fitted, kind, slice(bulk[-1] + 1, -1))
-        for edge, side, x in ((k[0], "right", -4), (k[-1], "left", 4)):
-            label(axes, f"{edge:g} cm", (edge, 0.0), (x, 4), ha=side)
-        axes.set_xlim(min(0.0, k[0] - 0.08 * k[-1]), k[-1] * 1.08)
-        axes.margins(y=0.25)
-    if kind in ("short", "random") and fitted.weight[kind] < NO_WEIGHT:
+    axes.fill_between(k, 0.0, p, step="mid", **shaded(look.colour))
+    axes.step(k, p, where="mid", color=look.colour, label="fitted, if it is of this kind")
+    axes.axvline(fitted.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    shown = np.flatnonzero(p > 1e-5 * np.max(p))
+    if fitted.weight[kind] < NO_WEIGHT:
         rate = ",\nand its rate is the starting model's" if kind == "short" else ""
         note(axes, f"weight 0: no reading was found to be of this kind{rate}", y=0.9)
-    axes.axvline(fitted.true_range_cm, color=REFERENCE, linestyle="--", label="expected reading")
+    else:
+        # Readings of a kind cannot be identified one by one: a count is multiplied by the share of the kind in it.
+        part, total = fitted.parts[kind], fitted.total
+        bins = [cells for cells in fitted.bins if (cells.size > 1) == (kind in ("short", "random"))]
+        shares = [(cells, np.sum(part[cells]) / np.sum(total[cells])) for cells in bins]
+        scaled = [(cells, share / fitted.weight[kind]) for cells, share in shares if share > LEAST_SHARE]
+        _dots(axes, fitted, scaled, "read, times the model's share of this kind")
+    if kind == "missed":
+        read = 100.0 * fitted.counts / max(np.sum(fitted.counts), 1.0)
+        for at in shown:
+            words = f"{k[at]:g} cm\nfitted {100.0 * fitted.total[at]:.2f} %\nread {read[at]:.2f} % of all"
+            side, ha = (-1, "right") if k[at] > 0.85 * k[-1] else (1, "left")
+            label(axes, words, (k[at], p[at]), (14 * side, 2), va="top", ha=ha)
+    axes.set_xlim((k[shown[0]] - 1.0, k[shown[-1]] + 1.0) if kind == "hit" else (0.0, 1.06 * k[shown[-1]]))
     axes.set_ylim(bottom=0.0)
     axes.yaxis.set_major_formatter("{x:.3g}")
-    axes.grid(axis="x", visible=False)
-    return figure, f"{caption} {_KINDS[kind].remark.format(k[0])}".strip()
+    return figure, f"{caption} {look.remark.format(k[0])}".strip()
 
 
 def _fitted(mixture: Mixture, kind: str) -> str:
@@ -235,67 +232,13 @@ def _fitted(mixture: Mixture, kind: str) -> str:
     return f"Fitted: {'; '.join(shown)}." if shown else ""
 
 
-def _draw_missed(axes: Axes, fitted: Densities) -> None:
-    """Maximum range (5.5): the mass at the code, which a sensor may garble into a second one."""
-    k, places = fitted.reading_cm, np.flatnonzero(np.isin(fitted.reading_cm, fitted.codes))
-    percent = 100.0 * fitted.total[places]
-    axes.set_ylabel("share of all readings [%]")
-    axes.bar(k[places], percent, width=14.0, color=_KINDS["missed"].colour, alpha=0.5, label="fitted mass")
-    _dots(axes, fitted, places[:, None], "read, and its 95 % interval", 100.0, omits_none=False)
-    for place, height in zip(places, percent, strict=True):
-        words = f"{k[place]:g} cm\nfitted {height:.2f} %"
-        if np.any(fitted.counts):
-            words += f"\nread {100.0 * fitted.counts[place] / np.sum(fitted.counts):.2f} %"
-        side, ha = (-1, "right") if k[place] > 0.85 * k[-1] else (1, "left")
-        label(axes, words, (k[place], height), (14 * side, 2), va="bottom", ha=ha)
-    axes.set_xlim(0.0, k[-1] * 1.06)
-    axes.margins(y=0.3)
-
-
-def _binned(axes: Axes, fitted: Densities, kind: str, where: slice) -> None:
-    """What was read in a stretch, in broad bins, as the density of one kind.
-
-    The readings of a kind cannot be identified one by one: a bin's count is multiplied by the share of the kind in it,
-    by the fitted model, and the codes are left out.
-    """
-    parts, weight = fitted.parts, fitted.weight[kind]
-    places = np.arange(fitted.reading_cm.size)[where]
-    places = places[parts["missed"][places] == 0.0]
-    if places.size < 2 or weight < NO_WEIGHT:
-        return
-    of_all = np.sum(list(parts.values()), axis=0)
-    bins = [
-        cells for cells in np.array_split(places, max(min(places.size // 20, 16), 1)) if np.sum(of_all[cells]) > 0.0
-    ]
-    scales = [np.sum(parts[kind][cells]) / np.sum(of_all[cells]) / (weight * cells.size) for cells in bins]
-    _dots(axes, fitted, bins, "read, in bins, times the model's share of this kind", scales, omits_none=False)
-
-
-def _dots(
-    axes: Axes,
-    fitted: Densities,
-    bins: Iterable[Indices],
-    words: str,
-    scale: ArrayLike = 1.0,
-    *,
-    of: Indices | slice = slice(None),
-    omits_none: bool = True,
-) -> None:
-    """Shares of the readings in bins times a scale, each with its interval.
-
-    The readings are those ``of`` some centimetres; bins without any may be omitted.
-    """
-    total, pairs = np.sum(fitted.counts[of]), []
-    if not total:
-        return
-    for cells in bins:
-        count = np.sum(fitted.counts[cells])
-        pairs.append((np.mean(fitted.reading_cm[cells]), count / total, *wilson(count, total)))
-    k, *shares = np.array(pairs).reshape(-1, 4).T
-    share, low, high = np.array(shares) * np.asarray(scale)
-    shown = (share > 0.0) | (not omits_none)
-    reach = np.array([share - low, high - share])
-    axes.errorbar(k[shown], share[shown], reach[:, shown], label=words, **DOTS)
+def _dots(axes: Axes, fitted: Densities, bins: Sequence[tuple[Indices, float]], words: str) -> None:
+    """Share of the readings in each bin by centimetre, times its scale, with its interval."""
+    total = np.sum(fitted.counts)
+    for cells, scale in bins if total else ():
+        share, ends = np.sum(fitted.counts[cells]) / total, wilson(np.sum(fitted.counts[cells]), total)
+        per_cm = scale / cells.size
+        intervals(axes, np.mean(fitted.reading_cm[cells]), share * per_cm, np.array(ends) * per_cm, label=words)
 
 
 def _whole_mixture(rows: PictureData) -> Drawn:
@@ -303,33 +246,24 @@ def _whole_mixture(rows: PictureData) -> Drawn:
     found, fitted = rows.needed(rows.findings.mixture, "mixture"), densities(rows)
     figure, axes = new_axes(4.2, "reading [cm]", "probability of a centimetre")
     k, parts = fitted.reading_cm, fitted.parts
-    is_code = np.isin(k, fitted.codes)
+    is_code = fitted.density["missed"] > 0.0
     plain = np.concatenate([p[~is_code & (p > 0.0)] for p in (parts["short"], parts["random"])])
     least = 0.2 * np.min(plain) if plain.size else 1e-7
-    bins = _fine_and_broad((np.abs(k - fitted.true_range_cm) <= SINGLE_CM) | is_code)
-    words = f"read ({np.sum(fitted.counts):,.0f} readings)"
-    _dots(axes, fitted, bins, words, [1.0 / cells.size for cells in bins])
+    read = [(cells, 1.0) for cells in fitted.bins if np.any(fitted.counts[cells])]
+    _dots(axes, fitted, read, f"read ({np.sum(fitted.counts):,.0f} readings)")
     for kind, p in parts.items():
-        look: dict[str, Any] = {"color": _KINDS[kind].colour, "label": f"{kind}, weight {fitted.weight[kind]:.3g}"}
+        colour, words = _KINDS[kind].colour, f"{kind}, weight {fitted.weight[kind]:.3g}"
         if kind == "missed":
-            axes.vlines(k[p > least], least, p[p > least], linewidth=5, alpha=0.6, **look)
+            axes.vlines(k[p > least], least, p[p > least], linewidth=5, alpha=0.6, color=colour, label=words)
         else:
-            axes.plot(k, np.where((p > least) & ~is_code, p, np.nan), _KINDS[kind].dashes, **look)
+            line = np.where((p > least) & ~is_code, p, np.nan)
+            axes.plot(k, line, _KINDS[kind].dashes, color=colour, label=words)
     axes.plot(k, np.where(is_code, np.nan, fitted.total), color=INK, linewidth=0.8, label="all together")
-    axes.set_yscale("log")
-    axes.set_ylim(least, 2.0)
-    axes.set_xlim(0.0, k[-1] * 1.03)
+    axes.set(yscale="log", ylim=(least, 2.0), xlim=(0.0, k[-1] * 1.03))
     return figure, (
         f"The fitted mixture at {fitted.true_range_cm:.0f} cm and what was read there. Fitted to "
         f"{found.readings:,} readings. {sentence(found.conditional)}"
     )
-
-
-def _fine_and_broad(single: Flags) -> list[Indices]:
-    """Bins of one centimetre where it is single, elsewhere of some 25, in which few readings look like few."""
-    stretches = np.split(np.arange(single.size), np.flatnonzero(np.diff(single.astype(int))) + 1)
-    parts = [stretch.size if single[stretch[0]] else max(stretch.size // 25, 1) for stretch in stretches]
-    return [cells for stretch, count in zip(stretches, parts, strict=True) for cells in np.array_split(stretch, count)]
 
 
 def _pit(rows: PictureData) -> Drawn:

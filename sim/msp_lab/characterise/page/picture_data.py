@@ -30,8 +30,6 @@ class ReferenceNumbers:
 
     name: str = ""
     """How sentences and legends call it: "the report"."""
-    sensor: str = ""
-    """Name of the sensor model that it is about."""
     largest_error_cm: float = math.nan
     """Largest error on the axis with nothing varied [cm]."""
     peak_range_cm: float = math.nan
@@ -41,10 +39,6 @@ class ReferenceNumbers:
     """Range [cm] -> largest angle with a reliable range [deg]."""
     mean_error_cm: Mapping[float, tuple[float, float]] = field(default_factory=dict)
     """Range [cm] -> mean error without and with temperature compensation [cm]."""
-    calibration_temperature_c: float = 20.0
-    """Air temperature that its compensation takes the sensor to assume [deg C]."""
-    answers: Mapping[str, str] = field(default_factory=dict)
-    """Question (`findings.Question.name`) -> what it answers, in a sentence."""
 
     def mean_errors_at(self, range_cm: float) -> tuple[float, float] | None:
         """Mean error without and with compensation within a centimetre of a range [cm]; None where it has none."""

@@ -3,10 +3,8 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from msp_lab.characterise.findings import CalibrationFindings
@@ -18,13 +16,13 @@ from msp_lab.characterise.temperature import ROOM_C, ROOM_WITHIN_C
 from msp_lab.estimates import Z
 from msp_range.correction.calibration import curve_through
 from msp_sim.page.page import Absent, Drawn, Entry
-from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, line_at_zero, new_figure, shaded
+from msp_sim.page.style import GREEN, OURS, PALE, REFERENCE, intervals, line_at_zero, new_panels, shaded
 from msp_sim.page.text import counted, number, plus, sentence
 
 MAX_LEVELS = 5
 """Panels that a picture has room for."""
 CROWDED = 60
-"""With more points than this they are drawn smaller and paler than the lines."""
+"""With more points than this they are drawn paler than the lines."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -58,55 +56,52 @@ def calibration(rows: PictureData) -> Drawn:
 
 def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     """Mean error over range with the forms of calibration; next to it their errors on left-out points."""
-    figure = new_figure(3.7)
-    axes, *side = figure.subplots(1, 2, width_ratios=(3.4, 1.0)) if found.held_out else [figure.subplots()]
+    panels = 2 if found.held_out else 1
+    figure, (axes, *side) = new_panels(3.7, 1, panels, width_ratios=(3.4, 1.0)[:panels])
     true_cm, reading_cm = np.array(found.true_cm), np.array(found.reading_cm)
     span_cm = np.linspace(np.min(true_cm), np.max(true_cm), 200)
     line_at_zero(axes)
     if found.reference_std_cm:
         half_cm, words = 2.0 * found.reference_std_cm, "± 2 standard deviations of the reference"
         axes.axhspan(-half_cm, half_cm, label=words, **shaded())
-    size, alpha = (2.0, 0.4) if true_cm.size > CROWDED else (4.0, 1.0)
-    look: dict[str, Any] = {"color": OURS, "markersize": size, "alpha": alpha, "elinewidth": 0.8, "capsize": 0}
-    reach_cm, words = Z * np.array(found.reading_std_cm), "mean of a point, 95 % by its readings"
-    axes.errorbar(true_cm, reading_cm - true_cm, reach_cm, fmt="o", label=words, **look)
+    error_cm, reach_cm = reading_cm - true_cm, Z * np.array(found.reading_std_cm)
+    ends_cm, alpha = [error_cm - reach_cm, error_cm + reach_cm], 0.4 if true_cm.size > CROWDED else 1.0
+    words = "mean of a point, 95 % by its readings"
+    intervals(axes, true_cm, error_cm, ends_cm, color=OURS, alpha=alpha, zorder=2, label=words)
     if found.offset and found.scale:
         line_cm = found.offset.value + (found.scale.value - 1.0) * span_cm
         axes.plot(span_cm, line_cm, "--", color=REFERENCE, label="straight line")
     if found.knots:
-        kept_cm = curve_through(found.knots).forward(span_cm) - span_cm
-        axes.plot(span_cm, kept_cm, "-", color=GREEN, label="calibration that is kept")
-        inside = [knot for knot in found.knots if span_cm[0] <= knot.true_cm <= span_cm[-1]]
-        x, y = [each.true_cm for each in inside], [each.reading_cm - each.true_cm for each in inside]
-        axes.plot(x, y, "s", markersize=5, color=GREEN, markeredgecolor="white")
-    axes.set_xlabel("true range [cm]" + (", in air of the calibration temperature" if by_sound else ""))
-    axes.set_ylabel("mean reading − true range [cm]")
+        curve = curve_through(found.knots)
+        axes.plot(span_cm, curve.forward(span_cm) - span_cm, color=GREEN, label="calibration that is kept")
+        knots_cm = np.array([each.true_cm for each in found.knots if span_cm[0] <= each.true_cm <= span_cm[-1]])
+        axes.plot(knots_cm, curve.forward(knots_cm) - knots_cm, "s", color=GREEN, markeredgecolor="white")
+    where = ", in air of the calibration temperature" if by_sound else ""
+    axes.set(xlabel=f"true range [cm]{where}", ylabel="mean reading − true range [cm]")
     for each in side:
-        _draw_left_out(each, found)
+        forms = [one.form.replace(" ", "\n", 1) for one in found.held_out]
+        colours = [GREEN if one.form == found.form else PALE for one in found.held_out]
+        bars = each.bar(forms, [one.rms_cm for one in found.held_out], width=0.7, color=colours)
+        each.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
+        each.tick_params(axis="x", labelsize=7)
+        each.set_ylabel("rms on points left out [cm]")
+        each.set_title(f"kept: {found.form}", fontsize=8)
+        each.margins(y=0.15)
     return figure
-
-
-def _draw_left_out(axes: Axes, found: CalibrationFindings) -> None:
-    places, rms_cm = range(len(found.held_out)), [each.rms_cm for each in found.held_out]
-    colours = [GREEN if each.form == found.form else PALE for each in found.held_out]
-    bars = axes.bar(places, rms_cm, width=0.7, color=colours)
-    axes.bar_label(bars, [f"{value:.2f}" for value in rms_cm], fontsize=8, padding=2)
-    axes.set_xticks(places, [each.form.replace(" ", "\n", 1) for each in found.held_out], fontsize=7)
-    axes.set_ylabel("rms on points left out [cm]")
-    axes.margins(y=0.15)
-    axes.grid(axis="x", visible=False)
-    axes.set_title("kept: " + found.form, fontsize=8)
 
 
 def baseline(rows: PictureData) -> Drawn:
     """Draw the range error with nothing varied."""
     errors = errors_of(rows.of("baseline"))
     largest_cm = rows.reference.largest_error_cm
-    band = largest_cm, f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
+    figure = draw_errors([errors])
+    if largest_cm > 0.0:
+        words = f"{rows.reference.name}'s largest error, ±{largest_cm:g} cm"
+        figure.axes[0].axhspan(-largest_cm, largest_cm, label=words, zorder=0, **shaded(REFERENCE))
     caption, found = summary(errors), rows.findings.baseline
     if found is not None:
         caption += f" Mean error {interval(found.bias)}; largest error of a hit {plus(found.largest_hit_error_cm)} cm."
-    return draw_errors([errors], band=band if largest_cm > 0.0 else None), caption
+    return figure, caption
 
 
 def _materials(rows: PictureData) -> dict[str, list[PointReadings]]:
