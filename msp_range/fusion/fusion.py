@@ -205,7 +205,8 @@ class Fusion:
         else:
             mode.ranged_s = time_s
             std_m = 0.01 if reading.std_m is None else reading.std_m
-            look = Look(mode, reading, reading.range_m, std_m * std_m if math.isfinite(std_m) else 1.0, rotation)
+            variance_m2 = std_m * std_m if math.isfinite(std_m) else 1.0
+            look = Look(mode, reading, reading.range_m, variance_m2, mode.mounted.turned(rotation))
             rejected = self._on_range(look)
             if rejected == GARBLED:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
