@@ -68,7 +68,7 @@ class AirTemperature:
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
-        kind = message.get_type()
+        kind = message.msgname
         if kind == HYGROMETER:
             self._humidity.on_message(now_s, message)
         for track in self._tracks:

@@ -48,7 +48,7 @@ class Contradictions:
 
     def update(self, message: Any) -> bool:
         """Whether a message contradicts those before it."""
-        kind = message.get_type()
+        kind = message.msgname
         if kind not in _TIMES:
             return False
         field, unit_s = _TIMES[kind]

@@ -41,19 +41,18 @@ def motion_of(message: Any, now_s: float, clock: AutopilotClock, attitude: Attit
     attitude
         Where down is, so that of an acceleration the part that is upwards is known.
     """
-    if message.get_type() == ATTITUDE:
+    if message.msgname == ATTITUDE:
         time_s = clock.time_of(message.time_boot_ms, now_s)
         return Angles(time_s, message.roll, message.pitch, message.yaw)
-    if (force := specific_force(message)) is not None:
-        down = attitude.down_at(now_s)
-        return None if down is None else Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2)
+    if (force := specific_force(message)) is not None and (down := attitude.down_at(now_s)) is not None:
+        return Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2)
     height_m = pressure_height_m(message)
     return None if height_m is None else PressureHeight(now_s, height_m)
 
 
 def specific_force(message: Any) -> Vector | None:
     """Specific force measured by the accelerometer, body FRD [m/s^2]; None for other messages."""
-    scale = _M_S2_PER_UNIT.get(message.get_type())
+    scale = _M_S2_PER_UNIT.get(message.msgname)
     if scale is None:
         return None
     x, y, z = message.xacc * scale, message.yacc * scale, message.zacc * scale
@@ -63,6 +62,6 @@ def specific_force(message: Any) -> Vector | None:
 def pressure_height_m(message: Any) -> float | None:
     """The pressure as a height above an arbitrary level [m]; None for other messages."""
     lowest_hpa, highest_hpa = PRESSURES_HPA
-    if message.get_type() != "SCALED_PRESSURE" or not lowest_hpa <= message.press_abs <= highest_hpa:
+    if message.msgname != "SCALED_PRESSURE" or not lowest_hpa <= message.press_abs <= highest_hpa:
         return None
     return -SCALE_HEIGHT_M * math.log(message.press_abs)

@@ -157,8 +157,10 @@ class Link:
         received = self.transport.receive()
         if received:
             self._sort(now_s, self._frames.read(received))
-        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT, WAITING_FROM_AUTOPILOT)
-        self._decode_first(self._from_others, DECODED_FROM_OTHERS, WAITING_FROM_OTHERS)
+        if self._from_autopilot:
+            self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT, WAITING_FROM_AUTOPILOT)
+        if self._from_others:
+            self._decode_first(self._from_others, DECODED_FROM_OTHERS, WAITING_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s += HEARTBEAT_INTERVAL_S
             if self._next_heartbeat_s <= now_s:  # The loop stood still: the next one is a second from now.
@@ -218,11 +220,12 @@ class Link:
         autopilot = self.autopilot_system or self._pinned_system
         own_ids = self._ids
         for frame in frames:
-            waiting = self._from_others
             is_own = (frame.system, frame.component) == own_ids
-            if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and frame.system == (autopilot or frame.system):
+            if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and autopilot in (None, frame.system):
                 waiting = self._from_autopilot
-            elif not (is_own or frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat):
+            elif is_own or frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat:
+                waiting = self._from_others
+            else:
                 continue
             if is_own or self._is_accepted(now_s, frame):
                 waiting.append((now_s, frame))
@@ -268,15 +271,13 @@ class Link:
     def _take_autopilots(self, now_s: float, frame: Frame, source: tuple[int, int], message: Any) -> None:
         if self._contradictions.update(message):
             self._participants.suspected(now_s, Text.AUTOPILOT_IDS, system=frame.system)
-        kind = message.get_type()
+        kind = message.msgname
         if kind == "PING" and message.target_system == 0 and message.target_component == 0:
             if self._autopilot_answers.take(now_s):
                 self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
-        elif kind == "TIMESYNC":
-            # Older senders and dialects do not have its target, which is 0 for all.
-            if not self._is_for(*frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")[:2]):
-                pass
-            elif message.tc1:
+        # Older senders and dialects do not have TIMESYNC's target, which is 0 for all.
+        elif kind == "TIMESYNC" and self._is_for(*frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")[:2]):
+            if message.tc1:
                 self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
             elif self._autopilot_answers.take(now_s):
                 self.send(_timesync(round(now_s * 1e9), message.ts1, source))
