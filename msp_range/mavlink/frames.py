@@ -67,7 +67,7 @@ class Frame(NamedTuple):
         if len(values) > len(kind.lengths):  # Some fields are arrays.
             each = iter(values)
             values = [next(each) if length == 1 else tuple(islice(each, length)) for length in kind.lengths]
-        message = kind(*[values[place] for place in kind.orders])
+        message = kind(*map(values.__getitem__, kind.orders))
         header = message.get_header()
         header.srcSystem, header.srcComponent = self.system, self.component
         return message

@@ -55,8 +55,8 @@ def specific_force(message: Any) -> Vector | None:
     scale = _M_S2_PER_UNIT.get(message.msgname)
     if scale is None:
         return None
-    x, y, z = message.xacc * scale, message.yacc * scale, message.zacc * scale
-    return (x, y, z) if 0.0 < abs(x) + abs(y) + abs(z) < math.inf else None
+    force = message.xacc * scale, message.yacc * scale, message.zacc * scale
+    return force if 0.0 < math.hypot(*force) < math.inf else None
 
 
 def pressure_height_m(message: Any) -> float | None:

@@ -216,29 +216,27 @@ class Link:
             )
 
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
-        """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge."""
+        """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge.
+
+        Frames whose signature is wrong are dropped; that of an autopilot's heartbeat is reported.
+        """
         autopilot = self.autopilot_system or self._pinned_system
         own_ids = self._ids
         for frame in frames:
             is_own = (frame.system, frame.component) == own_ids
+            is_heartbeat = frame.is_autopilot_heartbeat
             if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and autopilot in (None, frame.system):
                 waiting = self._from_autopilot
-            elif is_own or frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat:
+            elif is_own or is_heartbeat or frame.message_id in _COMMANDS:
                 waiting = self._from_others
             else:
                 continue
-            if is_own or self._is_accepted(now_s, frame):
+            if is_own or self._signing is None or self._signing.accepts(frame):
                 waiting.append((now_s, frame))
-
-    def _is_accepted(self, now_s: float, frame: Frame) -> bool:
-        """Whether a frame's signature is right; an autopilot's heartbeat whose signature is not is reported."""
-        is_accepted = self._signing is None or self._signing.accepts(frame)
-        if frame.is_autopilot_heartbeat:
-            if not is_accepted:
+                if is_heartbeat and not is_own and self._signing is None and frame.is_signed:
+                    self._participants.seen(now_s, Text.NO_KEY)
+            elif is_heartbeat:
                 self._participants.seen(now_s, Text.OTHER_KEY)
-            elif self._signing is None and frame.is_signed:
-                self._participants.seen(now_s, Text.NO_KEY)
-        return is_accepted
 
     def _decode_first(self, waiting: Waiting, most_decoded: int, most_waiting: int) -> None:
         """Decode the first messages that wait, and leave the others for the next call.

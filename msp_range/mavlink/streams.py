@@ -160,10 +160,10 @@ class Streams:
         confidence: float,
     ) -> Any:
         """A stream's message: a distance, or without an estimate 'no echo'."""
-        beam, quality = self._beams[sensor], round(QUALITY_BEST * confidence)
-        if estimate is None:
-            view_rad = beam.field_of_view_rad(stream.max_distance_cm / 100)
-            return distance_sensor(stream, boot_ms, None, float("inf"), view_rad, quality)
-        variance_m2 = estimate.variance_m2 + air_variance_m2(estimate.range_m, air)
-        view_rad = beam.field_of_view_rad(estimate.range_m)
-        return distance_sensor(stream, boot_ms, estimate.range_m, variance_m2, view_rad, quality)
+        range_m: float | None = None
+        variance_m2, seen_m = float("inf"), stream.max_distance_cm / 100
+        if estimate is not None:
+            range_m = seen_m = estimate.range_m
+            variance_m2 = estimate.variance_m2 + air_variance_m2(seen_m, air)
+        view_rad = self._beams[sensor].field_of_view_rad(seen_m)
+        return distance_sensor(stream, boot_ms, range_m, variance_m2, view_rad, round(QUALITY_BEST * confidence))
