@@ -27,7 +27,7 @@ _M_S2_PER_UNIT = {"HIGHRES_IMU": 1.0, "RAW_IMU": GRAVITY_M_S2 / 1000, "SCALED_IM
 SCALE_HEIGHT_M = 8434.0
 """Scale height of the standard atmosphere at 15 C: h = -8434 m ln(p). At 0 C it is 5 % less, which is within the
 assumed uncertainty of a climb."""
-PRESSURES_HPA = (300.0, 1200.0)
+LOWEST_HPA, HIGHEST_HPA = 300.0, 1200.0
 """Pressures outside these limits are rejected [hPa]."""
 
 
@@ -61,7 +61,6 @@ def specific_force(message: Any) -> Vector | None:
 
 def pressure_height_m(message: Any) -> float | None:
     """The pressure as a height above an arbitrary level [m]; None for other messages."""
-    lowest_hpa, highest_hpa = PRESSURES_HPA
-    if message.msgname != "SCALED_PRESSURE" or not lowest_hpa <= message.press_abs <= highest_hpa:
+    if message.msgname != "SCALED_PRESSURE" or not LOWEST_HPA <= message.press_abs <= HIGHEST_HPA:
         return None
     return -SCALE_HEIGHT_M * math.log(message.press_abs)
