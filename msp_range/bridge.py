@@ -305,8 +305,7 @@ class Bridge:
         if now_s >= poller.next_event_s:
             steps = list(map(self._on_ranging, poller.step()))
             now_s = clock.now()
-        if now_s >= outbox.next_event_s:
-            outbox.send_due(now_s)
+        outbox.send_due(now_s)
         if has_arrived:
             link.next_event_s = min(link.next_event_s, now_s)
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_conditions_s) + LINK_WAITS_S:
@@ -424,11 +423,15 @@ class Bridge:
         self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
 
     def _record(self, now_s: float, topic: str, step: Step) -> None:
-        if self._recorder is None and self._publish is None:
-            return
-        self.write(topic, now_s, stages_of(step.ranging, step.air, step.corrected, step.filtered))
-        if step.fused is not None:
-            self.write(FUSED_TOPIC, now_s, step.fused.record(step.ranging.reading.time_s))
+        if self._is_kept:
+            self.write(topic, now_s, stages_of(step.ranging, step.air, step.corrected, step.filtered))
+            if step.fused is not None:
+                self.write(FUSED_TOPIC, now_s, step.fused.record(step.ranging.reading.time_s))
+
+    @property
+    def _is_kept(self) -> bool:
+        """Whether somebody records or watches."""
+        return self._recorder is not None or self._publish is not None
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record one message, and show it to whoever watches."""
@@ -452,7 +455,7 @@ class Bridge:
             topic, is_taken = ATTITUDE_TOPIC, self._attitude.update(moved)
         else:
             topic, is_taken = MOTION_TOPIC, self._motion.update(moved)
-        if is_taken:
+        if is_taken and self._is_kept:
             self.write(topic, received_s, moved._asdict())
 
     def _check_conditions(self, now_s: float) -> None:
