@@ -33,6 +33,7 @@ from msp_range.fusion.modes import (
     MAY_BE_LATE,
     ODDS_LAST_S,
     SHOWS_M_S,
+    UNANSWERED,
 )
 from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
 
@@ -92,6 +93,8 @@ vehicle follows."""
 
 State = tuple[float, float, float]
 """Height, rate and bias [m, m/s, m/s^2]."""
+_ANYWHERE_M2 = 1e4
+"""Variance of a height before its first reading [m^2]."""
 _START = (0.01, 0.0, 0.0, 0.25, 0.0)
 """Covariance at the start: hh, hw, hb, ww, wb in SI units."""
 
@@ -180,9 +183,16 @@ class MotionResponse:
         return self.is_late and self._turn_s * max([abs(w) for _, w, _ in self._states]) > LATE_OFF_M
 
     def inherit(self, other: "MotionResponse") -> None:
-        """Answers that came late on another surface do on this one; what is rather fixed there shows no lateness."""
+        """Begin as on the ground so far: the vehicle moves as before, and answers that came late still do.
+
+        What is rather fixed there shows neither. Something fixed here does not move, whatever the ground did.
+        """
         if other.is_late or other._apart >= 0.0:
             self._late, self.is_late = min(other._late, 0.0), other.is_late
+        if other._time_s is not None and other.log_odds > UNANSWERED:
+            follows, _, late = other._states
+            self._time_s, self._states = other._time_s, [follows, (0.0, 0.0, 0.0), late]
+            self._covariance = (_ANYWHERE_M2, 0.0, 0.0, *other._covariance[3:])
 
     def suspect_late(self, nats: float) -> None:
         """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
