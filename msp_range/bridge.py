@@ -301,8 +301,7 @@ class Bridge:
         if now_s >= poller.next_event_s:
             steps = list(map(self._on_ranging, poller.step()))
             now_s = clock.now()
-        if now_s >= outbox.next_event_s:
-            outbox.send_due(now_s)
+        outbox.send_due(now_s)
         if has_arrived:
             link.next_event_s = min(link.next_event_s, now_s)
         if poller.next_event_s <= now_s < min(link.next_event_s, self._next_conditions_s) + LINK_WAITS_S:
@@ -348,7 +347,7 @@ class Bridge:
                 self._output.on_usable(reading.sensor, now_s)
             if not channel.is_fused and reading.range_m is not None:
                 self._output.on_range(filtered.estimate is not None, 1.0)
-        if self._recorder is not None or self._publish is not None:
+        if self._is_kept:
             self.write(channel.topic, now_s, stages_of(ranging, air, reading, filtered))
             if fused is not None:
                 self.write(FUSED_TOPIC, now_s, fused.record(ranging.reading.time_s))
@@ -410,6 +409,11 @@ class Bridge:
         if frame is not None:
             self.write(topic, self._clock.now(), {"name": message.msgname, "hex": frame.hex()})
 
+    @property
+    def _is_kept(self) -> bool:
+        """Whether somebody records or watches."""
+        return self._recorder is not None or self._publish is not None
+
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Record one message, and show it to whoever watches."""
         if self._recorder is not None:
@@ -432,7 +436,7 @@ class Bridge:
             topic, is_taken = ATTITUDE_TOPIC, self._attitude.update(moved)
         else:
             topic, is_taken = MOTION_TOPIC, self._motion.update(moved)
-        if is_taken:
+        if is_taken and self._is_kept:
             self.write(topic, received_s, moved._asdict())
 
     def _check_conditions(self, now_s: float) -> None:

@@ -66,7 +66,7 @@ class AirTemperature:
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with any message from the autopilot."""
-        kind = message.get_type()
+        kind = message.msgname
         if kind == HYGROMETER:
             self._humidity.on_message(now_s, message)
         for track in self._tracks:
@@ -100,11 +100,9 @@ class AirTemperature:
 
     def _best(self, now_s: float) -> tuple[TemperatureTrack | None, Air]:
         known = [(track, good) for track in self._tracks if (good := track.good(now_s)) is not None]
-        new = [(track, good) for track, good in known if good.source != HELD]
-        old = [(track, good) for track, good in known if good.std_c < self._fixed.std_c]
-        if new:
+        if new := [(track, good) for track, good in known if good.source != HELD]:
             track, good = min(new, key=lambda each: each[0].settles)
-        elif old:
+        elif old := [(track, good) for track, good in known if good.std_c < self._fixed.std_c]:
             track, good = min(old, key=lambda each: each[1].std_c)
         else:
             return None, self._fixed

@@ -37,8 +37,9 @@ class AttitudeTrack:
     """The last two attitudes received."""
 
     def __init__(self) -> None:
-        self._before: Angles | None = None
         self._newest: Angles | None = None
+        # Since when it turns as it does now [s], and the rates of roll, pitch and yaw [rad/s].
+        self._since_s, self._rates = 0.0, (0.0, 0.0, 0.0)
         self._refused_s: tuple[float, float] | None = None
 
     def is_refused(self, now_s: float) -> bool:
@@ -56,9 +57,18 @@ class AttitudeTrack:
             self._refused_s = first_s, angles.time_s
             return False
         self._refused_s = None
-        if self._newest is not None and angles.time_s - self._newest.time_s < TOGETHER_S:
+        elapsed_s = math.inf if self._newest is None else angles.time_s - self._newest.time_s
+        if elapsed_s < TOGETHER_S:
             return False  # They lay in one buffer; a line through them could have any slope.
-        self._before, self._newest = self._newest, angles
+        self._since_s, self._rates = angles.time_s, (0.0, 0.0, 0.0)
+        if self._newest is not None and elapsed_s < OLDEST_S:
+            self._since_s, *before = self._newest
+            roll, pitch, yaw = (
+                math.remainder(end_rad - start_rad, math.tau) / elapsed_s
+                for start_rad, end_rad in zip(before, angles[1:], strict=True)
+            )
+            self._rates = roll, pitch, yaw
+        self._newest = angles
         return True
 
     @staticmethod
@@ -87,22 +97,9 @@ class AttitudeTrack:
 
     def _angles_at(self, time_s: float) -> tuple[float, float, float] | None:
         """Roll, pitch and yaw [rad] on the line through the newest two attitudes."""
-        newest, before = self._newest, self._before
-        if newest is None or time_s - newest[0] > OLDEST_S:
+        if self._newest is None or time_s - self._newest.time_s > OLDEST_S:
             return None
-        end_s, roll, pitch, yaw = newest
-        if before is not None and end_s - before[0] < OLDEST_S:
-            begin_s, from_roll, from_pitch, from_yaw = before
-            share = (min(max(time_s, begin_s), end_s + AHEAD_S) - end_s) / (end_s - begin_s)
-            roll += share * _turn(from_roll, roll)
-            pitch += share * (pitch - from_pitch)
-            yaw += share * _turn(from_yaw, yaw)
-        return roll, pitch, yaw
-
-
-def _turn(start_rad: float, end_rad: float) -> float:
-    """The shorter way round from one angle to another [rad]."""
-    turn_rad = end_rad - start_rad
-    if -math.pi <= turn_rad <= math.pi:
-        return turn_rad
-    return math.remainder(turn_rad, 2 * math.pi)
+        end_s, roll, pitch, yaw = self._newest
+        t = min(max(time_s, self._since_s), end_s + AHEAD_S) - end_s
+        by_roll, by_pitch, by_yaw = self._rates
+        return roll + by_roll * t, pitch + by_pitch * t, yaw + by_yaw * t

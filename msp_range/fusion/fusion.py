@@ -25,6 +25,7 @@ from msp_range.fusion.modes import (
     GATE_M_S2,
     GATE_SIGMAS,
     GATE_WIDEST_M,
+    LOW_M,
     ODD_GAP_S,
     OTHERS_IN_A_ROW,
     P_AGAIN,
@@ -205,7 +206,8 @@ class Fusion:
         else:
             mode.ranged_s = time_s
             std_m = 0.01 if reading.std_m is None else reading.std_m
-            look = Look(mode, reading, reading.range_m, std_m * std_m if math.isfinite(std_m) else 1.0, rotation)
+            variance_m2 = std_m * std_m if math.isfinite(std_m) else 1.0
+            look = Look(mode, reading, reading.range_m, variance_m2, mode.mounted.turned(rotation))
             rejected = self._on_range(look)
             if rejected == GARBLED:
                 reading = Reading(reading.time_s, reading.sensor, Status.GARBLED, raw=reading.raw)
@@ -342,7 +344,8 @@ class Fusion:
     def _is_fixed(self, surface: Surface, look: Look, seen: Seen, shows_slope: bool, moves_all: bool = True) -> bool:
         """Update how a surface answers to the vehicle's motion; whether it is fixed to the vehicle."""
         known, since_s = surface.filter, self._time_s - self._windows.fresh_s
-        may_slope = math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE or not shows_slope
+        slopes = not shows_slope or math.hypot(known.rise_north, known.rise_east) > LEVEL_RISE
+        may_slope = known.height_m > LOW_M and slopes
         surface.response.update(self._height_reading(look, seen), known.climb_m_s, may_slope, moves_all)
         if not surface.response.is_fixed:
             return False

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 from msp_range.fusion.ground_filter import GroundFilter
 from msp_range.fusion.modes import SensorMode
-from msp_range.fusion.mounting import View
-from msp_range.geometry import Matrix
+from msp_range.fusion.mounting import TurnedSensor, View
 from msp_range.reading import Reading, Status
 
 
@@ -18,18 +17,19 @@ class Seen(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A reading with a range: whose, with what variance of its error [m^2], and how the vehicle was turned."""
+    """A reading with a range: whose, with what variance of its error [m^2], and the sensor on the
+    vehicle as it was turned."""
 
     mode: SensorMode
     reading: Reading
     range_m: float
     variance_m2: float
-    rotation: Matrix
+    turned: TurnedSensor
 
     def over(self, known: GroundFilter | None) -> Seen | None:
         """The reading over a known ground, or over any level; None where the sensor looks past it."""
         plane = (0.0, 0.0, 0.0) if known is None else (known.height_m, known.rise_north, known.rise_east)
-        view = self.mode.mounted.view(self.rotation, *plane)
+        view = self.turned.view(*plane)
         if view is None:
             return None
         innovation_m = self.range_m - view.expected_m

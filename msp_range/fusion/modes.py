@@ -84,7 +84,8 @@ STEP_M, CLIFFS = 0.6, 0.1
 the edge of a tall building. With a smaller share nothing is sent beyond that until the vehicle climbs or sinks."""
 LOW_M, LOW = 0.65, 0.05
 """A vehicle is seldom nearer to the ground than the first after a step [m], a twentieth as often as elsewhere: it is
-where payload, straps and gear are. With a fifth three sensors that saw a strap were believed."""
+where payload, straps and gear are. With a fifth three sensors that saw a strap were believed. Nor does a vehicle follow
+ground that begins to slope so near to it."""
 OBJECT, EDGE = 0.03, 0.1
 """That an object or a hole comes below a sensor, relative to a reading of nothing known; and that the ground has a step
 there: every step of the ground begins as one below a sensor or two."""
@@ -166,10 +167,11 @@ acceleration."""
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
-UNANSWERED, ANSWERED, AWAY_M = -3.0, 5.0, 0.8
+UNANSWERED, ANSWERED, ANSWERED_MOST, AWAY_M = -3.0, 5.0, 6.0, 0.8
 """Below the first log odds a surface is not thought to move with the measured acceleration any more. Above the second,
 more than one reading can show, one that was low when it was first seen, as before a take-off, is no payload; nor is one
-that is farther away by now than the third [m]."""
+that is farther away by now than the last [m]. The third is how much an answer counts at most: it says that a surface is
+not fixed to the vehicle, not that two sensors see no drift. Larger believes slopes of 80 %."""
 
 # What repeats itself.
 STUCK_READINGS, REPEATED_READINGS = 3, 5

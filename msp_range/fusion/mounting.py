@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from msp_range.geometry import Matrix, Vector, dot
+from msp_range.geometry import Matrix, Vector, dot, rotate
 
 Oblique = Literal["slant", "nearest", "unknown"]
 
@@ -60,26 +60,46 @@ class DownwardSensor:
     facing: float = -1.0
     """Cosine of the largest angle from straight down at which level ground at its maximum gives it an echo."""
 
-    def view(self, rotation: Matrix, height_m: float, rise_north: float, rise_east: float) -> View | None:
+    def turned(self, rotation: Matrix) -> "TurnedSensor":
+        """The sensor on a vehicle that is turned so: body to north, east, down."""
+        return TurnedSensor(rotate(rotation, self.position_m), rotate(rotation, self.boresight), self.slant)
+
+    @property
+    def slant(self) -> float:
+        """Share of the range along its axis in what it reads: 0, 0.5 or 1."""
+        return _SHARE_SLANT[self.oblique]
+
+    def faces_ground(self, down: Vector) -> bool:
+        """Whether level ground at its maximum gives it an echo; ``down`` is straight down, body FRD."""
+        return dot(self.boresight, down) >= self.facing
+
+    def foot_m(self, range_m: float) -> tuple[float, float]:
+        """Where it reads ``range_m`` of the ground: forward and right of the reference point, body axes [m]."""
+        along_m = self.slant * range_m
+        return self.position_m[0] + along_m * self.boresight[0], self.position_m[1] + along_m * self.boresight[1]
+
+
+class TurnedSensor(NamedTuple):
+    """A sensor in the level frame: its place [m], the unit vector along which it looks, and `DownwardSensor.slant`."""
+
+    position_m: Vector
+    boresight: Vector
+    slant: float
+
+    def view(self, height_m: float, rise_north: float, rise_east: float) -> View | None:
         """What it should read with the reference point ``height_m`` over the ground; None where it looks past it."""
-        (nx, ny, nz), (ex, ey, ez), (dx, dy, dz) = rotation
-        px, py, pz = self.position_m
-        bx, by, bz = self.boresight
-        q_north, q_east = nx * px + ny * py + nz * pz, ex * px + ey * py + ez * pz
-        b_north, b_east = nx * bx + ny * by + nz * bz, ex * bx + ey * by + ez * bz
-        level_m, level_axis = height_m - (dx * px + dy * py + dz * pz), dx * bx + dy * by + dz * bz
-        over_m = level_m - rise_north * q_north - rise_east * q_east
-        axis = level_axis + rise_north * b_north + rise_east * b_east
+        (q_north, q_east, q_down), (b_north, b_east, b_down), slant = self
+        axis = b_down + rise_north * b_north + rise_east * b_east
         if axis < STEEPEST:
             return None
+        level_m = height_m - q_down
         normal = math.sqrt(1.0 + rise_north * rise_north + rise_east * rise_east)
-        slant = _SHARE_SLANT[self.oblique]
         nearest = 1.0 - slant
         divisor = slant * axis + nearest * normal
-        range_m = over_m / divisor
+        range_m = (level_m - rise_north * q_north - rise_east * q_east) / divisor
         apart_m = range_m * (normal - axis) / 2 if slant == 0.5 else 0.0
         # Derivatives by the rises are those over level ground: at the estimate a filter would learn slope from itself.
-        level = slant * level_axis + nearest
+        level = slant * b_down + nearest
         beam_m = slant * level_m / level
         return View(
             range_m,
@@ -89,15 +109,6 @@ class DownwardSensor:
             apart_m * apart_m,
             nearest,
         )
-
-    def faces_ground(self, down: Vector) -> bool:
-        """Whether level ground at its maximum gives it an echo; ``down`` is straight down, body FRD."""
-        return dot(self.boresight, down) >= self.facing
-
-    def foot_m(self, range_m: float) -> tuple[float, float]:
-        """Where it reads ``range_m`` of the ground: forward and right of the reference point, body axes [m]."""
-        along_m = _SHARE_SLANT[self.oblique] * range_m
-        return self.position_m[0] + along_m * self.boresight[0], self.position_m[1] + along_m * self.boresight[1]
 
 
 def spans_plane(feet_m: Sequence[tuple[float, float]]) -> bool:

@@ -96,7 +96,7 @@ class OddSensor:
 
     def update(self, known: GroundFilter, look: Look, time_s: float) -> None:
         """Update with a reading; where another sensor is odd from now on, the ground is that of the others."""
-        flat = look.mode.mounted.view(look.rotation, known.height_m, 0.0, 0.0)
+        flat = look.turned.view(known.height_m, 0.0, 0.0)
         if flat is None:
             return
         if known is not self._of:

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from msp_range.fusion.modes import (
+    ANSWERED_MOST,
     DECIDED,
     DECIDED_APART,
     DOUBT_LASTS_S,
@@ -33,6 +34,7 @@ from msp_range.fusion.modes import (
     MAY_BE_LATE,
     ODDS_LAST_S,
     SHOWS_M_S,
+    UNANSWERED,
 )
 from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
 
@@ -92,6 +94,8 @@ vehicle follows."""
 
 State = tuple[float, float, float]
 """Height, rate and bias [m, m/s, m/s^2]."""
+_ANYWHERE_M2 = 1e4
+"""Variance of a height before its first reading [m^2]."""
 _START = (0.01, 0.0, 0.0, 0.25, 0.0)
 """Covariance at the start: hh, hw, hb, ww, wb in SI units."""
 
@@ -162,7 +166,7 @@ class MotionResponse:
         if self.is_late and not self.misleads:
             return max(self._fixed, min(self._apart, FOLLOWS))
         late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed: not where it is inherited.
-        return min(self._fixed, self._stopped, late) + max(self._answered - FOLLOWS, 0.0)
+        return min(self._fixed, self._stopped, late) + min(max(self._answered - FOLLOWS, 0.0), ANSWERED_MOST)
 
     @property
     def is_fixed(self) -> bool:
@@ -180,9 +184,16 @@ class MotionResponse:
         return self.is_late and self._turn_s * max([abs(w) for _, w, _ in self._states]) > LATE_OFF_M
 
     def inherit(self, other: "MotionResponse") -> None:
-        """Answers that came late on another surface do on this one; what is rather fixed there shows no lateness."""
+        """Begin as on the ground so far: the vehicle moves as before, and answers that came late still do.
+
+        What is rather fixed there shows neither. Something fixed here does not move, whatever the ground did.
+        """
         if other.is_late or other._apart >= 0.0:
             self._late, self.is_late = min(other._late, 0.0), other.is_late
+        if other._time_s is not None and other.log_odds > UNANSWERED:
+            follows, _, late = other._states
+            self._time_s, self._states = other._time_s, [follows, (0.0, 0.0, 0.0), late]
+            self._covariance = (_ANYWHERE_M2, 0.0, 0.0, *other._covariance[3:])
 
     def suspect_late(self, nats: float) -> None:
         """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
@@ -311,8 +322,9 @@ class MotionResponse:
         self._stopped = updated(self._stopped, fades, 0.5 * (stopped - min(follows, late) + share), least)
         answers = min(max(0.5 * (min(fixed, stopped) - follows + REST_SHARE * share), least), STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
-        self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
         self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows), -STRONGEST)
+        apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
+        self._apart = min(max(apart, self._fixed - FOLLOWS), FOLLOWS - self._late)
         if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):
             self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)

@@ -12,6 +12,7 @@ The barometer's slow drift is not separated from z; it is counted where a climb 
 """
 
 import math
+from bisect import bisect_left
 from collections import deque
 from typing import NamedTuple
 
@@ -90,14 +91,10 @@ def moved(covariance: Covariance, t: float) -> Covariance:
     """F P F^T after ``t`` [s], with F = [[1, t, -t^2/2], [0, 1, -t], [0, 0, 1]]."""
     zz, zw, zb, ww, wb, bb = covariance
     half = 0.5 * t * t
-    return (
-        zz + 2 * t * zw - 2 * half * zb + t * t * ww - 2 * t * half * wb + half * half * bb,
-        zw + t * ww - half * wb - t * zb - t * t * wb + t * half * bb,
-        zb + t * wb - half * bb,
-        ww + t * t * bb - 2 * t * wb,
-        wb - t * bb,
-        bb,
-    )
+    # F P, then its last column first: the others contain it.
+    fzz, fzw, fww = zz + t * zw - half * zb, zw + t * ww - half * wb, ww - t * wb
+    zb, wb = zb + t * wb - half * bb, wb - t * bb
+    return fzz + t * fzw - half * zb, fzw - t * zb, zb, fww - t * wb, wb, bb
 
 
 def corrected(covariance: Covariance, variance_m2: float) -> tuple[tuple[float, float, float], Covariance]:
@@ -151,6 +148,8 @@ class VerticalMotion:
         self._z = self._w = self._b = 0.0
         self._covariance = _START
         self._start = 0
+        # When each acceleration came, it, and the speed that they add up to.
+        self._samples_s: deque[float] = deque(maxlen=SAMPLES_KEPT)
         self._samples: deque[tuple[float, float]] = deque(maxlen=SAMPLES_KEPT)
 
     def update(self, moved: Acceleration | PressureHeight) -> bool:
@@ -164,8 +163,10 @@ class VerticalMotion:
         if not abs(up_m_s2) < GREATEST_M_S2 or time_s < self._time_s:
             return False
         self._predict(time_s)
+        speed_m_s = self._samples[-1][1] + up_m_s2 * (time_s - self._acceleration_s) if self._samples else 0.0
         self._acceleration_m_s2, self._acceleration_s = up_m_s2, time_s
-        self._samples.append((time_s, up_m_s2))
+        self._samples_s.append(time_s)
+        self._samples.append((up_m_s2, speed_m_s))
         return True
 
     def on_pressure_height(self, time_s: float, height_m: float) -> bool:
@@ -193,19 +194,17 @@ class VerticalMotion:
 
         Each is the mean since the one before.
         """
-        if to_s - self._acceleration_s > CURRENT_S or not self._samples:
+        if to_s - self._acceleration_s > CURRENT_S:
             return None
-        up_m_s2, end_s, speed_m_s = self._samples[-1][1], to_s, 0.0
-        for time_s, earlier_m_s2 in reversed(self._samples):
-            if time_s < end_s:
-                begin_s = max(time_s, from_s)
-                speed_m_s += up_m_s2 * (end_s - begin_s)
-                end_s = begin_s
-            up_m_s2 = earlier_m_s2
-            if end_s <= from_s:
-                break
-        speed_m_s += up_m_s2 * (end_s - from_s)
-        return speed_m_s / (to_s - from_s) if to_s > from_s else self._samples[-1][1]
+        if to_s <= from_s:
+            return self._samples[-1][0]
+        return (self._speed_m_s(to_s) - self._speed_m_s(from_s)) / (to_s - from_s)
+
+    def _speed_m_s(self, time_s: float) -> float:
+        """By the accelerations alone, from any speed."""
+        i = min(bisect_left(self._samples_s, time_s), len(self._samples_s) - 1)
+        up_m_s2, speed_m_s = self._samples[i]
+        return speed_m_s + up_m_s2 * (time_s - self._samples_s[i])
 
     def acceleration(self, from_s: float, to_s: float) -> float | None:
         """As `measured`, with the bias taken off that the barometer shows."""

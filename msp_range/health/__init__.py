@@ -9,4 +9,3 @@ from msp_range.health.output import FUSED, OutputWatch
 from msp_range.health.reminder import Reminder
 from msp_range.health.sensor_watch import SensorWatch
 from msp_range.health.verdict import BridgeState, BridgeVerdict, verdict_of
-from msp_range.pilot_texts import Condition, Report, Severity

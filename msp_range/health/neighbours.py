@@ -111,9 +111,9 @@ def _mean(sightings: Sequence[Sighting], sensor: str) -> tuple[float, float, flo
     """The first two of these readings that are of other sensors: their mean height and time, by how much the second
     differs in both, how many there are, and the variance of the first [m^2]; None: there are none."""
     heights = [
-        (sighting.common_m, sighting.time_s, sighting.std_m**2)
-        for sighting in sightings
-        if sighting.common_m is not None and sighting.sensor != sensor
+        (each.common_m, each.time_s, each.std_m**2)
+        for each in sightings
+        if each.common_m is not None and each.sensor != sensor
     ][:2]
     if not heights:
         return None

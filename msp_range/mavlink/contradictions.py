@@ -48,21 +48,21 @@ class Contradictions:
 
     def update(self, message: Any) -> bool:
         """Whether a message contradicts those before it."""
-        kind = message.get_type()
+        kind = message.msgname
         if kind not in _TIMES:
             return False
         field, unit_s = _TIMES[kind]
         time_s = getattr(message, field) * unit_s
         before_s, self._times_s[kind] = self._times_s.get(kind, time_s), time_s
-        jumps_back = False
-        if kind == "ATTITUDE":
-            rate_rad_s = abs(message.rollspeed) + abs(message.pitchspeed)
-            if math.isfinite(message.roll + message.pitch + rate_rad_s):
-                jumps_back = self._jumps_back(_Attitude(down_axis(message.roll, message.pitch), rate_rad_s, time_s))
+        jumps_back = kind == "ATTITUDE" and self._jumps_back(message, time_s)
         return jumps_back or shortest(time_s - before_s) < -LATEST_ARRIVAL_S
 
-    def _jumps_back(self, attitude: _Attitude) -> bool:
+    def _jumps_back(self, message: Any, time_s: float) -> bool:
         """Whether an attitude fits the one before the newest, and not that one."""
+        rate_rad_s = abs(message.rollspeed) + abs(message.pitchspeed)
+        if not math.isfinite(message.roll + message.pitch + rate_rad_s):
+            return False
+        attitude = _Attitude(down_axis(message.roll, message.pitch), rate_rad_s, time_s)
         if self._newest is None or attitude.fits(self._newest):
             self._newest = attitude
             return False

@@ -38,39 +38,36 @@ class Frame(NamedTuple):
     """Message id, and the ids of its sender."""
     data: bytes
     """All its bytes."""
+    payload: bytes
+    """The fields as they are on the wire."""
 
     @property
     def is_autopilot_heartbeat(self) -> bool:
         """True for the HEARTBEAT of an autopilot, by its component id and its field ``autopilot``."""
-        if self.message_id != dialect.MAVLINK_MSG_ID_HEARTBEAT or self.component != dialect.MAV_COMP_ID_AUTOPILOT1:
-            return False
-        # On the wire: custom_mode (4 bytes), type, autopilot. MAVLink 2 leaves out zeros at the end, and the last field
-        # is the version, which is not zero.
-        return len(self.payload) > 5 and self.payload[5] != dialect.MAV_AUTOPILOT_INVALID
+        return (
+            self.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT
+            and self.component == dialect.MAV_COMP_ID_AUTOPILOT1
+            # On the wire: custom_mode (4 bytes), type, autopilot. MAVLink 2 leaves out zeros at the end, and the last
+            # field is the version, which is not zero.
+            and len(self.payload) > 5
+            and self.payload[5] != dialect.MAV_AUTOPILOT_INVALID
+        )
 
     @property
     def is_signed(self) -> bool:
         """Whether it has a signature, right or wrong."""
         return self.data[0] == _VERSION_2 and bool(self.data[2] & SIGNED)
 
-    @property
-    def payload(self) -> bytes:
-        """The fields as they are on the wire."""
-        start = _HEADER_BYTES[self.data[0]]
-        return self.data[start : start + self.data[1]]
-
     def decode(self) -> Any:
         """Decode the message; pymavlink's decoder would verify the checksum again, which takes three times as long."""
         kind = dialect.mavlink_map[self.message_id]
         wire = kind.unpacker
         # MAVLink 2 leaves out zeros at the end, and a later version of a message may be longer.
-        values = iter(wire.unpack(self.payload.ljust(wire.size, b"\0")[: wire.size]))
-        message = kind(
-            **{
-                name: next(values) if length == 1 else tuple(islice(values, length))
-                for name, length in zip(kind.ordered_fieldnames, kind.lengths, strict=True)
-            }
-        )
+        values = wire.unpack(self.payload.ljust(wire.size, b"\0")[: wire.size])
+        if len(values) > len(kind.lengths):  # Some fields are arrays.
+            each = iter(values)
+            values = [next(each) if length == 1 else tuple(islice(each, length)) for length in kind.lengths]
+        message = kind(*map(values.__getitem__, kind.orders))
         header = message.get_header()
         header.srcSystem, header.srcComponent = self.system, self.component
         return message
@@ -131,9 +128,10 @@ def _check(stream: bytes, start: int, stop: int) -> tuple[Frame | None, bool]:
     if kind is None:
         # A frame of another dialect, or noise: it counts as a frame if another frame or nothing follows.
         return None, stop == len(stream) or stream[stop] in _HEADER_BYTES
-    end = _HEADER_BYTES[data[0]] + data[1]
+    header_bytes = _HEADER_BYTES[data[0]]
+    end = header_bytes + data[1]
     # It also covers a byte for the definition of the message. pymavlink's own object for it takes five times as long.
     checksum = mcrf4xx(data[1:end] + bytes((kind.crc_extra,)))
     if checksum != int.from_bytes(data[end : end + _CHECKSUM_BYTES], "little"):
         return None, False
-    return Frame(message_id, system, component, data), True
+    return Frame(message_id, system, component, data, data[header_bytes:end]), True

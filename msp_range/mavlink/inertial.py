@@ -27,7 +27,7 @@ _M_S2_PER_UNIT = {"HIGHRES_IMU": 1.0, "RAW_IMU": GRAVITY_M_S2 / 1000, "SCALED_IM
 SCALE_HEIGHT_M = 8434.0
 """Scale height of the standard atmosphere at 15 C: h = -8434 m ln(p). At 0 C it is 5 % less, which is within the
 assumed uncertainty of a climb."""
-PRESSURES_HPA = (300.0, 1200.0)
+LOWEST_HPA, HIGHEST_HPA = 300.0, 1200.0
 """Pressures outside these limits are rejected [hPa]."""
 
 
@@ -41,28 +41,26 @@ def motion_of(message: Any, now_s: float, clock: AutopilotClock, attitude: Attit
     attitude
         Where down is, so that of an acceleration the part that is upwards is known.
     """
-    if message.get_type() == ATTITUDE:
+    if message.msgname == ATTITUDE:
         time_s = clock.time_of(message.time_boot_ms, now_s)
         return Angles(time_s, message.roll, message.pitch, message.yaw)
-    if (force := specific_force(message)) is not None:
-        down = attitude.down_at(now_s)
-        return None if down is None else Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2)
+    if (force := specific_force(message)) is not None and (down := attitude.down_at(now_s)) is not None:
+        return Acceleration(now_s, -dot(down, force) - GRAVITY_M_S2)
     height_m = pressure_height_m(message)
     return None if height_m is None else PressureHeight(now_s, height_m)
 
 
 def specific_force(message: Any) -> Vector | None:
     """Specific force measured by the accelerometer, body FRD [m/s^2]; None for other messages."""
-    scale = _M_S2_PER_UNIT.get(message.get_type())
+    scale = _M_S2_PER_UNIT.get(message.msgname)
     if scale is None:
         return None
-    x, y, z = message.xacc * scale, message.yacc * scale, message.zacc * scale
-    return (x, y, z) if 0.0 < abs(x) + abs(y) + abs(z) < math.inf else None
+    force = message.xacc * scale, message.yacc * scale, message.zacc * scale
+    return force if 0.0 < math.hypot(*force) < math.inf else None
 
 
 def pressure_height_m(message: Any) -> float | None:
     """The pressure as a height above an arbitrary level [m]; None for other messages."""
-    lowest_hpa, highest_hpa = PRESSURES_HPA
-    if message.get_type() != "SCALED_PRESSURE" or not lowest_hpa <= message.press_abs <= highest_hpa:
+    if message.msgname != "SCALED_PRESSURE" or not LOWEST_HPA <= message.press_abs <= HIGHEST_HPA:
         return None
     return -SCALE_HEIGHT_M * math.log(message.press_abs)

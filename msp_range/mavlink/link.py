@@ -157,8 +157,10 @@ class Link:
         received = self.transport.receive()
         if received:
             self._sort(now_s, self._frames.read(received))
-        self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT, WAITING_FROM_AUTOPILOT)
-        self._decode_first(self._from_others, DECODED_FROM_OTHERS, WAITING_FROM_OTHERS)
+        if self._from_autopilot:
+            self._decode_first(self._from_autopilot, DECODED_FROM_AUTOPILOT, WAITING_FROM_AUTOPILOT)
+        if self._from_others:
+            self._decode_first(self._from_others, DECODED_FROM_OTHERS, WAITING_FROM_OTHERS)
         if now_s >= self._next_heartbeat_s:
             self._next_heartbeat_s += HEARTBEAT_INTERVAL_S
             if self._next_heartbeat_s <= now_s:  # The loop stood still: the next one is a second from now.
@@ -214,28 +216,27 @@ class Link:
             )
 
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
-        """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge."""
+        """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge.
+
+        Frames whose signature is wrong are dropped; that of an autopilot's heartbeat is reported.
+        """
         autopilot = self.autopilot_system or self._pinned_system
         own_ids = self._ids
         for frame in frames:
-            waiting = self._from_others
             is_own = (frame.system, frame.component) == own_ids
-            if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and frame.system == (autopilot or frame.system):
+            is_heartbeat = frame.is_autopilot_heartbeat
+            if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and autopilot in (None, frame.system):
                 waiting = self._from_autopilot
-            elif not (is_own or frame.message_id in _COMMANDS or frame.is_autopilot_heartbeat):
+            elif is_own or is_heartbeat or frame.message_id in _COMMANDS:
+                waiting = self._from_others
+            else:
                 continue
-            if is_own or self._is_accepted(now_s, frame):
+            if is_own or self._signing is None or self._signing.accepts(frame):
                 waiting.append((now_s, frame))
-
-    def _is_accepted(self, now_s: float, frame: Frame) -> bool:
-        """Whether a frame's signature is right; an autopilot's heartbeat whose signature is not is reported."""
-        is_accepted = self._signing is None or self._signing.accepts(frame)
-        if frame.is_autopilot_heartbeat:
-            if not is_accepted:
+                if is_heartbeat and not is_own and self._signing is None and frame.is_signed:
+                    self._participants.seen(now_s, Text.NO_KEY)
+            elif is_heartbeat:
                 self._participants.seen(now_s, Text.OTHER_KEY)
-            elif self._signing is None and frame.is_signed:
-                self._participants.seen(now_s, Text.NO_KEY)
-        return is_accepted
 
     def _decode_first(self, waiting: Waiting, most_decoded: int, most_waiting: int) -> None:
         """Decode the first messages that wait, and leave the others for the next call.
@@ -268,15 +269,13 @@ class Link:
     def _take_autopilots(self, now_s: float, frame: Frame, source: tuple[int, int], message: Any) -> None:
         if self._contradictions.update(message):
             self._participants.suspected(now_s, Text.AUTOPILOT_IDS, system=frame.system)
-        kind = message.get_type()
+        kind = message.msgname
         if kind == "PING" and message.target_system == 0 and message.target_component == 0:
             if self._autopilot_answers.take(now_s):
                 self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
-        elif kind == "TIMESYNC":
-            # Older senders and dialects do not have its target, which is 0 for all.
-            if not self._is_for(*frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")[:2]):
-                pass
-            elif message.tc1:
+        # Older senders and dialects do not have TIMESYNC's target, which is 0 for all.
+        elif kind == "TIMESYNC" and self._is_for(*frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")[:2]):
+            if message.tc1:
                 self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
             elif self._autopilot_answers.take(now_s):
                 self.send(_timesync(round(now_s * 1e9), message.ts1, source))

@@ -32,26 +32,30 @@ class Outbox:
     ----------
     send
         Sends a message now.
+
+    Attributes
+    ----------
+    next_event_s
+        When `send_due` has something to do [s]; infinite if nothing waits.
     """
+
+    next_event_s = float("inf")
+    _free_s = float("-inf")
 
     def __init__(self, send: Callable[[Any], object]) -> None:
         self._send = send
         self._waiting: dict[int, Any] = {}
-        self._free_s = float("-inf")
-
-    @property
-    def next_event_s(self) -> float:
-        """When `send_due` has something to do [s]; infinite if nothing waits."""
-        return self._free_s if self._waiting else float("inf")
 
     def send_now(self, now_s: float, message: Any) -> None:
         """Send a message before all waiting ones."""
         self._send(message)
         self._free_s = now_s + SPACING_S
+        self.next_event_s = self._free_s if self._waiting else float("inf")
 
     def put(self, now_s: float, stream_id: int, message: Any) -> None:
         """Queue a message, in place of a waiting one of the same stream, and send the next one if it is due."""
         self._waiting[stream_id] = message
+        self.next_event_s = self._free_s
         self.send_due(now_s)
 
     def send_due(self, now_s: float) -> None:
@@ -156,10 +160,10 @@ class Streams:
         confidence: float,
     ) -> Any:
         """A stream's message: a distance, or without an estimate 'no echo'."""
-        beam, quality = self._beams[sensor], round(QUALITY_BEST * confidence)
-        if estimate is None:
-            view_rad = beam.field_of_view_rad(stream.max_distance_cm / 100)
-            return distance_sensor(stream, boot_ms, None, float("inf"), view_rad, quality)
-        variance_m2 = estimate.variance_m2 + air_variance_m2(estimate.range_m, air)
-        view_rad = beam.field_of_view_rad(estimate.range_m)
-        return distance_sensor(stream, boot_ms, estimate.range_m, variance_m2, view_rad, quality)
+        range_m: float | None = None
+        variance_m2, seen_m = float("inf"), stream.max_distance_cm / 100
+        if estimate is not None:
+            range_m = seen_m = estimate.range_m
+            variance_m2 = estimate.variance_m2 + air_variance_m2(seen_m, air)
+        view_rad = self._beams[sensor].field_of_view_rad(seen_m)
+        return distance_sensor(stream, boot_ms, range_m, variance_m2, view_rad, round(QUALITY_BEST * confidence))

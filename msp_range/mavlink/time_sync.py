@@ -39,6 +39,7 @@ to be used."""
 
 _WRAP_MS = 2**32
 """Period after which ``time_boot_ms`` starts at 0 again: 49.7 days [ms]."""
+_WRAP_S = _WRAP_MS / 1e3
 
 
 class _Sample(NamedTuple):
@@ -164,5 +165,4 @@ class AutopilotClock:
 
 def shortest(difference_s: float) -> float:
     """Difference of two times that may have wrapped around after 49.7 days [s]."""
-    wrap_s = _WRAP_MS / 1e3
-    return (difference_s + wrap_s / 2) % wrap_s - wrap_s / 2
+    return (difference_s + _WRAP_S / 2) % _WRAP_S - _WRAP_S / 2

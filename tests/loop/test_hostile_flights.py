@@ -24,6 +24,8 @@ from evaluation.faults.plans import draw_plan
         pytest.param(818, 1_000_379, 4.0, None, id="two sensors that drift alike are no slope of 80 %"),
         pytest.param(819, 1_000_206, 0.0, 0.5, id="an edge where answers have seemed late, undecided"),
         pytest.param(819, 1_000_928, 0.0, 0.5, id="a single outlier in a climb makes nothing late"),
+        pytest.param(819, 1_000_480, 1.0, None, id="a payload takes the place of a near ground, which is no slope"),
+        pytest.param(819, 1_001_110, 0.5, None, id="a payload that swings takes the place of a ground that is left"),
         pytest.param(820, 1_001_004, 0.0, 0.0, id="a take-off from a slope"),
         pytest.param(820, 1_000_074, 0.0, 0.0, id="a take-off with eight slow sensors, and an outlier"),
         pytest.param(822, 1_001_014, 0.0, 2.0, id="a landing that bounces, below one slow sensor"),

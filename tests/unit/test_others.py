@@ -186,7 +186,7 @@ def test_tilt_and_position_come_from_the_vehicle() -> None:
     sensor = np.array([NAMES[i % 4] for i in range(n)])
     height_m = 3.0 + 0.5 * np.sin(0.4 * time_s)
     seen = [
-        sensors[name].view(rotation, float(h), 0.05, -0.03)
+        sensors[name].turned(rotation).view(float(h), 0.05, -0.03)
         for name, rotation, h in zip(sensor.tolist(), rotations(time_s), height_m, strict=True)
         if rotation is not None
     ]

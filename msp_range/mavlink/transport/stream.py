@@ -142,15 +142,14 @@ class StreamTransport(Reconnecting):
             return b""
         try:
             self._stream.flush()
-            received = os.read(self._handle.fileno(), RECEIVE_BOUND_BYTES)
-            if not received:
-                raise ConnectionError("the other side has closed the link")
+            if received := os.read(self._handle.fileno(), RECEIVE_BOUND_BYTES):
+                return received
+            raise ConnectionError("the other side has closed the link")
         except BlockingIOError:
-            return b""
+            pass
         except OSError as error:
             self._lost(error)
-            return b""
-        return received
+        return b""
 
     def _release(self) -> None:
         if self._stream is not None:

@@ -220,7 +220,7 @@ def _grounded(time_s: Array, around_cm: Array, least_cm: float) -> Flags:
 
 def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
     """What a sensor should read; nothing depends on the height where it looks past the ground."""
-    found = mounted.view(rotation, float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
+    found = mounted.turned(rotation).view(float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
     return View(0.0, 0.0, 0.0, 0.0, 0.0) if found is None else found
 
 

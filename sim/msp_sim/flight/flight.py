@@ -17,8 +17,8 @@ from msp_range.bridge import Bridge, Records, Step
 from msp_range.clock import Clock
 from msp_range.config import Airframe
 from msp_range.correction.thermometer import LoopReader
-from msp_range.health import Severity
 from msp_range.mavlink.transport import Transport, Wrapped
+from msp_range.pilot_texts import Severity
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.device.device import Fault
 from msp_sim.device.emulated import Surroundings, emulated_bus

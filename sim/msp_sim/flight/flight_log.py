@@ -13,7 +13,7 @@ from msp_range.acoustics.air import speed_of_sound
 from msp_range.bridge import Bridge, Records, Step
 from msp_range.config import Airframe
 from msp_range.fusion import Fused
-from msp_range.health import Severity
+from msp_range.pilot_texts import Severity
 from msp_range.reading import Status
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_sim.world.vehicle import Pose

@@ -205,7 +205,7 @@ def test_variances_stay_positive_however_the_vehicle_is_turned(seed: int) -> Non
         known.predict(float(draw.choice([0.05, 0.1, 0.1, 1.0])), float(draw.normal(scale=0.5)) if i % 3 else None)
         roll, pitch, yaw = draw.uniform([-1.2, -1.2, -3.0], [1.2, 1.2, 3.0]).tolist()
         rotation = rotation_matrix(roll, pitch, yaw) if draw.random() < 0.5 else LEVEL
-        view = sensors[i % 4].view(rotation, known.height_m, known.rise_north, known.rise_east)
+        view = sensors[i % 4].turned(rotation).view(known.height_m, known.rise_north, known.rise_east)
         if view is None:
             continue
         assert math.isfinite(known.density(view, 0.1, R_M2))

@@ -30,7 +30,7 @@ def test_a_reading_is_where_the_beam_or_the_perpendicular_meets_the_plane(
 ) -> None:
     angles_rad = tuple(math.radians(each) for each in angles_deg)
     sensor = DownwardSensor((0.3, -0.2, 0.05), boresight(0.0, math.radians(-78), math.radians(30)), oblique)
-    view = sensor.view(rotation_matrix(*angles_rad), 2.5, *rise)
+    view = sensor.turned(rotation_matrix(*angles_rad)).view(2.5, *rise)
     assert view is not None
     slant_m, nearest_m = reads(sensor, angles_rad, 2.5, rise)
     if oblique == "unknown":
@@ -52,15 +52,15 @@ def test_the_derivatives_are_those_of_the_reading_over_level_ground(
     state, small = np.array([3.0, 0.0, 0.0]), 1e-6
 
     def at(*state: float) -> float:
-        view = sensor.view(rotation, *state)
+        view = sensor.turned(rotation).view(*state)
         assert view is not None
         return view.expected_m
 
-    view = sensor.view(rotation, *state)
+    view = sensor.turned(rotation).view(*state)
     assert view is not None
     differences = [(at(*(state + step)) - at(*(state - step))) / (2 * small) for step in small * np.eye(3)]
     np.testing.assert_allclose([view.by_height, view.by_north, view.by_east], differences, rtol=1e-7, atol=1e-8)
-    sloping = sensor.view(rotation, 3.0, 0.12, -0.07)
+    sloping = sensor.turned(rotation).view(3.0, 0.12, -0.07)
     assert sloping is not None
     assert (sloping.by_north, sloping.by_east) == (view.by_north, view.by_east), "a slope is not learnt from itself"
 
@@ -93,4 +93,4 @@ def test_canted_sensors_at_one_place_span_a_plane_where_their_beams_are_known_to
 
 def test_a_beam_along_the_ground_sees_none() -> None:
     forward = DownwardSensor((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), "slant")
-    assert forward.view(LEVEL, 2.0, 0.0, 0.0) is None
+    assert forward.turned(LEVEL).view(2.0, 0.0, 0.0) is None

@@ -353,3 +353,24 @@ def test_a_surface_that_is_seen_with_other_answers_does_not_take_back_that_answe
         assert not response.is_late
         response.suspect_late(nats)
     assert response.is_late
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_on_another_surface_the_vehicle_climbs_on_whose_range_must_then_grow(seed: int) -> None:
+    """A payload is nearer than the ground that the vehicle leaves at a steady rate: no acceleration shows it."""
+    climb, draw, motion = ramp(5.0, 0.8, 12.0), random.Random(seed), VerticalMotion()
+    response, found = MotionResponse(motion, TURN_S), {}
+    for i in range(90):
+        read_s = 0.1 * i
+        for k in range(3):
+            time_s = read_s - 0.08 + 0.04 * k
+            up_m_s2 = (climb(time_s + 0.02) - 2 * climb(time_s) + climb(time_s - 0.02)) / 0.02**2
+            motion.on_acceleration(time_s, up_m_s2 + draw.gauss(0.0, 0.3))
+        if i == 70:
+            ground, response = response, MotionResponse(motion, TURN_S)
+            response.inherit(ground)
+        seen_m = (0.5 if i >= 70 else 0.3 + climb(read_s)) + draw.gauss(0.0, 0.01)
+        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.8, False)
+        found[i] = response.log_odds
+    assert found[69] > 0.0
+    assert min(found[i] for i in range(70, 85)) < -8.0

@@ -1,6 +1,7 @@
 """What is below single sensors, as the pilot reads it."""
 
-from msp_range.health import ObservationsBelow, Severity
+from msp_range.health import ObservationsBelow
+from msp_range.pilot_texts import Severity
 
 
 def test_what_comes_and_goes_below_a_sensor_is_reported_once_and_is_no_fault() -> None:

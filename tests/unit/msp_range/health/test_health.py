@@ -6,7 +6,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from msp_range.bus import BusError
-from msp_range.health import Condition, Health, Severity
+from msp_range.health import Health
+from msp_range.pilot_texts import Condition, Severity
 from msp_range.reading import Reading, Status
 from msp_range.sensors.polling import Ranging
 

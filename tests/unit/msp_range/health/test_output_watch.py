@@ -10,9 +10,10 @@ from pymavlink.dialects.v20 import common
 
 from msp_range.assembly import windows_of
 from msp_range.bridge import LINK_WAITS_S
-from msp_range.health import Health, OutputWatch, Severity
+from msp_range.health import Health, OutputWatch
 from msp_range.health.finding import SensorFinding
 from msp_range.health.output import FUSED
+from msp_range.pilot_texts import Severity
 from msp_sim.device.device import Fault
 from tests.support.bench import FUSED_ID, Bench, airframe, sensor
 
