@@ -321,8 +321,9 @@ class MotionResponse:
         self._stopped = updated(self._stopped, fades, 0.5 * (stopped - min(follows, late) + share), least)
         answers = min(max(0.5 * (min(fixed, stopped) - follows + REST_SHARE * share), least), STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
-        self._apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
         self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows), -STRONGEST)
+        apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
+        self._apart = min(max(apart, self._fixed - FOLLOWS), FOLLOWS - self._late)
         if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):
             self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)
