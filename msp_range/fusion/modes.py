@@ -167,10 +167,11 @@ acceleration."""
 DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
-UNANSWERED, ANSWERED, AWAY_M = -3.0, 5.0, 0.8
+UNANSWERED, ANSWERED, ANSWERED_MOST, AWAY_M = -3.0, 5.0, 6.0, 0.8
 """Below the first log odds a surface is not thought to move with the measured acceleration any more. Above the second,
 more than one reading can show, one that was low when it was first seen, as before a take-off, is no payload; nor is one
-that is farther away by now than the third [m]."""
+that is farther away by now than the last [m]. The third is how much an answer counts at most: it says that a surface is
+not fixed to the vehicle, not that two sensors see no drift. Larger believes slopes of 80 %."""
 
 # What repeats itself.
 STUCK_READINGS, REPEATED_READINGS = 3, 5

@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from msp_range.fusion.modes import (
+    ANSWERED_MOST,
     DECIDED,
     DECIDED_APART,
     DOUBT_LASTS_S,
@@ -165,7 +166,7 @@ class MotionResponse:
         if self.is_late and not self.misleads:
             return max(self._fixed, min(self._apart, FOLLOWS))
         late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed: not where it is inherited.
-        return min(self._fixed, self._stopped, late) + max(self._answered - FOLLOWS, 0.0)
+        return min(self._fixed, self._stopped, late) + min(max(self._answered - FOLLOWS, 0.0), ANSWERED_MOST)
 
     @property
     def is_fixed(self) -> bool:
