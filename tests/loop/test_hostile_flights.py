@@ -28,6 +28,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(819, 1_001_110, 0.5, None, id="a payload that swings takes the place of a ground that is left"),
         pytest.param(820, 1_001_004, 0.0, 0.0, id="a take-off from a slope"),
         pytest.param(820, 1_000_074, 0.0, 0.0, id="a take-off with eight slow sensors, and an outlier"),
+        pytest.param(820, 1_000_349, 2.0, None, id="two sensors that drift are no slope of 90 %, however it answers"),
         pytest.param(822, 1_001_014, 0.0, 2.0, id="a landing that bounces, below one slow sensor"),
         pytest.param(821, 1_000_270, 0.0, None, id="a strap below a vehicle that climbs fast between two readings"),
         pytest.param(821, 1_000_444, 2.0, 0.5, id="a landing that bounces so hard that the accelerometer leads away"),
@@ -52,6 +53,7 @@ def test_a_hostile_flight(seed: int, index: int, most_wrong_s: float, most_silen
     ("seed", "index"),
     [
         pytest.param(815, 1_000_173, id="late answers are reported as soon as nothing is sent"),
+        pytest.param(822, 1_000_173, id="late answers are reported as soon if the flight before them was long"),
     ],
 )
 def test_what_is_wrong_is_reported_in_time(seed: int, index: int) -> None:
