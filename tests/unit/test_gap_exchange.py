@@ -11,7 +11,7 @@ from msp_lab.gap import naming
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.problem import Problem, State, _has_its_form, first_state, screened, without
 from msp_lab.gap.refit import refit
-from msp_lab.gap.selection import Selection, select, select_more, settled
+from msp_lab.gap.search import Selection, select, select_more, settled
 from msp_lab.gap.validation import Dropped, Validated
 from msp_range.arrays import numbered
 from msp_range.reading_model.rows import Base

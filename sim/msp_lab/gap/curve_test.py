@@ -149,7 +149,7 @@ def scan(
     never came only the prior is known, and its scores would stand for any channel's.
     """
     events = {channel: float((fit.here.by[:, CHANNELS.index(channel)] ** 2).sum()) for channel in channels}
-    most = {channel: number / rules.MIN_EVENTS_PER_DEGREE for channel, number in events.items()}
+    most = {channel: number / rules.FEW_READINGS for channel, number in events.items()}
     all_scores = {channel: _Scores.of(fit, channel) for channel in channels if most[channel] >= 1.0}
     tests, weights, sums = [], [], []
     for variables, forms in asked:
