@@ -269,8 +269,8 @@ def test_where_the_only_name_does_not_hold_another_one_is_sought(monkeypatch: py
 
     def without_latency(problem: Problem, state: State, splits: object) -> Validated:
         if "latency" not in [term.key[0] for term in state.terms]:
-            return Validated(state, {}, {})
-        return Validated(first_state(problem), {}, {}, (Dropped(state.terms[0], "for this test"),))
+            return Validated(state, {})
+        return Validated(first_state(problem), {}, (Dropped(state.terms[0], "for this test"),))
 
     monkeypatch.setattr(naming, "validated", without_latency)
     selection, kept = naming._validated(problem, select(problem, 1), cast(Any, None), 1)

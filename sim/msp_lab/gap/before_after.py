@@ -2,6 +2,11 @@
 
 `GapFindings` have the verdict on a comparison with its models. Both gaps are measured on the same half of the runs, the
 second one with a fit of the other half alone.
+
+How old a reading is when it is used follows: latency and repeated readings are two effects with two numbers, but what
+flies feels their sum. And why a number of the base may be another one, where the readings cannot say: the effects that
+would change it, with the column that did not vary. A gap that calibration closes is absorbed, not explained: more
+scatter over a throttle that never changes is rotor noise or is not.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

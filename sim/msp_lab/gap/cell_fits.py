@@ -3,6 +3,10 @@
 For each cell a shift of the hits, a factor of their spread and odds of short, missed and random readings are fitted by
 maximum likelihood to the distribution of readings, with what they gain and how much of that is random variation. The
 errors are those of the units: the runs or blocks of readings that depend on each other.
+
+Where readings of a run depend on each other, scores are summed by unit, and their totals drawn again by a multiplier
+bootstrap over units (Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). Tables that a model draws show no
+dependence.
 """
 
 from collections.abc import Sequence
@@ -316,6 +320,25 @@ def unit_variance(scores: Array, unit: Indices, stack: Stack, given: Array) -> t
         usual = found[~few].sum(axis=0) / stack.counts[~few].sum()
     found[few] = stack.counts[few, None, None] * usual
     return np.asarray(found, dtype=np.float64), few
+
+
+def inflation_of_units(about_mean: Array, there: Indices, squares: Array) -> Array:
+    """How many times units inflate the variance of a sum of scores, (m,), from the cells that have enough of them.
+
+    Parameters
+    ----------
+    about_mean, there
+        From `unit_sums`.
+    squares
+        Sums of each cell's squared scores, (K, m).
+    """
+    enough = there >= rules.MIN_CELL_UNITS
+    if not enough.any():
+        # Nothing is known of it: nothing is certain.
+        return np.full(squares.shape[1], np.inf)
+    of_units = (about_mean[enough] ** 2).sum(axis=(0, 1))
+    inflation: Array = np.maximum(of_units / np.maximum(squares[enough].sum(axis=0), 1e-12), 1.0)
+    return inflation
 
 
 def drawn_sums(about_mean: Array, there: Indices, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -21,12 +21,12 @@ from scipy.special import log_ndtr
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit
-from msp_lab.gap.runs import is_known, known_values, spacing_s
+from msp_lab.gap.runs import NO_CONTEXT, is_known, known_values, spacing_s
 from msp_range.arrays import Array, Column, Indices
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple, hats
 
-NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
+NO_VARIABLES = NO_CONTEXT | {"run", "condition", REFERENCE_STD}
 STEP_HALF = 1e-4
 """Half the distance of the two knots of a step, as a share of the column's span: hardly a reading is between them."""
 STEP_PLACES = 60

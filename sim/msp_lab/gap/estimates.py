@@ -93,11 +93,12 @@ def found_terms(
     for term, active in zip(validated.state.terms, final.fit.effects, strict=True):
         own = slice(place, place + len(active.effect.parameters))
         place = own.stop
-        gained = validated.gains[term.key]
+        agreement = validated.agreement[term.key]
+        gained = agreement.gain
         if active.shape is not None:
             found = _unknown_effect(active, final.widened[own, own], gained, final.readings)
-            agree = validated.agree[term.key]
-            unknown.append(replace(found, likely_causes=_likely_causes(problem, found), splits_agree=agree))
+            causes = _likely_causes(problem, found)
+            unknown.append(replace(found, likely_causes=causes, splits_agree=agreement.share))
             continue
         near = alternatives.get(term.key, ())
         values = _values(active, final.half_widths[own])
@@ -126,7 +127,7 @@ def found_terms(
                 to_tell_apart(problem, base_fit, term, near) if near else active.effect.experiment,
                 active.of,
                 doubt,
-                splits_agree=validated.agree[term.key],
+                splits_agree=agreement.share,
                 in_model=any(
                     (each.effect.name, each.of) == (active.effect.name, active.of) for each in problem.model.effects
                 ),

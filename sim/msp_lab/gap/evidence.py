@@ -12,6 +12,12 @@ which the two fits differ.
 The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
 runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its
 sums by run, relative to that of as many independent readings, again by Student's t.
+
+A component or a fault of the code changes each reading with its share, whatever happened to the one before. Then the
+slopes of the readings' log probabilities by that share are independent about 0, where the share is fitted and whatever
+its contexts. Where an object stands in the beam for a while, or a few values come again and again, slopes of one sign
+are next to each other: their sums over blocks of neighbours scatter by more than their own squares, and the candidate's
+gain counts by that ratio less (the variance of a sum of clusters; Liang & Zeger 1986, Biometrika 73, 13).
 """
 
 from collections.abc import Iterator

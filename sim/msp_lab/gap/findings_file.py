@@ -2,6 +2,9 @@
 
 In ``named.json`` numbers keep all their digits, so that `add` ends with the same model whether it follows at once or a
 day later.
+
+And the model file: the given model, what was added to it, and the evidence for that. Its text is read back as a model
+before it is written, so what is on disk loads, and flies.
 """
 
 import json

@@ -3,6 +3,10 @@
 The rows of files that can be compared are kept, with what was noticed: rows without an answer or a true range are left
 out, readings and model are put onto the grid of the readings, and point masses that the model does not declare are set
 aside as calibration. Runs are split before anything is looked at.
+
+Readings whose context is unknown are left out where an effect needs it. A blank temperature is neither the one of the
+row before nor 22.5 C: what the air did to that reading is unknown, and to count it as nothing hides the effect in the
+others.
 """
 
 import math
@@ -17,7 +21,7 @@ from msp_lab.gap import rules
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
-from msp_lab.gap.runs import Splits, draw_splits, known_values, places_in, sample, taken
+from msp_lab.gap.runs import NO_CONTEXT, Splits, draw_splits, known_values, places_in, sample, taken
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, with_floors
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, Which, load_readings, time_order
@@ -31,7 +35,7 @@ from msp_sim.effects.base import PATH, REFERENCE, REFERENCE_STD, Scene
 from msp_sim.effects.path import ReferencePath, with_path
 from msp_sim.model.model import Model
 
-NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD, PATH})
+NO_SLICES = NO_CONTEXT | {REFERENCE_STD, PATH}
 SAME_CM = 1e-6
 """Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
 BLANK_IS_NONE = frozenset(

@@ -2,6 +2,10 @@
 
 How far the five numbers of each cell (`cell_fits`) are from nothing, less what random variation adds, is the gap. What
 tables that the model itself draws show of it is the noise floor.
+
+How much an error repeats in the readings that follow is the autocorrelation of residuals: of each reading's place in
+the model's distribution, given the readings before it, as a normal deviate. Where the model is right these are
+independent, its own correlated noise included.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -178,12 +182,8 @@ def _noise_floor(fits: Sequence[CellFits], stack: Stack) -> dict[str, float]:
         kept = {key: by_variables[key] for key in _kept(by_variables)}
         for name, number in _measures(kept).items():
             shown.setdefault(name, []).append(number.value)
-    return {name: _quantile(values, rules.NOISE_FLOOR_SHARE) for name, values in shown.items()}
-
-
-def _quantile(values: Sequence[float], share: float) -> float:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.quantile(known, share)) if known else np.nan
+    known = {name: [value for value in values if np.isfinite(value)] for name, values in shown.items()}
+    return {name: float(np.quantile(each or [np.nan], rules.NOISE_FLOOR_SHARE)) for name, each in known.items()}
 
 
 def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition], drawn: Replicates) -> Measures:

@@ -2,6 +2,9 @@
 
 A measure of dependence is computed from scores: with any dependence the unit of evidence is the run and not the
 reading. The rows of a sample are chosen by their contexts.
+
+Up to ten different splits by whole runs are drawn from the contexts before anything is looked at. Runs of similar
+contexts are put into different parts: of two cold days none has both.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,9 +21,9 @@ from msp_range.arrays import Array, Column, Flags, Indices, Texts
 from msp_sim.effects.base import WORD_COLUMNS
 from msp_sim.model.history import History
 
-NO_PARTS = frozenset({"time_s", "reading_cm", PREVIOUS})
-"""Columns that do not say where one part of a run ends and another begins."""
-NO_STRATA = frozenset({"time_s", "reading_cm", "previous_reading_cm", "run"})
+NO_CONTEXT = frozenset({"time_s", "reading_cm", PREVIOUS})
+"""Columns that are no context of a reading."""
+NO_STRATA = NO_CONTEXT | {"run"}
 """Columns by which runs are not compared."""
 
 
@@ -141,7 +144,7 @@ def sample(
     starts = np.diff(history.series, prepend=-1) != 0
     starts[np.linspace(0, n, most // stretch, endpoint=False).astype(np.intp)] = True
     for name, column in columns.items():
-        if name not in NO_PARTS:
+        if name not in NO_CONTEXT:
             ordered = column[history.order]
             changes = np.flatnonzero(ordered[1:] != ordered[:-1]) + 1
             stays = np.diff(changes, prepend=0, append=n) >= stretch

@@ -3,6 +3,9 @@
 It makes a folder for each log or sensor, as 'msp-lab gap' does, and a table with a row for each. Logs that cannot be
 used are named, and the others are compared. Files are read and written where the comparison is computed, so that the
 memory does not grow with their number: the workers of a cluster need them under the same path.
+
+With the other sensors of the vehicle as the reference, a sensor at which something was named is no reference any more,
+and the others are compared again without it: its effect would show in them with the other sign.
 """
 
 import json

@@ -4,6 +4,10 @@ The five numbers of each slice (bias, spread, odds of short, missed and random r
 p-values come from the step-down maximum of their multiplier bootstrap over units (Westfall and Young 1993;
 Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). This finds less than a catalogue of effects does, and
 says where to look.
+
+Where what was found shows is there too: the extended model is compared with itself without one of its terms, by the
+scores of the held-out readings. Both have the same readings, so the difference of the sums is what the term does there
+and hardly noise. What counts as noise is the standard deviation of the sums over units.
 """
 
 from collections.abc import Iterable, Mapping, Sequence, Set
@@ -15,7 +19,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from msp_lab.gap import rules
-from msp_lab.gap.cell_fits import CellFits, scale_of, scores_of, unit_sums, unit_variance
+from msp_lab.gap.cell_fits import CellFits, inflation_of_units, scale_of, scores_of, unit_sums
 from msp_lab.gap.cells import Partition
 from msp_lab.gap.conclusion import STILL_OPEN, found_parts
 from msp_lab.gap.findings import FoundEffect, GapFindings, Slice, UnknownEffect, error_name
@@ -129,20 +133,21 @@ def _contributions(measured: Measures) -> tuple[Array, Array]:
 def _by_unit(measured: Measures) -> tuple[Array, Array, Array, Indices]:
     """Sums of the units' scores (K, U, 5), the same about their mean, the standard deviation of each sum (K, 5), and
     slices that have too few units."""
-    scores, stack, unit = measured.scores, measured.stack, measured.readings.unit
-    in_cells = scores[stack.readings]
-    per_cell, about_mean, _ = unit_sums(in_cells, unit, stack)
-    variance, few = unit_variance(in_cells, unit, stack, scores)
-    # About the variance of a score that the model expects, from the errors of the one step: units show no spread of a
-    # class that never came.
+    scores, stack = measured.scores, measured.stack
+    per_cell, about_mean, there = unit_sums(scores[stack.readings], measured.readings.unit, stack)
+    # One number at a time: its own score over its own error, so that a rare class does not blur the others.
+    deviation = np.sqrt((about_mean**2).sum(axis=1))
+    # About the variance of a score that the model expects, from the errors of the one step.
     errors = measured.step.errors / np.maximum(scale_of(stack, measured.rows.sigma_cm), 1e-12)
     expected = np.sqrt(np.maximum(1.0 / np.maximum(errors, 1e-12) ** 2, 1e-12))
-    # One number at a time: its own score over its own error, so that a rare class does not blur the others.
-    deviation = np.maximum(np.sqrt(np.diagonal(variance, axis1=1, axis2=2)), expected)
-    if few.all():
-        # Nothing is known of what units share: nothing is certain.
-        deviation = np.full(deviation.shape, np.inf)
-    return per_cell, about_mean, deviation, np.flatnonzero(few)
+    # Units show no spread of a class that never came, so at least what the model expects.
+    deviation = np.maximum(deviation, expected)
+    # A slice of few units: its single readings, with the dependence that the others show, as one unit.
+    few = np.flatnonzero(there < rules.MIN_CELL_UNITS)
+    squares = stack.sums(scores**2)
+    inflation = inflation_of_units(about_mean, there, squares)
+    deviation[few] = np.maximum(np.sqrt(squares * inflation)[few], expected[few])
+    return per_cell, about_mean, deviation, few
 
 
 def _step_down(statistic: Array, shares: Array, rng: np.random.Generator) -> Array:

@@ -261,31 +261,32 @@ class Dropped(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Validated:
-    """Terms that hold in nearly all splits."""
-
-    state: State
-    """The state with these terms alone."""
-    gains: dict[Key, Gain]
-    """Gain of each term on the part that it was not fitted on, the mean of the splits, by its key."""
-    agree: dict[Key, float]
-    """In which share of the splits each of them holds."""
-    dropped: tuple[Dropped, ...] = ()
-    """The other terms."""
-
-
-@dataclass(frozen=True)
-class _Agreement:
+class Agreement:
     """What the splits say of one term: in which of them it holds, and its gain there."""
 
     holds: Flags
+    """In which splits it holds, (splits,)."""
     gain: Gain
+    """Gain on the part that it was not fitted on, the mean of the splits."""
     recalibrated_nats: float
     """Gain if one base is fitted to the runs that are predicted, the mean of the splits."""
 
     @property
     def share(self) -> float:
+        """In which share of the splits it holds."""
         return float(self.holds.mean())
+
+
+@dataclass(frozen=True)
+class Validated:
+    """Terms that hold in nearly all splits."""
+
+    state: State
+    """The state with these terms alone."""
+    agreement: dict[Key, Agreement]
+    """What the splits say of each term, by its key."""
+    dropped: tuple[Dropped, ...] = ()
+    """The other terms."""
 
 
 def validated(problem: Problem, state: State, splits: Splits) -> Validated:
@@ -298,15 +299,14 @@ def validated(problem: Problem, state: State, splits: Splits) -> Validated:
         found = [_agreement(k, crossed, each) for k, each in enumerate(before)]
         worst = min(range(len(found)), key=lambda k: (found[k].share, found[k].gain.z))
         if found[worst].share >= rules.SPLITS_AGREE:
-            by_key = dict(zip([term.key for term in state.terms], found, strict=True))
-            gains = {key: each.gain for key, each in by_key.items()}
-            return Validated(state, gains, {key: each.share for key, each in by_key.items()}, tuple(dropped))
+            agreement = dict(zip([term.key for term in state.terms], found, strict=True))
+            return Validated(state, agreement, tuple(dropped))
         dropped.append(Dropped(state.terms[worst], _why(found[worst])))
         state, crossed = smaller[worst], before[worst]
-    return Validated(state, {}, {}, tuple(dropped))
+    return Validated(state, {}, tuple(dropped))
 
 
-def _agreement(k: int, crossed: CrossFits, smaller: CrossFits) -> _Agreement:
+def _agreement(k: int, crossed: CrossFits, smaller: CrossFits) -> Agreement:
     """In which splits a term holds: by the fits of the others the parts gain, recalibrated or not."""
     if crossed.fit.effects[k].effect.per == "run":
         return _inside_its_run(k, crossed, smaller)
@@ -338,10 +338,10 @@ def _agreement(k: int, crossed: CrossFits, smaller: CrossFits) -> _Agreement:
         of_runs.append(gained)
         recalibrated_of_splits.append(more - less)
     whole = gain_of_runs(np.mean(of_runs, axis=0), counts)
-    return _Agreement(np.array(holds), whole, float(np.mean(recalibrated_of_splits)))
+    return Agreement(np.array(holds), whole, float(np.mean(recalibrated_of_splits)))
 
 
-def _inside_its_run(k: int, crossed: CrossFits, smaller: CrossFits) -> _Agreement:
+def _inside_its_run(k: int, crossed: CrossFits, smaller: CrossFits) -> Agreement:
     """The same of an effect of one run, of which the others say nothing: parts are stretches of that run.
 
     Its strength without a stretch is that of all less one step of Newton.
@@ -362,7 +362,7 @@ def _inside_its_run(k: int, crossed: CrossFits, smaller: CrossFits) -> _Agreemen
         found.append(gain_of_runs(gained, np.bincount(part, minlength=rules.PARTS)))
     holds = [each.nats >= rules.VALIDATED_NATS and each.z >= rules.VALIDATED_Z for each in found]
     least = min(found, key=lambda each: each.nats)
-    return _Agreement(np.array(holds), least, least.nats)
+    return Agreement(np.array(holds), least, least.nats)
 
 
 def _strength(fit: JointFit, k: int) -> list[str]:
@@ -372,7 +372,7 @@ def _strength(fit: JointFit, k: int) -> list[str]:
     return [f"{k}.{name}" for name in (names if effect.shape is not None else names[:1])]
 
 
-def _why(lost: _Agreement) -> str:
+def _why(lost: Agreement) -> str:
     if lost.gain.nats >= rules.VALIDATED_NATS and lost.recalibrated_nats < rules.VALIDATED_NATS:
         return (
             "the runs on which it was not fitted fit as well without it once the model is calibrated to them "
