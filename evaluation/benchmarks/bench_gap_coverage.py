@@ -14,7 +14,7 @@ import numpy as np
 
 from evaluation.shares import wilson
 from msp_lab.gap.naming import AllReadings, name_effects
-from msp_lab.gap.splits import draw_splits
+from msp_lab.gap.runs import draw_splits
 from msp_range.reading_model.sensor_model import SensorModel, load_sensor_model
 from msp_sim.model.model import Model
 from tests.support.plain_effects import BASE, fly

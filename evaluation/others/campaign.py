@@ -15,7 +15,7 @@ from evaluation.others.flights import SENSORS, fly, write_airframe, write_scenar
 from evaluation.others.size import MECHANISMS, NullFlights, size_for
 from evaluation.runner import Row
 from msp_lab.gap.findings import Settings
-from msp_lab.gap.sensors import SensorGap, compare_sensors
+from msp_lab.gap.separate import SensorGap, compare_sensors
 from msp_lab.gap.steps import Steps
 from msp_lab.readings.intake import PREVIOUS, Truth, load_readings, time_order
 from msp_range.clock import SystemClock

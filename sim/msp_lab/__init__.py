@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from msp_lab.characterise.from_files import characterise
-    from msp_lab.gap.from_files import find_gap
+    from msp_lab.gap.steps import find_gap
     from msp_lab.readings.from_files import read_readings
 
 __all__ = ["characterise", "find_gap", "read_readings"]

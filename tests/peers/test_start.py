@@ -102,7 +102,7 @@ def test_the_functions_for_programs_compute_with_one_thread_of_blas(tmp_path: Pa
     """Also where numpy is imported before: a notebook's first line."""
     (tmp_path / "a.csv").touch()
     for module, name, inside in (
-        ("msp_lab.gap.from_files", "find_gap(folder / 'a.csv')", "Steps.all"),
+        ("msp_lab.gap.steps", "find_gap(folder / 'a.csv')", "Steps.all"),
         ("msp_lab.characterise.from_files", "characterise(folder / 'a.csv')", "characterised"),
         ("msp_sim.flight.simulate", "simulate_flight('flat')", "Simulation.fly"),
     ):

@@ -18,7 +18,7 @@ from msp_lab.characterise.page.answers import summarise
 from msp_lab.characterise.page.mixture import densities
 from msp_lab.characterise.page.picture_data import PictureData
 from msp_lab.characterise.sensors import characterised
-from msp_lab.gap.from_files import find_gap
+from msp_lab.gap.steps import find_gap
 from msp_range.config import load_airframe
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.clumps import clumping
+from msp_lab.gap.evidence import clumping
 from msp_lab.gap.problem import Problem, with_candidate
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, Term, make_term

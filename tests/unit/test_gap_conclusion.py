@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import t
 
 from msp_lab.gap.before_after import later_steps
-from msp_lab.gap.conclusion import of_tables
+from msp_lab.gap.conclusion import of_tables, with_words
 from msp_lab.gap.findings import (
     Alternative,
     CalibrationFinding,
@@ -30,7 +30,6 @@ from msp_lab.gap.findings import (
     Verdict,
 )
 from msp_lab.gap.findings_file import as_json, from_json
-from msp_lab.gap.summary import with_words
 from msp_lab.gap.terminal import print_findings
 from msp_lab.gap.verdict import verdict
 from msp_sim.model.model import load_model

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from msp_lab.gap.autocorrelation import places
 from msp_lab.gap.cells import partitions
-from msp_lab.gap.measures import HeldOutReadings, measure, replicates
+from msp_lab.gap.measures import HeldOutReadings, measure, places, replicates
 from msp_lab.gap.screen import replicate
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model

@@ -8,14 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.curve_test import Asked, CandidateCurve, asked_of, log_p_of_sums, scan, step_of
-from msp_lab.gap.curves import add_curves, far_curves
+from msp_lab.gap.curves import far_curves
+from msp_lab.gap.estimates import formula
 from msp_lab.gap.findings import FoundEffect
-from msp_lab.gap.formula import formula
 from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import CHANNELS, Prepared
 from msp_lab.gap.problem import Problem, first_state
 from msp_lab.gap.refit import refit
-from msp_lab.gap.splits import draw_splits
+from msp_lab.gap.runs import draw_splits
+from msp_lab.gap.search import add_curves
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects.curve import hats
 from msp_sim.model.model import Model, make_curve_term

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
-from msp_lab.gap.runs import dependence, sample
-from msp_lab.gap.splits import draw_splits
+from msp_lab.gap.runs import dependence, draw_splits, sample
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
 from tests.support.measured import MODEL as FILE

@@ -142,7 +142,7 @@ def test_offsets_of_runs_are_told_from_a_wander_by_the_blocks_inside_runs() -> N
             for row in range(1, rows):
                 wander[:, row] += keeps * wander[:, row - 1]
             p_values[name].append(p_beyond_wander(noise + 0.7 * wander.ravel(), unit))
-    named = {name: np.mean(np.array(found) < rules.BEYOND_WANDER_P) for name, found in p_values.items()}
+    named = {name: np.mean(np.array(found) < rules.WANDER_P) for name, found in p_values.items()}
     assert named == {"quick": 0.0, "slow": 0.0, "offset": 1.0, "still": 0.0}
 
 

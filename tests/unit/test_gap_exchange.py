@@ -11,7 +11,7 @@ from msp_lab.gap import naming
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.problem import Problem, State, _has_its_form, first_state, screened, without
 from msp_lab.gap.refit import refit
-from msp_lab.gap.selection import Selection, select, select_more, settled
+from msp_lab.gap.search import Selection, select, select_more, settled
 from msp_lab.gap.validation import Dropped, Validated
 from msp_range.arrays import numbered
 from msp_range.reading_model.rows import Base
@@ -269,8 +269,8 @@ def test_where_the_only_name_does_not_hold_another_one_is_sought(monkeypatch: py
 
     def without_latency(problem: Problem, state: State, splits: object) -> Validated:
         if "latency" not in [term.key[0] for term in state.terms]:
-            return Validated(state, {}, {})
-        return Validated(first_state(problem), {}, {}, (Dropped(state.terms[0], "for this test"),))
+            return Validated(state, {})
+        return Validated(first_state(problem), {}, (Dropped(state.terms[0], "for this test"),))
 
     monkeypatch.setattr(naming, "validated", without_latency)
     selection, kept = naming._validated(problem, select(problem, 1), cast(Any, None), 1)

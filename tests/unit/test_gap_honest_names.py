@@ -12,7 +12,7 @@ from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.problem import Problem, first_state, screened
 from msp_lab.gap.refit import refit
-from msp_lab.gap.splits import draw_splits
+from msp_lab.gap.runs import draw_splits
 from msp_range.arrays import numbered
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE

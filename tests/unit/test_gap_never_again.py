@@ -13,13 +13,13 @@ import pytest
 import yaml
 
 from msp_lab.gap.before_after import add, compare
+from msp_lab.gap.conclusion import with_words
+from msp_lab.gap.estimates import formula
 from msp_lab.gap.findings import GapFindings, Settings
-from msp_lab.gap.formula import formula
+from msp_lab.gap.findings_file import extended_text
 from msp_lab.gap.intake import Comparison, read_readings
-from msp_lab.gap.model_file import extended_text
 from msp_lab.gap.naming import AllReadings, ExtendedModels, name, name_effects
-from msp_lab.gap.splits import draw_splits
-from msp_lab.gap.summary import with_words
+from msp_lab.gap.runs import draw_splits
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import Model

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from msp_lab.cli import app
 from msp_lab.gap.cells import Partition, partitions
+from msp_lab.gap.conclusion import with_words
 from msp_lab.gap.findings import (
     Alternative,
     FittedValue,
@@ -24,7 +25,6 @@ from msp_lab.gap.findings import (
 from msp_lab.gap.measures import HeldOutReadings
 from msp_lab.gap.pictures import _apart, subjects
 from msp_lab.gap.report import write_report
-from msp_lab.gap.summary import with_words
 from msp_range import __version__
 from msp_range.recording.csv_form import write_csv
 from msp_sim.model.model import load_model

@@ -10,16 +10,16 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from msp_lab.gap.conclusion import with_words
 from msp_lab.gap.curve_test import ripples
-from msp_lab.gap.curves import add_curves
 from msp_lab.gap.extended_model import to_sensor
 from msp_lab.gap.findings import GapFindings
 from msp_lab.gap.naming import AllReadings, name_effects
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, first_state
 from msp_lab.gap.refit import refit
-from msp_lab.gap.splits import draw_splits
-from msp_lab.gap.summary import with_words
+from msp_lab.gap.runs import draw_splits
+from msp_lab.gap.search import add_curves
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.yaml_file import ConfigError
 from msp_sim.effects.curve import Ripple

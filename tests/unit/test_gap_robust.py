@@ -11,7 +11,7 @@ from msp_lab.gap.before_after import add, compare
 from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, Settings
 from msp_lab.gap.intake import Comparison, read_readings
 from msp_lab.gap.naming import AllReadings, NamedModel, name, name_effects
-from msp_lab.gap.splits import draw_splits
+from msp_lab.gap.runs import draw_splits
 from msp_lab.gap.verdict import verdict
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_range.recording.csv_form import write_csv

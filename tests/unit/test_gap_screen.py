@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from msp_lab.gap.candidates import CandidateEffect, candidates_of
-from msp_lab.gap.prepared import BASE, Prepared, ReadingsAtFit
-from msp_lab.gap.profile import Gains
-from msp_lab.gap.screen import ScoreSums, Screen, information_of, replicate, score_matrix, score_sums, screen
+from msp_lab.gap.prepared import BASE, Prepared
+from msp_lab.gap.screen import Gains, ScoreSums, Screen, information_of, replicate, score_matrix, score_sums, screen
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, applies
@@ -243,8 +242,9 @@ def profile(contexts: dict[str, NDArray[np.generic]], reading_cm: Array, asked: 
     simulated = replicate(MODEL, base, [], contexts, np.random.default_rng(5))
     information = information_of(simulated, base, [], TESTED)
     unit = np.zeros(reading_cm.size, dtype=np.intp)
-    readings = ReadingsAtFit(Prepared.of(MODEL, contexts, reading_cm), base, [])
-    return score_sums(readings, TESTED, unit, information).profile(np.array(asked))
+    prepared = Prepared.of(MODEL, contexts, reading_cm)
+    here = prepared.slopes(base, [])
+    return score_sums(prepared, base, here, TESTED, unit, information).profile(np.array(asked))
 
 
 def test_a_search_along_odds_and_shares_finds_their_sign_and_size() -> None:
@@ -271,22 +271,19 @@ def test_a_search_along_odds_and_shares_finds_their_sign_and_size() -> None:
     assert nothing[0] < 7.5
 
 
-def test_gains_of_rare_candidates_are_those_of_the_model_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In parts, of which the last one is shorter, against readings in one part and one number at a time."""
+def test_gains_of_rare_candidates_are_those_of_the_model_with_them() -> None:
     contexts = flown(6, 800) | {"previous_reading_cm": np.full(800, 150.0)}
     reading_cm = plain(contexts, 6)
     reading_cm[::9], reading_cm[5::80] = 765.0, 40.0
     tested, _ = candidates_of(MODEL, contexts)
     base = Base(0.3, 0.1, 0.2, 0.3, -0.2, 0.0, 0.0, 0.0)
     prepared = Prepared.of(MODEL, contexts, reading_cm)
-    scores = score_matrix(prepared, base, [], tested)
+    scores = score_matrix(prepared, prepared.slopes(base, []), tested)
     information = scores.T @ scores / 800
     acts = np.any(scores[:, NB:] != 0.0, axis=0).tolist()
     asked = np.array([j for j, each in enumerate(tested) if each.is_rare and not each.is_base and acts[j]], np.intp)
     unit = np.arange(800) % 3
-    monkeypatch.setattr("msp_lab.gap.prepared.CHUNK", 300)
-    readings = ReadingsAtFit(Prepared.of(MODEL, contexts, reading_cm), base, [])
-    sums = score_sums(readings, tested, unit, information, prior=0.01)
+    sums = score_sums(prepared, base, prepared.slopes(base, []), tested, unit, information, prior=0.01)
     prior = np.append(0.01 * np.array(base) * 800 / 3, np.zeros(len(tested)))
     assert sums.by_unit == pytest.approx(np.array([scores[unit == k].sum(axis=0) - prior for k in range(3)]))
     assert sums.products == pytest.approx(scores.T @ scores)
@@ -329,7 +326,7 @@ def test_scores_of_faults_and_of_squares_are_slopes() -> None:
     prepared = Prepared.of(MODEL, contexts, reading_cm)
     zero = Base()
     here = prepared.log_prob(zero, [])
-    scores = score_matrix(prepared, zero, [], tested)
+    scores = score_matrix(prepared, prepared.slopes(zero, []), tested)
     seen = set()
     for j, candidate in enumerate(tested):
         code = "code" in candidate.effect.channels

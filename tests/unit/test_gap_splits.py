@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm, candidates_of
-from msp_lab.gap.cross_fit import Parts, SumsByRun, recalibrated
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, first_state, reinformed, screened
 from msp_lab.gap.refit import JointFit, refit
-from msp_lab.gap.splits import draw_splits
+from msp_lab.gap.runs import draw_splits
+from msp_lab.gap.validation import CrossFits
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model, make_curve_term
@@ -92,32 +92,28 @@ def test_sums_by_run_say_what_a_fit_of_a_part_does() -> None:
     splits = draw_splits(contexts, np.random.default_rng(1))
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     (latency,) = [each for each in problem.candidates if each.effect.name == "latency"]
-    unit, parts = problem.unit, Parts(problem, splits)
+    unit = problem.unit
     with_it, without_it = problem.refit([latency.at(20.0)], Base()), problem.refit([], Base())
 
     def readings_of(rows: NDArray[np.bool_]) -> Prepared:
         return Prepared.of(MODEL, {name: column[rows] for name, column in contexts.items()}, reading_cm[rows])
 
-    def of_sums(sums: SumsByRun, split: int, exact: bool) -> tuple[float, float]:
+    def of_sums(crossed: CrossFits, split: int, exact: bool) -> tuple[float, float]:
         """Log-likelihood of all runs by the fits without their parts, as they are and with one base for all."""
-        ways = [way for way in parts.ways if way[0] == split]
-        steps = [sums.step(~parts.runs(*way)) for way in ways]
-        assert all(sums.tells(parts.runs(*way), step) for way, step in zip(ways, steps, strict=True))
-        scores = [
-            sums.along(parts, *way) if exact else sums.crossed(parts, *way, step)
-            for way, step in zip(ways, steps, strict=True)
-        ]
-        return float(sum(each.by_run.sum() for each in scores)), recalibrated(scores, np.ones(12, dtype=bool))
+        ways = crossed.ways(split)
+        assert all(crossed.tells(way) for way in ways)
+        whole = crossed.recalibrated(ways, [exact] * len(ways), np.ones(12, dtype=bool))
+        return float(sum(crossed.score(way, exact).by_run.sum() for way in ways)), whole
 
     def of_fits(fit: JointFit, split: int) -> float:
         total = 0.0
         for part in range(rules.PARTS):
-            left_out = parts.runs(split, part)[unit]
+            left_out = (splits.part[split] == part)[unit]
             own = refit(readings_of(~left_out), fit.effects, fit.base)
             total += float(readings_of(left_out).log_prob(own.base, own.effects).sum())
         return total
 
-    sums, before = SumsByRun(with_it, unit, 12), SumsByRun(without_it, unit, 12)
+    sums, before = CrossFits(problem, splits, with_it), CrossFits(problem, splits, without_it)
     for split in range(3):
         expected = of_fits(with_it, split) - of_fits(without_it, split)
         assert expected > 150.0
@@ -142,20 +138,20 @@ def test_of_a_run_that_alone_has_the_cause_a_fit_of_the_others_knows_nothing() -
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     (one_run,) = [each for each in problem.candidates if each.key == ("session_offset", "run03")]
     fit = problem.refit([one_run.at(0.5)], Base())
-    offset = SumsByRun(fit, problem.unit, 12)
+    offset = CrossFits(problem, splits, fit)
     left_out = np.arange(12) == 3
     assert offset.learnt(left_out, ["0.offset_cm"])[3] < 1e-4
     assert offset.learnt(np.arange(12) == 4, ["0.offset_cm"])[3] == pytest.approx(1.0, abs=0.02)
     # It stays as it is then, whatever the rounding of sums: a part without the run has no opinion of it.
     rounded = replace(fit, slopes=lambda: fit.at._replace(information=fit.at.information * (1.0 + 1e-12)))
-    assert SumsByRun(rounded, problem.unit, 12).step(~left_out)[-1] == 0.0
+    assert CrossFits(problem, splits, rounded).step(~left_out)[-1] == 0.0
     # Of the end of a curve that one run alone reaches as little; of the rest the others know nearly all.
     far = np.where(contexts["run"] == "run03", 500.0, contexts["true_range_cm"])
     contexts = {**contexts, "true_range_cm": far}
     reading_cm = np.array(sensor().readings(far.tolist(), 6))
     problem = Problem.of(MODEL, contexts, reading_cm, splits.unit, np.random.default_rng(1))
     curve = make_curve_term("bias", ("true_range_cm",), ((60.0, 200.0, 350.0, 500.0),), [0.1, 0.0, 0.1, 0.2])
-    sums = SumsByRun(problem.refit([curve], Base()), problem.unit, 12)
+    sums = CrossFits(problem, splits, problem.refit([curve], Base()))
     values = [f"0.value_{k}" for k in range(4)]
     assert sums.learnt(left_out, values)[3] < rules.LEARNT_SHARE
     others = sums.learnt(np.arange(12) == 4, values)

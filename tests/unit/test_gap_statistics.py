@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from msp_lab.gap import runs
 from msp_lab.gap.candidates import candidates_of
+from msp_lab.gap.estimates import formula
 from msp_lab.gap.extended_model import to_sensor
-from msp_lab.gap.formula import formula
 from msp_lab.gap.naming import AllReadings, NamedModel, name_effects
 from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import refit
+from msp_lab.gap.runs import draw_splits
 from msp_lab.gap.screen import score_matrix
-from msp_lab.gap.splits import draw_splits
 from msp_lab.gap.validation import gain
 from msp_range.arrays import numbered
 from msp_range.reading_model.rows import Base
@@ -117,7 +117,7 @@ def test_scores_are_derivatives_of_the_log_probability() -> None:
     tested, missing = candidates_of(MODEL, contexts)
     assert ("humidity", ("humidity_pct",)) in missing
     prepared = Prepared.of(MODEL, contexts, reading_cm)
-    scores = score_matrix(prepared, Base(), [], tested)
+    scores = score_matrix(prepared, prepared.slopes(Base(), []), tested)
     here = prepared.log_prob(Base(), [])
     for j, candidate in enumerate(tested):
         if candidate.parameter.power != 1 or "code" in candidate.effect.channels:

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msp_lab.gap.age import mean_hold_s, reading_age
-from msp_lab.gap.autocorrelation import residual_autocorrelation
-from msp_lab.gap.causes import possible_causes
+from msp_lab.gap.before_after import mean_hold_s, possible_causes, reading_age
+from msp_lab.gap.conclusion import with_words
 from msp_lab.gap.findings import (
     Alternative,
     CalibrationFinding,
@@ -19,9 +18,8 @@ from msp_lab.gap.findings import (
     ReadingAge,
     UnknownEffect,
 )
-from msp_lab.gap.measures import HeldOutReadings
+from msp_lab.gap.measures import HeldOutReadings, residual_autocorrelation
 from msp_lab.gap.runs import previous
-from msp_lab.gap.summary import with_words
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.own import effects_of_file

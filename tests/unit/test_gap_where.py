@@ -9,8 +9,7 @@ import pytest
 from msp_lab.gap.cells import partitions
 from msp_lab.gap.findings import FittedValue, FoundEffect, GapFindings, UnknownEffect, Verdict
 from msp_lab.gap.measures import HeldOutReadings, Measures, measure, replicates
-from msp_lab.gap.slices import ranked
-from msp_lab.gap.where import located
+from msp_lab.gap.slices import located, ranked
 from msp_sim.model.model import Model, Term, load_model, make_curve_term, make_term
 from tests.support.measured import MODEL, readings
 

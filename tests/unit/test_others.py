@@ -13,7 +13,7 @@ from msp_lab.characterise.mixture import fit_mixture
 from msp_lab.characterise.points import sort_into_points
 from msp_lab.gap.candidates import COMMON, candidates_of
 from msp_lab.gap.findings import FoundEffect, GapFindings, Settings
-from msp_lab.gap.sensors import compare_sensors
+from msp_lab.gap.separate import compare_sensors
 from msp_lab.gap.steps import Steps
 from msp_lab.readings.intake import load_readings
 from msp_lab.readings.others import Mounting, side_by_side, with_others_as_reference

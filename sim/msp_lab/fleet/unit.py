@@ -21,7 +21,7 @@ from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.problem import Problem, State, screened, with_candidate
 from msp_lab.gap.refit import JointFit, sums_by
-from msp_lab.gap.selection import Selection, add_effects, settled
+from msp_lab.gap.search import Selection, add_effects, settled
 from msp_range.arrays import Array, numbered
 from msp_range.errors import UserError
 from msp_sim.model.model import Model

@@ -2,26 +2,58 @@
 
 `GapFindings` have the verdict on a comparison with its models. Both gaps are measured on the same half of the runs, the
 second one with a fit of the other half alone.
+
+How old a reading is when it is used follows: latency and repeated readings are two effects with two numbers, but what
+flies feels their sum. And why a number of the base may be another one, where the readings cannot say: the effects that
+would change it, with the column that did not vary. A gap that calibration closes is absorbed, not explained: more
+scatter over a throttle that never changes is rotor noise or is not.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.age import reading_age
-from msp_lab.gap.causes import possible_causes
-from msp_lab.gap.findings import Gap, GapFindings, Measure, OddsMeasures, PathStep
+from msp_lab.gap.alternatives import SPANS
+from msp_lab.gap.findings import (
+    CalibrationFinding,
+    Gap,
+    GapFindings,
+    Measure,
+    OddsMeasures,
+    PathStep,
+    PossibleCause,
+    ReadingAge,
+)
 from msp_lab.gap.intake import Comparison
-from msp_lab.gap.measures import Measures, log_score, measure, replicates, usable
+from msp_lab.gap.measures import HeldOutReadings, Measures, log_score, measure, replicates, usable
 from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.slices import ranked, remeasured
+from msp_lab.gap.runs import known_values, reading_before
+from msp_lab.gap.slices import located, ranked, remeasured
 from msp_lab.gap.verdict import verdict
-from msp_lab.gap.where import located
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT
+from msp_sim.effects import CATALOGUE
+from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect
+from msp_sim.effects.latency import LATENCY
+from msp_sim.effects.stale import STALE
 from msp_sim.model.model import Model
+
+CHANNELS: Mapping[str, Channel] = {
+    "offset_cm": "bias",
+    "sigma_cm": "spread",
+    "short": "short",
+    "missed": "missed",
+    "random": "random",
+}
+"""What a number of the base changes; the last part of its name. Other numbers (correlation, tails) have no such causes.
+"""
+VARIED_SHARE = 1.0 / 3.0
+"""A column has varied enough to show an effect if nine of ten readings spread over this share of what can reasonably be
+varied (`SPANS`); below that a change of the base's number fits as well. With 1/4 to 1/2 the recorded flights of the
+tests read the same."""
 
 
 def compare(comparison: Comparison, date: str, report: Progress) -> GapFindings:
@@ -111,3 +143,101 @@ def _gap(measured: Measures, impossible: float, before: Gap | None = None) -> Ga
 
 def _known(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
+
+
+def reading_age(findings: GapFindings, model: Model, readings: HeldOutReadings) -> ReadingAge | None:
+    """Add the mean hold to the latency; None where not both were found.
+
+    Parameters
+    ----------
+    findings
+        With the effects.
+    model
+        With what was added.
+    readings
+        With times, on which the hold is measured.
+    """
+    found: Mapping[str, float] = {
+        each.name: next(iter(each.parameters.values())).value for each in findings.confirmed if each.parameters
+    }
+    if not {LATENCY.name, STALE.name} <= found.keys() or "time_s" not in readings.contexts:
+        return None
+    return ReadingAge(found[LATENCY.name] / 1000.0, mean_hold_s(model, readings))
+
+
+def mean_hold_s(model: Model, readings: HeldOutReadings) -> float:
+    """Mean time since a reading's value was new [s].
+
+    A reading is a repeat with the probability p that it has under the model with repeats and without, so that a value
+    that comes twice by itself does not count as held: h_i = p_i (h_before + t_i - t_before).
+
+    Parameters
+    ----------
+    model
+        With `stale`.
+    readings
+        With times.
+    """
+    fresh = replace(model, effects=tuple(each for each in model.effects if each.effect is not STALE))
+    log_share = np.log1p(-_share(model)) + fresh.log_prob(readings.reading_cm, readings.contexts)
+    repeat = -np.expm1(np.minimum(log_share - model.log_prob(readings.reading_cm, readings.contexts), 0.0))
+    n = len(readings)
+    before, elapsed_s = reading_before(readings.contexts, n)
+    hold_s = np.zeros(n)
+    for i in np.argsort(readings.contexts["time_s"], kind="stable").tolist():
+        j = int(before[i])
+        if j >= 0 and readings.reading_cm[i] == readings.reading_cm[j]:
+            hold_s[i] = repeat[i] * (hold_s[j] + elapsed_s[i])
+    return float(hold_s.mean())
+
+
+def _share(model: Model) -> float:
+    return next(each.values["share"] for each in model.effects if each.effect is STALE)
+
+
+def possible_causes(
+    calibration: Iterable[CalibrationFinding], model: Model, contexts: Mapping[str, Any]
+) -> tuple[PossibleCause, ...]:
+    """Effects that calibration may have absorbed, those first whose column explains most numbers.
+
+    Parameters
+    ----------
+    calibration
+        Numbers of the base that were found to be others.
+    model
+        The given model.
+    contexts
+        Columns of the readings, (n,) each.
+    """
+    found = [cause for each in calibration for cause in _causes_of(each.name, model, contexts)]
+    columns = [each.column for each in found]
+    return tuple(sorted(found, key=lambda each: (not each.recorded, -columns.count(each.column))))
+
+
+def _causes_of(number: str, model: Model, contexts: Mapping[str, Any]) -> Iterator[PossibleCause]:
+    channel = CHANNELS.get(number.rpartition(".")[2])
+    known = {each.effect.name for each in model.effects}
+    for effect in CATALOGUE.values():
+        if channel not in effect.channels or effect.name in known or not effect.happens_to(model.sensor):
+            continue
+        lacking = [each for each in _special(effect) if not _varied(each, contexts)]
+        if len(lacking) == 1:
+            yield PossibleCause(number, effect.name, lacking[0], lacking[0] in contexts, effect.experiment)
+
+
+def _special(effect: Effect) -> list[str]:
+    """Columns that show the effect; a word cannot be varied, and the range always is."""
+    return [each for each in effect.requires if each not in WORD_COLUMNS and each != TRUE_RANGE]
+
+
+def _varied(column: str, contexts: Mapping[str, Any]) -> bool:
+    if column not in contexts:
+        return False
+    values = known_values(contexts[column])
+    if not values.size:
+        return False
+    spread = float(np.ptp(np.quantile(values, [0.05, 0.95])))
+    if column not in SPANS:
+        return spread > 0.0
+    low, high = SPANS[column]
+    return spread >= VARIED_SHARE * (high - low)

@@ -52,7 +52,7 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     n log(n / m) - (n - m).
     """
     rows, sensor = fit.here.rows, prepared.scene.sensor
-    far = prepared.reading_cm < rows.centre_cm - rules.GATHERED_SIGMAS * rows.sigma_cm
+    far = prepared.reading_cm < rows.centre_cm - rules.FAR_SIGMAS * rows.sigma_cm
     near = np.sort(prepared.reading_cm[far & (prepared.reading_cm > sensor.minimum_cm)])
     places = np.unique(near)
 

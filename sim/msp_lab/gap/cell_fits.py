@@ -3,20 +3,23 @@
 For each cell a shift of the hits, a factor of their spread and odds of short, missed and random readings are fitted by
 maximum likelihood to the distribution of readings, with what they gain and how much of that is random variation. The
 errors are those of the units: the runs or blocks of readings that depend on each other.
+
+Where readings of a run depend on each other, scores are summed by unit, and their totals drawn again by a multiplier
+bootstrap over units (Chernozhukov, Chetverikov & Kato 2013, Annals of Statistics 41). Tables that a model draws show no
+dependence.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
 from typing import NamedTuple
 
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.bootstrap import unit_variance
 from msp_lab.gap.cells import Stack
 from msp_lab.gap.prepared import CHANNELS
-from msp_range.arrays import Array, Indices
+from msp_lab.gap.refit import sums_by
+from msp_range.arrays import Array, Flags, Indices, numbered
 from msp_range.reading_model.rows import Base
 from msp_sim.model.rows import ModelRows
 
@@ -27,7 +30,6 @@ SHORTER = (1.0, 0.3, 0.05)
 """A step that makes the fit worse is tried again at these lengths."""
 ENOUGH_NATS = 0.005
 """A cell that gains less in a step is done: the smallest gap that counts, of one reading."""
-PAIRS = tuple(combinations_with_replacement(range(len(CHANNELS)), 2))
 
 
 @dataclass(frozen=True)
@@ -100,24 +102,17 @@ def scores_of(rows: ModelRows, reading_cm: Array, numbers: Array | None = None) 
     return log_p, scores
 
 
-def products(scores: Array) -> Array:
-    """Scores, and their products two by two: (n, 5 + 15)."""
-    # Column by column: columns that are whole in memory are multiplied several times as fast.
-    size = len(CHANNELS)
-    columns = np.empty((size + len(PAIRS), scores.shape[0]))
-    columns[:size] = scores.T
-    for k, (left, right) in enumerate(PAIRS, start=size):
-        np.multiply(columns[left], columns[right], out=columns[k])
-    return np.ascontiguousarray(columns.T)
+def outer_sums(scores: Array, counts: Indices) -> Array:
+    """Sums of the products of the scores with each other in each cell, (K, m, m).
 
-
-def apart(sums: Array) -> tuple[Array, Array]:
-    """From sums of `products` (K, 20) those of the scores (K, 5), and of their outer products (K, 5, 5)."""
-    size = len(CHANNELS)
-    left, right = np.array(PAIRS).T
-    outer = np.empty((sums.shape[0], size, size))
-    outer[:, left, right] = outer[:, right, left] = sums[:, size:]
-    return sums[:, :size], outer
+    Parameters
+    ----------
+    scores
+        Cell by cell, (N, m).
+    counts
+        Readings of each cell, (K,).
+    """
+    return np.array([each.T @ each for each in np.split(scores, np.cumsum(counts)[:-1])])
 
 
 def one_step(total: Array, information: Array, stack: Stack, sigma_cm: Array, by_unit: Array | None = None) -> CellFits:
@@ -233,8 +228,7 @@ class _Cells:
     def at(self, numbers: Array) -> _Posterior:
         """The posterior with these numbers, (K, 5)."""
         log_p, scores = scores_of(self.rows, self.reading_cm, np.repeat(numbers, self.counts, axis=0))
-        log_sum, sums = self._sums(log_p), self._sums(products(scores))
-        total, information = apart(sums)
+        log_sum, total, information = self._sums(log_p), self._sums(scores), outer_sums(scores, self.counts)
         prior = numbers @ PRIOR
         return _Posterior(log_sum - 0.5 * np.einsum("ki,ki->k", numbers, prior), total - prior, information + PRIOR)
 
@@ -257,7 +251,8 @@ def _robust_start(cells: _Cells) -> tuple[Array, Array]:
     low, middle, high = quantiles_of(off, hits, (0.25, 0.5, 0.75))
     (usual_cm,) = quantiles_of(rows.centre_cm[usual], hits, (0.5,))
     sigma_cm = np.bincount(cell, rows.sigma_cm, cells.counts.size) / np.maximum(cells.counts, 1)
-    most = (rules.CELL_MAX_BIAS_CM + rules.CELL_MAX_BIAS_SHARE * np.maximum(usual_cm, 0.0)) / np.maximum(sigma_cm, 1e-9)
+    window_cm, window_share = rules.HIT_WINDOW
+    most = (window_cm + window_share * np.maximum(usual_cm, 0.0)) / np.maximum(sigma_cm, 1e-9)
     known = (hits >= rules.CELL_MIN_HITS) & (np.abs(middle) <= most)
     numbers = np.zeros((cells.counts.size, len(CHANNELS)))
     numbers[known, 0] = middle[known]
@@ -277,3 +272,99 @@ def scale_of(stack: Stack, sigma_cm: Array) -> Array:
     scale = np.ones((len(stack), len(CHANNELS)))
     scale[:, 0] = stack.sums(sigma_cm) / np.maximum(stack.counts, 1)
     return scale
+
+
+def unit_sums(scores: Array, unit: Indices, stack: Stack) -> tuple[Array, Array, Indices]:
+    """Sums of the scores of each cell's units (K, U, m); the same about their mean; units that are in a cell (K,).
+
+    Parameters
+    ----------
+    scores
+        Cell by cell, (N, m).
+    unit
+        Readings of the same number depend on each other, (n,).
+    stack
+        The cells.
+    """
+    unit = _pooled(unit)
+    cells, units = len(stack), int(unit.max()) + 1
+    key = np.repeat(np.arange(cells), stack.counts) * units + unit[stack.readings]
+    per_cell = sums_by(key, scores, cells * units).reshape(cells, units, scores.shape[1])
+    size = np.bincount(key, minlength=cells * units).reshape(cells, units)
+    there = (size > 0.0).sum(axis=1).astype(np.intp)
+    mean = per_cell.sum(axis=1) / np.maximum(stack.counts, 1)[:, None]
+    # A gap must not look like scatter.
+    return per_cell, per_cell - size[:, :, None] * mean[:, None, :], there
+
+
+def unit_variance(scores: Array, unit: Indices, stack: Stack, given: Array) -> tuple[Array, Flags]:
+    """Variance of each cell's sum of scores by units, (K, m, m), and which cells have too few units of their own, (K,).
+
+    Parameters
+    ----------
+    scores, unit, stack
+        As for `unit_sums`.
+    given
+        Scores of each reading at the model as it is, (n, m), for where all cells have few units. What few units share
+        is taken to be as in the other cells.
+    """
+    _, about_mean, there = unit_sums(scores, unit, stack)
+    found = np.einsum("kui,kuj->kij", about_mean, about_mean, optimize=True)
+    found *= (there / np.maximum(there - 1, 1))[:, None, None]
+    few = there < rules.MIN_CELL_UNITS
+    if few.all():
+        sums = sums_by(numbered(unit), given - given.mean(axis=0))
+        usual = sums.T @ sums * (len(sums) / max(len(sums) - 1, 1) / len(given))
+    else:
+        # Of scores at the free fit: at the model as it is, the gap itself would look like scatter.
+        usual = found[~few].sum(axis=0) / stack.counts[~few].sum()
+    found[few] = stack.counts[few, None, None] * usual
+    return np.asarray(found, dtype=np.float64), few
+
+
+def inflation_of_units(about_mean: Array, there: Indices, squares: Array) -> Array:
+    """How many times units inflate the variance of a sum of scores, (m,), from the cells that have enough of them.
+
+    Parameters
+    ----------
+    about_mean, there
+        From `unit_sums`.
+    squares
+        Sums of each cell's squared scores, (K, m).
+    """
+    enough = there >= rules.MIN_CELL_UNITS
+    if not enough.any():
+        # Nothing is known of it: nothing is certain.
+        return np.full(squares.shape[1], np.inf)
+    of_units = (about_mean[enough] ** 2).sum(axis=(0, 1))
+    inflation: Array = np.maximum(of_units / np.maximum(squares[enough].sum(axis=0), 1e-12), 1.0)
+    return inflation
+
+
+def drawn_sums(about_mean: Array, there: Indices, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Totals of the scores as they might be with nothing missing (draws, K, m); their variance by units, as it is seen.
+
+    Parameters
+    ----------
+    about_mean, there
+        From `unit_sums`. Cells with few units show nothing.
+    draws, rng
+        How many, and the random generator.
+    """
+    cells, units, numbers = about_mean.shape
+    correction = np.where(there < rules.MIN_CELL_UNITS, 0.0, there / np.maximum(there - 1, 1))
+    about_mean = about_mean * np.sqrt(correction)[:, None, None]
+    by_unit = np.moveaxis(about_mean, 1, 0)
+    weight = rng.standard_normal((draws, units))
+    totals = weight @ by_unit.reshape(units, -1)
+    # Of normal numbers the mean says nothing of the scatter.
+    weight = rng.standard_normal((draws, units))
+    weight -= weight.mean(axis=1, keepdims=True)
+    squares = weight**2 @ (by_unit[:, :, :, None] * by_unit[:, :, None, :]).reshape(units, -1)
+    return totals.reshape(draws, cells, numbers), squares.reshape(draws, cells, numbers, numbers)
+
+
+def _pooled(unit: Indices) -> Indices:
+    index = numbered(unit)
+    count = int(index.max()) + 1
+    return index if count <= rules.MAX_UNITS else index * rules.MAX_UNITS // count

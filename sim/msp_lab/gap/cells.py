@@ -112,7 +112,7 @@ def partitions(
     size = len(next(iter(contexts.values())))
     names = varying(contexts) if variables is None else [name for name in variables if name in contexts]
     whole = Partition((), ("all readings",), np.zeros(size, dtype=np.intp))
-    bins = int(np.clip(size // (rules.MIN_CELL_READINGS + size // 50), 2, rules.MAX_BINS))
+    bins = int(np.clip(size // (rules.MIN_CELL_READINGS + size // 50), 2, rules.KNOTS[-1]))
     single = [each for name in names if (each := _split(name, contexts[name], bins)) is not None]
     found = [whole, *single]
     if pairs:

@@ -182,7 +182,7 @@ def _run_separately(
 def _run_sensors(measured: list[Path], settings: Settings, out: Path, draw: bool) -> None:
     """Compare each sensor with the others, and print what was found at each."""
     with _progress() as progress:
-        from msp_lab.gap.sensors import compare_sensors
+        from msp_lab.gap.separate import compare_sensors
         from msp_lab.gap.steps import Steps
         from msp_lab.gap.terminal import print_sensors
 

@@ -21,12 +21,12 @@ from scipy.special import log_ndtr
 from msp_lab.gap import rules
 from msp_lab.gap.prepared import CHANNELS, ODDS_CHANNELS, ChannelSlopes
 from msp_lab.gap.refit import JointFit
-from msp_lab.gap.runs import is_known, known_values, spacing_s
+from msp_lab.gap.runs import NO_CONTEXT, is_known, known_values, spacing_s
 from msp_range.arrays import Array, Column, Indices
 from msp_sim.effects.base import REFERENCE_STD, TRUE_RANGE
 from msp_sim.effects.curve import CurveChannel, Knots, Ripple, hats
 
-NO_VARIABLES = frozenset({"time_s", "reading_cm", "run", "previous_reading_cm", "condition", REFERENCE_STD})
+NO_VARIABLES = NO_CONTEXT | {"run", "condition", REFERENCE_STD}
 STEP_HALF = 1e-4
 """Half the distance of the two knots of a step, as a share of the column's span: hardly a reading is between them."""
 STEP_PLACES = 60
@@ -149,7 +149,7 @@ def scan(
     never came only the prior is known, and its scores would stand for any channel's.
     """
     events = {channel: float((fit.here.by[:, CHANNELS.index(channel)] ** 2).sum()) for channel in channels}
-    most = {channel: number / rules.MIN_EVENTS_PER_DEGREE for channel, number in events.items()}
+    most = {channel: number / rules.FEW_READINGS for channel, number in events.items()}
     all_scores = {channel: _Scores.of(fit, channel) for channel in channels if most[channel] >= 1.0}
     tests, weights, sums = [], [], []
     for variables, forms in asked:

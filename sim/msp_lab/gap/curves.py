@@ -12,7 +12,6 @@ from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
 from msp_lab.gap.curve_test import STEP_PLACES, CandidateCurve, degrees_of, log_p_of, ripples, scan, step_of
 from msp_lab.gap.evidence import offsets_of, shift_between
-from msp_lab.gap.exchange import eliminate
 from msp_lab.gap.findings import Alternative
 from msp_lab.gap.problem import Problem, State, loss, screened, trials, with_terms
 from msp_lab.gap.refit import has_range
@@ -21,29 +20,17 @@ from msp_sim.effects.curve import MAX_VALUE, Knots, Ripple, hats
 from msp_sim.model.model import make_curve_term
 
 
-def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
-    """Add curves for what no effect explains, up to so many terms; the same state is returned where nothing changes.
-
-    One that makes another term needless takes its place, and so it is asked where there is no room for one more, too.
-    """
-    problem.report("searching what no effect explains", 0.5)
+def next_curve(problem: Problem, state: State) -> State | None:
+    """The state with one more curve for what it leaves; None where there is none."""
     contexts, (singles, pairs) = problem.contexts, problem.curves_asked
-    for _ in range(min(most, rules.MAX_CURVES)):
-        found = _curve_of_runs(problem, state) or _likeliest_curve(
-            problem,
-            state,
-            scan(contexts, singles, state.fit),
-            scan(contexts, pairs, state.fit),
-            far_curves(problem, state),
-            ripples(contexts, state.fit.here),
-        )
-        if found is None:
-            break
-        found = eliminate(problem, found, needed_nats)
-        if len(found.terms) > most:
-            break
-        state = found
-    return state
+    return _curve_of_runs(problem, state) or _likeliest_curve(
+        problem,
+        state,
+        scan(contexts, singles, state.fit),
+        scan(contexts, pairs, state.fit),
+        far_curves(problem, state),
+        ripples(contexts, state.fit.here),
+    )
 
 
 def _curve_of_runs(problem: Problem, state: State) -> State | None:
@@ -188,13 +175,12 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
     for term in [each for each in state.terms if each.active.shape is not None]:
         less = with_terms(problem, state, [each for each in state.terms if each.key != term.key])
         least = max(rules.FORM_SHARE * loss(problem, less.fit, state), needed_nats)
-        found = trials(problem, less, screened(problem, less), rules.SCREEN_KEEPS * least)
+        found = trials(problem, less, screened(problem, less), rules.KEEP_SHARE * least)
         for each in found:
             assert term.active.shape is not None
             effect = each.term.active.effect
             if each.gain_nats >= least and effect.per != "run" and term.active.shape[0] in effect.channels:
                 state = less.having(each.fit, [*less.terms, each.term])
-                state = state.logging(f"{each.term.label} in place of {term.label}")
                 break
     return state
 
@@ -206,4 +192,4 @@ def _with_curve(problem: Problem, state: State, form: CandidateCurve, knots: tup
     added = SelectedTerm(active, None)
     terms = [*(each for each in state.terms if each.key != added.key), added]
     fit = problem.refit([each.active for each in terms], state.fit.base)
-    return state.having(fit, terms).logging(f"added the curve {added.label}")
+    return state.having(fit, terms)

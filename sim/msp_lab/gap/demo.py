@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from msp_lab.gap.findings import FittedValue, GapFindings, Settings
-from msp_lab.gap.model_file import MODEL
+from msp_lab.gap.findings_file import MODEL
 from msp_lab.gap.steps import Steps
 from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.flight.scenario import load_scenario

@@ -4,18 +4,17 @@ They are those of the validated terms in the fit of all runs.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
 from scipy.special import stdtrit
 
-from msp_lab.gap import experiment, rules
+from msp_lab.gap import rules
+from msp_lab.gap.alternatives import AlternativeTerm, to_tell_apart
 from msp_lab.gap.candidates import CandidateEffect, Key, SelectedTerm
-from msp_lab.gap.exchange import AlternativeTerm
 from msp_lab.gap.findings import Alternative, CalibrationFinding, FittedValue, FoundEffect, UnknownEffect
-from msp_lab.gap.formula import formula
 from msp_lab.gap.labels import size_label, unit_after, unit_of
 from msp_lab.gap.prepared import BASE, Prepared, knot_weights
 from msp_lab.gap.problem import Problem
@@ -94,11 +93,12 @@ def found_terms(
     for term, active in zip(validated.state.terms, final.fit.effects, strict=True):
         own = slice(place, place + len(active.effect.parameters))
         place = own.stop
-        gained = validated.gains[term.key]
+        agreement = validated.agreement[term.key]
+        gained = agreement.gain
         if active.shape is not None:
             found = _unknown_effect(active, final.widened[own, own], gained, final.readings)
-            agree = validated.agree[term.key]
-            unknown.append(replace(found, likely_causes=_likely_causes(problem, found), splits_agree=agree))
+            causes = _likely_causes(problem, found)
+            unknown.append(replace(found, likely_causes=causes, splits_agree=agreement.share))
             continue
         near = alternatives.get(term.key, ())
         values = _values(active, final.half_widths[own])
@@ -124,10 +124,10 @@ def found_terms(
                     Alternative(each.active.effect.name, each.loss_nats, each.correlation, each.active.of)
                     for each in near
                 ),
-                experiment.to_tell_apart(problem, base_fit, term, near) if near else active.effect.experiment,
+                to_tell_apart(problem, base_fit, term, near) if near else active.effect.experiment,
                 active.of,
                 doubt,
-                splits_agree=validated.agree[term.key],
+                splits_agree=agreement.share,
                 in_model=any(
                     (each.effect.name, each.of) == (active.effect.name, active.of) for each in problem.model.effects
                 ),
@@ -141,7 +141,7 @@ def _is_beyond_bench(base: str, number: FittedValue, width: float) -> bool:
     if base not in rules.BENCH_ERROR or number.low is None or number.high is None:
         return False
     error = np.hypot((number.high - number.low) / (2.0 * width), rules.BENCH_ERROR[base])
-    return bool(number.value > rules.BEYOND_BENCH_Z * error)
+    return bool(number.value > rules.SURE_Z * error)
 
 
 def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedValue:
@@ -298,3 +298,54 @@ def detectable(problem: Problem, first: Screen) -> str:
         if smallest < parameter.high - parameter.low and (key not in least or smallest < least[key][0]):
             least[key] = smallest, parameter.unit
     return "; ".join(f"{effect} above {size_label(name, *size)}" for (effect, name), size in least.items())
+
+
+def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
+    """The shortest form of a small grammar that goes through a curve, with its numbers.
+
+    Parameters
+    ----------
+    variable
+        Its name.
+    at, values, deviation
+        Knots, values there and their standard errors, (k,).
+    """
+    weight = 1.0 / np.maximum(deviation, 1e-9 + 1e-3 * np.abs(values).max(initial=0.0)) ** 2
+    span = float(at[-1] - at[0]) or 1.0
+    best: tuple[float, str] | None = None
+    for text, columns, shapes in _grammar(variable, at, span):
+        design = np.column_stack([np.ones(at.size), *columns])
+        root = np.sqrt(weight)
+        solution = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
+        misfit = float((weight * (values - design @ solution) ** 2).sum())
+        cost = misfit + 2.0 * (design.shape[1] + shapes)
+        if best is None or cost < best[0] - 1e-9:
+            best = (cost, text.format(*(f"{each:.3g}" for each in solution)))
+    return best[1].replace("+ -", "- ") if best else ""
+
+
+def _grammar(variable: str, at: Array, span: float) -> Iterator[tuple[str, list[Array], int]]:
+    yield f"{{0}} + {{1}} {variable}", [at], 0
+    yield f"{{0}} + {{1}} {variable} + {{2}} {variable}^2", [at, at**2], 0
+    for cycles in (0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0):
+        wave = 2.0 * np.pi * cycles / span
+        yield (
+            f"{{0}} + {{1}} sin({wave:.3g} {variable}) + {{2}} cos({wave:.3g} {variable})",
+            [np.sin(wave * at), np.cos(wave * at)],
+            1,
+        )
+    for middle in (at[:-1] + at[1:]) / 2.0:
+        yield f"{{0}} + {{1}} [{variable} > {middle:.3g}]", [(at > middle).astype(float)], 1
+        yield (
+            f"{{0}} + {{1}} tanh(({variable} - {middle:.3g}) / {span / 8:.3g})",
+            [np.tanh((at - middle) / (span / 8))],
+            2,
+        )
+    for length in (span / 8, span / 4, span / 2):
+        yield (
+            f"{{0}} + {{1}} exp(-{variable} / {length:.3g})",
+            [np.exp(-(at - at[0]) / length) * np.exp(-at[0] / length)],
+            1,
+        )
+    if variable.endswith("_deg") and np.all(np.abs(at) < 80.0):
+        yield f"{{0}} + {{1}} / cos({variable})", [1.0 / np.cos(np.radians(at))], 0

@@ -12,8 +12,15 @@ which the two fits differ.
 The normal model can put down to offsets what an effect explains as well, above all where blocks of one run stand in for
 runs. So a gain counts for at least what its own scatter over whole runs says: the plain gain over the variance of its
 sums by run, relative to that of as many independent readings, again by Student's t.
+
+A component or a fault of the code changes each reading with its share, whatever happened to the one before. Then the
+slopes of the readings' log probabilities by that share are independent about 0, where the share is fitted and whatever
+its contexts. Where an object stands in the beam for a while, or a few values come again and again, slopes of one sign
+are next to each other: their sums over blocks of neighbours scatter by more than their own squares, and the candidate's
+gain counts by that ratio less (the variance of a sum of clusters; Liang & Zeger 1986, Biometrika 73, 13).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +28,8 @@ from scipy.special import chdtrc, ndtri, stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.refit import JointFit
-from msp_lab.gap.runs import Dependence, places_in, share_between
-from msp_range.arrays import Array, Flags, Indices
+from msp_lab.gap.runs import places_in, share_between
+from msp_range.arrays import Array, Flags, Indices, numbered
 
 RATIO_GRID = np.geomspace(1e-6, 1e4, 101)
 """Variances between runs at which the likelihood is computed, over the variance within them."""
@@ -118,7 +125,7 @@ def blocks_of(unit: Indices, parts: int = rules.WANDER_BLOCKS) -> Indices:
     return unit * parts + places_in(unit) * parts // np.bincount(unit)[unit]
 
 
-def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, left: Dependence | None = None) -> float:
+def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None) -> float:
     """Gain of the larger fit over the smaller one [nat].
 
     Parameters
@@ -127,8 +134,6 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, lef
         Fits of the same readings.
     unit
         Run of each reading; None: readings are independent, and the gain is that of the log-likelihood.
-    left
-        Dependence inside runs that the larger fit leaves: the gain counts by as many independent readings.
     """
     plain = larger.log_likelihood - smaller.log_likelihood
     if unit is None:
@@ -138,10 +143,7 @@ def evidence_nats(smaller: JointFit, larger: JointFit, unit: Indices | None, lef
     if gained > 0.0:
         inside = min((1.0 - shift_between(smaller, larger, unit)) * plain, gained)
         gained = inside / wander_inflation(smaller, larger, unit) + _between(gained - inside, runs)
-    gained = max(gained, _by_scatter(plain / _inflation(larger.here.log_p - smaller.here.log_p, unit), runs))
-    if left is not None and left.lag_z > rules.INDEPENDENT_LAG_Z:
-        gained *= (1.0 - left.lag_correlation) / (1.0 + left.lag_correlation)
-    return gained
+    return max(gained, _by_scatter(plain / _inflation(larger.here.log_p - smaller.here.log_p, unit), runs))
 
 
 def lead_nats(one: JointFit, other: JointFit, unit: Indices | None) -> float:
@@ -197,3 +199,43 @@ def _between(nats: float, runs: int) -> float:
     if freedom < 1 or nats <= 0.0:
         return 0.0
     return _by_scatter(0.5 * freedom * float(np.expm1(min(2.0 * nats / runs, 500.0))), runs)
+
+
+def clumping(slope: Array, run: Indices, alike: Array | None = None) -> float:
+    """By how much sums of the slopes over clusters scatter more than those of independent readings, at least 1.
+
+    Parameters
+    ----------
+    slope
+        Of each reading's log probability by the share of a candidate, where it is fitted, (n,).
+    run
+        Number of each reading's run, (n,); readings of a run are in their order.
+    alike
+        Readings of one value are one cluster, (n,): of a fault what it makes of each reading. It moves probability
+        within these alone, so that their slopes have a mean of 0. None: clusters in time only.
+    """
+    clusters = list(_blocks(run))
+    if alike is not None:
+        clusters.append(numbered(alike))
+    return max([1.0, *(_ratio(slope, each) for each in clusters)])
+
+
+def _blocks(run: Indices) -> Iterator[Indices]:
+    """Blocks of 2, 4, 8 ... neighbours of a run, as long as there are enough of them."""
+    counts, place, length = np.bincount(run), places_in(run), 2
+    while (-(-counts // length)).sum() >= rules.RUN_BLOCKS and length <= counts.max():
+        of_run = -(-int(counts.max()) // length)
+        yield run * of_run + place // length
+        length *= 2
+
+
+def _ratio(slope: Array, cluster: Indices) -> float:
+    """Squares of the sums over their expectation, or 1 where random variation shows as much."""
+    squares = np.bincount(cluster, slope**2)
+    whole = float(squares.sum())
+    if not whole > 0.0:
+        return 1.0
+    ratio = float((np.bincount(cluster, slope) ** 2).sum()) / whole
+    # Of few clusters that have nearly all of it the ratio is known badly.
+    of_equal_size = whole**2 / float((squares**2).sum())
+    return ratio if ratio > 1.0 + rules.SURE_Z * np.sqrt(2.0 / of_equal_size) else 1.0

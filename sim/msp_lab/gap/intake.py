@@ -3,39 +3,55 @@
 The rows of files that can be compared are kept, with what was noticed: rows without an answer or a true range are left
 out, readings and model are put onto the grid of the readings, and point masses that the model does not declare are set
 aside as calibration. Runs are split before anything is looked at.
+
+Readings whose context is unknown are left out where an effect needs it. A blank temperature is neither the one of the
+row before nor 22.5 C: what the air did to that reading is unknown, and to count it as nothing hides the effect in the
+others.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.cells import Partition, partitions, varying
 from msp_lab.gap.findings import CalibrationFinding, ReadingsFile, Settings
 from msp_lab.gap.measures import HeldOutReadings, usable
-from msp_lab.gap.runs import known_values, places_in, sample, taken
-from msp_lab.gap.splits import Splits, draw_splits
+from msp_lab.gap.runs import NO_CONTEXT, Splits, draw_splits, known_values, places_in, sample, taken
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, with_floors
 from msp_lab.readings.column_map import ColumnMap
 from msp_lab.readings.intake import PREVIOUS, Which, load_readings, time_order
 from msp_lab.readings.resolution import TOLERANCE, step_of, step_with, to_step
 from msp_lab.readings.suspicious import suspicious
-from msp_range.arrays import Array, Column, Indices, Texts, numbered
+from msp_range.arrays import Array, Column, Flags, Indices, Texts, numbered
 from msp_range.reading_model.kernel import is_on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_range.recording.csv_form import MeasuredData
-from msp_sim.effects.base import PATH, REFERENCE, REFERENCE_STD
+from msp_sim.effects.base import PATH, REFERENCE, REFERENCE_STD, Scene
 from msp_sim.effects.path import ReferencePath, with_path
 from msp_sim.model.model import Model
 
-NO_SLICES = frozenset({"time_s", PREVIOUS, "reading_cm", REFERENCE_STD, PATH})
+NO_SLICES = NO_CONTEXT | {REFERENCE_STD, PATH}
 SAME_CM = 1e-6
 """Readings that differ by less are the same: it is above the rounding of metres and below any resolution [cm]."""
+BLANK_IS_NONE = frozenset(
+    {
+        "neighbour_lag_ms",
+        "neighbour_range_cm",
+        "external_level_db",
+        "external_duty",
+        "external_distance_cm",
+        "external_frequency_khz",
+        "condition",
+        PREVIOUS,
+        REFERENCE_STD,
+    }
+)
+"""Columns in which a blank cell says that there is none: no other sensor, no source, no reading before."""
 
 
 @dataclass(frozen=True)
@@ -255,7 +271,7 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
     is_code, found = np.zeros(len(data), dtype=bool), []
     for value, count in zip(values.tolist(), counts.tolist(), strict=True):
         # What an effect explains comes at one range; a code comes at ranges that differ.
-        if value in declared or count < max(rules.CODE_MIN_READINGS, rules.CODE_SHARE * reading_cm.size):
+        if value in declared or count < max(rules.FEW_READINGS, rules.CODE_SHARE * reading_cm.size):
             continue
         steps = np.rint(np.abs(values - value) / sensor.resolution_cm)
         near = counts[(steps <= 3.0) & (steps > 0.0)].sum() / 6.0
@@ -271,7 +287,7 @@ def _without_codes(data: MeasuredData, model: Model) -> tuple[MeasuredData, list
                 "set aside"
             )
             found.append(CalibrationFinding("code", text, before=0.0, after=float(same.mean()), unit="1"))
-    if not 0.0 < is_code.mean() <= rules.CODE_MAX_SHARE:
+    if not is_code.any() or is_code.all():
         return data, []
     return data.select(~is_code), found
 
@@ -310,7 +326,53 @@ def _about_runs(run: Texts, time_s: Array) -> list[str]:
 def _units(runs: Texts) -> Indices:
     """Runs, or where they are few, blocks of consecutive readings of them."""
     unit = numbered(runs)
-    if int(unit.max()) + 1 >= rules.UNITS_FROM_RUNS:
+    if int(unit.max()) + 1 >= rules.WARN_RUNS:
         return unit
     length = max(int(np.ceil(runs.size / rules.UNIT_BLOCKS)), rules.MIN_BLOCK_READINGS)
     return numbered(unit * runs.size + places_in(unit) // length)
+
+
+@dataclass(frozen=True)
+class KnownRows:
+    """Readings of which the columns that are known in most of them are known."""
+
+    rows: Flags
+    """Which readings these are, (n,)."""
+    columns: tuple[str, ...] = ()
+    """Columns with blank cells that are known in all of them."""
+    unasked: tuple[str, ...] = ()
+    """Columns with so many blank cells that nothing is asked of them."""
+
+    @classmethod
+    def of(cls, model: Model, contexts: Mapping[str, Any]) -> "KnownRows":
+        """The readings on which all that can be asked is asked; columns with the fewest blank cells come first."""
+        scene = Scene(model.sensor, contexts)
+        known = {name: scene.known(name) for name in contexts if name not in BLANK_IS_NONE}
+        partly = {name: each for name, each in known.items() if isinstance(each, np.ndarray) and each.any()}
+        rows = np.ones(scene.range_cm.size, dtype=bool)
+        columns, unasked = [], []
+        for name in sorted(partly, key=lambda name: -int(partly[name].sum())):
+            if (rows & partly[name]).mean() >= rules.MIN_KNOWN_SHARE:
+                rows = rows & partly[name]
+                columns.append(name)
+            else:
+                unasked.append(name)
+        return cls(rows, tuple(columns), tuple(unasked))
+
+    def needed(self, model: Model, contexts: Mapping[str, Any]) -> "KnownRows":
+        """The readings of which those columns are known that the model's effects need."""
+        required = {name for each in model.effects for name in each.effect.requires}
+        columns = tuple(name for name in self.columns if name in required)
+        scene = Scene(model.sensor, contexts)
+        rows = np.ones(scene.range_cm.size, dtype=bool)
+        for name in columns:
+            rows &= scene.known(name)
+        return KnownRows(rows, columns, self.unasked)
+
+    @property
+    def message(self) -> str:
+        """What is left out, in a sentence; empty where nothing is."""
+        if not self.columns:
+            return ""
+        left_out = int((~self.rows).sum())
+        return f"{' and '.join(self.columns)}: {left_out} readings without it are left out, since an effect needs it."

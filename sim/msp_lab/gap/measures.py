@@ -2,23 +2,53 @@
 
 How far the five numbers of each cell (`cell_fits`) are from nothing, less what random variation adds, is the gap. What
 tables that the model itself draws show of it is the noise floor.
+
+How much an error repeats in the readings that follow is the autocorrelation of residuals: of each reading's place in
+the model's distribution, given the readings before it, as a normal deviate. Where the model is right these are
+independent, its own correlated noise included.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from msp_lab.gap import rules
-from msp_lab.gap.bootstrap import drawn_sums, unit_sums, unit_variance
-from msp_lab.gap.cell_fits import CellFits, apart, free_fit, one_step, products, scores_of
+from msp_lab.gap.cell_fits import (
+    CellFits,
+    drawn_sums,
+    free_fit,
+    one_step,
+    outer_sums,
+    scores_of,
+    unit_sums,
+    unit_variance,
+)
 from msp_lab.gap.cells import Partition, Stack
-from msp_lab.gap.runs import dependence, taken
+from msp_lab.gap.runs import dependence, reading_before, taken
 from msp_range.arrays import Array, Column, Flags, Indices
 from msp_range.reading_model.rows import MIN_PROBABILITY
 from msp_sim.model.model import Model
 from msp_sim.model.rows import ModelRows
 from msp_sim.model.streams import RandomStreams
+
+CHANNEL_OF = {
+    "bias_cm": "bias",
+    "spread_ratio": "spread",
+    "odds_short": "short",
+    "odds_missed": "missed",
+    "odds_random": "random",
+}
+"""The channel of each measure but the nats per reading."""
+BOOTSTRAPS_PER_REPLICATE = 2
+"""Bootstrap draws of dependent units for each replicate: they are cheap."""
+LAGS = 20
+"""Readings back to which it is drawn: correlated noise and held values have decayed by then in all recordings tried."""
+MIN_PAIRS = 30
+"""A lag with fewer pairs of readings is left out: its band would be wider than 0.35."""
+FARTHEST = 4.0
+"""Residuals are cut there [standard deviations], so that a few impossible readings do not make the picture."""
 
 
 @dataclass(frozen=True)
@@ -81,20 +111,6 @@ class Measures:
     """Mean log probability of a reading [nat]."""
 
 
-CHANNEL_OF = {
-    "bias_cm": "bias",
-    "spread_ratio": "spread",
-    "odds_short": "short",
-    "odds_missed": "missed",
-    "odds_random": "random",
-}
-"""The channel of each measure but the nats per reading."""
-
-
-BOOTSTRAPS_PER_REPLICATE = 2
-"""Bootstrap draws of dependent units for each replicate: they are cheap."""
-
-
 @dataclass(frozen=True)
 class Replicates:
     """What tables show that a model itself draws at the same contexts (parametric bootstrap)."""
@@ -132,9 +148,8 @@ def replicates(
     totals, variances, information = [], [], np.zeros(1)
     for _ in range(count):
         _, scores = scores_of(rows, drawn_rows.sample(RandomStreams(rng)))
-        total, outer = apart(stack.sums(products(scores)))
-        totals.append(total)
-        information = information + outer / count
+        totals.append(stack.sums(scores))
+        information = information + outer_sums(scores[stack.readings], stack.counts) / count
         # Replicates show what the model itself lets runs share.
         shared = unit_variance(scores[stack.readings], readings.unit, stack, scores)[0] if depends else None
         variances.append(shared)
@@ -167,12 +182,8 @@ def _noise_floor(fits: Sequence[CellFits], stack: Stack) -> dict[str, float]:
         kept = {key: by_variables[key] for key in _kept(by_variables)}
         for name, number in _measures(kept).items():
             shown.setdefault(name, []).append(number.value)
-    return {name: _quantile(values, rules.NOISE_FLOOR_SHARE) for name, values in shown.items()}
-
-
-def _quantile(values: Sequence[float], share: float) -> float:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.quantile(known, share)) if known else np.nan
+    known = {name: [value for value in values if np.isfinite(value)] for name, values in shown.items()}
+    return {name: float(np.quantile(each or [np.nan], rules.NOISE_FLOOR_SHARE)) for name, each in known.items()}
 
 
 def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition], drawn: Replicates) -> Measures:
@@ -239,3 +250,48 @@ def _largest(fits: Mapping[tuple[str, ...], CellFits], channel: str) -> Interval
         return Interval(np.nan, np.nan, np.nan)
     ends = [float(np.sqrt(max(each, 0.0))) for each in (square, square - 1.96 * error, square + 1.96 * error)]
     return Interval(*(ends if channel == "bias" else np.exp(ends).tolist()))
+
+
+@dataclass(frozen=True)
+class Autocorrelation:
+    """Autocorrelation of residuals, by lag."""
+
+    apart: Array
+    """Median time between the two readings of a pair [s], or their distance in readings, (k,)."""
+    in_seconds: bool
+    """Whether ``apart`` is in seconds."""
+    value: Array
+    """Correlation, (k,)."""
+    band: Array
+    """What 95 % of independent residuals stay within, (k,)."""
+
+
+def residual_autocorrelation(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Autocorrelation:
+    """Correlation of each residual with that of the same sensor and run some readings before."""
+    n = len(readings)
+    residual = np.clip(ndtri(places(model, readings, rng)), -FARTHEST, FARTHEST)
+    residual -= residual.mean()
+    variance = max(float(np.mean(residual**2)), 1e-12)
+    before, _ = reading_before(readings.contexts, n)
+    time_s = readings.contexts.get("time_s")
+    apart, value, pairs = [], [], []
+    back = np.arange(n)
+    for lag in range(1, LAGS + 1):
+        back = np.where(back >= 0, before[back], -1)
+        rows = np.flatnonzero(back >= 0)
+        if rows.size < MIN_PAIRS:
+            break
+        apart.append(float(lag) if time_s is None else float(np.nanmedian(time_s[rows] - time_s[back[rows]])))
+        value.append(float(np.mean(residual[rows] * residual[back[rows]])) / variance)
+        pairs.append(rows.size)
+    return Autocorrelation(np.array(apart), time_s is not None, np.array(value), 1.96 / np.sqrt(np.array(pairs)))
+
+
+def places(model: Model, readings: HeldOutReadings, rng: np.random.Generator) -> Array:
+    """Share of the model's readings that are smaller than each reading (randomised in its step), 0 to 1, (n,)."""
+    found = np.empty(len(readings))
+    for part, rows in model.chunks(readings.contexts):
+        reading = readings.reading_cm[part]
+        given, _ = rows.given(reading)
+        found[part] = np.exp(given.log_below(reading)) + rng.random(reading.size) * np.exp(given.log_prob(reading))
+    return np.clip(found, 0.0, 1.0)

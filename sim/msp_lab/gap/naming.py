@@ -11,19 +11,17 @@ from typing import Any
 import numpy as np
 
 from msp_lab.gap import rules
-from msp_lab.gap.blank_cells import KnownRows
 from msp_lab.gap.curves import instead_of_offsets
 from msp_lab.gap.estimates import FinalFit, calibrated, detectable, found_terms
 from msp_lab.gap.extended_model import extended
 from msp_lab.gap.findings import CalibrationFinding, FoundEffect, GapFindings, NotTestable, UnknownEffect
-from msp_lab.gap.intake import Comparison
+from msp_lab.gap.intake import Comparison, KnownRows
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem, Progress, State, forward_only
 from msp_lab.gap.refit import refit
 from msp_lab.gap.run_offsets import validated_run_offsets, with_run_offsets
-from msp_lab.gap.runs import previous, sample, taken
-from msp_lab.gap.selection import Selection, select, select_more, settled
-from msp_lab.gap.splits import Splits
+from msp_lab.gap.runs import Splits, previous, sample, taken
+from msp_lab.gap.search import Selection, select, select_more, settled
 from msp_lab.gap.validation import Validated, validated
 from msp_lab.readings.intake import PREVIOUS
 from msp_lab.readings.resolution import to_step
@@ -207,7 +205,7 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
 
 def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllReadings) -> NamedModel:
     model, by_run, splits = problem.model, kept.state.by_run, whole.splits
-    fit, base = kept.state.fit, selection.base.fit.base
+    fit = kept.state.fit
     held_out, _ = whole.sampled(problem, np.flatnonzero(splits.held_out), rules.FINAL_ROWS)
     training, _ = whole.sampled(problem, np.flatnonzero(splits.training), rules.READINGS)
     of_training = refit(training, fit.effects, fit.base)
@@ -217,8 +215,7 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
     readings, unit = problem.readings, problem.unit
     if as_given:
         # No fit starts with the numbers of the model itself: those of correlated readings start off 0.
-        base = nothing
-        fit, of_training = refit(readings, [], base, rounds=0), refit(training, [], base, rounds=0)
+        fit, of_training = refit(readings, [], nothing, rounds=0), refit(training, [], nothing, rounds=0)
     elif len(readings) < whole.reading_cm.size:
         readings, rows = whole.sampled(problem, np.arange(whole.reading_cm.size), rules.FINAL_ROWS)
         unit = splits.unit[rows]

@@ -13,12 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from msp_lab.gap.autocorrelation import places, residual_autocorrelation
 from msp_lab.gap.cell_fits import quantiles_of
 from msp_lab.gap.cells import Partition, partitions
 from msp_lab.gap.findings import GapFindings, Slice, UnknownEffect, error_name
 from msp_lab.gap.labels import axis_label, channel_label, name_of, step_name
-from msp_lab.gap.measures import HeldOutReadings
+from msp_lab.gap.measures import HeldOutReadings, places, residual_autocorrelation
 from msp_lab.gap.tables import shown_slices, slice_with_count
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array

@@ -4,7 +4,7 @@ From them follow the distribution with other numbers of the base or further effe
 reading's log probability by the base's numbers. Effects act through the first five of these, the channels.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,8 +22,6 @@ BASE = Base._fields
 """The base's numbers that are fitted together with every effect; the last one only where readings are correlated."""
 CHANNELS: tuple[CurveChannel, ...] = ("bias", "spread", "short", "missed", "random")
 ODDS_CHANNELS = CHANNELS[2:]
-CHUNK = 1 << 13
-"""Rows of which all scores are computed at a time: what fits into a processor's cache."""
 LEAST_SHARE = 1e-6
 """Share of a kind of reading that the base does not have: its odds have to start somewhere."""
 
@@ -210,20 +208,3 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
         by[:, 7] = own_centre * carry.correlation_shift_cm + by[:, 1] * carry.log_sigma_slope
     shares = [np.broadcast_to(each, reading_cm.shape) for each in shares_of(rows.log_weights)[1:]]
     return ChannelSlopes(log_p, by, np.stack(shares, axis=1), rows, own_centre, carry)
-
-
-@dataclass(frozen=True)
-class ReadingsAtFit:
-    """All readings at a fit, of which a part at a time fits into a processor's cache."""
-
-    readings: Prepared
-    base: Base
-    effects: Sequence[Term]
-    """What was fitted."""
-
-    def parts(self) -> Iterator[tuple[slice, Prepared, ChannelSlopes]]:
-        """Which readings, prepared, and their slopes."""
-        for start in range(0, len(self.readings), CHUNK):
-            part = slice(start, start + CHUNK)
-            prepared = self.readings.take(part)
-            yield part, prepared, prepared.slopes(self.base, self.effects)

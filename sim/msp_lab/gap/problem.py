@@ -1,9 +1,8 @@
 """What naming works on: the readings, prepared once, and the state that each step hands to the next.
 
 `Problem` is made of a model and readings, and never changes. A `State` is a joint fit with its terms; what can be asked
-of both is a function here: a screen of all candidates, refits with one more term or one less, and curves for what is
-left. Forward selection (`selection.py`), curves (`curves.py`), exchange and elimination (`exchange.py`) are functions
-from State to State.
+of both is a function here: a screen of all candidates, and refits with one more term or one less. The search
+(`search.py`), curves (`curves.py`) and what takes a term's place (`alternatives.py`) are functions from State to State.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -16,13 +15,12 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.candidate_starts import gathered_cm, shapes_of, starts_of
 from msp_lab.gap.candidates import CandidateEffect, SelectedTerm, candidates_of
-from msp_lab.gap.clumps import clumping
 from msp_lab.gap.curve_test import Asked, asked_of
-from msp_lab.gap.evidence import evidence_nats, of_one_run, wanders
-from msp_lab.gap.prepared import BASE, Prepared, ReadingsAtFit
+from msp_lab.gap.evidence import clumping, evidence_nats, of_one_run, wanders
+from msp_lab.gap.prepared import BASE, Prepared
 from msp_lab.gap.refit import JointFit, fit_base, refit
 from msp_lab.gap.runs import Dependence, dependence, previous, sample, share_between, spacing_s, taken
-from msp_lab.gap.screen import ScoreSums, Screen, best_by_score, information_of, replicate, score_sums, screen
+from msp_lab.gap.screen import Screen, best_by_score, information_of, replicate, score_sums, screen
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array, Indices, numbered
 from msp_range.reading_model.rows import Base
@@ -60,8 +58,8 @@ class Problem:
     """Contexts of a sample of at most `rules.READINGS` readings, and the number of each one's run."""
     readings: Prepared
     """These readings, prepared."""
-    moved_cm: Callable[[], Array]
-    """Computes how far each one's true range is from that of the reading before it, of all readings [cm], (n,)."""
+    moved_cm: Array
+    """How far each one's true range is from that of the reading before it, of all readings [cm], (n,)."""
     base: JointFit
     """The base alone, refitted."""
     candidates: tuple[CandidateEffect, ...]
@@ -100,11 +98,7 @@ class Problem:
                 readings = Prepared.of(model, contexts, reading_cm, spacing_s(whole))
                 base = fit_base(readings)
         candidates, untestable = candidates_of(model, contexts, gathered_cm(readings, base))
-
-        def moved_cm() -> Array:
-            true_cm: Array = whole[TRUE_RANGE]
-            return np.abs(true_cm - previous(whole, true_cm))[rows]
-
+        moved_cm = np.abs(whole[TRUE_RANGE] - previous(whole, whole[TRUE_RANGE]))[rows]
         return cls(model, contexts, unit, readings, moved_cm, base, candidates, untestable, rng)
 
     @cached_property
@@ -118,10 +112,14 @@ class Problem:
 
         Blocks of one run are no runs: what changes slowly is nearly the same all over each.
         """
-        run = numbered(self.contexts["run"]) if "run" in self.contexts else np.zeros(len(self.readings), dtype=np.intp)
         values = {names: numbered(self.contexts[names[0]]).astype(float) for names, _ in self.curves_asked[0]}
-        constant = {names for names, own in values.items() if share_between(own, run) >= rules.BETWEEN_RUNS_SHARE}
+        constant = {names for names, own in values.items() if share_between(own, self.run) >= rules.BETWEEN_RUNS_SHARE}
         return [each for each in self.curves_asked[0] if each[0] in constant]
+
+    @cached_property
+    def run(self) -> Indices:
+        """Number of each reading's own run, (n,), also where blocks stand in for runs."""
+        return numbered(self.contexts["run"]) if "run" in self.contexts else np.zeros(len(self.readings), dtype=np.intp)
 
     @property
     def runs(self) -> int:
@@ -150,9 +148,7 @@ class Problem:
 
     def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
         """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
-        if not by_run:
-            return evidence_nats(smaller, larger, None)
-        return evidence_nats(smaller, larger, self.unit, self.dependence(larger))
+        return evidence_nats(smaller, larger, self.unit if by_run else None)
 
     def gain_where_truth_moves(self, smaller: JointFit, larger: JointFit) -> float:
         """Gain of readings at which the true range is a sigma or more from that of the one before [nat].
@@ -161,7 +157,7 @@ class Problem:
         counts for `rules.ROW_NATS` at most: where the truth jumps by an error of its own, one would decide.
         """
         with np.errstate(invalid="ignore"):
-            moves = self.moved_cm() >= self.readings.rows.sigma_cm
+            moves = self.moved_cm >= self.readings.rows.sigma_cm
         gained = np.clip(larger.here.log_p - smaller.here.log_p, -rules.ROW_NATS, rules.ROW_NATS)
         return float(gained[moves].sum())
 
@@ -170,13 +166,13 @@ class Problem:
         gained = self.evidence_nats(smaller, larger, by_run)
         if PREVIOUS in candidate.effect.requires:
             gained = min(gained, self.gain_where_truth_moves(smaller, larger))
-        if candidate.effect.per == "run" and not by_run:
+        if candidate.effect.per == "run":
             gained = of_one_run(gained, larger, self.unit, self.contexts["run"] == candidate.of)
         share = larger.effects[-1].values[candidate.parameter.name]
         # What changes most readings shows by those that it leaves, and these are too few to say how they come.
         if candidate.linear and not candidate.is_base and share < rules.CLUMP_MAX_SHARE:
             slope = larger.at.scores[:, larger.names.index(f"{len(larger.effects) - 1}.{candidate.parameter.name}")]
-            if share * slope[slope > 0.0].sum() < rules.MIN_EXPLAINED:
+            if share * slope[slope > 0.0].sum() < rules.FEW_READINGS:
                 return 0.0
             gained /= self._clumping(larger, slope)
         return gained - self._gain_between_steps(smaller, larger)
@@ -203,8 +199,7 @@ class Problem:
             received = fault.arrives(self.readings.reading_cm)
             if np.array_equal(fault.arrives(received), received):
                 alike = received
-        run = self.contexts["run"] if "run" in self.contexts else np.zeros(len(self.readings))
-        return clumping(slope, numbered(run), alike)
+        return clumping(slope, self.run, alike)
 
     def refit(self, terms: Sequence[Term], base: Base) -> JointFit:
         """A joint fit of these terms."""
@@ -223,17 +218,11 @@ class State:
     """Information per reading, at the fit at which it was last computed."""
     by_run: bool
     """Whether readings depend on each other, so that the unit of evidence is the run."""
-    history: tuple[str, ...] = ()
-    """What each step did, in words."""
 
     def having(self, fit: JointFit, terms: Sequence[SelectedTerm]) -> "State":
         """The state with another fit; its terms get the values of the fit."""
         placed = tuple(replace(term, active=each) for term, each in zip(terms, fit.effects, strict=True))
         return replace(self, fit=fit, terms=placed)
-
-    def logging(self, step: str) -> "State":
-        """The state with one more step in its history."""
-        return replace(self, history=(*self.history, step))
 
     @property
     def keys(self) -> frozenset[tuple[str, str | None]]:
@@ -252,21 +241,13 @@ def reinformed(problem: Problem, state: State) -> State:
     return replace(state, information=problem.information(state.fit))
 
 
-def screened(problem: Problem, state: State, by_run: bool = False, sums: ScoreSums | None = None) -> Screen:
-    """Every candidate at this state, with its terms as nuisance: readings propose, runs count after a refit.
-
-    `sums` are those of this state, where they are known.
-    """
+def screened(problem: Problem, state: State, by_run: bool = False) -> Screen:
+    """Every candidate at this state, with its terms as nuisance: readings propose, runs count after a refit."""
+    fit, candidates, information = state.fit, problem.candidates, state.information
     accepted = [nearest_candidate(problem, term) for term in state.terms if term.candidate is not None]
-    sums = sums or scores_at(problem, state)
-    nuisance = np.array([*np.flatnonzero(~state.fit.at.held[: len(BASE)]), *(len(BASE) + j for j in accepted)])
-    return screen(sums, state.information, problem.candidates, nuisance, by_run, problem.alpha, problem.rng)
-
-
-def scores_at(problem: Problem, state: State) -> ScoreSums:
-    """Sums of the scores by run, at a state."""
-    readings = ReadingsAtFit(problem.readings, state.fit.base, state.fit.effects)
-    return score_sums(readings, problem.candidates, problem.unit, state.information, problem.prior)
+    nuisance = np.array([*np.flatnonzero(~fit.at.held[: len(BASE)]), *(len(BASE) + j for j in accepted)])
+    sums = score_sums(problem.readings, fit.base, fit.here, candidates, problem.unit, information, problem.prior)
+    return screen(sums, information, candidates, nuisance, by_run, problem.alpha, problem.rng)
 
 
 def nearest_candidate(problem: Problem, term: SelectedTerm) -> int:

@@ -133,7 +133,7 @@ def fit_base(prepared: Prepared) -> JointFit:
 def _own_spread(prepared: Prepared) -> Base | None:
     """Offset and log spread of what looks like hits; None where they are near the model's."""
     rows, reading = prepared.rows, prepared.reading_cm
-    window_cm, window_share = rules.FIRST_WINDOW
+    window_cm, window_share = rules.HIT_WINDOW
     with np.errstate(invalid="ignore"):
         usual = has_range(rows, reading)
         usual &= np.abs(reading - rows.centre_cm) < window_cm + window_share * rows.centre_cm

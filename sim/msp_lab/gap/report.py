@@ -10,9 +10,9 @@ import numpy as np
 from msp_lab.gap import rules
 from msp_lab.gap.conclusion import how_sure_of, in_words, is_sure
 from msp_lab.gap.findings import GapFindings
+from msp_lab.gap.findings_file import MODEL
 from msp_lab.gap.labels import channel_label, effect_label, extension_label
 from msp_lab.gap.measures import HeldOutReadings
-from msp_lab.gap.model_file import MODEL
 from msp_lab.gap.pictures import BeforeAfter, entries
 from msp_lab.gap.tables import measures_table, model_table, parameters_table, slices_table, steps_table
 from msp_sim.effects import CATALOGUE

@@ -6,6 +6,41 @@ blind tables' are those of `evaluation/blind`, in which a generator that shares 
 
 from msp_range.reading_model.rows import Base
 
+# What several steps ask.
+
+FEW_READINGS = 5.0
+"""Fewer readings of a kind decide nothing. A component or a fault of the code explains at least so many, since any
+three that the model thinks impossible have a name of the catalogue that fits; a value that comes less often is no code,
+as five equal random readings of 700 values in a table of 1,000 have a probability below 1e-6; a curve needs so many
+that speak of it for each degree of freedom, as below about five a chi-squared is no chi-squared; and where fewer of a
+part depend on a number, the part is fitted, since a quadratic cannot say what its fit would: one 255 among the missed
+readings moved their share by more than 1. Higher: rare faults in short tables have no name, and splits are slower;
+lower: names, codes and curves of single readings."""
+SURE_Z = 3.0
+"""So many standard errors are no random variation. By them two effects are distinguishable (never wrong in a trial with
+known effects), readings come in clumps (of ten lengths of blocks the largest is above 3 in one case of 70), and growth
+with range is more than a bench leaves open (of 100 tables without an effect two had grown by two). Lower: pairs are
+resolved wrongly, right names lose evidence to clumps, and growth of nothing is named; higher: more alternatives, and an
+object that came a few times is named as one that is always there."""
+FAR_SIGMAS = 4.0
+"""Readings that are off by more sigma are far: at four the likelihood of a hit is that of an outlier of one in 3,000.
+Hits so far off are asked as a curve of medians, and readings so much nearer than the hit for places where they gather.
+Lower: curves that the scores see as well are refitted twice, and tails of the hits gather before a surface that stays;
+higher: what is far is found as scatter or short readings."""
+HIT_WINDOW = (10.0, 0.2)
+"""Readings within so many cm plus this share of the range are of the surface: from these a fit of the base starts, and
+so far off the median of a cell may be. What is farther is another echo. Wider: outliers count as hits, and cells full
+of outliers report a bias."""
+KEEP_SHARE = 0.6
+"""A candidate is refitted if the screen promises this share of the gain that it needs, and a term stays while it gains
+as much of it. A screen is a quadratic, and what was certain alone may share its evidence with later terms. Higher: weak
+effects are lost, and terms come and go; lower: slower, and needless terms stay."""
+RUN_BLOCKS = 8
+"""Each run is cut into so many blocks to see whether sums over neighbours scatter: the longest clumps are of that
+length, and offsets of runs are told from a wander by them. The variance of eight sums is known to a factor of 1.5.
+More: a wander that is over in an eighth of a run is seen as one, and an object that stood there for an eighth of the
+time counts as many; fewer: a wander counts as offsets."""
+
 # Runs and their splits into parts.
 
 MIN_RUNS = 4
@@ -25,8 +60,8 @@ SPLIT_BLOCKS = 60
 deviation of so many sums is known to a fifth. Fewer: parts are less alike; more: neighbouring readings that depend on
 each other fall into different parts."""
 WARN_RUNS = 8
-"""With fewer runs, a note says what that costs. A standard error over seven differences is itself known to 27 % only.
-It changes the note and nothing else."""
+"""With fewer runs, a note says what that costs, and blocks of readings are the units of the measures' errors. A
+standard error over seven differences is itself known to 27 % only. Fewer: errors of few runs decide."""
 DEPENDENT_P = 1e-3
 """Runs whose means differ with a smaller p-value make the run the unit of evidence. One table in 1,000 with independent
 readings may lose power by it. Higher: more such tables lose power; lower: offsets between runs make false names."""
@@ -43,37 +78,28 @@ EXACT_REPEATS = 0.75
 those that differ by less than the sensor's centimetre count as held too. On a robot's log with 0.81 exact, taking them
 for new readings gave a delay of 0.27 s instead of 0.35, the rest going into correlated noise; rounding alone makes a
 share of 0.2 in millimetres, and counted as held it makes the name `stale`."""
-INDEPENDENT_P = 0.02
-"""Readings count as independent, next to a term that was tried, if the runs' means differ with a larger p-value. Twenty
-times `DEPENDENT_P`, since the term was chosen to make them so. Lower: slow noise passes for an effect."""
-INDEPENDENT_LAG_Z = 2.5
-"""The same for the correlation of neighbours, in standard errors. A value of 2.5 has p = 0.6 %. Higher: slow noise
-passes for an effect."""
 
 WANDER_BLOCKS = 4
 """Each run is cut into so many blocks to see a slow wander. A wander slower than a run is an offset of it, one faster
 than a quarter shows as correlation of neighbours. More: shorter wanders are seen, each with less certainty."""
 WANDER_P = 0.01
-"""Block sums that scatter about their run's mean with a smaller p-value are a wander. Next to dependent runs it is
-likely, so a higher value than `DEPENDENT_P`. Higher: independent readings lose power; lower: a wander makes names."""
+"""Block sums that scatter about their run's mean with a smaller p-value are a wander, and runs that differ by more than
+a wander inside them leads to with a smaller one have offsets. Next to dependent runs a wander is likely, so a higher
+value than `DEPENDENT_P`; a wander that lasts for a run is nearly an offset: at 0.0001 offsets of 0.3 sigma are found in
+0.7 of tables of 20 runs and 0.1 of 8 runs, at 0.01 in all and 0.7. Higher: independent readings lose power, and wanders
+are named run offsets; lower: a wander makes names."""
 
 # Intake: point masses that the model does not declare.
 
 CODE_SHARE = 0.001
 """A value that is a smaller share of the readings is no code. One in 1,000 is the smallest share of missed readings
 that a model file usually has. Lower: random readings that repeat are set aside as codes."""
-CODE_MIN_READINGS = 5
-"""A value that comes less often is no code, however short the table. Five equal random readings of 700 values in a
-table of 1,000 have a probability below 1e-6. Lower: short tables lose random readings."""
 CODE_TIMES_NEIGHBOURS = 8.0
 """A code is so many times as frequent as the mean of the values within 3 cm. Counts of random readings scatter by their
 root, so 8 times is beyond any scatter. Lower: an object in the beam is set aside as a code."""
 CODE_TIMES_NEXT = 30.0
 """A code is so many times as frequent as the value next to it. What stands in the beam reads over some centimetres, a
 code at exactly one. Lower: a still object is set aside as a code."""
-CODE_MAX_SHARE = 0.9
-"""If codes are a larger share of the readings, they are kept. What is left would not be a table. It only matters for
-sensors that read nothing but one value."""
 CODE_SPAN = 0.2
 """A code comes at true ranges that span this share of all ranges. An offset or a short range gives the same value from
 one place. Lower: a long stop at one range is set aside."""
@@ -96,9 +122,6 @@ Higher: more columns with blanks are not asked; lower: few readings decide on th
 
 # Cells of context, and the free fit of five numbers in each.
 
-MAX_BINS = 12
-"""A number is cut into at most so many bins. A curve with 12 knots is the finest that is asked for. More: each is less
-certain."""
 MIN_CELL_READINGS = 40
 """A cell with fewer readings is put together with others. With 2 % outliers of a kind 40 readings have less than one of
 them. Fewer: cells say nothing of outliers; more: small cells hide."""
@@ -112,9 +135,6 @@ CELL_PRIOR_DEVIATION = (50.0, 2.0, 2.5, 2.5, 2.5)
 """Standard deviations of the prior of a cell's bias [sigma], log spread and log odds. Wide compared with any effect of
 the catalogue (odds by 12, spread by 7), so that it only holds what a cell has no readings of. Narrower: large gaps are
 reported smaller."""
-CELL_MAX_BIAS_CM, CELL_MAX_BIAS_SHARE = 10.0, 0.2
-"""A cell's fit starts at the median if that is within so many cm and this share of the range. What is farther off is
-another echo and no bias of this one. Larger: cells full of outliers report a bias."""
 CELL_MIN_HITS = 10
 """A cell's fit starts at its median if it has so many readings below the maximum. A median of fewer is worse than the
 model. Fewer: fits start at outliers."""
@@ -144,9 +164,6 @@ factor of four. Fewer: such cells look certain."""
 MAX_UNITS = 256
 """More runs or blocks are pooled with their neighbours. A bootstrap over 256 units is as good as over more. More:
 memory and time."""
-UNITS_FROM_RUNS = 8
-"""With fewer held-out runs, blocks of readings are the units of errors. As `WARN_RUNS`. Fewer: errors of few runs
-decide."""
 UNIT_BLOCKS = 64
 """So many blocks stand in for runs as units of errors. As `SPLIT_BLOCKS`, a power of two. Fewer: less certain errors;
 more: dependent neighbours count as independent."""
@@ -181,9 +198,6 @@ clutter is named for the largest of many random clumps; higher: clutter needs mo
 GATHERED_LEAST_NATS = 8.0
 """A place has to stand out of its neighbourhood by so much: that cost, and what a name needs. Lower: a hump of short
 readings that is wider than the base model has it counts as clutter (robot_hcsr04 of docs/real_data.md: 4.1)."""
-GATHERED_SIGMAS = 4.0
-"""Readings nearer than the hit by so many sigma are looked at for places where they gather. Lower: tails of the hits
-gather before a surface that stays where it is."""
 GATHERED_CM = 4.0
 """They gather within so much of a place [cm], twice the scatter that clutter starts with. Wider: two legs are one."""
 GATHERED_PLACES = 4
@@ -224,9 +238,6 @@ that were not fitted, contradicts it by 20 nats. One reading has as much. Larger
 WIDE_LOG_SPREAD = 0.4
 """Readings that are wider than the model by more, in the logarithm, start their base fit at their own spread. From the
 model's spread they look like outliers and have no slope. Lower: two fits where one would do."""
-FIRST_WINDOW = (10.0, 0.2)
-"""Readings within so many cm plus this share of the range give the median and spread at which a base fit starts. As
-`CELL_MAX_BIAS_CM`. Wider: outliers count as hits."""
 MIN_HIT_SHARE = 0.3
 """A base fit starts at the readings' median if this share of them is in that window. Fewer are not most of the hits.
 Lower: it starts at outliers."""
@@ -243,17 +254,6 @@ blind tables of seed 7. Lower: wrong names, and alternatives are missed; higher:
 REFIT_WITHIN_SHARE = 0.5
 """Large gains within this share of the best are refitted. A quadratic promises too little of what is large.
 Higher: slower."""
-SCREEN_KEEPS = 0.6
-"""A candidate is refitted if the screen promises this share of the gain that it needs. As the last, for weak effects.
-Higher: weak effects are lost."""
-CLUMP_BLOCKS = 8
-"""Readings that a component explains are looked for in clumps of neighbours as long as a run can be cut so that there
-are so many blocks. The variance of eight sums is known to a factor of 1.5. Fewer: longer clumps are seen; more: an
-object that stood there for an eighth of the time counts as many."""
-CLUMP_Z = 3.0
-"""Clumps count if sums over blocks scatter by so many standard errors more than those of independent readings. Of ten
-lengths of blocks the largest is above 3 in one case of 70. Lower: right names lose evidence; higher: an object that
-came a few times is named as one that is always there."""
 CLUMP_MAX_SHARE = 0.6
 """Clumps are looked for in what a smaller share of the readings has. A table that is rounded to inches throughout has a
 share of 1, at which slopes rest on readings that never came. Lower: an object in the beam of half of the readings is
@@ -271,10 +271,6 @@ SAME_FORM = 0.98
 """An effect on the bias is not added next to another one if their shifts of the readings correlate by more. A bend in
 the middle of the range correlates with a scale by 0.94, a late threshold with a linear rise by 0.99 to 2 m. Higher:
 pairs that cancel, of which neither is there; lower: a scale has no bend next to it."""
-MIN_EXPLAINED = 5.0
-"""A component or a fault of the code explains at least so many readings. Any three readings that the model thinks
-impossible have a name of the catalogue that fits; as `CODE_MIN_READINGS` and `MIN_EVENTS_PER_DEGREE`. Lower: names for
-single readings; higher: rare faults in short tables have no name."""
 SHAPE_STARTS = 25
 """A refit starts at the best of so many values of a shape's parameter. Ripples and places have many local maxima.
 Fewer: shapes end in the wrong one."""
@@ -292,9 +288,6 @@ BETWEEN_RUNS_SHARE = 0.9
 """A column with more of its variance between runs is one of runs, such as a surface or a battery. What is left inside
 runs is a tenth. Higher: runs with such causes are said to differ at random; lower: what varies inside runs is asked by
 runs."""
-MIN_EVENTS_PER_DEGREE = 5.0
-"""A curve needs so much information for each degree of freedom, in readings that speak of it. Below about five a
-chi-squared is no chi-squared. Lower: false curves on rare outliers."""
 PAIR_COST_NATS = 8.0
 """A curve over two variables has to gain so much more than one over one of them, and `FORM_SHARE`. What depends on one
 shows over that and any other, too, and the best of ten others gains some nats by chance. Lower: pairs hide single
@@ -302,10 +295,6 @@ causes; higher: what depends on both at once is a curve over each."""
 CURVE_P = 0.004
 """A curve is added if random variation shows as much, anywhere, with a smaller probability. Names have alpha 0.01 in
 all and curves a share of it. Higher: false curves."""
-FAR_SIGMAS = 4.0
-"""Hits that are off by more sigma are far: most of what the model says of them is that they are outliers. At four the
-likelihood of a hit is that of an outlier of one in 3,000. Lower: curves that the scores see as well are refitted twice;
-higher: what is far is found as scatter or short readings."""
 RIPPLE_CYCLES = 5.0
 """Ripples are asked up to a period of which the readings hold so many. Curves of 12 knots see what is slower. Lower:
 bends and a slow wander are named ripples."""
@@ -340,7 +329,7 @@ EXCHANGE_LOSES = (8.0, 0.1)
 gain. Where each run is at one range and has an offset of its own, a rounding to 2.54 cm took the place of a scale that
 gains seven times as much. Higher: that; lower: among runs with offsets the first name stays."""
 EXCHANGE_KEEPS = 0.3
-"""They are refitted if the screen promises this share of the gain that a term needs. As `SCREEN_KEEPS`, for weaker
+"""They are refitted if the screen promises this share of the gain that a term needs. As `KEEP_SHARE`, for weaker
 ones. Higher: alternatives of weak effects are missed."""
 SIMPLER_NATS = 2.0
 """An effect of the same form as another (`SAME_FORM`) has to gain so much more for each additional number. A number
@@ -348,8 +337,8 @@ that is not there gains more in one case of 20. Higher: a late threshold and a b
 threshold with a linear rise."""
 BASE_PREFERENCE_NATS = 3.0
 """An effect has to gain so much more than a number of the base in its place; one that does not is asked next to that
-number. What calibration explains is not missing. Lower: offsets of the model and tails of its noise are named effects.
-"""
+number. What calibration explains is not missing. Lower: offsets of the model and tails of its noise are named
+effects."""
 RELATED = 0.2
 """Two effects whose scores correlate by less explain different things: none takes the other's place or is its
 alternative. In place of tails of the noise (0.01) air temperature was named for runs that wander. Higher: a better name
@@ -362,12 +351,6 @@ IMITATES = 0.9999
 more: its numbers make it the same statement, as a bend does that begins at the nearest reading and so is a scale. A
 bend after 3 % of the range has 0.99995, after 5 % 0.9998. Higher: such a bend is an alternative; lower: bends near the
 end are scales."""
-SEPARABLE_Z = 3.0
-"""Two effects are distinguishable if their scores differ by so many standard errors. Never wrong in a trial with known
-effects. Lower: pairs are resolved wrongly; higher: more alternatives."""
-KEEP_SHARE = 0.6
-"""A term stays while it gains this share of what it needed to come in. What was certain alone may share its evidence
-with later terms. Higher: terms come and go."""
 TAILS_START = 0.05
 """The share of wide hits at which their fit starts. The middle of its usual range. It changes the speed of a refit."""
 
@@ -379,16 +362,6 @@ then a third of what is known. Higher: slow noise makes a run of nothing odd; lo
 RUN_OFFSETS_P = 1e-4
 """Runs differ by more than the model says if random variation shows it with a smaller probability. Stricter than a
 name, since it has no variable that could be checked. Higher: drifts are named run offsets."""
-RUN_OFFSETS_LAG_Z = 3.0
-"""They are not named where neighbours in a run correlate by more standard errors. Slow noise moves the means of runs
-too. Higher: slow noise is named run offsets."""
-BEYOND_WANDER_P = 0.01
-"""And by more than a wander inside them leads to with a smaller probability. A wander that lasts for a run is nearly an
-offset: at 0.0001 offsets of 0.3 sigma are found in 0.7 of tables of 20 runs and 0.1 of 8 runs, at 0.01 in all and 0.7.
-Higher: wanders are named run offsets."""
-OFFSET_BLOCKS = 8
-"""Each run is cut into so many blocks to tell offsets from a wander. More: a wander that is over in an eighth of a run
-is seen as one; fewer: it counts as offsets."""
 MAX_BETWEEN_SHARE = 0.95
 """At most this share of the variance lies between runs. The rest keeps a spread within them. It only matters for tables
 of repeats."""
@@ -414,14 +387,10 @@ slower."""
 SPLITS_FITTED = 3
 """So many splits are used that have parts to be fitted, where a quadratic cannot say what their fit would, next to all
 others. Six terms in ten splits of five parts are 700 fits. More: slower, and surer where readings are few for a
-number.
-"""
+number."""
 PART_ROUNDS = 3
 """Such a part is fitted by so many steps of Newton at most, from the fit of all runs. What is left after three steps is
 small against what a name gains. More: slower, on a robot's log of 4,819 readings by a minute."""
-MIN_SPEAKING = 5.0
-"""Where fewer readings of a part depend on a number, the part is fitted, as a quadratic cannot say what its fit would:
-one 255 among the missed readings moved their share by more than 1. Higher: slower."""
 ROW_NATS = 5.0
 """A reading at which the truth moves counts for at most so many nats for or against repeated readings. A hit that
 becomes a random reading loses about 8. Higher: where the truth jumps by an error of its own, one reading decides;
@@ -437,9 +406,6 @@ BENCH_ERROR = {"reading_model.sigma_growth_cm_per_m": 0.03, "reading_model.misse
 echoes in log odds per metre. On 18 benches of 48 ranges and 2,400 readings (`evaluation/second_hand`) the first
 scattered by 0.02 about a straight line through the true growths, which have another form; 50 missed readings say the
 second to 0.1. Higher: growth is calibration; lower: growth that the bench had, too, is named."""
-BEYOND_BENCH_Z = 3.0
-"""Growth with range is named, and no calibration, where it is larger by so many standard errors, those of the bench
-included. Of 100 tables without an effect two had grown by two of these. As `BENCH_ERROR`."""
 POWER_Z = 0.84
 """The smallest effect that would have been found is taken at this normal quantile. Four of five effects of that size
 are found. Higher: larger sizes are reported."""

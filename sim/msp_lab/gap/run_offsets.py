@@ -13,7 +13,7 @@ from msp_lab.gap.findings import Alternative, FittedValue, FoundEffect
 from msp_lab.gap.prepared import Prepared
 from msp_lab.gap.problem import Problem
 from msp_lab.gap.refit import JointFit
-from msp_lab.gap.splits import Splits
+from msp_lab.gap.runs import Splits
 from msp_range.arrays import Array, Indices
 from msp_range.reading_model.rows import Base
 from msp_sim.effects import CATALOGUE
@@ -31,9 +31,9 @@ def run_offset_cm(problem: Problem, fit: JointFit) -> float:
         # The other sensors are the reference, and differ from this one by the ground below in each run.
         return 0.0
     left = problem.dependence(fit)
-    if left.p_between > rules.RUN_OFFSETS_P or left.lag_z > rules.RUN_OFFSETS_LAG_Z:
+    if left.p_between > rules.RUN_OFFSETS_P:
         return 0.0
-    if p_beyond_wander(fit.offset_slope, problem.unit) > rules.BEYOND_WANDER_P:
+    if p_beyond_wander(fit.offset_slope, problem.unit) > rules.WANDER_P:
         return 0.0
     share = min(left.between_run_share, rules.MAX_BETWEEN_SHARE)
     rows = problem.readings.at(fit.base, fit.effects)
@@ -58,29 +58,29 @@ def p_beyond_wander(slope: Array, unit: Indices) -> float:
 
     A wander moves the means of runs too, the more the slower it is: block means ``m_i`` of a run have
     ``cov(m_i, m_j) = d + w r^|i - j| + [i = j] a / n_i``, with d of the offsets, and w and r of a wander that forgets
-    itself in a run's length or sooner (`rules.OFFSET_BLOCKS`); slower ones are offsets. The likelihood ratio of d > 0
+    itself in a run's length or sooner (`rules.RUN_BLOCKS`); slower ones are offsets. The likelihood ratio of d > 0
     against d = 0, at a bound, is zero or chi-squared, each half of the time (Self & Liang 1987, JASA 82, 605).
     """
     counts = np.bincount(unit)
-    long = np.flatnonzero(counts >= rules.OFFSET_BLOCKS)
+    long = np.flatnonzero(counts >= rules.RUN_BLOCKS)
     if long.size < 2:
         return 1.0
-    blocks = blocks_of(unit, rules.OFFSET_BLOCKS)
-    size = np.bincount(blocks, minlength=counts.size * rules.OFFSET_BLOCKS).reshape(-1, rules.OFFSET_BLOCKS)[long]
-    sums = np.bincount(blocks, slope - slope.mean(), counts.size * rules.OFFSET_BLOCKS)
-    mean = sums.reshape(-1, rules.OFFSET_BLOCKS)[long] / size
-    apart = np.abs(np.subtract.outer(np.arange(rules.OFFSET_BLOCKS), np.arange(rules.OFFSET_BLOCKS)))
+    blocks = blocks_of(unit, rules.RUN_BLOCKS)
+    size = np.bincount(blocks, minlength=counts.size * rules.RUN_BLOCKS).reshape(-1, rules.RUN_BLOCKS)[long]
+    sums = np.bincount(blocks, slope - slope.mean(), counts.size * rules.RUN_BLOCKS)
+    mean = sums.reshape(-1, rules.RUN_BLOCKS)[long] / size
+    apart = np.abs(np.subtract.outer(np.arange(rules.RUN_BLOCKS), np.arange(rules.RUN_BLOCKS)))
     single, whole = float(np.var(slope)), float(np.var(mean))
 
     def loss(numbers: Array) -> float:
         own, wander, forgets = single * np.exp(numbers[0]), whole * np.exp(numbers[1]), np.exp(-np.exp(numbers[2]))
         offset = whole * np.exp(numbers[3]) if numbers.size > 3 else 0.0
-        covariance = offset + wander * forgets**apart + np.eye(rules.OFFSET_BLOCKS) * (own / size)[:, None, :]
+        covariance = offset + wander * forgets**apart + np.eye(rules.RUN_BLOCKS) * (own / size)[:, None, :]
         rest = np.linalg.solve(covariance, mean[:, :, None])[:, :, 0]
         return 0.5 * float(np.linalg.slogdet(covariance)[1].sum() + (mean * rest).sum())
 
     # In blocks; the fastest wander is over before the next block.
-    slowest, fastest = -np.log(rules.OFFSET_BLOCKS), 1.5
+    slowest, fastest = -np.log(rules.RUN_BLOCKS), 1.5
     bounds = [(-7.0, 7.0), (-12.0, 5.0), (slowest, fastest), (-12.0, 5.0)]
     starts = [np.array([0.0, -0.7, forgets, -0.7]) for forgets in (slowest, 0.0)]
     without = min(

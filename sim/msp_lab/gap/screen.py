@@ -2,31 +2,44 @@
 
 From sums of scores by run and their information follow a z for each candidate and a p-value for the largest. The null
 is the model's own (information from simulated replicates) where readings are independent, and sign flips of whole runs
-where they are not. Readings are processed in chunks, so memory does not grow with their number.
+where they are not.
+
+A score that rests on a few improbable readings promises too much: of what mixes into the probability, and of odds, the
+largest gain in log-likelihood is computed along the score and at values of its number, all else held.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import CandidateEffect, score_of
-from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, ReadingsAtFit
-from msp_lab.gap.profile import Gains, largest_gains
+from msp_lab.gap.prepared import BASE, ChannelSlopes, Prepared, templates
 from msp_lab.gap.refit import JointFit, inverse, sums_by
 from msp_lab.gap.runs import sample, taken
 from msp_range.arrays import Array, Flags, Indices
 from msp_range.reading_model.rows import Base
+from msp_sim.effects.base import Scene
 from msp_sim.model.history import History
-from msp_sim.model.model import Model, Term
+from msp_sim.model.model import Model, Term, applies
 from msp_sim.model.streams import RandomStreams
 
 COPY_S = 1e7
 """Copies of the same contexts are so far apart in time [s] that the noise of one says nothing about the next."""
 BLOCK_ROWS = 100
 """Replicates of correlated readings keep so many neighbours together."""
+Gains: TypeAlias = tuple[Array, Array]
+"""Largest gain of each candidate [nat], and its number there, each (candidates,)."""
+SHARES = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
+"""Shares at which the gain of what is mixed into the probability is computed."""
+SCORE_STEPS = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
+"""Steps along an efficient score at which its gain is computed, in its standard deviations."""
+ODDS_STEPS = np.array([0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+"""Log odds, where an effect acts most, at which its gain is computed."""
+ODDS = np.array([2, 3, 4])
+"""Places of the three odds in `BASE`."""
 
 
 @dataclass(frozen=True)
@@ -40,47 +53,39 @@ class ScoreSums:
     rows: int
     """Number of readings."""
     profile: Callable[[Indices], Gains]
-    """Computes the largest gain of a reading's probability for some candidates (`profile.largest_gains`)."""
+    """Computes the largest gain of a reading's probability for some candidates (`largest_gains`)."""
 
 
 def score_sums(
-    readings: ReadingsAtFit,
+    prepared: Prepared,
+    base: Base,
+    here: ChannelSlopes,
     candidates: Sequence[CandidateEffect],
     unit: Indices,
     information: Array,
     prior: Array | float = 0.0,
 ) -> ScoreSums:
-    """Sums of scores by unit.
+    """Sums of scores by unit, at a fit with this base and these slopes.
 
     `prior` is the precision of the base's prior for each reading, (8,). Its slope is part of the base's scores: where
     only the prior holds a number, that one's scores do not sum to zero without it, and a projection on them would
     remove what other scores show.
     """
-    units, rows = int(unit.max()) + 1, len(readings.readings)
-    total = np.zeros((units, len(BASE) + len(candidates)))
-    products = np.zeros((total.shape[1], total.shape[1]))
-    for part, prepared, here in readings.parts():
-        scores = _matrix(prepared, here, candidates)
-        total += sums_by(unit[part], scores, units)
-        products += scores.T @ scores
-    total[:, : len(BASE)] -= prior * np.array(readings.base) * rows / units
+    units, nb = int(unit.max()) + 1, len(BASE)
+    scores = score_matrix(prepared, here, candidates)
+    total = sums_by(unit, scores, units)
+    total[:, :nb] -= prior * np.array(base) * len(prepared) / units
 
     def profile(asked: Indices) -> Gains:
-        places = np.append(np.arange(len(BASE)), len(BASE) + asked)
+        places = np.append(np.arange(nb), nb + asked)
         some, of_some = [candidates[j] for j in asked], information[np.ix_(places, places)]
-        return largest_gains(readings, some, of_some, total.sum(axis=0)[places])
+        return largest_gains(prepared, here, some, scores[:, nb + asked], of_some, total.sum(axis=0)[places])
 
-    return ScoreSums(total, products, rows, profile)
-
-
-def score_matrix(
-    prepared: Prepared, base: Base, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
-) -> Array:
-    """Scores of base and candidates, (n, 8 + candidates)."""
-    return _matrix(prepared, prepared.slopes(base, effects), candidates)
+    return ScoreSums(total, scores.T @ scores, len(prepared), profile)
 
 
-def _matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> Array:
+def score_matrix(prepared: Prepared, here: ChannelSlopes, candidates: Sequence[CandidateEffect]) -> Array:
+    """Scores of base and candidates at slopes, (n, 8 + candidates)."""
     # By columns, as they are filled.
     matrix = np.empty((len(prepared), len(BASE) + len(candidates)), order="F")
     matrix[:, : len(BASE)] = here.by
@@ -118,7 +123,7 @@ def information_of(
     prepared: Prepared, base: Base, effects: Sequence[Term], candidates: Sequence[CandidateEffect]
 ) -> Array:
     """Information per reading, (8 + candidates, 8 + candidates), from simulated readings."""
-    scores = score_matrix(prepared, base, effects, candidates)
+    scores = score_matrix(prepared, prepared.slopes(base, effects), candidates)
     information: Array = scores.T @ scores / len(prepared)
     return information
 
@@ -176,7 +181,7 @@ def screen(
     """
     nb, count = len(BASE), len(candidates)
     others = np.arange(nb, nb + count)
-    cross = _projection(information, nuisance, others)
+    cross = information[np.ix_(others, nuisance)] @ inverse(information[np.ix_(nuisance, nuisance)])
     efficient = information[np.ix_(others, others)] - cross @ information[np.ix_(nuisance, others)]
     own, left = np.diag(information)[others], np.diag(efficient)
     testable = (own > 0.0) & (left > rules.COLLINEAR * own)
@@ -238,13 +243,6 @@ def _p_value(squares: Array, null: Array, candidates: Sequence[CandidateEffect])
     return float((1 + np.sum(beyond)) / (1 + rules.SCREEN_DRAWS))
 
 
-def _projection(information: Array, nuisance: Indices, others: Indices) -> Array:
-    """Coefficients of the others' scores on the nuisance's, (others, nuisance)."""
-    inner = inverse(information[np.ix_(nuisance, nuisance)])
-    coefficients: Array = information[np.ix_(others, nuisance)] @ inner
-    return coefficients
-
-
 def _flipped(by_unit: Array, variance: Array, rng: np.random.Generator) -> Array:
     """z of sums whose runs have random signs, (draws, candidates)."""
     units = by_unit.shape[0]
@@ -270,3 +268,73 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
         steps = np.maximum(steps, 0.0)
     best = int(np.argmax(steps**2 * information))
     return placed[best].at(placed[best].from_score(float(steps[best])))
+
+
+def largest_gains(
+    prepared: Prepared,
+    here: ChannelSlopes,
+    candidates: Sequence[CandidateEffect],
+    scores: Array,
+    information: Array,
+    total: Array,
+) -> Gains:
+    """The largest gain of each candidate.
+
+    Parameters
+    ----------
+    prepared, here
+        Readings, and their slopes at the fit.
+    candidates, scores
+        All of them `is_rare`, and their scores, (n, candidates).
+    information, total
+        Of the scores of base and candidates, per reading, and their sums.
+    """
+    if not candidates:
+        return np.zeros(0), np.zeros(0)
+    own = np.arange(len(BASE), len(BASE) + len(candidates))
+    inner = np.linalg.pinv(information[np.ix_(ODDS, ODDS)], rcond=1e-8, hermitian=True)
+    cross = information[np.ix_(own, ODDS)] @ inner
+    left = np.diag(information)[own] - np.einsum("ij,ij->i", cross, information[np.ix_(own, ODDS)])
+    # The gain along a score is concave: it is below nothing on the side to which the score does not point.
+    forward = np.where(total[own] - cross @ total[ODDS] > 0.0, 1.0, -1.0)
+    steps = SCORE_STEPS[:, None] * forward / np.sqrt(np.maximum(left, 1e-12))
+    efficient = scores - here.by[:, ODDS] @ cross.T
+    found, best = np.zeros(len(candidates)), np.zeros(len(candidates))
+    for j, (candidate, slope) in enumerate(zip(candidates, scores.T, strict=True)):
+        along = _log_gain(efficient[:, j] * steps[:, j, None]).sum(axis=1)
+        if candidate.linear:
+            numbers = SHARES
+            gains = np.log1p(SHARES[:, None] * np.maximum(slope, -1.0 / 0.31)).sum(axis=1)
+        else:
+            numbers, gains = _odds_gains(candidate, prepared.scene, here)
+        possible = (numbers >= candidate.parameter.low) & (numbers <= candidate.parameter.high)
+        gains = np.where(possible, gains, 0.0)
+        found[j] = max(float(along.max()), float(gains.max()), 0.0)
+        best[j] = numbers[gains.argmax()]
+    return found, best
+
+
+def _log_gain(change: Array) -> Array:
+    """log(1 + change), and below -0.9 its tangent: to make a reading impossible must cost, whatever the step."""
+    gain: Array = np.log1p(np.maximum(change, -0.9)) + 10.0 * np.minimum(change + 0.9, 0.0)
+    return gain
+
+
+def _odds_gains(candidate: CandidateEffect, scene: Scene, here: ChannelSlopes) -> tuple[Array, Array]:
+    """Numbers that change odds by some steps where they act most, and the gain of each about the mean change.
+
+    All else is held, so that it is exact in the posterior share of the class.
+    """
+    active = candidate.at(candidate.neutral + candidate.parameter.step)
+    known, template = applies(scene, active), np.zeros(np.shape(scene.range_cm))
+    if known is not False:
+        # It is the only channel that the candidate moves.
+        (moved,) = templates(known, active.change(scene)).values()
+        template = np.broadcast_to(moved / candidate.parameter.step, template.shape)
+    which = candidate.odds or 1
+    numbers = np.concatenate([ODDS_STEPS, -ODDS_STEPS]) / (float(np.abs(template).max(initial=0.0)) or 1.0)
+    share = here.shares[:, which - 1]
+    posterior = np.clip(here.by[:, 1 + which] + share, 0.0, 1.0)
+    factor = np.expm1(np.clip(numbers[:, None] * (template - template.mean()), -30.0, 30.0))
+    gains: Array = (np.log1p(posterior * factor) - np.log1p(share * factor)).sum(axis=1)
+    return numbers, gains

@@ -3,12 +3,16 @@
 It makes a folder for each log or sensor, as 'msp-lab gap' does, and a table with a row for each. Logs that cannot be
 used are named, and the others are compared. Files are read and written where the comparison is computed, so that the
 memory does not grow with their number: the workers of a cluster need them under the same path.
+
+With the other sensors of the vehicle as the reference, a sensor at which something was named is no reference any more,
+and the others are compared again without it: its effect would show in them with the other sign.
 """
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import quote
 
 from msp_lab.gap.conclusion import found_parts
@@ -17,14 +21,20 @@ from msp_lab.gap.labels import finding_label
 from msp_lab.gap.steps import Steps
 from msp_lab.logs.cli import with_logs_imported
 from msp_lab.readings.column_map import load_maps
-from msp_lab.readings.intake import sensors_in
+from msp_lab.readings.intake import PREVIOUS, load_readings, sensors_in
+from msp_lab.readings.others import MIN_OTHERS
 from msp_lab.readings.runs import file_names
 from msp_range.clock import SystemClock
+from msp_range.recording.csv_form import write_csv
 from msp_sim.effects.own import add_own_effects_once
 from msp_sim.model.model import load_model
+from msp_sim.terminal import make_folder
 
 Each = Literal["log", "sensor"]
 TABLE = "gaps.csv"
+READINGS = "readings-{}.csv"
+"""Readings with the other sensors as reference, of each round."""
+SUMMARY = "sensors.json"
 
 
 @dataclass(frozen=True)
@@ -106,3 +116,119 @@ def _row(name: str, findings: GapFindings) -> SeparateGap:
         findings.nats.noise_floor,
         findings.sentence,
     )
+
+
+@dataclass(frozen=True)
+class SensorGap:
+    """What was found at one sensor."""
+
+    sensor: str
+    """Name of the sensor."""
+    findings: GapFindings
+    """Findings of its own comparison."""
+    without: tuple[str, ...] = ()
+    """Sensors that were no reference for it, since something was named at them before."""
+    doubted: str | None = None
+    """The sensor that differs most from the rest. It was part of this one's reference, or without it something else is
+    named: what is named here may be that one's."""
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Effects of the catalogue that were named, and unknown ones by their channel and variables."""
+        effects = [each.name for each in self.findings.confirmed]
+        unknown = [f"unknown {each.channel} of {' and '.join(each.variables)}" for each in self.findings.unknown]
+        return (*effects, *unknown)
+
+    @property
+    def words(self) -> frozenset[str]:
+        """What was named, and what the readings cannot tell from it."""
+        return frozenset(
+            {*self.named, *(other.name for each in self.findings.confirmed for other in each.alternatives)}
+        )
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Its entry in ``sensors.json``."""
+        of_sensor = {"sensor": self.sensor, "named": self.named, "without": self.without, "doubted": self.doubted}
+        return {**of_sensor, "sentence": self.findings.sentence}
+
+    @property
+    def evidence_nats(self) -> float:
+        """Gain of what was named, over all readings [nat]."""
+        return self.findings.rows * sum(each.gain_nats or 0.0 for each in found_parts(self.findings))
+
+
+def compare_sensors(
+    paths: Sequence[Path], settings: Settings, folder: Path, steps: Callable[[Path], Steps], draw: bool
+) -> tuple[tuple[SensorGap, ...], tuple[str, ...]]:
+    """Compare each sensor with the rest, and again without the one that differs most, as often as something is named.
+
+    Parameters
+    ----------
+    paths
+        Recordings, or tables of several sensors.
+    settings
+        As for one sensor; `of` selects sensors, none: all.
+    folder
+        Gets a table of each round, a folder for each sensor, and the summary.
+    steps
+        The workflow in a sensor's folder.
+    draw
+        Whether to draw the pages.
+
+    Returns
+    -------
+    tuple
+        What was found at each sensor, and what was noticed about the readings.
+
+    Raises
+    ------
+    RecordingError, ConfigError
+        As the workflow itself; or fewer than three sensors look down.
+    """
+    make_folder(folder)
+    found: dict[str, SensorGap] = {}
+    without: list[str] = []
+    while True:
+        table, sensors, messages = _with_reference(paths, settings, folder, without)
+        # Fewer others know less: they are asked whether what was named holds without the one that is off.
+        todo = [each for each in settings.of or sensors if each not in without and (not without or found[each].named)]
+        for each in todo:
+            findings = steps(folder / each).all([table], replace(settings, of=(each,), run_column=None, map=()), "add")
+            gap = SensorGap(each, findings, tuple(without))
+            if without and gap.named and not gap.words & found[each].words:
+                gap = replace(gap, doubted=without[-1])
+            found[each] = gap
+        named = [found[each] for each in todo if found[each].named and found[each].doubted is None]
+        if not named:
+            break
+        without.append(max(named, key=lambda each: each.evidence_nats).sensor)
+        if len(named) == 1:
+            break
+        # Of those that are left each needs enough others.
+        if len(sensors) - len(without) <= MIN_OTHERS:
+            left = [gap for gap in named if gap.sensor not in without]
+            found |= {gap.sensor: replace(gap, doubted=without[-1]) for gap in left}
+            break
+    if draw:
+        for each in found:
+            steps(folder / each).show()
+    gaps = tuple(found[each] for each in sorted(found))
+    content = json.dumps([each.summary for each in gaps], indent=2)
+    (folder / SUMMARY).write_text(content + "\n", encoding="utf-8")
+    return gaps, messages
+
+
+def _with_reference(
+    paths: Sequence[Path], settings: Settings, folder: Path, without: Sequence[str]
+) -> tuple[Path, list[str], tuple[str, ...]]:
+    """A table of all readings with the other sensors as reference, the sensors, and what was noticed."""
+    model = load_model(settings.model)
+    column_map = load_maps(settings.map)
+    loaded = load_readings(
+        paths, model.sensor, column_map, run_column=settings.run_column, truth="others", without=without
+    )
+    path = folder / READINGS.format(len(without) + 1)
+    path.unlink(missing_ok=True)
+    write_csv(path, {name: column for name, column in loaded.data.columns.items() if name != PREVIOUS})
+    return path, sorted(set(loaded.data["sensor"].tolist())), loaded.messages

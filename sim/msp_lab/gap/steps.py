@@ -3,25 +3,40 @@
 ``gap.json``, ``named.json``, the extended model, the page and its pictures are written, each as soon as it is known.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from numpy.random import default_rng
+from threadpoolctl import threadpool_limits
 
 from msp_lab.gap import before_after, naming
+from msp_lab.gap.conclusion import with_words
 from msp_lab.gap.findings import GapFindings, LastStep, Settings
-from msp_lab.gap.findings_file import NAMED, NUMBERS, read_findings, read_named, write_findings, write_named
+from msp_lab.gap.findings_file import (
+    MODEL,
+    NAMED,
+    NUMBERS,
+    TRAINING_FIT,
+    as_json,
+    read_findings,
+    read_named,
+    write_findings,
+    write_model,
+    write_named,
+)
 from msp_lab.gap.intake import Comparison, read_readings
-from msp_lab.gap.model_file import MODEL, TRAINING_FIT, write_model
 from msp_lab.gap.naming import ExtendedModels
 from msp_lab.gap.problem import Progress
-from msp_lab.gap.summary import with_words
 from msp_lab.readings.column_map import load_maps
+from msp_lab.readings.from_files import Columns, Files, map_options, paths_of
 from msp_lab.readings.intake import sha256
 from msp_range import __version__
-from msp_range.clock import Clock, date_of
-from msp_range.yaml_file import ConfigError
+from msp_range.clock import Clock, SystemClock, date_of
+from msp_range.yaml_file import ConfigError, config_path
 from msp_sim.model.in_flight import in_flight
 from msp_sim.model.model import load_model
 from msp_sim.terminal import make_folder
@@ -174,3 +189,63 @@ class Steps:
         if changed:
             raise ConfigError(f"{', '.join(changed)}: has changed since 'msp-lab {step}'; run 'msp-lab compare' again")
         return comparison
+
+
+def find_gap(
+    files: Files,
+    model: Path | str = "mb1242",
+    *,
+    columns: Columns | None = None,
+    out: Path | str | None = None,
+    until: LastStep = "add",
+    seed: int = 1,
+) -> dict[str, Any]:
+    """Find where readings and a sensor model disagree and what the model is missing, as ``msp-lab gap`` does.
+
+    Parameters
+    ----------
+    files
+        Readings with true ranges, best of four runs or more.
+    model
+        The sensor model to compare with.
+    columns
+        Where another table's columns are.
+    out
+        Folder for ``gap.json``, the extended model.yaml and with ``until="show"`` the page; None: nothing is kept.
+    until
+        The last step: compare, name what is missing, add it to the model, show it as a page with pictures.
+    seed
+        Random seed.
+
+    Returns
+    -------
+    dict
+        The content of ``gap.json``: `gap` in its measures, `effects` that were named, `plain` sentences.
+
+    Raises
+    ------
+    UserError
+        The readings or files cannot be used; in a line, with what to do.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from msp_range import ReadingModel
+    >>> from msp_range.recording.csv_form import write_csv
+    >>> sensor = ReadingModel.of("mb1242")
+    >>> rng = np.random.default_rng(1)
+    >>> true_cm = rng.uniform(40.0, 400.0, 2000)
+    >>> reading_cm = sensor.sample({"true_range_cm": true_cm}, rng) + 4.0
+    >>> folder = TemporaryDirectory()
+    >>> table = Path(folder.name, "readings.csv")
+    >>> columns = {"time_s": np.arange(2000.0), "sensor": np.full(2000, "mine"), "run": np.repeat([*"abcdefgh"], 250)}
+    >>> write_csv(table, {**columns, "reading_cm": reading_cm, "true_range_cm": true_cm})
+    >>> found = find_gap(table, until="compare")
+    >>> found["gap"]["bias_cm"]["before"] > 3.0
+    True
+    >>> folder.cleanup()
+    """
+    settings = Settings(str(config_path(model, "sensors")), seed=seed, map=map_options(columns))
+    with TemporaryDirectory() as kept_nowhere, threadpool_limits(limits=1):
+        steps = Steps(Path(kept_nowhere if out is None else out), SystemClock(), lambda what, share: None)
+        return dict(json.loads(as_json(steps.all(paths_of(files), settings, until))))

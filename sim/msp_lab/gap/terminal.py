@@ -12,6 +12,7 @@ from msp_lab.estimates import IntervalEstimate
 from msp_lab.gap.conclusion import in_words
 from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
+from msp_lab.gap.findings_file import MODEL
 from msp_lab.gap.labels import (
     channel_label,
     effect_label,
@@ -21,9 +22,7 @@ from msp_lab.gap.labels import (
     slice_label,
     unit_after,
 )
-from msp_lab.gap.model_file import MODEL
-from msp_lab.gap.sensors import SensorGap
-from msp_lab.gap.separate import SeparateGap
+from msp_lab.gap.separate import SensorGap, SeparateGap
 from msp_lab.gap.tables import measures_table
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import Bar, PlainConsole, console, plain_table

@@ -11,21 +11,38 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msp_lab.gap import rules
+from msp_lab.gap.alternatives import AlternativeTerm, compete_with_tails, exchange
 from msp_lab.gap.candidates import Key
-from msp_lab.gap.curves import add_curves, name_curves
-from msp_lab.gap.exchange import AlternativeTerm, compete_with_tails, eliminate, exchange
+from msp_lab.gap.curves import name_curves, next_curve
 from msp_lab.gap.problem import (
     CandidateFit,
     Problem,
     State,
     first_state,
+    loss,
     reinformed,
-    scores_at,
     screened,
     trials,
+    without,
 )
 from msp_lab.gap.run_offsets import run_offset_cm
 from msp_lab.gap.screen import Screen
+
+
+def eliminate(problem: Problem, state: State, needed_nats: float) -> State:
+    """Take out terms that the others have made needless."""
+    while len(state.terms) > 1:
+        smaller = [without(problem, state, k) for k in range(len(state.terms))]
+        spare = []
+        for term, less in zip(state.terms, smaller, strict=True):
+            numbers = len(term.active.values) if term.active.shape is not None else 1
+            needed = rules.KEEP_SHARE * needed_nats + (0.5 * numbers if numbers > 1 else 0.0)
+            spare.append(loss(problem, less.fit, state) - needed)
+        worst = int(np.argmin(spare))
+        if spare[worst] >= 0.0:
+            break
+        state = smaller[worst]
+    return state
 
 
 @dataclass(frozen=True)
@@ -51,10 +68,9 @@ class Selection:
 def select(problem: Problem, max_terms: int) -> Selection:
     """Search the terms that are missing from the model."""
     state = base = first_state(problem)
-    sums = scores_at(problem, state)
     # Runs count in the evidence after a refit; the screen and what it asks for are those of independent readings.
-    seen = screened(problem, state, sums=sums)
-    first = screened(problem, state, by_run=True, sums=sums) if state.by_run else seen
+    seen = screened(problem, state)
+    first = screened(problem, state, by_run=True) if state.by_run else seen
     state = _search(problem, state, seen, seen.needed_nats, max_terms)
     is_full = 0 < max_terms <= len(state.terms)
     return settled(problem, Selection(base, state, first, {}, seen.needed_nats, is_full=is_full))
@@ -104,11 +120,9 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
         trial = _next_term(problem, state, seen, needed_nats)
         if trial is None:
             break
-        name = trial.term.key[0]
-        problem.report(f"found {name}", 0.1 + 0.1 * len(state.terms))
+        problem.report(f"found {trial.term.key[0]}", 0.1 + 0.1 * len(state.terms))
         before = state
-        state = state.having(trial.fit, [*state.terms, trial.term]).logging(f"added {name}")
-        state = eliminate(problem, state, needed_nats)
+        state = eliminate(problem, state.having(trial.fit, [*state.terms, trial.term]), needed_nats)
         if state.keys in visited:
             # Terms that take each other's place in turn: none of them is better than what was there.
             return before
@@ -120,15 +134,26 @@ def add_effects(problem: Problem, state: State, seen: Screen, needed_nats: float
     return state
 
 
+def add_curves(problem: Problem, state: State, needed_nats: float, most: int) -> State:
+    """Add curves for what no effect explains, up to so many terms; the same state is returned where nothing changes.
+
+    One that makes another term needless takes its place, and so it is asked where there is no room for one more, too.
+    """
+    problem.report("searching what no effect explains", 0.5)
+    for _ in range(min(most, rules.MAX_CURVES)):
+        found = next_curve(problem, state)
+        if found is None:
+            break
+        found = eliminate(problem, found, needed_nats)
+        if len(found.terms) > most:
+            break
+        state = found
+    return state
+
+
 def _next_term(problem: Problem, state: State, seen: Screen, needed_nats: float) -> CandidateFit | None:
     """The candidate that gains most after its refit, if it gains enough."""
     nothing_seen = seen.largest < seen.critical and not state.by_run
-    least_nats = np.inf if nothing_seen else rules.SCREEN_KEEPS * needed_nats
-    for trial in trials(problem, state, seen, least_nats):
-        if trial.gain_nats < needed_nats:
-            break
-        # Of runs that all differ one is always the farthest off: an offset of it alone must leave the others alike.
-        of_one_run = trial.term.active.effect.per == "run"
-        if not (state.by_run and of_one_run) or problem.dependence(trial.fit).independent:
-            return trial
-    return None
+    least_nats = np.inf if nothing_seen else rules.KEEP_SHARE * needed_nats
+    found = trials(problem, state, seen, least_nats)
+    return found[0] if found and found[0].gain_nats >= needed_nats else None

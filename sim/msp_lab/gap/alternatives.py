@@ -1,22 +1,51 @@
-"""Which selected terms stay, and which candidates do as well in their place.
+"""Other names for what was found: which one stays in a term's place, which do as well, and what would tell them apart.
 
 Each step returns a better state, with the alternatives of each term: candidates that gain nearly as much after a refit
-of their own.
+of their own. An experiment spreads out one context, the others as they were, until two effects' scores differ by enough
+standard errors for as many readings.
 """
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
 from msp_lab.gap.evidence import lead_nats
-from msp_lab.gap.problem import CandidateFit, Problem, State, loss, screened, trials, with_candidate, without
+from msp_lab.gap.labels import unit_of
+from msp_lab.gap.prepared import CHANNELS, templates
+from msp_lab.gap.problem import (
+    CandidateFit,
+    Problem,
+    State,
+    loss,
+    screened,
+    trials,
+    with_candidate,
+    without,
+)
 from msp_lab.gap.refit import JointFit
-from msp_sim.model.model import Term
+from msp_range.arrays import Array
+from msp_sim.effects.base import WORD_COLUMNS, Scene
+from msp_sim.model.model import Term, applies
 
 TAILS = "heavy_tails"
+SPANS = {
+    "true_range_cm": (20.0, 765.0),
+    "air_temperature_c": (-10.0, 45.0),
+    "target_temperature_c": (-10.0, 60.0),
+    "humidity_pct": (5.0, 95.0),
+    "incidence_deg": (-40.0, 40.0),
+    "range_rate_cm_s": (-300.0, 300.0),
+    "throttle": (0.0, 1.0),
+    "vibration_hz": (0.0, 200.0),
+    "uptime_s": (0.0, 3600.0),
+}
+"""How far a context can reasonably be varied."""
+SHARES = (0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1.0)
+"""Shares of those spans; the smallest that is enough is suggested."""
 
 
 @dataclass(frozen=True)
@@ -29,22 +58,6 @@ class AlternativeTerm:
     """How much less it gains, on the readings that are refitted [nat]."""
     correlation: float
     """Correlation of both effects' scores."""
-
-
-def eliminate(problem: Problem, state: State, needed_nats: float) -> State:
-    """Take out terms that the others have made needless."""
-    while len(state.terms) > 1:
-        smaller = [without(problem, state, k) for k in range(len(state.terms))]
-        spare = []
-        for term, less in zip(state.terms, smaller, strict=True):
-            numbers = len(term.active.values) if term.active.shape is not None else 1
-            needed = rules.KEEP_SHARE * needed_nats + (0.5 * numbers if numbers > 1 else 0.0)
-            spare.append(loss(problem, less.fit, state) - needed)
-        worst = int(np.argmin(spare))
-        if spare[worst] >= 0.0:
-            break
-        state = smaller[worst].logging(f"removed {state.terms[worst].label}")
-    return state
 
 
 def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> State:
@@ -63,9 +76,7 @@ def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> St
             continue
         neither = without(problem, state, k)
         gained = problem.evidence_nats(neither.fit, only_tails.fit, state.by_run)
-        wanted = gained - tails.cost_nats >= needed_nats
-        dropped = f"tails in place of {term.label}" if wanted else f"neither {term.label} nor tails"
-        state = (only_tails if wanted else neither).logging(dropped)
+        state = only_tails if gained - tails.cost_nats >= needed_nats else neither
     return state
 
 
@@ -141,8 +152,7 @@ def _in_its_place(
     ]
     if takes and max(takes) > 0.0:
         best = others[int(np.argmax(takes))]
-        better = less.having(best.fit, [*less.terms, best.term])
-        return better.logging(f"{best.term.label} in place of {term.label}"), ()
+        return less.having(best.fit, [*less.terms, best.term]), ()
     lost = [
         max(own - problem.evidence_nats(less.fit, each.fit, state.by_run), -nats)
         for each, nats in zip(others, ahead, strict=True)
@@ -183,8 +193,7 @@ def _next_to_base(problem: Problem, state: State, others: Sequence[CandidateFit]
         fit = problem.refit([*state.fit.effects, other.term.active], state.fit.base)
         gained = problem.candidate_nats(state.fit, fit, candidate, state.by_run) - candidate.cost_nats
         if gained >= needed_nats:
-            added = state.having(fit, [*state.terms, SelectedTerm(fit.effects[-1], candidate)])
-            return added.logging(f"added {other.term.label} next to a number of the base")
+            return state.having(fit, [*state.terms, SelectedTerm(fit.effects[-1], candidate)])
     return None
 
 
@@ -201,3 +210,57 @@ def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[fl
         rest = own - basis @ (basis.T @ own)
         left.append(rest / max(float(np.linalg.norm(rest)), 1e-12))
     return [float(left[0] @ each) for each in left[1:]]
+
+
+def to_tell_apart(problem: Problem, base: JointFit, term: SelectedTerm, alternatives: Sequence[AlternativeTerm]) -> str:
+    """A sentence for each alternative; `base` is the fit before any term."""
+    return "; ".join(_sentence(problem, base, term.active, each.active) for each in alternatives)
+
+
+def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
+    best: tuple[float, str] | None = None
+    for column in sorted((own.effect.columns | other.effect.columns) - WORD_COLUMNS):
+        if column not in SPANS or column not in problem.contexts:
+            continue
+        low, high = SPANS[column]
+        values = problem.contexts[column]
+        middle = float(np.clip(np.nanmedian(values), low, high))
+        for share in SHARES:
+            start, end = middle - share * (middle - low), middle + share * (high - middle)
+            drawn = start + (end - start) * _even(values.size)
+            if _separation(problem, base, own, other, {**problem.contexts, column: drawn}) >= rules.SURE_Z:
+                if best is None or share < best[0]:
+                    text = f"vary {column} evenly from {start:.3g} to {end:.3g} {unit_of(column)}".rstrip()
+                    now = float(np.nanmax(values) - np.nanmin(values))
+                    best = share, f"{text} (by {end - start:.3g}; here by {now:.3g}) in as many readings"
+                break
+    text = best[1] if best else f"{own.effect.experiment}; or {other.effect.experiment}"
+    return f"to tell {own.effect.name} from {other.effect.name}: {text}"
+
+
+def _even(n: int) -> Array:
+    """Numbers spread evenly over 0 to 1, in an order (golden ratio) that correlates with no column."""
+    return np.asarray(np.mod(0.5 + np.arange(n) * 0.6180339887498949, 1.0))
+
+
+def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contexts: dict[str, Any]) -> float:
+    """Standard errors between two effects, by their templates in the channels' units of information."""
+    scene = Scene(problem.model.sensor, contexts)
+    weights = np.sqrt(np.mean(base.here.by[:, : len(CHANNELS)] ** 2, axis=0))
+    one, two = _templates(scene, own, weights), _templates(scene, other, weights)
+    size = float(np.linalg.norm(one))
+    if size == 0.0 or not np.any(two):
+        return 0.0
+    correlation = float((one * two).sum() / (np.linalg.norm(one) * np.linalg.norm(two)))
+    return size * float(np.sqrt(max(1.0 - correlation**2, 0.0)))
+
+
+def _templates(scene: Scene, each: Term, weights: Array) -> Array:
+    known = applies(scene, each)
+    found = np.zeros((scene.range_cm.size, len(CHANNELS)))
+    if known is False:
+        return found
+    for i, template in templates(known, each.change(scene)).items():
+        found[:, i] = weights[i] * template
+    found -= found.mean(axis=0)
+    return found
