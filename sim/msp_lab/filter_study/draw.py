@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from msp_lab.filter_study.candidates import changepoint
 from msp_lab.filter_study.nine import AS_REPORTED, Family, apply
 from msp_lab.filter_study.scenarios import (
+    GAUSSIAN,
     INTERVAL_S,
     NAMES,
     Array,
     ScenarioRuns,
-    gaussian_parameters,
     report_readings,
     truth,
 )
@@ -33,7 +33,7 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
     for scenario_index, name in enumerate(NAMES):
         rng = np.random.default_rng([seed, scenario_index])
         runs = report_readings(truth(name, 1, rng), rng)
-        newest_cm, _ = changepoint(runs.reading_cm, gaussian_parameters())
+        newest_cm, _ = changepoint(runs.reading_cm, GAUSSIAN)
         for family_index, family in enumerate(FAMILIES):
             number = FIRST_FIGURE + len(FAMILIES) * scenario_index + family_index
             variants = {each: variant for each, variant in AS_REPORTED.items() if variant.family == family}

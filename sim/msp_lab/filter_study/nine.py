@@ -21,7 +21,7 @@ Boundary = Literal["grow", "raw", "zero", "first"]
 
 @dataclass(frozen=True)
 class Variant:
-    """One filter with its parameters, and the differences of its implementation."""
+    """One filter with its parameters, and the differences of its implementation and of how it was studied."""
 
     family: Family
     parameter: float
@@ -39,6 +39,10 @@ class Variant:
     """Kalman: factor of Q. P at the start is R."""
     start_cm: float | None = None
     """Kalman: estimate at the first sample [cm]; None: the first reading."""
+    noise_factor: float = 1.0
+    """Factor of the variance of the readings' noise."""
+    reversed: bool = False
+    """True if the error is truth less estimate; the estimates are the same."""
 
     @property
     def window(self) -> int:

@@ -17,7 +17,7 @@ from msp_lab.cli import app
 from msp_lab.filter_study.candidates import changepoint, oracle
 from msp_lab.filter_study.explain import FilterResult, explain_rows
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, Variant, apply, behind_the_gate, over_samples
-from msp_lab.filter_study.scenarios import ScenarioRuns, gaussian_parameters, report_readings, truth
+from msp_lab.filter_study.scenarios import GAUSSIAN, ScenarioRuns, report_readings, truth
 from msp_lab.filter_study.statistics import delay_samples, error_statistics, mirrored
 from msp_lab.filter_study.table import REPORT, read_table, report_table
 from msp_range.yaml_file import ConfigError
@@ -137,7 +137,7 @@ def test_the_changepoint_filter_beats_the_nine_in_all_scenarios() -> None:
         medians = {key: CENTRED[key] for key in CENTRED if key.startswith("median")}
         nine = [*CAUSAL.values(), *medians.values()]
         best_cm = min(rms(apply(variant, runs.reading_cm), runs) for variant in nine)
-        newest_cm = rms(changepoint(runs.reading_cm, gaussian_parameters())[0], runs)
+        newest_cm = rms(changepoint(runs.reading_cm, GAUSSIAN)[0], runs)
         assert newest_cm < best_cm
         assert newest_cm < 1.25 * rms(oracle(runs), runs)
 
