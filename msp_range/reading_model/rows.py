@@ -236,7 +236,8 @@ class MixtureRows:
         np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
         np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
         others = np.flatnonzero(kind >= self._below()[0])
-        reading_cm[others] = self.take(others)._draw_others(kind[others], None if place is None else place[others])
+        if others.size:
+            reading_cm[others] = self.take(others)._draw_others(kind[others], None if place is None else place[others])
         return reading_cm
 
     def _below(self) -> tuple[Any, Any, Any]:
