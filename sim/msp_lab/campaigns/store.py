@@ -130,7 +130,7 @@ class Store:
 
     def keep(self, attempt: Attempt, known: KnownRanging) -> None:
         """Record a ranging of an attempt; raises RecordingError if the disk has failed."""
-        ranging, _, columns = known
+        ranging, columns = known
         reading = ranging.reading
         recorder = self._recording()
         recorder.write(TRUTH_PREFIX + reading.sensor, ranging.ping_s, {"run": attempt.runs[-1], **columns})

@@ -53,7 +53,7 @@ MISSPELT = 0.75
 """Refuse a name that is no column of the CSV form but so similar to one (share of equal letters): it is a misspelling
 and no column of one's own. `reading` for `reading_cm` has 0.82; lower: `range_m` is refused too; higher: misspellings
 become columns that nothing uses."""
-_OPTION = re.compile(r"\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*")
+_OPTION = re.compile(r"\s*(?P<name>[^=]*?)\s*=\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*")
 
 
 class MappedColumn(Section):
@@ -176,18 +176,15 @@ def load_map(options: Sequence[str]) -> ColumnMap:
         return load(options[0], ColumnMap)
     columns: dict[str, MappedColumn] = {}
     for option in options:
-        name, equals, place = option.partition("=")
-        if not equals:
+        found = _OPTION.fullmatch(option)
+        if found is None:
             raise ConfigError(f"--map {option}: expected one YAML file, or NAME=COLUMN*FACTOR as often as needed")
-        found = _OPTION.fullmatch(place)
         try:
-            assert found is not None
             mapped = MappedColumn(column=found["column"], factor=float(found["factor"] or 1.0))
-            check(name.strip(), mapped)
-        except (AssertionError, ValueError) as error:
-            text = str(error) or "expected NAME=COLUMN or NAME=COLUMN*FACTOR"
-            raise ConfigError(f"--map {option}: {text}") from None
-        columns[name.strip()] = mapped
+            check(found["name"], mapped)
+        except ValueError as error:
+            raise ConfigError(f"--map {option}: {error}") from None
+        columns[found["name"]] = mapped
     return ColumnMap(columns=columns)
 
 
