@@ -107,8 +107,7 @@ def over_samples(variant: Variant, reading_cm: Array) -> Array:
     # A window that ends at a reading is never empty.
     estimate_cm[there] = (np.nanmean if variant.family == "moving average" else np.nanmedian)(windows[there], axis=1)
     newest = np.maximum.accumulate(np.where(there, np.arange(reading_cm.shape[1]), -1), axis=1)
-    held_cm: Array = np.take_along_axis(estimate_cm, np.maximum(newest, 0), axis=1)
-    return held_cm
+    return np.take_along_axis(estimate_cm, np.maximum(newest, 0), axis=1)
 
 
 def _windowed(variant: Variant, reading_cm: Array) -> Array:

@@ -413,7 +413,7 @@ def longest_m(maximum_m: Array) -> float:
 
 def rounded_cm(range_m: Array | float) -> Array:
     """Ranges in centimetres, to a hundredth of a millimetre, since logs keep 32-bit numbers."""
-    return np.asarray(np.round(100.0 * np.asarray(range_m, dtype=float), 3))
+    return np.round(100.0 * np.asarray(range_m, dtype=float), 3)
 
 
 def looks_down(orientation: Array) -> bool:
@@ -423,7 +423,7 @@ def looks_down(orientation: Array) -> bool:
 
 def magnitude(*axes: Array) -> Array:
     """Length of a vector of these components."""
-    return np.asarray(np.sqrt(sum(axis**2 for axis in axes)))
+    return np.sqrt(sum(axis**2 for axis in axes))
 
 
 def make_ranger(

@@ -127,7 +127,7 @@ class Likelihood:
             # Far above rounding, and far below what changes the curvature.
             there[k] += min(1e-4 / np.sqrt(max(outer[k, k], 1e-300)), 1e-4)
             found[k] = (gradient - some.slopes(there)[1][0]) / (there[k] - at[k])
-        return np.asarray(0.5 * (found + found.T) * self.readings / some.readings)
+        return 0.5 * (found + found.T) * self.readings / some.readings
 
     def maximum(self, start: Numbers, bounds: tuple[Array, Array], enough_nats: float = ENOUGH_NATS) -> Maximum:
         """The nearest maximum, about: numbers (k,), their log-likelihood, its gradient and the outer product."""

@@ -314,5 +314,4 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
 def time_order(columns: Mapping[str, Column]) -> Indices:
     """Return row numbers by run, sensor and time; rows of one time stay in the order of the file."""
     run, sensor = (numbered(columns[name]) for name in ("run", "sensor"))
-    order: Indices = np.lexsort((columns["time_s"], sensor, run))
-    return order
+    return np.lexsort((columns["time_s"], sensor, run))

@@ -104,8 +104,7 @@ def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> Array:
 def _hats(values: Column, places: Knots) -> Array:
     if isinstance(places, Ripple):
         turned = np.exp(2j * np.pi * np.where(np.isfinite(values), values, 0.0) / places.period)
-        weights: Array = np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
-        return weights
+        return np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
     if isinstance(places[0], str):
         return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
     left, share = between(values, places)

@@ -270,7 +270,7 @@ class ModelRows(MixtureRows):
                 own = component.prob(first, last, hits, slopes=len(parts) > 1)
             # A component without a share may have unknown parameters.
             parts[: len(own)] += np.where(each > 0.0, each * own, 0.0)
-        return np.asarray(parts / odds)
+        return parts / odds
 
     def last_added(self, first: Array, last: Array) -> Array:
         """Probability under the last component alone, (1, n)."""
@@ -302,5 +302,4 @@ def score_of_fault(rows: ModelRows, reading_cm: Array, fault: CodeFault, log_p: 
 def _ratio(own: Array, log_p: Array) -> Array:
     """The added probability divided by the present one, minus 1; an impossible reading cannot become less probable."""
     p = np.exp(log_p)
-    score: Array = np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))
-    return score
+    return np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))
