@@ -200,19 +200,8 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> M
     """
     if column_map is not None:
         return read_mapped(path, column_map, maximum_cm)
-    try:
-        try:
-            table = read_csv(path)
-        except RecordingError as error:
-            # A name that is like the missing one is that, misspelt.
-            if "is missing. Found" not in str(error):
-                raise
-            table = _with_times(path, read_csv(path, ("reading_cm",)))
-        return table.without(*BRIDGE_COLUMNS)
-    except RecordingError as error:
-        if "is missing" not in str(error):
-            raise
-        raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+    hint = "; --map NAME=COLUMN reads columns with other names"
+    return _with_times(path, read_csv(path, ("reading_cm",), ("time_s", "sensor"), hint)).without(*BRIDGE_COLUMNS)
 
 
 def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> MeasuredData:
