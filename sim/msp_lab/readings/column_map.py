@@ -31,7 +31,7 @@ from msp_range.recording.csv_form import (
     with_point,
 )
 from msp_range.recording.error import RecordingError
-from msp_range.yaml_file import ConfigError, Section, load
+from msp_range.yaml_file import ConfigError, Section, load, suggest
 
 Unit = Literal["m", "cm", "mm", "in", "ft", "deg", "rad", "cos", "C", "F", "K", "s", "ms", "us", "%", "1"]
 
@@ -309,8 +309,7 @@ def _index(path: Path, header: list[str], name: str, column: str | int) -> int:
         return header.index(column)
     if count:
         raise RecordingError(f"{path}: the column {column!r} occurs {count} times; give its number from 1")
-    near = difflib.get_close_matches(column[:64], [each[:64] for each in header], n=1, cutoff=0.4)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    hint = suggest(column, [each[:64] for each in header])
     if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
         hint = f" Are the columns separated by {other!r}? Give a map file with delimiter: {json.dumps(other)}."
     there = short_list([each or "(no name)" for each in header])

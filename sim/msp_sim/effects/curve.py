@@ -92,12 +92,11 @@ def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> Array:
 
     Of a ripple its cosine and sine, which are 0 where the variable is unknown.
     """
-    weights: Array | None = None
-    for variable, places in zip(variables, knots, strict=True):
-        own = _hats(np.atleast_1d(scene[variable]), places)
-        weights = own if weights is None else (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
-    if weights is None:
-        raise ValueError("a curve needs at least one variable")
+    weights, *others = (
+        _hats(np.atleast_1d(scene[each]), places) for each, places in zip(variables, knots, strict=True)
+    )
+    for own in others:
+        weights = (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
     return weights if np.ndim(scene[variables[0]]) else weights[0]
 
 
