@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.filter_study.nine import Variant, apply
 from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, ScenarioRuns, report_readings, truth
-from msp_lab.filter_study.statistics import error_statistics, mirrored
+from msp_lab.filter_study.statistics import error_statistics
 from msp_lab.filter_study.table import Row
 from msp_range.arrays import Array
 
@@ -93,9 +93,7 @@ def band_in(variant: Variant, name: str, seeds: int) -> Band:
     """Return the band in one scenario, from so many runs."""
     runs = _runs(name, seeds, variant.noise_factor)
     error_cm = apply(variant, runs.reading_cm) - runs.true_cm
-    values = error_statistics(error_cm)
-    if variant.reversed:
-        values = mirrored(values, np.percentile(error_cm, 10, axis=1))
+    values = error_statistics(-error_cm if variant.reversed else error_cm)
     low, middle, high = np.percentile(_scaled(values), (TAIL, 50.0, 100.0 - TAIL), axis=1)
     middle_cm = _unscaled(middle)
     floor = np.where(_POSITIVE, FLOOR, FLOOR * max(float(middle_cm[0]), SMALLEST_CM))
