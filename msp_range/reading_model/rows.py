@@ -6,7 +6,7 @@ is these rows; the simulator's effects change their numbers and mix in more.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -48,9 +48,23 @@ UNDERFLOW = 1e-290
 """Below this a probability is no longer a float with all its digits, and that of the hits is taken by its logarithm."""
 
 
+@dataclass(frozen=True)
+class ByRow:
+    """Base of what has fields with an element for each row."""
+
+    def take(self, rows: Any) -> Self:
+        """Some of the rows."""
+        return replace(self, **{each.name: take(getattr(self, each.name), rows) for each in fields(self)})
+
+
 def take(values: Any, rows: Any) -> Any:
-    """Some rows of a column; a number stays."""
-    return values[rows] if isinstance(values, np.ndarray) else values
+    """Some rows of a column, and of all columns in a tuple; a number stays."""
+    if isinstance(values, np.ndarray):
+        return values[rows]
+    if isinstance(values, tuple):
+        taken = [take(each, rows) for each in values]
+        return type(values)(*taken) if hasattr(values, "_fields") else tuple(taken)
+    return values.take(rows) if isinstance(values, ByRow) else values
 
 
 def among(some: Array, rows: Indices, size: int) -> Array:
@@ -68,7 +82,7 @@ def shares_of(log_weights: Sequence[Any]) -> list[Any]:
 
 
 @dataclass(frozen=True)
-class MixtureRows:
+class MixtureRows(ByRow):
     """Distribution of n readings: hit, short, missed and random readings by their weights, as `ReadingModel` has
     them."""
 
@@ -86,16 +100,6 @@ class MixtureRows:
 
     def __len__(self) -> int:
         return self.centre_cm.size
-
-    def take(self, rows: Any) -> Self:
-        """Some of the rows."""
-        hit, short, missed, random = (take(log_weight, rows) for log_weight in self.log_weights)
-        return replace(
-            self,
-            centre_cm=self.centre_cm[rows],
-            sigma_cm=take(self.sigma_cm, rows),
-            log_weights=(hit, short, missed, random),
-        )
 
     def wider(self, factor: Any) -> Self:
         """A copy with the spread multiplied by a factor."""
@@ -236,7 +240,8 @@ class MixtureRows:
         np.fmin(reading_cm, self.maximum_cm, out=reading_cm)
         np.maximum(reading_cm, self.minimum_cm, out=reading_cm)
         others = np.flatnonzero(kind >= self._below()[0])
-        reading_cm[others] = self.take(others)._draw_others(kind[others], None if place is None else place[others])
+        if others.size:
+            reading_cm[others] = self.take(others)._draw_others(kind[others], None if place is None else place[others])
         return reading_cm
 
     def _below(self) -> tuple[Any, Any, Any]:

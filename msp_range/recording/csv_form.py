@@ -112,7 +112,9 @@ def join_tables(tables: Sequence[MeasuredData]) -> MeasuredData:
     return MeasuredData(columns)
 
 
-def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> MeasuredData:
+def read_csv(
+    path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS, optional: Sequence[str] = (), hint: str = ""
+) -> MeasuredData:
     """Read measured data.
 
     Parameters
@@ -121,6 +123,10 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
         A CSV file with a header, separated by commas, in UTF-8.
     required
         Columns that have to be there.
+    optional
+        Columns that may be missing; where a name is like one of them, it is taken for that one, misspelt.
+    hint
+        What the message of a missing column ends with.
 
     Returns
     -------
@@ -134,7 +140,7 @@ def read_csv(path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS) -> Me
     """
     path = Path(path)
     header = csv_header(path)
-    _check_header(path, header, required)
+    _check_header(path, header, required, optional, hint)
 
     def rows() -> Iterator[tuple[int, Sequence[str]]]:
         for line, row in itertools.islice(csv_rows(path), 1, None):
@@ -288,7 +294,7 @@ def short_list(names: Sequence[str]) -> str:
     return ", ".join(shown) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
 
-def _check_header(path: Path, header: list[str], required: Sequence[str]) -> None:
+def _check_header(path: Path, header: list[str], required: Sequence[str], optional: Sequence[str], hint: str) -> None:
     if not header:
         raise RecordingError(f"{path}: empty, expected a header with the columns {', '.join(required)}")
     for number, name in enumerate(header, start=1):
@@ -296,11 +302,12 @@ def _check_header(path: Path, header: list[str], required: Sequence[str]) -> Non
             raise RecordingError(f"{path}:1: column {number} has no name")
         if name in header[: number - 1]:
             raise RecordingError(f"{path}:1: the column {name[:LONGEST_CELL]!r} is there twice")
-    for name in required:
-        if name not in header:
-            near = difflib.get_close_matches(name, [each[:64] for each in header if each not in required], n=1)
-            hint = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
-            raise RecordingError(f"{path}:1: the column {name!r} is missing.{hint} Found: {short_list(header)}")
+    names = *required, *optional
+    for name in names:
+        near = difflib.get_close_matches(name, [each[:64] for each in header if each not in names], n=1)
+        if name not in header and (near or name in required):
+            why = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
+            raise RecordingError(f"{path}:1: the column {name!r} is missing.{why} Found: {short_list(header)}{hint}")
 
 
 def word_column(source: str, name: str, words: Sequence[str]) -> Column:

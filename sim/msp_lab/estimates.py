@@ -305,10 +305,11 @@ def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSprea
     if np.ptp(np.rint(values / step)) == 0.0:
         # All in one step: any smaller spread is as likely.
         spread = least = 0.0
-    return MeanAndSpread(
-        IntervalEstimate(step * mean, step * mean_ends[0], step * mean_ends[1], "cm", values.size),
-        IntervalEstimate(step * spread, step * least, step * largest, "cm", values.size),
+    found = (
+        IntervalEstimate(mean, *mean_ends, "cm", values.size),
+        IntervalEstimate(spread, least, largest, "cm", values.size),
     )
+    return MeanAndSpread(*(each.mapped(lambda steps: step * steps) for each in found))
 
 
 def _log_likelihood(values: Array, means: Array, spreads: Array) -> Array:

@@ -75,7 +75,7 @@ def test_a_range_nearer_than_the_minimum_is_no_answer() -> None:
     topic = ros._Topic("/sonar", "sensor_msgs/msg/Range", ("range", "min_range", "max_range"))
     for step, range_m in enumerate((0.1, -np.inf, 0.2, np.inf)):
         topic.add(float(step), SimpleNamespace(range=range_m, min_range=0.2, max_range=7.0), step, np.nan)
-    (ranger,) = ros._rangers({"/sonar": topic})
+    (ranger,) = ros._rangers([topic])
     np.testing.assert_array_equal(ranger.series.values, [np.nan, np.nan, 20.0, 700.0])
     assert ranger.too_near == 2
 
@@ -90,7 +90,7 @@ def test_an_altitude_counts_with_a_ground_station_and_to_centimetres() -> None:
             0,
             np.nan,
         )
-    (rtk,) = ros._references({"/fix": topic})
+    (rtk,) = ros._references([topic])
     assert np.isfinite(rtk.series.values).tolist() == [True, False, False, False]
 
 

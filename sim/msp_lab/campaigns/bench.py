@@ -114,15 +114,14 @@ class KernelBench:
 
 
 class KnownRanging(NamedTuple):
-    """A ranging, whether its ping was sent, and its context."""
+    """A ranging and its context."""
 
     ranging: Ranging
-    pinged: bool
     columns: dict[str, float | str]
 
 
 class _RecordedSensor:
-    """A `RangeSensor` that keeps the time since the last ping of another sensor.
+    """A `RangeSensor` that keeps the time since the last ping of another sensor; None where its own was not sent.
 
     ``pings_s`` has the time of each sensor's last ping [s], taken right after its command was written.
     """
@@ -133,17 +132,16 @@ class _RecordedSensor:
         self._clock = clock
         self._pings_s = pings_s
         self.address = device.address
-        self.pinged = False
         self.lag_s: float | None = None
 
     def ping(self) -> None:
         """Start a ranging."""
-        self.pinged = False
+        self.lag_s = None
         self._device.ping()
-        self.pinged = True
         now_s = self._clock.now()
         self._pings_s.pop(self._name, None)
-        self.lag_s = now_s - max(self._pings_s.values()) if self._pings_s else None
+        if self._pings_s:
+            self.lag_s = now_s - max(self._pings_s.values())
         self._pings_s[self._name] = now_s
 
     def answer(self) -> Decoded:
@@ -186,7 +184,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         clock.sleep_until(poller.next_event_s)
         for ranging in poller.step():
             device = devices[ranging.reading.sensor]
-            yield KnownRanging(ranging, device.pinged, _columns(columns, ranging, device, rate_cm_s, start_s))
+            yield KnownRanging(ranging, _columns(columns, ranging, device, rate_cm_s, start_s))
 
 
 def _columns(
@@ -197,7 +195,7 @@ def _columns(
         return round(start_cm + rate_cm_s * (time_s - start_s), 3) if rate_cm_s else start_cm
 
     known = {**columns, "true_range_cm": range_cm(ranging.reading.time_s)}
-    if device.pinged and device.lag_s is not None:
+    if device.lag_s is not None:
         known["neighbour_lag_ms"] = round(device.lag_s * 1e3, 3)
         # They face the same target.
         known["neighbour_range_cm"] = range_cm(ranging.ping_s - device.lag_s)

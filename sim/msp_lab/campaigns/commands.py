@@ -6,7 +6,8 @@ They write recordings and one table of readings. `collecting` is the same on the
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+
+from rich.console import Console
 
 from msp_lab.campaigns.bench import KernelBench
 from msp_lab.campaigns.collect import Collection, collect_readings
@@ -54,14 +55,13 @@ def collect_recordings(campaign_file: Path, out: Path, plan_only: bool) -> None:
         print(f"{table}: {rows} readings; {left} of {len(campaign.flights)} flights are left")
 
 
-def _asking(console: Any) -> Callable[[str], str]:
+def _asking(console: Console) -> Callable[[str], str]:
     """Return a prompt that a signal ends; it returns q then, and at the end of the input."""
 
     def ask(text: str) -> str:
         handlers = {each: signal.signal(each, signal.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
         try:
-            answer: str = console.input(text)
-            return answer
+            return console.input(text)
         except (KeyboardInterrupt, EOFError):
             console.print()
             return "q"

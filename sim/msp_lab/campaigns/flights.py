@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from rich.console import Console
 
 from msp_lab.campaigns.campaign import Reference, repeated
-from msp_lab.campaigns.store import READINGS_NAME
+from msp_lab.campaigns.store import READINGS_NAME, check_no_table
 from msp_lab.logs.log import between_samples
 from msp_range.arrays import Column
 from msp_range.config import NamedAirframe
@@ -110,12 +110,8 @@ class FlightArchive:
     def __init__(self, folder: Path, campaign: FlightCampaign) -> None:
         self.folder = folder
         self._campaign = campaign
-        table = folder / READINGS_NAME
-        if table.exists() and not any(self.recordings(flight) for flight in campaign.flights):
-            raise RecordingError(
-                f"{table}: not collected here, since there is no recording of these flights in {folder / 'flights'}, "
-                "and it would be overwritten; name another folder with --out"
-            )
+        if not any(self.recordings(flight) for flight in campaign.flights):
+            check_no_table(folder, f"recording of these flights in {folder / 'flights'}")
 
     def recordings(self, flight: Flight) -> list[Path]:
         """Return the recordings of a flight in their order."""

@@ -32,7 +32,7 @@ SETUP_S = {
 that is left."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Transmitter:
     """A transmitter next to the bench; ``duty`` 0 is one that is switched off."""
 
@@ -42,7 +42,7 @@ class Transmitter:
     frequency_khz: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Movement:
     """A target on its way; ``rate_cm_s`` is positive where it goes away, ``number`` counts repeated movements."""
 
@@ -51,7 +51,7 @@ class Movement:
     number: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Setup:
     """The set-up of a point; a movement starts at ``range_cm``."""
 
@@ -66,7 +66,7 @@ class Setup:
     movement: Movement | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Point:
     """One set-up and its readings."""
 

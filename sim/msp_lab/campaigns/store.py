@@ -53,6 +53,16 @@ class Attempt:
     """Whether it was read to its end."""
 
 
+def check_no_table(folder: Path, recording: str) -> None:
+    """Refuse a ``readings.csv`` where there is no such recording; RecordingError with what to do."""
+    table = folder / READINGS_NAME
+    if table.exists():
+        raise RecordingError(
+            f"{table}: not collected here, since there is no {recording}, and it would be overwritten; name another "
+            "folder with --out"
+        )
+
+
 class Store:
     """The folder of one campaign at one bench.
 
@@ -86,11 +96,8 @@ class Store:
         self._recorder: Recorder | None = None
         self._attempts: defaultdict[str, list[Attempt]] = defaultdict(list)
         recordings = self.recordings
-        if not recordings and (folder / READINGS_NAME).exists():
-            raise RecordingError(
-                f"{folder / READINGS_NAME}: not collected here, since there is no session-*.mcap next to it, and it "
-                "would be overwritten; name another folder with --out"
-            )
+        if not recordings:
+            check_no_table(folder, "session-*.mcap next to it")
         for path in recordings:
             self._restore(Recording(path))
 
@@ -130,7 +137,7 @@ class Store:
 
     def keep(self, attempt: Attempt, known: KnownRanging) -> None:
         """Record a ranging of an attempt; raises RecordingError if the disk has failed."""
-        ranging, _, columns = known
+        ranging, columns = known
         reading = ranging.reading
         recorder = self._recording()
         recorder.write(TRUTH_PREFIX + reading.sensor, ranging.ping_s, {"run": attempt.runs[-1], **columns})

@@ -30,7 +30,7 @@ ACCOUNTED_CM, ACCOUNTED_SHARE = 3.0, 0.05
 the range]; more is reported as a wrong placement."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Outlier:
     """A reading far from the others: its number within the point, its value, and a possible reason."""
 

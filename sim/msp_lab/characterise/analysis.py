@@ -185,17 +185,13 @@ def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[st
 
 def _with_step(sensor: SensorModel, loaded: LoadedReadings) -> tuple[SensorModel, list[str]]:
     """The sensor with the step in which its readings come, or a warning where the model cannot have it."""
-
-    def in_steps_of(step_cm: float) -> SensorModel:
-        return SensorModel.model_validate(sensor.model_dump() | {"resolution_cm": step_cm})
-
     model = Model.of(sensor)
     own_cm = measured_step(loaded.data, model)
     try:
-        return in_steps_of(own_cm), []
+        return model.with_step(own_cm).sensor, []
     except ValueError:
         step_cm = step_with(loaded.data, model)
-    return in_steps_of(step_cm), [
+    return model.with_step(step_cm).sensor, [
         f"the readings come in steps of {own_cm:g} cm, and this model cannot have them, as its limits of "
         f"{sensor.minimum_cm:g} and {sensor.maximum_cm:g} cm, or its 255, would be no multiples: its mixture takes "
         f"their step to be {step_cm:g} cm, so its sigma_cm is wrong"

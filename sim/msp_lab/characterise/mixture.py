@@ -52,19 +52,13 @@ def fit_mixture(
     notes = []
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
-    pit_counts: tuple[int, ...] = ()
-    pit_p_value = None
-    try:
-        good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
-        pit_counts, pit_p_value, note = good.pit_histogram, good.chi_square_p_value, good.note
-    except ValueError as error:
-        note = f"how well it fits is not known: {error}"
+    good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
     moved = tuple(each for each in set_ups if each is not None)
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
     # All weights are one number together, so none of them alone can be the starting model's.
     kept = set(result.not_identified) & MixtureParameters.model_fields.keys()
     changed = {name: getattr(sensor.reading_model, name) for name in kept}
-    notes += [note, *_notes(result, moved, len(points), raised, kept)]
+    notes += [good.note, *_notes(result, moved, len(points), raised, kept)]
     if correlation is not None:
         changed |= {"correlation": correlation.correlation, "correlation_spacing_s": correlation.spacing_s}
         notes.append(correlation.note)
@@ -76,8 +70,8 @@ def fit_mixture(
         ),
         readings=result.readings,
         log_likelihood=result.log_likelihood,
-        pit_counts=pit_counts,
-        pit_p_value=pit_p_value,
+        pit_counts=good.pit_histogram,
+        pit_p_value=good.chi_square_p_value,
         conditional=_conditional(result, expected_cm) if has_ranges else "not tried: all readings are of one range",
         notes=tuple(notes),
         set_ups=moved,

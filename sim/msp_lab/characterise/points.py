@@ -119,8 +119,7 @@ class PointReadings(SetUp):
     @cached_property
     def is_echo(self) -> Flags:
         """Answers that are no code."""
-        echoes: Flags = ~np.isnan(self.reading_cm) & ~self.is_code
-        return echoes
+        return ~np.isnan(self.reading_cm) & ~self.is_code
 
     @cached_property
     def error_cm(self) -> Array:

@@ -1,7 +1,7 @@
 """Monte-Carlo bands: the range of a filter's statistics over many seeds.
 
-For a setting (the filter, the noise and the sign of the error) and a number of seeds, each scenario and statistic has a
-middle and a spread to either side, from which the distance of a table's row follows.
+For a variant of a filter and a number of seeds, each scenario and statistic has a middle and a spread to either side,
+from which the distance of a table's row follows.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_lab.filter_study.nine import Variant, apply
 from msp_lab.filter_study.scenarios import NAMES, NOISE_CM2, ScenarioRuns, report_readings, truth
-from msp_lab.filter_study.statistics import error_statistics, mirrored
+from msp_lab.filter_study.statistics import error_statistics
 from msp_lab.filter_study.table import Row
 from msp_range.arrays import Array
 
@@ -25,25 +25,15 @@ FLOOR = 0.02
 """Smallest spread, as a share of the median RMS or of the value itself: medians of whole numbers hardly vary."""
 SMALLEST_CM = 0.01
 """Smallest median RMS for that [cm]."""
+SEEDS = 1000
+"""Runs per scenario for the bands; their percentiles are then known to about 5 % of a spread."""
 SEARCH_SEED = 20_240
-"""Random seed of the bands; the same runs serve every setting."""
-
-
-@dataclass(frozen=True)
-class StudiedFilter:
-    """A filter in a study."""
-
-    variant: Variant
-    """The filter."""
-    noise_factor: float = 1.0
-    """Factor of the variance of the readings' noise."""
-    reversed: bool = False
-    """True if the error is truth less estimate."""
+"""Random seed of the bands; the same runs serve every variant."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """Bands of one setting in one scenario, arrays in the order of the statistics.
+    """Bands of one variant in one scenario, arrays in the order of the statistics.
 
     RMS and variance are positive and skewed: their spreads are those of their logarithms.
     """
@@ -93,19 +83,17 @@ def _unscaled(values: Array) -> Array:
     return np.where(_POSITIVE, np.exp(np.where(_POSITIVE, values, 0.0)), values)
 
 
-def find_bands(setting: StudiedFilter, seeds: int) -> Mapping[str, Band]:
-    """Return the bands of one setting in all scenarios from ``seeds`` runs of each, the same for every setting."""
-    return {name: band_in(setting, name, seeds) for name in NAMES}
+def find_bands(variant: Variant) -> Mapping[str, Band]:
+    """Return the bands of one variant in all scenarios from `SEEDS` runs of each, the same for every variant."""
+    return {name: band_in(variant, name, SEEDS) for name in NAMES}
 
 
 @lru_cache(maxsize=8192)
-def band_in(setting: StudiedFilter, name: str, seeds: int) -> Band:
-    """Return the band in one scenario."""
-    return band(_values(setting, name, seeds))
-
-
-def band(values: Array) -> Band:
-    """Return the band of statistics of shape (5, seeds)."""
+def band_in(variant: Variant, name: str, seeds: int) -> Band:
+    """Return the band in one scenario, from so many runs."""
+    runs = _runs(name, seeds, variant.noise_factor)
+    error_cm = apply(variant, runs.reading_cm) - runs.true_cm
+    values = error_statistics(-error_cm if variant.reversed else error_cm)
     low, middle, high = np.percentile(_scaled(values), (TAIL, 50.0, 100.0 - TAIL), axis=1)
     middle_cm = _unscaled(middle)
     floor = np.where(_POSITIVE, FLOOR, FLOOR * max(float(middle_cm[0]), SMALLEST_CM))
@@ -114,17 +102,9 @@ def band(values: Array) -> Band:
     )
 
 
-def _values(setting: StudiedFilter, name: str, seeds: int) -> Array:
-    """Statistics of one setting in one scenario, shape (5, seeds)."""
-    runs = _runs(name, seeds, setting.noise_factor)
-    error_cm = apply(setting.variant, runs.reading_cm) - runs.true_cm
-    values = error_statistics(error_cm)
-    return mirrored(values, np.percentile(error_cm, 10, axis=1)) if setting.reversed else values
-
-
 @lru_cache(maxsize=64)
 def _runs(name: str, seeds: int, noise_factor: float) -> ScenarioRuns:
-    """The same runs for every setting; the noise has the same random numbers for all of its variances."""
+    """The same runs for every variant; the noise has the same random numbers for all of its variances."""
     rng = np.random.default_rng([SEARCH_SEED, NAMES.index(name)])
     return report_readings(_truth(name, seeds), rng, NOISE_CM2 * noise_factor)
 

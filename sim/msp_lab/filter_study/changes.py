@@ -1,11 +1,11 @@
-"""Differences between two implementations of one filter, as changes of a setting, each with a description."""
+"""Differences between two implementations of one filter, as changes of a variant, each with a description."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any, Literal
 
-from msp_lab.filter_study.bands import StudiedFilter
+from msp_lab.filter_study.nine import Variant
 from msp_lab.filter_study.scenarios import FIXED_CM
 
 Kind = Literal["q_factor", "noise_factor", "start_cm", "delay", "window", "centred", "boundary", "sign"]
@@ -39,14 +39,11 @@ class ImplementationChange:
     kind: Kind
     value: Any
 
-    def made_in(self, setting: StudiedFilter) -> StudiedFilter:
-        """Return the setting with this change."""
-        if self.kind == "noise_factor":
-            return replace(setting, noise_factor=self.value)
+    def made_in(self, variant: Variant) -> Variant:
+        """Return the variant with this change."""
         if self.kind == "sign":
-            return replace(setting, reversed=not setting.reversed)
-        name = "parameter" if self.kind == "window" else self.kind
-        return replace(setting, variant=replace(setting.variant, **{name: self.value}))
+            return replace(variant, reversed=not variant.reversed)
+        return replace(variant, **{"parameter" if self.kind == "window" else self.kind: self.value})
 
     @property
     def text(self) -> str:
@@ -77,16 +74,15 @@ class ImplementationChange:
 Changes = tuple[ImplementationChange, ...]
 
 
-def all_made(changes: Changes, setting: StudiedFilter) -> StudiedFilter:
-    """Return the setting with all changes."""
+def all_made(changes: Changes, variant: Variant) -> Variant:
+    """Return the variant with all changes."""
     for change in changes:
-        setting = change.made_in(setting)
-    return setting
+        variant = change.made_in(variant)
+    return variant
 
 
-def single(base: StudiedFilter, each_factor: int = 1) -> Iterator[ImplementationChange]:
+def single(variant: Variant, each_factor: int = 1) -> Iterator[ImplementationChange]:
     """Yield every single change; of factors, every `each_factor`-th."""
-    variant = base.variant
     factors = FACTORS[::each_factor]
     if variant.family == "kalman":
         yield from (ImplementationChange("q_factor", factor) for factor in factors)
@@ -106,7 +102,7 @@ def single(base: StudiedFilter, each_factor: int = 1) -> Iterator[Implementation
     yield ImplementationChange("sign", None)
 
 
-def double(base: StudiedFilter) -> Iterator[Changes]:
+def double(base: Variant) -> Iterator[Changes]:
     """Yield every pair of changes of different kinds; of factors, four per decade."""
     for one, other in combinations(single(base, each_factor=2), 2):
         if one.kind != other.kind:

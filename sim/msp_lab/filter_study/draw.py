@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 from msp_lab.filter_study.candidates import changepoint
 from msp_lab.filter_study.nine import AS_REPORTED, Family, apply
 from msp_lab.filter_study.scenarios import (
+    GAUSSIAN,
     INTERVAL_S,
     NAMES,
     Array,
     ScenarioRuns,
-    gaussian_parameters,
     report_readings,
     truth,
 )
@@ -33,7 +33,7 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
     for scenario_index, name in enumerate(NAMES):
         rng = np.random.default_rng([seed, scenario_index])
         runs = report_readings(truth(name, 1, rng), rng)
-        newest_cm, _ = changepoint(runs.reading_cm, gaussian_parameters())
+        newest_cm, _ = changepoint(runs.reading_cm, GAUSSIAN)
         for number, family in enumerate(FAMILIES, start=FIRST_FIGURE + len(FAMILIES) * scenario_index):
             of_family = {each: variant for each, variant in AS_REPORTED.items() if variant.family == family}
             estimates = {each: apply(variant, runs.reading_cm)[0] for each, variant in of_family.items()}

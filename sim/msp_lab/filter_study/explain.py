@@ -12,13 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from msp_lab.filter_study.bands import WIDTH, Band, StudiedFilter, band_in, find_bands
+from msp_lab.filter_study.bands import SEEDS, WIDTH, Band, band_in, find_bands
 from msp_lab.filter_study.changes import ROUND, Changes, all_made, double, single
-from msp_lab.filter_study.nine import AS_REPORTED
+from msp_lab.filter_study.nine import AS_REPORTED, Variant
 from msp_lab.filter_study.table import Row, Table
 
-SEEDS = 1000
-"""Runs per scenario for the bands; their percentiles are then known to about 5 % of a spread."""
 SEARCH_SEEDS = 60
 """Runs per scenario for the search; its results are then checked with all `SEEDS`."""
 NEAR = 2.0
@@ -67,18 +65,18 @@ def explain_rows(table: Table) -> tuple[bool, list[FilterResult]]:
         of_filter.setdefault(row.filter, {})[row.scenario] = row
     reverse = _is_reversed(of_filter)
     return reverse, [
-        _verdict(name, rows, StudiedFilter(AS_REPORTED[name], reversed=reverse)) for name, rows in of_filter.items()
+        _verdict(name, rows, replace(AS_REPORTED[name], reversed=reverse)) for name, rows in of_filter.items()
     ]
 
 
-def misfit(setting: StudiedFilter, rows: Rows, seeds: int, near: float = math.inf) -> tuple[float, float]:
+def misfit(variant: Variant, rows: Rows, seeds: int, near: float = math.inf) -> tuple[float, float]:
     """-2 log likelihood of all values, taken as normal around their middles, and their largest distance in spreads.
 
     Both are infinite as soon as a row is farther away than ``near``.
     """
     total, largest = 0.0, 0.0
     for name in sorted(rows, key=SEARCH_ORDER.index):
-        band = band_in(setting, name, seeds)
+        band = band_in(variant, name, seeds)
         distance = band.distance(rows[name])
         total += float(np.minimum(distance**2, CAP).sum()) + 2.0 * band.log_spread
         largest = max(largest, float(np.abs(distance).max()))
@@ -95,7 +93,7 @@ def _is_reversed(of_filter: Mapping[str, Rows]) -> bool:
     for reverse in (False, True):
         unfit, total = 0, 0.0
         for name, rows in of_filter.items():
-            base = StudiedFilter(AS_REPORTED[name], reversed=reverse)
+            base = replace(AS_REPORTED[name], reversed=reverse)
             unfit += misfit(base, rows, SEEDS)[1] > WIDTH
             lags = (change for change in single(base) if change.kind in _LAGS)
             late = [change for change in lags if change.kind != "delay" or change.value > 0]
@@ -108,8 +106,8 @@ _LAGS = ("delay", "q_factor", "window", "centred")
 """Changes that move the mean error where the range changes."""
 
 
-def _verdict(name: str, rows: Rows, base: StudiedFilter) -> FilterResult:
-    before = find_bands(base, SEEDS)
+def _verdict(name: str, rows: Rows, base: Variant) -> FilterResult:
+    before = find_bands(base)
     if misfit(base, rows, SEEDS)[1] <= WIDTH:
         return FilterResult(name, rows, before, (), before, 1)
     searches: tuple[Iterable[Changes], ...] = (((change,) for change in single(base)), double(base))
@@ -119,16 +117,16 @@ def _verdict(name: str, rows: Rows, base: StudiedFilter) -> FilterResult:
         tried += found
         changes = _best(found, base, rows)
         if changes is not None:
-            return FilterResult(name, rows, before, changes, find_bands(all_made(changes, base), SEEDS), len(tried))
+            return FilterResult(name, rows, before, changes, find_bands(all_made(changes, base)), len(tried))
     alone = {scenario: _best_alone(tried, base, {scenario: row}) for scenario, row in rows.items()}
     singles = [each for each in tried if len(each) == 1]
     nearest: Changes = min(singles, key=lambda each: misfit(all_made(each, base), rows, SEARCH_SEEDS)[0])
     nearest = _refined(nearest, base, rows)
-    after = find_bands(all_made(nearest, base), SEEDS)
+    after = find_bands(all_made(nearest, base))
     return FilterResult(name, rows, before, None, after, len(tried), nearest, alone)
 
 
-def _best(found: Sequence[Changes], base: StudiedFilter, rows: Rows) -> Changes | None:
+def _best(found: Sequence[Changes], base: Variant, rows: Rows) -> Changes | None:
     """Those of equally many changes that fit all rows best; None: none fits."""
     fits = [(misfit(all_made(changes, base), rows, SEARCH_SEEDS, NEAR * WIDTH), changes) for changes in found]
     near = sorted((fit for fit in fits if fit[0][1] < math.inf), key=lambda each: each[0][0])
@@ -138,7 +136,7 @@ def _best(found: Sequence[Changes], base: StudiedFilter, rows: Rows) -> Changes 
     return min(fitting, key=lambda each: each[0][0])[1] if fitting else None
 
 
-def _best_alone(tried: Sequence[Changes], base: StudiedFilter, row: Rows) -> Changes | None:
+def _best_alone(tried: Sequence[Changes], base: Variant, row: Rows) -> Changes | None:
     """The fewest, then the best changes that fit one row."""
     for count in range(3):
         changes = _best([each for each in tried if len(each) == count], base, row)
@@ -147,7 +145,7 @@ def _best_alone(tried: Sequence[Changes], base: StudiedFilter, row: Rows) -> Cha
     return None
 
 
-def _refined(changes: Changes, base: StudiedFilter, rows: Rows) -> Changes:
+def _refined(changes: Changes, base: Variant, rows: Rows) -> Changes:
     """Set each factor to the value that fits best, or to a round one that fits as well."""
     for index, change in enumerate(changes):
         if change.is_factor:
@@ -155,7 +153,7 @@ def _refined(changes: Changes, base: StudiedFilter, rows: Rows) -> Changes:
     return changes
 
 
-def _with_best_factor(changes: Changes, index: int, base: StudiedFilter, rows: Rows) -> Changes:
+def _with_best_factor(changes: Changes, index: int, base: Variant, rows: Rows) -> Changes:
     def with_factor(factor: float) -> Changes:
         return (*changes[:index], replace(changes[index], value=factor), *changes[index + 1 :])
 

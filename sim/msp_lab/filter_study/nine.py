@@ -21,7 +21,7 @@ Boundary = Literal["grow", "raw", "zero", "first"]
 
 @dataclass(frozen=True)
 class Variant:
-    """One filter with its parameters, and the differences of its implementation."""
+    """One filter with its parameters, and the differences of its implementation and of how it was studied."""
 
     family: Family
     parameter: float
@@ -39,6 +39,10 @@ class Variant:
     """Kalman: factor of Q. P at the start is R."""
     start_cm: float | None = None
     """Kalman: estimate at the first sample [cm]; None: the first reading."""
+    noise_factor: float = 1.0
+    """Factor of the variance of the readings' noise."""
+    reversed: bool = False
+    """True if the error is truth less estimate; the estimates are the same."""
 
     @property
     def window(self) -> int:
@@ -103,8 +107,7 @@ def over_samples(variant: Variant, reading_cm: Array) -> Array:
     # A window that ends at a reading is never empty.
     estimate_cm[there] = (np.nanmean if variant.family == "moving average" else np.nanmedian)(windows[there], axis=1)
     newest = np.maximum.accumulate(np.where(there, np.arange(reading_cm.shape[1]), -1), axis=1)
-    held_cm: Array = np.take_along_axis(estimate_cm, np.maximum(newest, 0), axis=1)
-    return held_cm
+    return np.take_along_axis(estimate_cm, np.maximum(newest, 0), axis=1)
 
 
 def _windowed(variant: Variant, reading_cm: Array) -> Array:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from msp_lab.filter_study.bands import StudiedFilter, find_bands
+from msp_lab.filter_study.bands import find_bands
 from msp_lab.filter_study.draw import draw_figures
-from msp_lab.filter_study.explain import SEEDS, FilterResult
+from msp_lab.filter_study.explain import FilterResult
 from msp_lab.filter_study.goals import check_goals
 from msp_lab.filter_study.nine import AS_REPORTED
 from msp_lab.filter_study.scenarios import NAMES
@@ -29,7 +29,7 @@ def publish_study(
         writer.writerow(COLUMNS)
         for scenario in NAMES:
             for name, variant in AS_REPORTED.items():
-                middle = find_bands(StudiedFilter(variant), SEEDS)[scenario].middle
+                middle = find_bands(variant)[scenario].middle
                 writer.writerow([scenario, name, *(f"{each:.3f}" for each in middle)])
     figures.write_text(json.dumps(_figures(results, reverse, verdicts), indent=2) + "\n", encoding="utf-8")
     return [table, figures, *draw_figures(folder, seed)]

@@ -55,19 +55,9 @@ def report_readings(runs: ScenarioRuns, rng: np.random.Generator, variance_cm2: 
 
 def outlier_readings(runs: ScenarioRuns, rng: np.random.Generator) -> ScenarioRuns:
     """Return runs with the mixture of `OUTLIER_WEIGHTS`; no echo is NaN, as the status gate makes it."""
-    model = ReadingModel(outlier_parameters(), MINIMUM_CM, MAXIMUM_CM)
+    model = ReadingModel(OUTLIERS, MINIMUM_CM, MAXIMUM_CM)
     reading_cm = model.sample({"true_range_cm": runs.true_cm.ravel()}, rng).reshape(runs.true_cm.shape)
     return replace(runs, reading_cm=np.where(reading_cm == MAXIMUM_CM, np.nan, reading_cm))
-
-
-def gaussian_parameters() -> MixtureParameters:
-    """The reading model of the report's noise."""
-    return _parameters({"hit": 1.0, "short": 0.0, "missed": 0.0, "random": 0.0})
-
-
-def outlier_parameters() -> MixtureParameters:
-    """The reading model of `outlier_readings`."""
-    return _parameters(OUTLIER_WEIGHTS)
 
 
 def _parameters(weights: dict[str, float]) -> MixtureParameters:
@@ -79,6 +69,12 @@ def _parameters(weights: dict[str, float]) -> MixtureParameters:
             "saturated_fraction": 0.0,
         }
     )
+
+
+GAUSSIAN = _parameters({"hit": 1.0, "short": 0.0, "missed": 0.0, "random": 0.0})
+"""The reading model of the report's noise."""
+OUTLIERS = _parameters(OUTLIER_WEIGHTS)
+"""The reading model of `outlier_readings`."""
 
 
 def truth(name: str, seeds: int, rng: np.random.Generator) -> ScenarioRuns:

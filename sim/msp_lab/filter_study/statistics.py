@@ -14,11 +14,6 @@ LONGEST_DELAY = 20
 """Largest delay that is looked for [samples]: more than the window of any of the filters."""
 
 
-def mirrored(values: Array, p10: Array) -> Array:
-    """Return the statistics of the error with the other sign, from `error_statistics` and its 10th percentile."""
-    return np.stack([values[0], -p10, -values[2], -values[3], values[4]])
-
-
 def error_statistics(error_cm: Array) -> Array:
     """Return the five statistics of each run, shape (5, runs).
 

@@ -15,12 +15,12 @@ from scipy.special import ndtr, ndtri
 from msp_lab.filter_study.candidates import changepoint, oracle
 from msp_lab.filter_study.nine import CAUSAL, CENTRED, apply, behind_the_gate, over_samples
 from msp_lab.filter_study.scenarios import (
+    GAUSSIAN,
     INTERVAL_S,
     NAMES,
+    OUTLIERS,
     Array,
     ScenarioRuns,
-    gaussian_parameters,
-    outlier_parameters,
     outlier_readings,
     report_readings,
     truth,
@@ -66,7 +66,7 @@ def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Fil
     runs = report_readings(truth(name, seeds, rng), rng)
     estimates = {each: apply(variant, runs.reading_cm) for each, variant in CAUSAL.items()}
     estimates |= {f"centred {each}": apply(variant, runs.reading_cm) for each, variant in CENTRED.items()}
-    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, gaussian_parameters())
+    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, GAUSSIAN)
     estimates[ORACLE] = oracle(runs)
     return _compared(runs, estimates, variance_cm2)
 
@@ -80,7 +80,7 @@ def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> Fi
         for each, variant in CAUSAL.items()
         if variant.family != "kalman"
     }
-    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, outlier_parameters())
+    estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, OUTLIERS)
     return _compared(runs, estimates, variance_cm2)
 
 
@@ -114,13 +114,13 @@ def responses(rng: np.random.Generator, steps: int) -> Response:
     for sign in (1.0, -1.0):
         runs = truth("fixed", steps, rng)
         true_cm = runs.true_cm[:, : before + after].copy()
-        quiet_cm = np.rint(true_cm + rng.normal(0.0, gaussian_parameters().sigma_cm, true_cm.shape))
+        quiet_cm = np.rint(true_cm + rng.normal(0.0, GAUSSIAN.sigma_cm, true_cm.shape))
         quiet_cm[:, before] += sign * OUTLIER_CM
-        estimate_cm, _ = changepoint(quiet_cm, outlier_parameters())
+        estimate_cm, _ = changepoint(quiet_cm, OUTLIERS)
         moved.append(np.abs(estimate_cm[:, before] - estimate_cm[:, before - 1]).max())
         true_cm[:, before:] += sign * STEP_CM
         stepping = ScenarioRuns("step", true_cm, runs.segment, runs.ramp, true_cm)
-        estimate_cm, _ = changepoint(outlier_readings(stepping, rng).reading_cm, outlier_parameters())
+        estimate_cm, _ = changepoint(outlier_readings(stepping, rng).reading_cm, OUTLIERS)
         arrived.append((np.abs(estimate_cm - true_cm)[:, before:] < NEAR_CM).mean(axis=0))
     return Response(tuple(float(each) for each in np.mean(arrived, axis=0)), float(max(moved)))
 
@@ -132,7 +132,7 @@ def innovations(name: str, seeds: int, rng: np.random.Generator) -> Array:
     normal deviate of its cumulative probability. A run's 199 have a mean within 0.81 and 1.21 in 95 of 100 runs.
     """
     runs = report_readings(truth(name, seeds, rng), rng)
-    likelihood = RangeLikelihood.of(gaussian_parameters(), 20, 765, 1)
+    likelihood = RangeLikelihood.of(GAUSSIAN, 20, 765, 1)
     hypotheses = RunHistories(likelihood, seeds)
     noise_m2 = np.full(seeds, likelihood.variance_m2)
     total = np.zeros(seeds)

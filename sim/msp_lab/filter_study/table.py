@@ -109,7 +109,7 @@ def _parse(rows: Iterator[tuple[int, list[str]]], source: str) -> Table:
 
 
 def _row(cells: Mapping[str, str], place: str) -> Row:
-    for key, known in (("scenario", tuple(NAMES)), ("filter", tuple(CAUSAL))):
+    for key, known in (("scenario", NAMES), ("filter", CAUSAL)):
         if cells[key] not in known:
             raise ConfigError(f"{place}: found the {key} {cells[key][:80]!r}, expected one of {', '.join(known)}")
     numbers, decimals = [], []

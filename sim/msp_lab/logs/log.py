@@ -8,7 +8,7 @@ from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -131,7 +131,17 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Ranger:
+class _OfSeries:
+    """Base of what has series."""
+
+    def during(self, *span_s: float) -> Self:
+        """All of its series from one time to another, as `Series.during`."""
+        parts = {name: each.during(*span_s) for name, each in vars(self).items() if isinstance(each, Series)}
+        return replace(self, **parts)
+
+
+@dataclass(frozen=True)
+class Ranger(_OfSeries):
     """A range finder's readings."""
 
     name: str
@@ -155,11 +165,6 @@ class Ranger:
         """How many readings are nearer than the minimum that the log states."""
         return 0 if self.near is None else len(self.near)
 
-    def during(self, begins_s: float, ends_s: float, later_s: float) -> "Ranger":
-        """The readings from one time to another, as `Series.during`."""
-        near = None if self.near is None else self.near.during(begins_s, ends_s, later_s)
-        return replace(self, series=self.series.during(begins_s, ends_s, later_s), near=near)
-
     @property
     def echoes_cm(self) -> Array:
         """Readings that are of something [cm]; NaN: no echo, or no answer."""
@@ -171,7 +176,7 @@ class Ranger:
 
 
 @dataclass(frozen=True)
-class TruthSource:
+class TruthSource(_OfSeries):
     """A possible true range."""
 
     kind: str
@@ -221,13 +226,9 @@ class VehicleLog:
             span = (run.start_s, end_s, run.later_s)
             yield replace(
                 self,
-                rangers=tuple(each.during(*span) for each in self.rangers if len(each.series.during(*span))),
-                context={name: found for name, each in self.context.items() if len(found := each.during(*span)) > 0},
-                references=tuple(
-                    replace(reference, series=found, std=None if reference.std is None else reference.std.during(*span))
-                    for reference in self.references
-                    if len(found := reference.series.during(*span)) > 0
-                ),
+                rangers=tuple(ranger for each in self.rangers if len((ranger := each.during(*span)).series)),
+                context={name: found for name, each in self.context.items() if len(found := each.during(*span))},
+                references=tuple(truth for each in self.references if len((truth := each.during(*span)).series)),
                 notes=(*self.notes[: 0 if number else None], *([run.note] if number else [])),
                 clock=(),
             )
@@ -413,7 +414,7 @@ def longest_m(maximum_m: Array) -> float:
 
 def rounded_cm(range_m: Array | float) -> Array:
     """Ranges in centimetres, to a hundredth of a millimetre, since logs keep 32-bit numbers."""
-    return np.asarray(np.round(100.0 * np.asarray(range_m, dtype=float), 3))
+    return np.round(100.0 * np.asarray(range_m, dtype=float), 3)
 
 
 def looks_down(orientation: Array) -> bool:
@@ -423,7 +424,7 @@ def looks_down(orientation: Array) -> bool:
 
 def magnitude(*axes: Array) -> Array:
     """Length of a vector of these components."""
-    return np.asarray(np.sqrt(sum(axis**2 for axis in axes)))
+    return np.sqrt(sum(axis**2 for axis in axes))
 
 
 def make_ranger(

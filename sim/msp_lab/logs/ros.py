@@ -18,7 +18,7 @@ import shutil
 import sqlite3
 import tempfile
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -109,6 +109,7 @@ class _Topic(MessageColumns):
 
     def __init__(self, name: str, message_type: str, fields: tuple[str, ...]) -> None:
         super().__init__(name, {field: array("d") for field in fields})
+        self.message_type = message_type
         self.kind = message_type.rsplit("/", 1)[-1]
 
 
@@ -116,22 +117,20 @@ def read_bag(path: Path, asked: LogRequest) -> VehicleLog:
     """Read a bag; its fields are named ``/topic.field.of.field``."""
     topic, _, field = asked.field.partition(".")
     topics: dict[str, _Topic] = {}
-    columns: dict[str, _Topic] = {}
     notes = ["A bag does not say which way range finders look: all count as looking down."]
     names = [topic] if field else []
     for place, (time_s, arrived_s, found, message) in enumerate(_messages(path, names, asked.progress, notes)):
         name, kind = found.name, found.kind
+        fields = *_FIELDS.get(kind, ()), *([field] if name in names else [])
         try:
-            if kind in _FIELDS:
-                topics.setdefault(name, _Topic(name, kind, _FIELDS[kind])).add(time_s, message, place, arrived_s)
-            if name in names:
-                columns.setdefault(name, _Topic(name, kind, (field,))).add(time_s, message, place, arrived_s)
+            topics.setdefault(name, _Topic(name, kind, fields)).add(time_s, message, place, arrived_s)
         except (AttributeError, IndexError, TypeError, ValueError) as error:
             raise RecordingError(f"{path}: {name}, a {kind}, has no such number: {error}") from None
-    clock = make_continuous([*topics.values(), *columns.values()])
-    references = _references(topics)
-    references += [TruthSource("column", found.series(field)) for found in columns.values()]
-    return make_log(path, "ROS bag", _rangers(topics), _context(topics), references, notes, clock)
+    clock = make_continuous(topics.values())
+    known = [each for each in topics.values() if each.message_type in _FIELDS]
+    references = _references(known)
+    references += [TruthSource("column", topics[name].series(field)) for name in names if name in topics]
+    return make_log(path, "ROS bag", _rangers(known), _context(known), references, notes, clock)
 
 
 def _messages(
@@ -171,9 +170,9 @@ def _messages(
     notes += lost
 
 
-def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
+def _rangers(topics: Sequence[_Topic]) -> list[Ranger]:
     rangers = []
-    for topic in topics.values():
+    for topic in topics:
         if topic.kind == "Range":
             name = topic.source.strip("/").replace("/", "_")
             ranges = topic.unsorted("range", topic["range"])
@@ -182,9 +181,9 @@ def _rangers(topics: Mapping[str, _Topic]) -> list[Ranger]:
     return rangers
 
 
-def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
+def _context(topics: Sequence[_Topic]) -> dict[str, Series]:
     found: dict[str, Series] = {}
-    for topic in topics.values():
+    for topic in topics:
         if topic.kind == "Imu" and (known := topic["orientation_covariance.0"] != -1.0).any():
             # -1 says that there is no orientation.
             tilt = tilt_of_quaternion_deg(topic["orientation.x"], topic["orientation.y"])
@@ -203,9 +202,9 @@ def _context(topics: Mapping[str, _Topic]) -> dict[str, Series]:
     return found
 
 
-def _references(topics: Mapping[str, _Topic]) -> list[TruthSource]:
+def _references(topics: Sequence[_Topic]) -> list[TruthSource]:
     references = []
-    for topic in topics.values():
+    for topic in topics:
         if topic.kind == "NavSatFix":
             std_m = np.sqrt(np.maximum(topic["position_covariance.8"], 0.0))
             fixed = (topic["status.status"] == _GBAS) & (std_m > 0.0) & (std_m < _RTK_STD_M)

@@ -111,10 +111,8 @@ def choose(log: VehicleLog, truth: Truth) -> TruthSource | None:
             f"{log.path}: --truth column:{truth.name}: that is what a range finder of this vehicle reads, and it would "
             f"be compared with itself; sensor:NAME compares with another one, and the log has {_names(log)}"
         )
-    refused = next(
-        (reference.refused for reference in log.references if reference.kind == truth.kind and reference.refused), ""
-    )
     if truth.kind not in usable:
+        refused = next((reference.refused for reference in log.references if reference.kind == truth.kind), "")
         there = ", ".join(sorted(usable)) or "none"
         if refused:
             raise RecordingError(

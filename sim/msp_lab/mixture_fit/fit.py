@@ -23,8 +23,6 @@ START_ROWS = 4_000
 """Number of rows on which the start values are compared."""
 START_NATS = 0.1
 """Starts are compared when a step gains less [nats]: they differ by more, and the best one is climbed on from."""
-SAMPLE_ROWS = 20_000
-"""Number of rows that are fitted before all are, where there are twice as many."""
 MOST_LEFT_NATS = 0.1
 """A fit has not converged where a further step promises more: half a standard error. Usual ones leave 0.001."""
 SMALL_GROWTH = 0.01
@@ -80,10 +78,10 @@ def fit_readings(
     rows = _counted(grid, reading_cm, expected_cm, reference_std_cm)
     moving = [name for name in NAMES[:6] if grid.saturates or name != "saturated"]
     mean_length_m = _mean_length_m(rows)
-    best = rows.optimum(_start(rows.sample(START_ROWS), moving, mean_length_m), moving, SAMPLE_ROWS)
+    best = rows.optimum(_start(rows.sample(START_ROWS), moving, mean_length_m), moving)
     if growth and (kept := _growth(rows, best, moving)):
         moving = [*moving, *kept]
-        best = rows.optimum(_growing(best.numbers, kept), moving, SAMPLE_ROWS)
+        best = rows.optimum(_growing(best.numbers, kept), moving)
     if best.left_nats > MOST_LEFT_NATS:
         raise FitError(f"the fit of {rows.readings:.0f} readings does not converge: {best.left_nats:.2g} nats are left")
     result = result_of(rows, best, moving, mean_length_m)

@@ -50,8 +50,7 @@ class FitResult:
     """Names of parameters that the readings do not determine, such as lambda without short readings."""
     log_likelihood: float
     readings: int
-    rows: int
-    """Sum of log probabilities; number of readings, and of distinct rows among them."""
+    """Sum of log probabilities, and number of readings."""
     _likelihood: Likelihood = field(repr=False, compare=False)
     _optimum: Optimum = field(repr=False, compare=False)
     _moving: tuple[str, ...] = field(repr=False, compare=False)
@@ -59,9 +58,8 @@ class FitResult:
     def below(
         self, reading_cm: ArrayLike, expected_cm: ArrayLike, reference_std_cm: ArrayLike = 0.0
     ) -> tuple[Array, Array]:
-        """Probability of a smaller reading, and of the reading itself, each (n,)."""
+        """Probability of a smaller reading, and of the reading itself, each (n,); 0 for what is not on the grid."""
         reading, expected = columns(reading_cm, expected_cm)
-        reading = np.where(self.grid.can_report(reading), self.grid.nearest(reading), reading)
         reference_cm2 = np.broadcast_to(np.asarray(reference_std_cm, dtype=np.float64) ** 2, reading.shape)
         rows = Likelihood(self.grid, reading, expected, np.ones(reading.size), reference_cm2).rows(
             self._optimum.numbers
@@ -167,7 +165,6 @@ def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_lengt
         not_identified=tuple(name for name in moved if name in unknown),
         log_likelihood=best.value,
         readings=round(rows.readings),
-        rows=len(rows),
         _likelihood=rows,
         _optimum=best,
         _moving=tuple(moving),

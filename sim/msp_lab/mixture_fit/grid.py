@@ -9,12 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msp_range.arrays import Array, Flags
+from msp_range.arrays import Array
 from msp_range.reading_model.kernel import is_on_grid, on_grid
 from msp_range.reading_model.sensor_model import SATURATED_CM, SensorModel
-
-ON_GRID = 1e-3
-"""Tolerance for readings on the grid, as a share of a step: for rounding errors of metres converted to centimetres."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +26,8 @@ class ReadingGrid:
     Examples
     --------
     >>> lidar = ReadingGrid(minimum_cm=5, maximum_cm=8000, resolution_cm=5)
-    >>> print(lidar.nearest([6.0, 8002.0, 9000.0]).tolist(), lidar.can_report([5.0, 8000.0, 22.0]))
-    [5.0, 8000.0, 9000.0] [ True  True False]
+    >>> print(lidar.nearest([6.0, 8002.0, 9000.0]).tolist())
+    [5.0, 8000.0, 9000.0]
     """
 
     minimum_cm: float
@@ -61,9 +58,3 @@ class ReadingGrid:
         reading, half = np.asarray(reading_cm, dtype=np.float64), self.resolution_cm / 2
         inside = (reading > self.minimum_cm - half) & (reading < self.maximum_cm + half)
         return np.where(inside, on_grid(reading, self.resolution_cm), reading)
-
-    def can_report(self, reading_cm: ArrayLike) -> Flags:
-        """Which readings are on the grid between the limits, but for errors of rounding."""
-        reading, nearest = np.asarray(reading_cm, dtype=np.float64), self.nearest(reading_cm)
-        near = np.abs(nearest - reading) <= ON_GRID * self.resolution_cm
-        return np.asarray(near & (nearest >= self.minimum_cm) & (nearest <= self.maximum_cm))

@@ -15,11 +15,13 @@ from msp_lab.mixture_fit.grid import ReadingGrid
 from msp_lab.mixture_fit.maximise import held_numbers, maximise
 from msp_lab.mixture_fit.parameters import MIN_WEIGHT, NAMES, Numbers, bounds_of
 from msp_range.arrays import Array
-from msp_range.reading_model.rows import FREE, Base, MixtureRows
+from msp_range.reading_model.rows import FREE, Base, ByRow, MixtureRows
 from msp_range.reading_model.sensor_model import WEIGHTS_RANGE_CM
 
 CHUNK = 1 << 13
 """Rows processed at a time, so that the arrays fit into the processor's cache. Affects speed only."""
+SAMPLE_ROWS = 20_000
+"""Number of rows that are fitted before all are, where there are twice as many."""
 ENOUGH_NATS = 1e-3
 CLIMB_ROUNDS = 50
 """A climb ends with a step that gains less, or after so many: it is at most 4 % of a standard error long. After it the
@@ -47,7 +49,7 @@ class Optimum(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Likelihood:
+class Likelihood(ByRow):
     """Log-likelihood of readings."""
 
     grid: ReadingGrid
@@ -66,11 +68,6 @@ class Likelihood:
     def readings(self) -> float:
         """How many readings there are."""
         return float(self.count.sum())
-
-    def take(self, rows: slice) -> "Likelihood":
-        """The likelihood of some of the rows."""
-        columns = self.reading_cm, self.expected_cm, self.count, self.reference_cm2
-        return Likelihood(self.grid, *(column[rows] for column in columns))
 
     def sample(self, most: int) -> "Likelihood":
         """The likelihood of every n-th row, so that there are about so many."""
@@ -127,18 +124,18 @@ class Likelihood:
             # Far above rounding, and far below what changes the curvature.
             there[k] += min(1e-4 / np.sqrt(max(outer[k, k], 1e-300)), 1e-4)
             found[k] = (gradient - some.slopes(there)[1][0]) / (there[k] - at[k])
-        return np.asarray(0.5 * (found + found.T) * self.readings / some.readings)
+        return 0.5 * (found + found.T) * self.readings / some.readings
 
     def maximum(self, start: Numbers, bounds: tuple[Array, Array], enough_nats: float = ENOUGH_NATS) -> Maximum:
         """The nearest maximum, about: numbers (k,), their log-likelihood, its gradient and the outer product."""
         start_at = np.clip(np.array(start), *bounds)
         return maximise(self.slopes, lambda _, here: here, start_at, bounds, enough_nats, CLIMB_ROUNDS)
 
-    def optimum(self, start: Numbers, moving: Sequence[str], most: int) -> Optimum:
-        """The maximum by these numbers: of a sample of so many rows first, and from there of all."""
+    def optimum(self, start: Numbers, moving: Sequence[str]) -> Optimum:
+        """The maximum by these numbers: of a sample of the rows first, and from there of all."""
         bounds = bounds_of(start, moving)
-        if len(self) > 2 * most:
-            start = Numbers(*self.sample(most).maximum(start, bounds)[0])
+        if len(self) > 2 * SAMPLE_ROWS:
+            start = Numbers(*self.sample(SAMPLE_ROWS).maximum(start, bounds)[0])
             # What the sample lacks may be among the others.
             seen = {name: max(getattr(start, name), float(np.log(MIN_WEIGHT))) for name in NAMES[1:4]}
             saturated = min(max(start.saturated, MIN_WEIGHT), 1.0 - MIN_WEIGHT)

@@ -24,12 +24,12 @@ class GoodnessOfFit:
     """How uniform the transformed readings are."""
 
     pit_histogram: tuple[int, ...]
-    """Number of readings in each of the equal bins from 0 to 1."""
-    chi_square_p_value: float
+    """Number of readings in each of the equal bins from 0 to 1; none where it is not known."""
+    chi_square_p_value: float | None
     """p-value of the histogram, for readings that the parameters were fitted to: they fit better than they should, by
     at most as many degrees of freedom as were fitted. The smaller of the p-values that the true one lies between."""
     note: str
-    """What the p-value means."""
+    """What the p-value means, or why there is none: too few readings, or some that the model cannot give."""
 
 
 def pit_values(
@@ -65,19 +65,16 @@ def goodness_of_fit(
         Source of the random shares.
     reference_std_cm
         Standard deviation of the error of each expected range [cm], a number or (n,).
-
-    Raises
-    ------
-    ValueError
-        There are too few readings for a histogram, or the model says that one cannot be.
     """
     transformed = pit_values(result, reading_cm, expected_cm, rng, reference_std_cm)
-    readings = transformed.size
+    readings, impossible = transformed.size, int(np.isnan(transformed).sum())
+    why = ""
     if readings < BINS * FEWEST_IN_BIN:
-        raise ValueError(f"found {readings} readings, expected at least {BINS * FEWEST_IN_BIN}")
-    impossible = int(np.isnan(transformed).sum())
-    if impossible:
-        raise ValueError(f"found {impossible} of {readings} readings that the model cannot give, expected none")
+        why = f"found {readings} readings, expected at least {BINS * FEWEST_IN_BIN}"
+    elif impossible:
+        why = f"found {impossible} of {readings} readings that the model cannot give, expected none"
+    if why:
+        return GoodnessOfFit((), None, f"how well it fits is not known: {why}")
     counts = np.histogram(transformed, BINS, (0.0, 1.0))[0]
     expected = readings / BINS
     chi_square = float(((counts - expected) ** 2).sum() / expected)

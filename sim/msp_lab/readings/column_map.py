@@ -31,7 +31,7 @@ from msp_range.recording.csv_form import (
     with_point,
 )
 from msp_range.recording.error import RecordingError
-from msp_range.yaml_file import ConfigError, Section, load
+from msp_range.yaml_file import ConfigError, Section, load, suggest
 
 Unit = Literal["m", "cm", "mm", "in", "ft", "deg", "rad", "cos", "C", "F", "K", "s", "ms", "us", "%", "1"]
 
@@ -53,7 +53,7 @@ MISSPELT = 0.75
 """Refuse a name that is no column of the CSV form but so similar to one (share of equal letters): it is a misspelling
 and no column of one's own. `reading` for `reading_cm` has 0.82; lower: `range_m` is refused too; higher: misspellings
 become columns that nothing uses."""
-_OPTION = re.compile(r"\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*")
+_OPTION = re.compile(r"\s*(?P<name>[^=]*?)\s*=\s*(?P<column>.+?)\s*(?:\*\s*(?P<factor>[-+0-9.eE]+))?\s*")
 
 
 class MappedColumn(Section):
@@ -176,18 +176,15 @@ def load_map(options: Sequence[str]) -> ColumnMap:
         return load(options[0], ColumnMap)
     columns: dict[str, MappedColumn] = {}
     for option in options:
-        name, equals, place = option.partition("=")
-        if not equals:
+        found = _OPTION.fullmatch(option)
+        if found is None:
             raise ConfigError(f"--map {option}: expected one YAML file, or NAME=COLUMN*FACTOR as often as needed")
-        found = _OPTION.fullmatch(place)
         try:
-            assert found is not None
             mapped = MappedColumn(column=found["column"], factor=float(found["factor"] or 1.0))
-            check(name.strip(), mapped)
-        except (AssertionError, ValueError) as error:
-            text = str(error) or "expected NAME=COLUMN or NAME=COLUMN*FACTOR"
-            raise ConfigError(f"--map {option}: {text}") from None
-        columns[name.strip()] = mapped
+            check(found["name"], mapped)
+        except ValueError as error:
+            raise ConfigError(f"--map {option}: {error}") from None
+        columns[found["name"]] = mapped
     return ColumnMap(columns=columns)
 
 
@@ -203,19 +200,8 @@ def read_table(path: Path, column_map: ColumnMap | None, maximum_cm: float) -> M
     """
     if column_map is not None:
         return read_mapped(path, column_map, maximum_cm)
-    try:
-        try:
-            table = read_csv(path)
-        except RecordingError as error:
-            # A name that is like the missing one is that, misspelt.
-            if "is missing. Found" not in str(error):
-                raise
-            table = _with_times(path, read_csv(path, ("reading_cm",)))
-        return table.without(*BRIDGE_COLUMNS)
-    except RecordingError as error:
-        if "is missing" not in str(error):
-            raise
-        raise RecordingError(f"{error}; --map NAME=COLUMN reads columns with other names") from None
+    hint = "; --map NAME=COLUMN reads columns with other names"
+    return _with_times(path, read_csv(path, ("reading_cm",), ("time_s", "sensor"), hint)).without(*BRIDGE_COLUMNS)
 
 
 def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> MeasuredData:
@@ -323,8 +309,7 @@ def _index(path: Path, header: list[str], name: str, column: str | int) -> int:
         return header.index(column)
     if count:
         raise RecordingError(f"{path}: the column {column!r} occurs {count} times; give its number from 1")
-    near = difflib.get_close_matches(column[:64], [each[:64] for each in header], n=1, cutoff=0.4)
-    hint = f" Did you mean {near[0]!r}?" if near else ""
+    hint = suggest(column, [each[:64] for each in header])
     if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
         hint = f" Are the columns separated by {other!r}? Give a map file with delimiter: {json.dumps(other)}."
     there = short_list([each or "(no name)" for each in header])

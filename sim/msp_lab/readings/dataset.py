@@ -7,7 +7,6 @@ it is from and what was found there. Only the files and columns that are asked f
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote
@@ -16,9 +15,9 @@ import numpy as np
 
 from msp_range.arrays import Column
 from msp_range.extras import require
-from msp_range.input_file import making, read_text
+from msp_range.input_file import read_text
 from msp_range.recording.csv_form import MeasuredData, join_tables
-from msp_range.recording.error import RecordingError
+from msp_range.recording.error import RecordingError, new_file
 
 ORIGIN = "dataset.json"
 READINGS = "readings.parquet"
@@ -70,17 +69,15 @@ def write_tables(folder: Path, run: str, tables: Mapping[str, MeasuredData]) -> 
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    with _writing(folder):
-        for sensor, table in tables.items():
-            place = folder / f"run={quote(run, safe='')}" / f"sensor={quote(sensor, safe='')}"
+    for sensor, table in tables.items():
+        place = folder / f"run={quote(run, safe='')}" / f"sensor={quote(sensor, safe='')}"
+        columns = {
+            name: pa.array(column, from_pandas=column.dtype.kind == "f")
+            for name, column in table.without("run", "sensor").columns.items()
+        }
+        with new_file(place / READINGS, replacing=True) as unfinished:
             place.mkdir(parents=True, exist_ok=True)
-            columns = {
-                name: pa.array(column, from_pandas=column.dtype.kind == "f")
-                for name, column in table.columns.items()
-                if name not in ("run", "sensor")
-            }
-            with making(place / READINGS, replacing=True) as unfinished:
-                pq.write_table(pa.table(columns), unfinished, compression="zstd")
+            pq.write_table(pa.table(columns), unfinished, compression="zstd")
 
 
 def check_new(folder: Path, names: Sequence[str]) -> dict[str, Any]:
@@ -112,22 +109,9 @@ def record_runs(folder: Path, names: Sequence[str], about: Mapping[str, Any]) ->
         There is such a run already, or the file cannot be written.
     """
     runs = check_new(folder, names)
-    with _writing(folder), making(folder / ORIGIN, replacing=True) as unfinished:
+    with new_file(folder / ORIGIN, replacing=True) as unfinished:
         listed = runs | {run: dict(about) for run in names}
         unfinished.write_text(json.dumps({"runs": listed}, indent=2), encoding="utf-8")
-
-
-@contextmanager
-def _writing(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise RecordingError(f"{error.filename or folder}: cannot be written: {error.strerror}") from None
-
-
-def sensors_of(folder: Path) -> list[str]:
-    """Names of the sensors of a dataset."""
-    return sorted(set().union(*sensors_by_run(folder).values()))
 
 
 def read_dataset(folder: Path, runs: Sequence[str] = ()) -> MeasuredData:

@@ -17,7 +17,7 @@ import numpy as np
 from msp_lab.readings.checks import WRONG_UNIT_SHARE, check_comparable
 from msp_lab.readings.clock_runs import with_clock_runs
 from msp_lab.readings.column_map import ColumnMap, read_table
-from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset, sensors_of
+from msp_lab.readings.dataset import ORIGIN, is_dataset, read_dataset, sensors_by_run
 from msp_lab.readings.no_echo import NO_ECHO, as_no_answer, in_code_of, without_negative
 from msp_lab.readings.others import Referenced
 from msp_lab.readings.runs import runs_of
@@ -156,7 +156,7 @@ def sensors_in(
 ) -> list[str]:
     """Names of the sensors in some files, in order; the parameters and errors are those of `load_readings`."""
     if all(map(is_dataset, paths)):
-        return sorted({name for path in paths for name in sensors_of(path)})
+        return sorted({name for path in paths for names in sensors_by_run(path).values() for name in names})
     return sorted(set(load_readings(paths, sensor, column_map, **which).data["sensor"].tolist()))
 
 
@@ -314,5 +314,4 @@ def _add_previous(columns: dict[str, Column]) -> list[str]:
 def time_order(columns: Mapping[str, Column]) -> Indices:
     """Return row numbers by run, sensor and time; rows of one time stay in the order of the file."""
     run, sensor = (numbered(columns[name]) for name in ("run", "sensor"))
-    order: Indices = np.lexsort((columns["time_s"], sensor, run))
-    return order
+    return np.lexsort((columns["time_s"], sensor, run))

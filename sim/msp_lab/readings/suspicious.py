@@ -45,10 +45,7 @@ def suspicious(data: MeasuredData) -> list[str]:
             found.append(
                 f"incidence_deg is at most {float(angle.max()):.2f}: if it is in radians, convert it with --map."
             )
-    found += _shuffled(data)
-    if not found or "shuffled" not in found[-1]:
-        found += _backwards(data) or _lagging(data)
-    return found
+    return found + (_shuffled(data) or _backwards(data) or _lagging(data))
 
 
 def _series(data: MeasuredData) -> Iterator[Indices]:

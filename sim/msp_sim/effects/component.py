@@ -4,13 +4,13 @@ Each kind can draw readings and give their probabilities, in the sensor's steps 
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from msp_range.arrays import Array
 from msp_range.reading_model.kernel import Hit, Short, on_grid
-from msp_range.reading_model.rows import take
+from msp_range.reading_model.rows import ByRow
 
 
 @dataclass(frozen=True)
@@ -36,12 +36,12 @@ class Component(Protocol):
     def sample(self, rng: np.random.Generator, hits: Hits) -> Array:
         """Draw n readings [cm]."""
 
-    def take(self, rows: Any) -> "Component":
+    def take(self, rows: Any) -> Self:
         """The component for a selection of the n readings."""
 
 
 @dataclass(frozen=True)
-class Normal:
+class Normal(ByRow):
     """Normal distribution about a fixed range, or about a distance from the hit."""
 
     location_cm: Any
@@ -63,9 +63,6 @@ class Normal:
         reading_cm: Array = on_grid(Hit.draw(rng.standard_normal(centre_cm.size), centre_cm, sigma_cm), hits.step_cm)
         return np.maximum(np.fmin(reading_cm, hits.maximum_cm), hits.minimum_cm)
 
-    def take(self, rows: Any) -> "Normal":
-        return Normal(take(self.location_cm, rows), self.sigma_cm, self.from_hit, self.wider)
-
     def _place(self, hits: Hits) -> tuple[Array, float | Array]:
         origin_cm = hits.centre_cm if self.from_hit else 0.0
         centre_cm = np.broadcast_to(origin_cm + self.location_cm, hits.centre_cm.shape)
@@ -73,7 +70,7 @@ class Normal:
 
 
 @dataclass(frozen=True)
-class FirstBefore:
+class FirstBefore(ByRow):
     """The first event of a Poisson process, if there is one before the hit: exponential, truncated at the hit."""
 
     rate_per_m: Any
@@ -90,16 +87,13 @@ class FirstBefore:
         reading_cm: Array = np.minimum(on_grid(drawn_cm, hits.step_cm), hits.maximum_cm)
         return reading_cm
 
-    def take(self, rows: Any) -> "FirstBefore":
-        return FirstBefore(take(self.rate_per_m, rows))
-
     @property
     def _rate_per_cm(self) -> Any:
         return np.maximum(self.rate_per_m, 1e-12) / 100.0
 
 
 @dataclass(frozen=True)
-class Code:
+class Code(ByRow):
     """A fixed code [cm], the same for all readings or one for each."""
 
     code_cm: Any
@@ -111,6 +105,3 @@ class Code:
 
     def sample(self, rng: np.random.Generator, hits: Hits) -> Array:
         return np.broadcast_to(np.asarray(self.code_cm, dtype=float), hits.centre_cm.shape)
-
-    def take(self, rows: Any) -> "Code":
-        return Code(take(self.code_cm, rows))

@@ -92,20 +92,18 @@ def hats(scene: Any, variables: Sequence[str], knots: Sequence[Knots]) -> Array:
 
     Of a ripple its cosine and sine, which are 0 where the variable is unknown.
     """
-    weights: Array | None = None
-    for variable, places in zip(variables, knots, strict=True):
-        own = _hats(np.atleast_1d(scene[variable]), places)
-        weights = own if weights is None else (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
-    if weights is None:
-        raise ValueError("a curve needs at least one variable")
+    weights, *others = (
+        _hats(np.atleast_1d(scene[each]), places) for each, places in zip(variables, knots, strict=True)
+    )
+    for own in others:
+        weights = (weights[:, :, None] * own[:, None, :]).reshape(own.shape[0], -1)
     return weights if np.ndim(scene[variables[0]]) else weights[0]
 
 
 def _hats(values: Column, places: Knots) -> Array:
     if isinstance(places, Ripple):
         turned = np.exp(2j * np.pi * np.where(np.isfinite(values), values, 0.0) / places.period)
-        weights: Array = np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
-        return weights
+        return np.column_stack([turned.real, turned.imag]) * np.isfinite(values)[:, None]
     if isinstance(places[0], str):
         return np.asarray(values[:, None] == np.asarray(places)[None, :], dtype=np.float64)
     left, share = between(values, places)

@@ -254,10 +254,10 @@ class LoopbackAutopilot:
             self._put(dialect.MAVLink_scaled_pressure_message, boot_ms, *self._pressure(now_s, pose), 0)
         elif what == "raw_imu":
             milli_g = [round(1000 * each / GRAVITY_M_S2) for each in self._specific_force(pose)]
-            self._put(dialect.MAVLink_raw_imu_message, 1000 * boot_ms, *milli_g, 0, 0, 0, 0, 0, 0, 0, 0)
+            self._put(dialect.MAVLink_raw_imu_message, 1000 * boot_ms, *milli_g, *[0] * 8)
         else:
-            values = *self._specific_force(pose), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 15.0, 7, 0
-            self._put(dialect.MAVLink_highres_imu_message, 1000 * boot_ms, *values)
+            force = self._specific_force(pose)
+            self._put(dialect.MAVLink_highres_imu_message, 1000 * boot_ms, *force, *[0.0] * 9, 15.0, 7, 0)
 
     def _specific_force(self, pose: Pose) -> Vector:
         """Specific force that the accelerometer measures, body FRD: f = R^T (a - g), with its noise [m/s^2].

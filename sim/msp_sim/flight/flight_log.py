@@ -195,7 +195,12 @@ class FlightLog:
         range_cm = ping.slant_range_cm if model.oblique_reading == "slant" else ping.true_range_cm
         if range_cm is None:
             return None
-        range_m = range_cm / 100
         if model.medium != "sound":
-            return range_m
-        return range_m + (ping.range_rate_cm_s or 0.0) / 100 * range_m / speed_of_sound(ping.air_temperature_c)
+            return range_cm / 100
+        return at_echo_m(range_cm, ping.range_rate_cm_s or 0.0, ping.air_temperature_c)
+
+
+def at_echo_m(range_cm: float, rate_cm_s: float, air_c: float) -> float:
+    """True range at the time of an echo, by that at its ping: the vehicle moves while the sound travels [m]."""
+    range_m = range_cm / 100
+    return range_m + rate_cm_s / 100 * range_m / speed_of_sound(air_c)

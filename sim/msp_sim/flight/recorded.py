@@ -6,12 +6,11 @@ An MCAP recording becomes a `FlightResult`. A simulator records the truth with e
 from collections import Counter, defaultdict
 from pathlib import Path
 
-from msp_range.acoustics.air import speed_of_sound
 from msp_range.reading import Status
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, MARK_TOPIC, RANGE_PREFIX, SENT_TOPIC, TRUTH_PREFIX
-from msp_sim.flight.flight_log import FlightResult, SensorTrack
+from msp_sim.flight.flight_log import FlightResult, SensorTrack, at_echo_m
 
 
 def recorded_flight(path: Path) -> FlightResult:
@@ -31,11 +30,9 @@ def recorded_flight(path: Path) -> FlightResult:
     sent: Counter[str] = Counter()
     for topic, time_s, message in Recording(path):
         if topic.startswith(TRUTH_PREFIX):
-            range_m = message.get("true_range_cm", float("nan")) / 100
-            speed_m_s = message.get("range_rate_cm_s", 0.0) / 100
-            # The vehicle moves while the sound travels; see `FlightLog`.
-            moved_m = speed_m_s * range_m / speed_of_sound(message.get("air_temperature_c", 20.0))
-            truths_m[topic.removeprefix(TRUTH_PREFIX)] = range_m + moved_m if range_m == range_m else None
+            range_cm, rate_cm_s = message.get("true_range_cm"), message.get("range_rate_cm_s", 0.0)
+            air_c = message.get("air_temperature_c", 20.0)
+            truths_m[topic.removeprefix(TRUTH_PREFIX)] = range_cm and at_echo_m(range_cm, rate_cm_s, air_c)
         elif topic.startswith(RANGE_PREFIX):
             start_s = message["ping_s"] if start_s is None else start_s
             last_s = message["time_s"] - start_s

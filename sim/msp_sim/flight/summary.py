@@ -14,11 +14,11 @@ import numpy as np
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 
-def error_of(truth_m: list[float | None], value_m: list[float | None], why: list[str | None]) -> dict[str, float]:
+def error_of(track: SensorTrack, value_m: list[float | None]) -> dict[str, float]:
     """Bias, root mean square, 95th percentile of the magnitude [cm], and the number of errors; only that if it is 0."""
     errors_cm = [
         (value - truth) * 100
-        for truth, value, reason in zip(truth_m, value_m, why, strict=True)
+        for truth, value, reason in zip(track.truth_m, value_m, track.why, strict=True)
         if truth is not None and value is not None and reason not in ("at_minimum", "edge")
     ]
     if not errors_cm:
@@ -46,8 +46,8 @@ def summarise(flight: FlightResult, scenario: str, seed: int | None) -> dict[str
             name: {
                 "readings": len(track.time_s),
                 "rejected": dict(sorted(rejected[name].items())),
-                "error_before": error_of(track.truth_m, track.raw_m, track.why),
-                "error_after": error_of(track.truth_m, track.filtered_m, track.why),
+                "error_before": error_of(track, track.raw_m),
+                "error_after": error_of(track, track.filtered_m),
             }
             for name, track in flight.tracks.items()
         },
@@ -74,5 +74,5 @@ def _fused(track: SensorTrack) -> dict[str, Any]:
         "estimates": count,
         "rate_hz": round((count - 1) / elapsed_s, 3) if elapsed_s else 0.0,
         "over_edges": track.why.count("edge"),
-        "error": error_of(track.truth_m, track.filtered_m, track.why),
+        "error": error_of(track, track.filtered_m),
     }

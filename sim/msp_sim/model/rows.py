@@ -12,7 +12,7 @@ import numpy as np
 
 from msp_range.arrays import Array, Column, Flags, Indices
 from msp_range.reading_model.kernel import Hit
-from msp_range.reading_model.rows import MIN_PROBABILITY, Base, MixtureRows, Part, among, shares_of, take
+from msp_range.reading_model.rows import MIN_PROBABILITY, Base, MixtureRows, Part, among, shares_of
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.codes import CodeFault
 from msp_sim.effects.component import Code, Component, Hits
@@ -189,14 +189,7 @@ class ModelRows(MixtureRows):
 
     def take(self, rows: Any) -> Self:
         """Some of the rows; their history is that of all and is left out."""
-        return replace(
-            super().take(rows),
-            history=None,
-            added=tuple(AddedComponent(take(odds, rows), each.take(rows), stream) for odds, each, stream in self.added),
-            faults=tuple(AppliedFault(take(share, rows), fault, stream) for share, fault, stream in self.faults),
-            run_offsets=tuple(RunOffset(each, runs[rows], stream) for each, runs, stream in self.run_offsets),
-            reference_cm2=take(self.reference_cm2, rows),
-        )
+        return replace(super().take(rows), history=None)
 
     def sample(self, streams: RandomStreams) -> Array:
         """Draw one reading per row [cm]; each part uses its own random stream."""
@@ -270,7 +263,7 @@ class ModelRows(MixtureRows):
                 own = component.prob(first, last, hits, slopes=len(parts) > 1)
             # A component without a share may have unknown parameters.
             parts[: len(own)] += np.where(each > 0.0, each * own, 0.0)
-        return np.asarray(parts / odds)
+        return parts / odds
 
     def last_added(self, first: Array, last: Array) -> Array:
         """Probability under the last component alone, (1, n)."""
@@ -302,5 +295,4 @@ def score_of_fault(rows: ModelRows, reading_cm: Array, fault: CodeFault, log_p: 
 def _ratio(own: Array, log_p: Array) -> Array:
     """The added probability divided by the present one, minus 1; an impossible reading cannot become less probable."""
     p = np.exp(log_p)
-    score: Array = np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))
-    return score
+    return np.maximum(own / p - 1.0, np.where(p > MIN_PROBABILITY * (1.0 + 1e-9), -1.0, 0.0))

@@ -1,8 +1,8 @@
 """Draw readings one at a time, for emulated sensors: the same distribution and random numbers as `Model.sample`.
 
-For a context of plain values it draws a reading. If the effects only shift, widen or reweight the base mixture, no
-array is made, for speed; with additional components or faults `Model.sample` is called with one row. Both use the same
-random streams.
+For a context of plain values it draws a reading. If the effects only shift, widen or reweight the base mixture, they
+are applied to plain numbers, for speed; with additional components or faults `Model.sample` is called with one row.
+Both use the same random streams.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from msp_range.arrays import Column
-from msp_range.reading_model.kernel import Hit, Random, Short, on_grid
+from msp_range.reading_model.rows import MixtureRows
 from msp_range.reading_model.sensor_model import SATURATED_CM
 from msp_sim.effects.base import PATH, TRUE_RANGE, WORD_COLUMNS, Scene
 from msp_sim.model.model import Model, applies, shifted_by, shifts_first
@@ -81,27 +81,21 @@ class Sampler:
         return self._reading_cm(centre_cm, sigma_cm, (hit, short, missed, random))
 
     def _reading_cm(self, centre_cm: float, sigma_cm: float, log_weights: tuple[float, float, float, float]) -> float:
-        parameters, streams = self._model.base.parameters, self._streams
-        drawn_cm = Hit.draw(streams["hit"].standard_normal(), centre_cm, sigma_cm)
-        kind, place = streams["kind"].random(), streams["place"].random()
+        base, streams = self._model.base, self._streams
+        parameters = base.parameters
+        row = MixtureRows(
+            np.array([centre_cm]),
+            sigma_cm,
+            log_weights,
+            parameters.short_rate_per_m,
+            parameters.saturated_fraction,
+            base.minimum_cm,
+            base.maximum_cm,
+            base.resolution_cm,
+        )
+        reading_cm = row.draw(streams["hit"].standard_normal(1), streams["kind"].random(1), streams["place"].random(1))
         saturated = streams["saturated"].random() < parameters.saturated_fraction
-        minimum_cm, maximum_cm = self._model.sensor.minimum_cm, self._model.sensor.maximum_cm
-        step_cm = self._model.sensor.resolution_cm
-        most = max(log_weights)
-        hit, short, missed, random = [math.exp(log_weight - most) for log_weight in log_weights]
-        kind *= hit + short + missed + random
-        if kind >= hit:
-            if kind < hit + short:
-                rate_per_cm = parameters.short_rate_per_m / 100.0
-                drawn_cm = float(Short.draw(place, centre_cm, rate_per_cm, minimum_cm, maximum_cm))
-            elif kind < hit + short + missed or random == 0.0:
-                drawn_cm = maximum_cm
-            else:
-                drawn_cm = float(Random.draw(place, minimum_cm, maximum_cm, step_cm))
-        if not drawn_cm < maximum_cm:
-            drawn_cm = maximum_cm
-        reading_cm = max(float(on_grid(drawn_cm, step_cm)), float(minimum_cm))
-        return SATURATED_CM if reading_cm == maximum_cm and saturated else reading_cm
+        return SATURATED_CM if reading_cm[0] == base.maximum_cm and saturated else float(reading_cm[0])
 
 
 def _column(name: str, value: Any) -> Column:
