@@ -12,10 +12,14 @@ if TYPE_CHECKING:
     from msp_lab.readings.from_files import read_readings
 
 __all__ = ["characterise", "find_gap", "read_readings"]
-_PACKAGES = {"characterise": "characterise", "find_gap": "gap", "read_readings": "readings"}
+_MODULES = {
+    "characterise": "characterise.from_files",
+    "find_gap": "gap.steps",
+    "read_readings": "readings.from_files",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PACKAGES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PACKAGES[name]}.from_files"), name)
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
