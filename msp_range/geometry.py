@@ -34,7 +34,8 @@ def rotation_matrix(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Matrix
 
 def down_axis(roll_rad: float, pitch_rad: float) -> Vector:
     """Last row of `rotation_matrix`: straight down in the body's frame."""
-    return rotation_matrix(roll_rad, pitch_rad, 0.0)[2]
+    cp = cos(pitch_rad)
+    return -sin(pitch_rad), cp * sin(roll_rad), cp * cos(roll_rad)
 
 
 def boresight(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Vector:

@@ -41,20 +41,23 @@ class Changepoint:
     """
 
     def __init__(self, likelihood: "RangeLikelihood") -> None:
+        import numpy as np
+
         self._likelihood = likelihood
+        self._variance_m2 = likelihood.variance_m2
+        self._elapsed_s, self._reading_m, self._reading_variance_m2 = np.zeros(1), np.zeros(1), np.zeros(1)
         self._time_s: float | None = None
         self.reset()
 
     def update(self, time_s: float, measured: Estimate) -> Estimate | None:
         """Range and variance after this reading; None if it is probably an outlier, or no level is known yet."""
-        import numpy as np
-
-        range_m, variance_m2 = measured
+        variance_m2 = measured.variance_m2
         before_s = time_s if self._time_s is None else self._time_s
         self._time_s = max(time_s, before_s)
-        elapsed_s = self._time_s - before_s
-        variance_m2 = variance_m2 if variance_m2 < math.inf else self._likelihood.variance_m2
-        estimate = self._runs.update(np.array([elapsed_s]), np.array([range_m]), np.array([variance_m2]))
+        self._elapsed_s[0] = self._time_s - before_s
+        self._reading_m[0] = measured.range_m
+        self._reading_variance_m2[0] = variance_m2 if variance_m2 < math.inf else self._variance_m2
+        estimate = self._runs.update(self._elapsed_s, self._reading_m, self._reading_variance_m2)
         if not estimate.converged[0]:
             return None
         return Estimate(float(estimate.range_m[0]), float(estimate.variance_m2[0]))

@@ -34,7 +34,7 @@ class Angles(NamedTuple):
 
 
 class AttitudeTrack:
-    """The last two attitudes received."""
+    """The newest attitude received, and how it has turned since the one before."""
 
     def __init__(self) -> None:
         self._newest: Angles | None = None

@@ -17,8 +17,7 @@ class Seen(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A reading with a range: whose, with what variance of its error [m^2], and the sensor on the
-    vehicle as it was turned."""
+    """A reading with a range: whose, with what variance of its error [m^2], and where that sensor was and looked."""
 
     mode: SensorMode
     reading: Reading

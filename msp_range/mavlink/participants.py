@@ -39,8 +39,14 @@ class Participants:
         self._other_type = Text.AUTOPILOT_TYPE.of(expected=expected)
         # When each was last seen, and what is filled in.
         self._seen: dict[str, tuple[float, Condition, dict[str, object]]] = {}
-        autopilots = Text.SECOND_AUTOPILOT, self._other_type
-        for condition in (*autopilots, Text.OWN_IDS, Text.AUTOPILOT_IDS, Text.AUTOPILOT_LOST, Text.OTHER_KEY):
+        for condition in (
+            Text.SECOND_AUTOPILOT,
+            self._other_type,
+            Text.OWN_IDS,
+            Text.AUTOPILOT_IDS,
+            Text.AUTOPILOT_LOST,
+            Text.OTHER_KEY,
+        ):
             self.seen(float("-inf"), condition)
         self._suspected_s: dict[str, list[float]] = {}
 

@@ -70,12 +70,17 @@ class _Pending:
 
 
 class _Duration(NamedTuple):
-    """How long a sensor measures, by its last answer [s]: where the range is that of the last one, the sum."""
+    """How long a sensor measures, by its last answer [s]."""
 
     earliest_s: float
     """Shortest time in which that answer can come, see `Decoded.earliest_s`: it grows with the range."""
     extra_s: float
     """What the sensor takes on top of that, at any range."""
+
+    @property
+    def total_s(self) -> float:
+        """Time from the ping to the answer, where the range is that of the last one [s]."""
+        return self.earliest_s + self.extra_s
 
 
 def _duration(pending: _Pending, earliest_s: float, now_s: float, before: _Duration | None) -> _Duration:
@@ -168,7 +173,7 @@ class Poller:
         if busy_s is None:
             busy_s = 0.0
             if sensor.name in self._durations:
-                expected_s = self._last_ping_s + sum(self._durations[sensor.name])
+                expected_s = self._last_ping_s + self._durations[sensor.name].total_s
         self._pending.append(_Pending(sensor, from_s, self._last_ping_s, busy_s, expected_s))
         self._acknowledged = True
         return None

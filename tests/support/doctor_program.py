@@ -4,6 +4,7 @@ Prints the findings as JSON. The bus is that of the process, so umockdev's where
 """
 
 import json
+import os
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,14 +13,13 @@ from msp_range.clock import SystemClock
 from msp_range.doctor.computer import Computer, User
 from msp_range.doctor.examination import examine
 from msp_range.mavlink.transport import open_transport
-from tests.support.fake_computer import disk_with
 
 
 def main() -> None:
     """Examine, and print."""
     spec = SimpleNamespace(**json.loads(sys.argv[1]))
     user = User(spec.user, 54321, frozenset(spec.gids))
-    computer = Computer(Path(spec.root), user, lambda: spec.utc_s, lambda _: disk_with(*spec.disk))
+    computer = Computer(Path(spec.root), user, lambda: spec.utc_s, lambda _: os.statvfs_result(spec.disk))
     findings = examine(
         Path(spec.airframe),
         computer,

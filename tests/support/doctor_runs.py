@@ -31,7 +31,7 @@ def doctor_command(computer: FakeComputer, airframe: Path, link: str) -> list[st
         "user": computer.user,
         "gids": computer.gids,
         "utc_s": computer.utc_s,
-        "disk": [computer.free_bytes, computer.disk_is_read_only],
+        "disk": list(computer.disk(computer.root)),
         "link": link,
     }
     return [sys.executable, str(PROGRAM), json.dumps(specification)]

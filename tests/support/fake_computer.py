@@ -11,11 +11,6 @@ GROUP_ID = os.getgid()
 """Files that a test makes belong to this group: it stands for i2c and dialout."""
 
 
-def disk_with(free_bytes: int, is_read_only: bool) -> os.statvfs_result:
-    """A disk with blocks of a byte."""
-    return os.statvfs_result((1, 1, 0, 0, free_bytes, 0, 0, 0, os.ST_RDONLY * is_read_only, 255))
-
-
 class FakeComputer:
     """A Raspberry Pi 4 with I2C at 50 kHz, a serial port and a thermometer, all allowed to the user msp-range."""
 
@@ -46,7 +41,7 @@ class FakeComputer:
 
     def disk(self, path: Path) -> os.statvfs_result:
         """The only disk, with blocks of a byte."""
-        return disk_with(self.free_bytes, self.disk_is_read_only)
+        return os.statvfs_result((1, 1, 0, 0, self.free_bytes, 0, 0, 0, os.ST_RDONLY * self.disk_is_read_only, 255))
 
     def at(self, path: str) -> Path:
         """Where a file of the computer is."""

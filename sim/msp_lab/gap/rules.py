@@ -37,7 +37,7 @@ as much of it. A screen is a quadratic, and what was certain alone may share its
 effects are lost, and terms come and go; lower: slower, and needless terms stay."""
 RUN_BLOCKS = 8
 """Each run is cut into so many blocks to see whether sums over neighbours scatter: the longest clumps are of that
-length, and offsets of runs are told from a wander by them. The variance of eight sums is known to a factor of 1.5.
+length, and blocks distinguish offsets of runs from a wander. The variance of eight sums is known to a factor of 1.5.
 More: a wander that is over in an eighth of a run is seen as one, and an object that stood there for an eighth of the
 time counts as many; fewer: a wander counts as offsets."""
 

@@ -372,3 +372,21 @@ def test_on_another_surface_the_vehicle_climbs_on_whose_range_must_then_grow(see
         found[i] = response.log_odds
     assert found[69] > 0.0
     assert min(found[i] for i in range(70, 85)) < -8.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_did_not_answer_to_the_motion_does_not_hand_it_on(seed: int) -> None:
+    """A payload in a take-off, and then the ground, which moves as the accelerations say."""
+    climb, draw, motion = ramp(5.0, 0.8, 12.0), random.Random(seed), VerticalMotion()
+    response, found = MotionResponse(motion, TURN_S), {}
+    for i in range(85):
+        read_s = 0.1 * i
+        accelerate(motion, climb, read_s, draw)
+        if i == 62:
+            payload, response = response, MotionResponse(motion, TURN_S)
+            response.inherit(payload)
+        seen_m = (0.5 if i < 62 else 0.3 + climb(read_s)) + draw.gauss(0.0, 0.01)
+        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.8, False)
+        found[i] = response.log_odds
+    assert found[61] < -3.0
+    assert min(found[i] for i in range(62, 85)) > -3.0
