@@ -148,7 +148,11 @@ class Problem:
 
     def evidence_nats(self, smaller: JointFit, larger: JointFit, by_run: bool) -> float:
         """Gain of the larger fit over the smaller one [nat]; by runs, where readings of a run depend on each other."""
-        return evidence_nats(smaller, larger, self.unit if by_run else None)
+        if not by_run:
+            return evidence_nats(smaller, larger, None)
+        left = self.dependence(larger)
+        follow = left.lag_correlation if left.lag_z > rules.DEPENDENT_LAG_Z else 0.0
+        return evidence_nats(smaller, larger, self.unit) * (1.0 - follow) / (1.0 + follow)
 
     def gain_where_truth_moves(self, smaller: JointFit, larger: JointFit) -> float:
         """Gain of readings at which the true range is a sigma or more from that of the one before [nat].
