@@ -128,7 +128,7 @@ class TemperatureTrack:
         self._std_c = source.error_std_c
         self._good: Level | None = None
         self._reported_s = float("-inf")
-        self._values = 0  # of the good level; up to `FIRST_VALUES` without a jump between them
+        self._values = 0  # of the good level; up to `FIRST_VALUES` without a jump between them, nor while it flaps
         self._departures: deque[tuple[float, float]] = deque(maxlen=FLAPS)  # times [s], and the other level [deg C]
 
     def update(self, time_s: float, reported_c: float) -> None:
@@ -144,7 +144,7 @@ class TemperatureTrack:
         if self._good is None:
             self._start(time_s, air_c)
         elif self._good.reaches(time_s, air_c, allowed_c):
-            self._values += 1
+            self._values += self.flapping_c(time_s) is None
             self.jump = None
         elif self._values < FIRST_VALUES and not self._departures:
             self._departures.append((time_s, self._good.value_c))

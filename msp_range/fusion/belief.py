@@ -151,7 +151,8 @@ class Belief:
             self._is_measured = up_m_s2 is not None
             for surface in list(self.surfaces):
                 if time_s - max(surface.seen_s, surface.kept_s) > self._windows.memory_s:
-                    self._was_no_ground |= surface.response.log_odds < UNANSWERED
+                    if surface.response.log_odds < UNANSWERED:
+                        self._found_no_ground()
                     self._drop(surface)
                 else:
                     answers = surface.response.log_odds > UNANSWERED
@@ -369,16 +370,22 @@ class Belief:
         """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""
         if surface is self.proven:
             self._known = None
-        self._was_no_ground = True
+        self._found_no_ground()
         self._drop(surface)
+
+    def _found_no_ground(self) -> None:
+        """What was seen was no ground: nor, probably, is what else is as near, but for the ground so far."""
+        self._was_no_ground = True
+        for surface in self.surfaces:
+            if surface is not self.proven and surface.filter.height_m < LOW_M:
+                surface.common = max(surface.common, math.log(COMMON_AGAIN))
 
     def _appraise(self, surface: Surface, raw: int | None) -> None:
         """How probable a new surface is as the ground and as a fault, by where the ground should be, and its answer."""
-        expected = self.expected()
+        expected, height_m = self.expected(), surface.filter.height_m
+        surface.common = _common(surface)
         if expected is not None:
-            height_m = surface.filter.height_m
             surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
-            surface.common = _common(surface)
         is_again = self._was_no_ground or any(mode.is_fixed for mode in self._modes)
         is_same = raw is not None and raw in [mode.fixed_raw for mode in self._modes]
         if is_same or (surface.filter.height_m < LOW_M and is_again):

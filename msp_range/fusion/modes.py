@@ -232,6 +232,8 @@ def ground_prior(off_m: float, std_m: float, height_m: float) -> float:
     steps = STEP * (math.exp(-abs(off_m) / STEP_M) / (2 * STEP_M) + CLIFFS * PER_M)
     if height_m < LOW_M:
         steps *= LOW
+        if std_m > LOW_M:  # Where it should be is not known.
+            returns *= LOW
     return math.log(max((returns + steps) / PER_M, 1e-9))
 
 

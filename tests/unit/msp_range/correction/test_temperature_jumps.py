@@ -278,6 +278,13 @@ def test_a_thermometer_that_flaps_is_not_followed(from_s: float, period_s: float
     assert all(1.96 * air.std_c > abs(each_c - used_c) for air in held for each_c in (20.0, 60.0))
 
 
+def test_three_values_in_a_row_of_a_thermometer_that_flaps_are_no_good_level() -> None:
+    """It is read two or three times while it shows one of the two; had it been good before, that would be held."""
+    flight = Flight({"one": lambda time_s: flaps(period_s=0.87)(time_s + 0.3)}, period_s=0.4).until(60.0)
+    assert {air.temperature_c for time_s, air in flight.airs if time_s > 6.0} == {40.0}
+    assert flight.reports == [FLAPS.format(40)]
+
+
 def test_a_thermometer_that_has_flapped_is_used_again_after_a_minute_without() -> None:
     flight = Flight({"one": flaps(30.0, 40.0)}).until(120.0)
     assert flight.reports == [FLAPS.format(20), STEADY]

@@ -15,6 +15,7 @@ from msp_range.fusion.modes import (
     COMMON,
     COMMON_AGAIN,
     COMMON_LOW,
+    LOW,
     START,
     SensorMode,
     ground_prior,
@@ -260,6 +261,9 @@ def test_priors_fall_with_the_size_of_a_step() -> None:
     priors = [ground_prior(off_m, 0.02, 3.0) for off_m in (0.0, 0.3, 1.0, 3.0)]
     assert priors == sorted(priors, reverse=True)
     assert ground_prior(1.0, 0.02, 0.5) < ground_prior(1.0, 0.02, 1.5)
+    nobody_knows_m = 3.0
+    near, far = (ground_prior(0.0, nobody_knows_m, height_m) for height_m in (0.5, 1.5))
+    assert math.exp(near - far) == pytest.approx(LOW)
     assert object_prior(0.5) > object_prior(3.0) == pytest.approx(math.log(0.03), abs=0.2)
 
 
@@ -464,3 +468,23 @@ def test_what_was_rather_part_of_the_vehicle_still_is_when_it_becomes_the_ground
     belief._prove(strap)
     assert belief.proven is strap
     assert math.exp(strap.common) == pytest.approx(becomes)
+
+
+def test_what_is_as_near_as_a_part_of_the_vehicle_is_one_more_of_it() -> None:
+    """Not the ground so far, nor what is farther; a first surface is judged by its height, too."""
+    motion = VerticalMotion()
+    belief = Belief([], motion, Windows())
+    surfaces = [
+        Surface(GroundFilter(height_m, 1e-4, Rate(0.0, 0.01)), START, math.log(COMMON), MotionResponse(motion, 0.4))
+        for height_m in (0.2, 0.4, 0.6, 3.0)
+    ]
+    belief.surfaces = list(surfaces)
+    strap, ground, near, far = surfaces
+    for each in surfaces:
+        belief._appraise(each, None)
+    assert [math.exp(each.common) / COMMON for each in surfaces] == pytest.approx([COMMON_LOW] * 3 + [1.0])
+    belief.proven = ground
+    belief.forget(strap)
+    assert math.exp(near.common) == pytest.approx(COMMON_AGAIN)
+    assert math.exp(ground.common) == pytest.approx(COMMON_LOW * COMMON)
+    assert math.exp(far.common) == pytest.approx(COMMON)
