@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
+from msp_range.fusion.modes import ANSWERED, ANSWERED_MOST, FOLLOWS
 from msp_range.fusion.response import HeightReading, MotionResponse
 from msp_range.fusion.vertical import VerticalMotion
 
@@ -113,6 +114,19 @@ def test_a_range_that_has_stopped_is_doubted_before_it_is_fixed_and_has_answered
         odds += [] if response.is_fixed else [response.log_odds]
     assert min(odds) < -5.0
     assert response._answered < before + 5.0
+
+
+def test_a_long_climb_is_much_of_an_answer_and_no_more_than_that() -> None:
+    """What two sensors see that drift alike has answered as well: a slope of 90 % stays unlikely."""
+    climb, draw, motion = ramp(2.0, 4.0, 12.0, 2.0), random.Random(1), VerticalMotion()
+    response, odds = MotionResponse(motion, TURN_S), []
+    for i in range(140):
+        accelerate(motion, climb, 0.1 * i, draw)
+        seen_m = climb(0.1 * i) + 0.5 + draw.gauss(0.0, 0.01)
+        response.update(HeightReading(NAMES[i % 4], 0.1 * i, TURN_S, seen_m, 1e-4), 0.0, False)
+        odds.append(response.log_odds)
+    assert max(odds) > ANSWERED
+    assert max(odds) <= FOLLOWS + ANSWERED_MOST
 
 
 @pytest.mark.parametrize("seed", range(5))
