@@ -84,8 +84,8 @@ STEP_M, CLIFFS = 0.6, 0.1
 the edge of a tall building. With a smaller share nothing is sent beyond that until the vehicle climbs or sinks."""
 LOW_M, LOW = 0.65, 0.05
 """A vehicle is seldom nearer to the ground than the first after a step [m], a twentieth as often as elsewhere: it is
-where payload, straps and gear are. With a fifth three sensors that saw a strap were believed. Nor does a vehicle follow
-ground that begins to slope so near to it."""
+where payload, straps and gear are; nor where its height is not known to as much. With a fifth three sensors that saw a
+strap were believed. Nor does a vehicle follow ground that begins to slope so near to it."""
 OBJECT, EDGE = 0.03, 0.1
 """That an object or a hole comes below a sensor, relative to a reading of nothing known; and that the ground has a step
 there: every step of the ground begins as one below a sensor or two."""
