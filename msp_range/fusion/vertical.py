@@ -200,6 +200,10 @@ class VerticalMotion:
             return self._samples[-1][0]
         return (self._speed_m_s(to_s) - self._speed_m_s(from_s)) / (to_s - from_s)
 
+    def covers(self, from_s: float) -> bool:
+        """Whether the accelerations since a time are kept."""
+        return bool(self._samples_s) and self._samples_s[0] <= from_s
+
     def _speed_m_s(self, time_s: float) -> float:
         """By the accelerations alone, from any speed."""
         i = min(bisect_left(self._samples_s, time_s), len(self._samples_s) - 1)

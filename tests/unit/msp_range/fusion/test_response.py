@@ -404,3 +404,25 @@ def test_what_did_not_answer_to_the_motion_does_not_hand_it_on(seed: int) -> Non
         found[i] = response.log_odds
     assert found[61] < -3.0
     assert min(found[i] for i in range(62, 85)) > -3.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_motion_of_long_ago_is_not_handed_on(seed: int) -> None:
+    """The ground was lost in a climb, and is seen again eight seconds later, as the vehicle sinks steadily."""
+    up, down, draw = ramp(0.0, 3.0, 6.0), ramp(7.0, 1.5, 16.0), random.Random(seed)
+    motion = VerticalMotion()
+    response = MotionResponse(motion, TURN_S)
+
+    def height_m(time_s: float) -> float:
+        return 1.0 + up(time_s) - down(time_s)
+
+    for i in range(145):
+        read_s = 0.1 * i
+        accelerate(motion, height_m, read_s, draw)
+        if i == 110:
+            before, response = response, MotionResponse(motion, TURN_S)
+            response.inherit(before)
+        if not 30 <= i < 110:
+            seen_m = height_m(read_s) + draw.gauss(0.0, 0.01)
+            response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), -1.5, False)
+        assert response.log_odds > -3.0
