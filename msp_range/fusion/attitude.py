@@ -40,23 +40,20 @@ class AttitudeTrack:
         self._newest: Angles | None = None
         # Since when it turns as it does now [s], and the rates of roll, pitch and yaw [rad/s].
         self._since_s, self._rates = 0.0, (0.0, 0.0, 0.0)
-        self._refused_s: tuple[float, float] | None = None
-
-    def is_refused(self, now_s: float) -> bool:
-        """Whether attitudes come that make no sense, and have for a while."""
-        return self._refused_s is not None and now_s - self._refused_s[0] > REFUSED_S > now_s - self._refused_s[1]
+        # When it was first and last refused, since one that was taken [s].
+        self._refused_s = math.inf, -math.inf
 
     def condition(self, now_s: float) -> Condition:
-        """Attitudes that make no sense, for `msp_range.health.Health.set`."""
-        return Text.ATTITUDE.when(self.is_refused(now_s))
+        """Attitudes come that make no sense, and have for a while; for `msp_range.health.Health.set`."""
+        first_s, last_s = self._refused_s
+        return Text.ATTITUDE.when(now_s - first_s > REFUSED_S > now_s - last_s)
 
     def update(self, angles: Angles) -> bool:
         """Take an attitude; False where it is no use: it makes no sense, or comes together with the one before."""
         if not self._makes_sense(angles):
-            first_s = angles.time_s if self._refused_s is None else self._refused_s[0]
-            self._refused_s = first_s, angles.time_s
+            self._refused_s = min(self._refused_s[0], angles.time_s), angles.time_s
             return False
-        self._refused_s = None
+        self._refused_s = math.inf, -math.inf
         elapsed_s = math.inf if self._newest is None else angles.time_s - self._newest.time_s
         if elapsed_s < TOGETHER_S:
             return False  # They lay in one buffer; a line through them could have any slope.

@@ -94,6 +94,8 @@ class Fusion:
         Height of the reference point by the newest reading alone, were the ground level [m]; None without a range.
     down
         Straight down as a unit vector, body FRD; None where the attitude is not known.
+    fit
+        Mean square of the last innovations over their variance: about 1 where the stated deviation is right.
     """
 
     def __init__(
@@ -110,7 +112,6 @@ class Fusion:
         self._motion = motion or VerticalMotion()
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
         self._belief = Belief(list(self._modes.values()), self._motion, windows)
-        self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
         self._odd = OddSensor(self._gate_m, windows.fresh_s)
         self._time_s = self._garbled_s = float("-inf")
@@ -119,25 +120,19 @@ class Fusion:
         self._asked: SensorMode | None = None  # The last one out of turn, and whether its answer is still to come.
         self._waits = False
         self._shared_m2 = self._nearest = 0.0
-        self._fit = 1.0
+        self.fit = 1.0
         self._agree = deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS)
-        self._tilted = False
         self.level_height_m: float | None = None
         self.down: Vector | None = None
 
     def set_maximum(self, maximum_m: float) -> None:
         """The longest distance that the sensors can measure is another one, because the air is [m]."""
-        self._maximum_m = self._above.maximum_m = maximum_m
+        self._above.maximum_m = maximum_m
 
     @property
     def climb_m_s(self) -> float:
         """How fast the height grows [m/s]; 0 where it is not known."""
         return 0.0 if self._belief.ground is None else self._belief.ground.filter.climb_m_s
-
-    @property
-    def fit(self) -> float:
-        """Mean square of the last innovations over their variance: about 1 where the stated deviation is right."""
-        return self._fit
 
     @property
     def confidence(self) -> float:
@@ -229,7 +224,7 @@ class Fusion:
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
             self._above.on_ground_seen(known)
             belief.on_sent(known)
-            is_above = fused.range_m > self._maximum_m
+            is_above = fused.range_m > self._above.maximum_m
             return Outcome(reading, None if is_above else fused, is_above, rejected)
         is_seen = ground is not None and self._is_seen(ground)
         return Outcome(reading, None, not is_seen and self._above.decide(time_s), rejected)
@@ -245,10 +240,9 @@ class Fusion:
 
     def _rotation(self, time_s: float) -> Matrix:
         rotation = self._attitude.rotation_at(time_s)
-        self.down = None if rotation is None else rotation[2]
-        if (rotation is not None) != self._tilted:
-            self._tilted = rotation is not None
+        if (rotation is None) != (self.down is None):
             self._belief.level()
+        self.down = None if rotation is None else rotation[2]
         return rotation or LEVEL
 
     def _unless_stuck(self, mode: SensorMode, reading: Reading) -> Reading:
@@ -445,7 +439,7 @@ class Fusion:
 
     def _update_fit(self, square: float) -> None:
         """Update with a reading's squared deviation from the ground over its variance."""
-        self._fit += (min(square, FIT_CAP) - self._fit) / FIT_READINGS
+        self.fit += (min(square, FIT_CAP) - self.fit) / FIT_READINGS
         self._agree.append(square < FIT_OUTLIER)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
@@ -459,8 +453,8 @@ class Fusion:
         variance_m2 = known.variance(
             1 / along, slopes * north + bends * known.rise_north, slopes * east + bends * known.rise_east
         )
-        if self._fit > FIT_TOLERATED:
-            variance_m2 *= self._fit
+        if self.fit > FIT_TOLERATED:
+            variance_m2 *= self.fit
         return Fused(
             range_m,
             variance_m2 + self._shared_m2,

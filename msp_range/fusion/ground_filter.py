@@ -94,8 +94,7 @@ class GroundFilter:
         """The ground has another slope than thought, and is ``lower_m`` lower below the reference point."""
         self.level()
         self.rise_north, self.rise_east = rise_north, rise_east
-        self._filters = tuple([(motion[0] + lower_m, *motion[1:]) for motion in self._filters])
-        self._combine()
+        self.shift(lower_m, 0.0, 0.0)
 
     def predict(self, t: float, up_m_s2: float | None = None) -> None:
         """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way.
