@@ -235,8 +235,8 @@ class Fusion:
             return False
         if not self._is_seen(ground) or self._others >= OTHERS_IN_A_ROW:
             return False
-        sees = len(self._belief.sees(ground, self._time_s - self._windows.held_s))
-        return was_ground or sees >= (1 if ground is self._belief.proven else 2)
+        fewest = 1 if ground is self._belief.proven else 2
+        return was_ground or len(self._belief.sees(ground, self._time_s - self._windows.held_s)) >= fewest
 
     def _rotation(self, time_s: float) -> Matrix:
         rotation = self._attitude.rotation_at(time_s)
