@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 from msp_range.geometry import Matrix, Vector, down_axis, rotation_matrix
+from msp_range.numbers import limited
 from msp_range.pilot_texts import Condition, Text
 
 OLDEST_S = 0.6
@@ -97,6 +98,6 @@ class AttitudeTrack:
         if self._newest is None or time_s - self._newest.time_s > OLDEST_S:
             return None
         end_s, roll, pitch, yaw = self._newest
-        t = min(max(time_s, self._since_s), end_s + AHEAD_S) - end_s
+        t = limited(time_s, self._since_s, end_s + AHEAD_S) - end_s
         by_roll, by_pitch, by_yaw = self._rates
         return roll + by_roll * t, pitch + by_pitch * t, yaw + by_yaw * t

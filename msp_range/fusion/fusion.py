@@ -45,6 +45,7 @@ from msp_range.fusion.response import LEVEL_RISE, NEAR_M, HeightReading
 from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
+from msp_range.numbers import limited
 from msp_range.pilot_texts import Condition, Text
 from msp_range.reading import Reading, Status
 
@@ -278,7 +279,7 @@ class Fusion:
                 continue
             gate_m = GATE_WIDEST_M
             if parent is not None or surface.evidence > 0.0:
-                gate_m = min(max(self._gate_m, GATE_SIGMAS * math.sqrt(variance_m2)), GATE_WIDEST_M)
+                gate_m = limited(GATE_SIGMAS * math.sqrt(variance_m2), self._gate_m, GATE_WIDEST_M)
             if abs(at.innovation_m) <= (DOUBTFUL_M if suspect else gate_m):
                 density = surface.filter.density(at.view, at.innovation_m, variance_m2)
                 if density < 0.5 / gate_m and surface.filter.variance(1.0, 0.0, 0.0) > gate_m * gate_m:
@@ -434,7 +435,7 @@ class Fusion:
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""
         change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
-        self._rough_m2 = min(max(self._rough_m2 + change_m2, 0.0), ROUGHEST_M**2)
+        self._rough_m2 = limited(self._rough_m2 + change_m2, 0.0, ROUGHEST_M**2)
         self._update_fit(square)
 
     def _update_fit(self, square: float) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.orientation import DOWN, PITCH_90, Orientation
+from msp_range.numbers import limited
 
 COVARIANCE_UNKNOWN = 255
 QUALITY_INVALID = 1
@@ -80,19 +81,19 @@ def distance_sensor(
     ValueError
         The range is not a number: that is a fault, and a fault is never sent.
     """
-    covariance = COVARIANCE_UNKNOWN
+    covariance, minimum_cm = COVARIANCE_UNKNOWN, stream.min_distance_cm
     if range_m is None:
         current_cm, quality = stream.no_echo_cm, QUALITY_INVALID
     else:
         if not math.isfinite(range_m):
             raise ValueError(f"a distance of {range_m} m cannot be sent")
-        current_cm = round(min(max(range_m * 100, stream.min_distance_cm + 1), stream.max_distance_cm))
-        quality = min(max(quality, QUALITY_LOWEST), QUALITY_BEST)
+        current_cm = round(limited(range_m * 100, minimum_cm + 1, stream.max_distance_cm))
+        quality = round(limited(quality, QUALITY_LOWEST, QUALITY_BEST))
         if math.isfinite(variance_m2):
-            covariance = math.ceil(min(max(variance_m2 * 1e4, 1), 254))
+            covariance = math.ceil(limited(variance_m2 * 1e4, 1, 254))
     return _Message(
         time_boot_ms & 0xFFFFFFFF,
-        stream.min_distance_cm,
+        minimum_cm,
         stream.max_distance_cm,
         current_cm,
         stream.type,
