@@ -8,6 +8,7 @@ lean away from the ground get no echo at any height: then it must have climbed s
 
 from msp_range.fusion.modes import ABOVE_CODES, ABOVE_MARGIN_M, ABOVE_RANGES, ABOVE_SIGMAS, ABOVE_TURNS
 from msp_range.fusion.vertical import Climb, Known, VerticalMotion
+from msp_range.numbers import limited
 
 ACCELERATION_M_S2, FASTEST_M_S = 2.0, 5.0
 """How fast a vehicle without a barometer may have begun to climb [m/s^2], and the fastest that it may climb [m/s].
@@ -78,7 +79,7 @@ class AboveMaximum:
         if climb is not None:
             highest_m = climb.height_m + ABOVE_SIGMAS * climb.std_m
         else:
-            rate_m_s = min(max(last.climb_m_s, 0.0), FASTEST_M_S)
+            rate_m_s = limited(last.climb_m_s, 0.0, FASTEST_M_S)
             speeding_s = min((FASTEST_M_S - rate_m_s) / ACCELERATION_M_S2, elapsed_s)
             highest_m = rate_m_s * speeding_s + 0.5 * ACCELERATION_M_S2 * speeding_s**2
             highest_m += FASTEST_M_S * (elapsed_s - speeding_s)

@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 from msp_range.geometry import Matrix, Vector, down_axis, rotation_matrix
+from msp_range.numbers import limited
 from msp_range.pilot_texts import Condition, Text
 
 OLDEST_S = 0.6
@@ -40,23 +41,20 @@ class AttitudeTrack:
         self._newest: Angles | None = None
         # Since when it turns as it does now [s], and the rates of roll, pitch and yaw [rad/s].
         self._since_s, self._rates = 0.0, (0.0, 0.0, 0.0)
-        self._refused_s: tuple[float, float] | None = None
-
-    def is_refused(self, now_s: float) -> bool:
-        """Whether attitudes come that make no sense, and have for a while."""
-        return self._refused_s is not None and now_s - self._refused_s[0] > REFUSED_S > now_s - self._refused_s[1]
+        # When it was first and last refused, since one that was taken [s].
+        self._refused_s = math.inf, -math.inf
 
     def condition(self, now_s: float) -> Condition:
-        """Attitudes that make no sense, for `msp_range.health.Health.set`."""
-        return Text.ATTITUDE.when(self.is_refused(now_s))
+        """Attitudes come that make no sense, and have for a while; for `msp_range.health.Health.set`."""
+        first_s, last_s = self._refused_s
+        return Text.ATTITUDE.when(now_s - first_s > REFUSED_S > now_s - last_s)
 
     def update(self, angles: Angles) -> bool:
         """Take an attitude; False where it is no use: it makes no sense, or comes together with the one before."""
         if not self._makes_sense(angles):
-            first_s = angles.time_s if self._refused_s is None else self._refused_s[0]
-            self._refused_s = first_s, angles.time_s
+            self._refused_s = min(self._refused_s[0], angles.time_s), angles.time_s
             return False
-        self._refused_s = None
+        self._refused_s = math.inf, -math.inf
         elapsed_s = math.inf if self._newest is None else angles.time_s - self._newest.time_s
         if elapsed_s < TOGETHER_S:
             return False  # They lay in one buffer; a line through them could have any slope.
@@ -100,6 +98,6 @@ class AttitudeTrack:
         if self._newest is None or time_s - self._newest.time_s > OLDEST_S:
             return None
         end_s, roll, pitch, yaw = self._newest
-        t = min(max(time_s, self._since_s), end_s + AHEAD_S) - end_s
+        t = limited(time_s, self._since_s, end_s + AHEAD_S) - end_s
         by_roll, by_pitch, by_yaw = self._rates
         return roll + by_roll * t, pitch + by_pitch * t, yaw + by_yaw * t

@@ -453,5 +453,5 @@ def _were_it_level(share: float, surface: Surface) -> float:
 
 def _log_sum(a: float, b: float) -> float:
     """log(exp(a) + exp(b))."""
-    most = max(a, b)
-    return most + math.log1p(math.exp(-abs(a - b)))
+    least, most = (a, b) if a < b else (b, a)
+    return most + math.log1p(math.exp(least - most))

@@ -45,6 +45,7 @@ from msp_range.fusion.response import LEVEL_RISE, NEAR_M, HeightReading
 from msp_range.fusion.vertical import Known, VerticalMotion
 from msp_range.fusion.windows import SHORTEST_GAP_S, Windows
 from msp_range.geometry import Matrix, Vector
+from msp_range.numbers import limited
 from msp_range.pilot_texts import Condition, Text
 from msp_range.reading import Reading, Status
 
@@ -94,6 +95,8 @@ class Fusion:
         Height of the reference point by the newest reading alone, were the ground level [m]; None without a range.
     down
         Straight down as a unit vector, body FRD; None where the attitude is not known.
+    fit
+        Mean square of the last innovations over their variance: about 1 where the stated deviation is right.
     """
 
     def __init__(
@@ -110,7 +113,6 @@ class Fusion:
         self._motion = motion or VerticalMotion()
         self._gate_m = min(GATE_M + GATE_M_S2 * max(windows.gap_s**2 - SHORTEST_GAP_S**2, 0.0), GATE_WIDEST_M)
         self._belief = Belief(list(self._modes.values()), self._motion, windows)
-        self._maximum_m = maximum_m
         self._above = AboveMaximum(maximum_m, self._motion)
         self._odd = OddSensor(self._gate_m, windows.fresh_s)
         self._time_s = self._garbled_s = float("-inf")
@@ -119,25 +121,19 @@ class Fusion:
         self._asked: SensorMode | None = None  # The last one out of turn, and whether its answer is still to come.
         self._waits = False
         self._shared_m2 = self._nearest = 0.0
-        self._fit = 1.0
+        self.fit = 1.0
         self._agree = deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS)
-        self._tilted = False
         self.level_height_m: float | None = None
         self.down: Vector | None = None
 
     def set_maximum(self, maximum_m: float) -> None:
         """The longest distance that the sensors can measure is another one, because the air is [m]."""
-        self._maximum_m = self._above.maximum_m = maximum_m
+        self._above.maximum_m = maximum_m
 
     @property
     def climb_m_s(self) -> float:
         """How fast the height grows [m/s]; 0 where it is not known."""
         return 0.0 if self._belief.ground is None else self._belief.ground.filter.climb_m_s
-
-    @property
-    def fit(self) -> float:
-        """Mean square of the last innovations over their variance: about 1 where the stated deviation is right."""
-        return self._fit
 
     @property
     def confidence(self) -> float:
@@ -229,7 +225,7 @@ class Fusion:
             known = Known(time_s, fused.range_m, fused.height_m, fused.climb_m_s, self._motion.mark(time_s))
             self._above.on_ground_seen(known)
             belief.on_sent(known)
-            is_above = fused.range_m > self._maximum_m
+            is_above = fused.range_m > self._above.maximum_m
             return Outcome(reading, None if is_above else fused, is_above, rejected)
         is_seen = ground is not None and self._is_seen(ground)
         return Outcome(reading, None, not is_seen and self._above.decide(time_s), rejected)
@@ -240,15 +236,14 @@ class Fusion:
             return False
         if not self._is_seen(ground) or self._others >= OTHERS_IN_A_ROW:
             return False
-        sees = len(self._belief.sees(ground, self._time_s - self._windows.held_s))
-        return was_ground or sees >= (1 if ground is self._belief.proven else 2)
+        fewest = 1 if ground is self._belief.proven else 2
+        return was_ground or len(self._belief.sees(ground, self._time_s - self._windows.held_s)) >= fewest
 
     def _rotation(self, time_s: float) -> Matrix:
         rotation = self._attitude.rotation_at(time_s)
-        self.down = None if rotation is None else rotation[2]
-        if (rotation is not None) != self._tilted:
-            self._tilted = rotation is not None
+        if (rotation is None) != (self.down is None):
             self._belief.level()
+        self.down = None if rotation is None else rotation[2]
         return rotation or LEVEL
 
     def _unless_stuck(self, mode: SensorMode, reading: Reading) -> Reading:
@@ -284,7 +279,7 @@ class Fusion:
                 continue
             gate_m = GATE_WIDEST_M
             if parent is not None or surface.evidence > 0.0:
-                gate_m = min(max(self._gate_m, GATE_SIGMAS * math.sqrt(variance_m2)), GATE_WIDEST_M)
+                gate_m = limited(GATE_SIGMAS * math.sqrt(variance_m2), self._gate_m, GATE_WIDEST_M)
             if abs(at.innovation_m) <= (DOUBTFUL_M if suspect else gate_m):
                 density = surface.filter.density(at.view, at.innovation_m, variance_m2)
                 if density < 0.5 / gate_m and surface.filter.variance(1.0, 0.0, 0.0) > gate_m * gate_m:
@@ -440,12 +435,12 @@ class Fusion:
     def _scatter(self, square: float, variance_m2: float) -> None:
         """The ground's roughness grows where readings scatter more than they should, and falls where less."""
         change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
-        self._rough_m2 = min(max(self._rough_m2 + change_m2, 0.0), ROUGHEST_M**2)
+        self._rough_m2 = limited(self._rough_m2 + change_m2, 0.0, ROUGHEST_M**2)
         self._update_fit(square)
 
     def _update_fit(self, square: float) -> None:
         """Update with a reading's squared deviation from the ground over its variance."""
-        self._fit += (min(square, FIT_CAP) - self._fit) / FIT_READINGS
+        self.fit += (min(square, FIT_CAP) - self.fit) / FIT_READINGS
         self._agree.append(square < FIT_OUTLIER)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
@@ -459,8 +454,8 @@ class Fusion:
         variance_m2 = known.variance(
             1 / along, slopes * north + bends * known.rise_north, slopes * east + bends * known.rise_east
         )
-        if self._fit > FIT_TOLERATED:
-            variance_m2 *= self._fit
+        if self.fit > FIT_TOLERATED:
+            variance_m2 *= self.fit
         return Fused(
             range_m,
             variance_m2 + self._shared_m2,

@@ -94,8 +94,7 @@ class GroundFilter:
         """The ground has another slope than thought, and is ``lower_m`` lower below the reference point."""
         self.level()
         self.rise_north, self.rise_east = rise_north, rise_east
-        self._filters = tuple([(motion[0] + lower_m, *motion[1:]) for motion in self._filters])
-        self._combine()
+        self.shift(lower_m, 0.0, 0.0)
 
     def predict(self, t: float, up_m_s2: float | None = None) -> None:
         """Move on by ``t`` [s]: mix each filter with its neighbours, then let each move in its own way.
@@ -168,7 +167,8 @@ class GroundFilter:
             pn, pe = a * hn + b * nn + c * ne, a * he + b * ne + c * ee
             # The reading was predicted for the mixture; each filter's own mean is a little off from that.
             own_m, own_m2 = expected_m - a * h, a * ph + b * pn + c * pe + variance_m2
-            own_m2 = max(own_m2, variance_m2 + _weighed(ph, pw, hh, hw, ww))
+            least_m2 = variance_m2 + _weighed(ph, pw, hh, hw, ww)
+            own_m2 = least_m2 if least_m2 > own_m2 else own_m2
             k, j = ph / own_m2, pw / own_m2
             h, w, hh, hw, ww = h + k * own_m, w + j * own_m, hh - k * ph, hw - k * pw, ww - j * pw
             updated.append((h, w, hh, hw, ww, hn - k * pn, he - k * pe, wn - j * pn, we - j * pe))
@@ -199,7 +199,8 @@ class GroundFilter:
         expected_m = innovation_m + a * self.height_m
         total = 0.0
         for weight, (h, _, hh, _, _, hn, he, _, _) in zip(self._weights, self._filters, strict=True):
-            own_m, own_m2 = expected_m - a * h, max(a * (a * hh + 2 * (b * hn + c * he)) + slope_m2, variance_m2)
+            own_m, own_m2 = expected_m - a * h, a * (a * hh + 2 * (b * hn + c * he)) + slope_m2
+            own_m2 = variance_m2 if variance_m2 > own_m2 else own_m2
             total += weight * math.exp(-0.5 * own_m * own_m / own_m2) / math.sqrt(own_m2)
         return total / SQRT_TWO_PI
 

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 from msp_range.fusion.ground_filter import SQRT_TWO_PI
 from msp_range.fusion.mounting import DownwardSensor
 from msp_range.fusion.vertical import Mark, VerticalMotion
+from msp_range.numbers import limited
 
 if TYPE_CHECKING:
     from msp_range.fusion.belief import Surface
@@ -310,7 +311,7 @@ class SensorMode:
     def weigh_noise(self, range_m: float, density: float) -> None:
         """Update how likely its readings are noise with one, by its density over all surfaces [1/m]."""
         gain = math.log(1 - SCATTERED + SCATTERED * noise_density(range_m) / density)
-        self.noise = min(max(self.noise + min(gain, NOISE_STRONGEST), NOISE_LEAST), NOISE_MOST)
+        self.noise = limited(self.noise + min(gain, NOISE_STRONGEST), NOISE_LEAST, NOISE_MOST)
 
     @property
     def repeated(self) -> bool:

@@ -62,7 +62,10 @@ def plane_of(seen: Sequence[LevelHeight]) -> GroundPlane:
 
 def odd_one(seen: Sequence[LevelHeight]) -> tuple[int, GroundPlane] | None:
     """Which sensor is odd, and the plane of the others; None: the plane of all is about as likely."""
-    if len(seen) < FEWEST or (of_all := plane_of(seen).cost) < ODD:
+    heights_m = [each.higher_m for each in seen]
+    # A level plane costs at most count (highest - lowest)^2 / (8 NOISE_M^2), and the likeliest one no more.
+    is_level = len(seen) * (max(heights_m) - min(heights_m)) ** 2 < 8 * NOISE_M**2 * ODD
+    if len(seen) < FEWEST or is_level or (of_all := plane_of(seen).cost) < ODD:
         return None
     without = [plane_of([*seen[:i], *seen[i + 1 :]]) for i in range(len(seen))]
     costs = sorted(plane.cost for plane in without)

@@ -37,6 +37,7 @@ from msp_range.fusion.modes import (
     UNANSWERED,
 )
 from msp_range.fusion.vertical import Covariance, VerticalMotion, corrected, moved
+from msp_range.numbers import limited
 
 NOISE_M2_S3 = 0.005
 """Spectral density of the white noise [m^2/s^3]: an accelerometer's noise of 0.3 m/s^2 at 25 Hz is 0.0036. Larger hides
@@ -165,8 +166,9 @@ class MotionResponse:
         """
         if self.is_late and not self.misleads:
             return max(self._fixed, min(self._apart, FOLLOWS))
-        late = max(self._late, min(-self._apart, 0.0))  # No more than over something fixed: not where it is inherited.
-        return min(self._fixed, self._stopped, late) + min(max(self._answered - FOLLOWS, 0.0), ANSWERED_MOST)
+        # No more than over something fixed: not where it is inherited.
+        late = self._late if self._late > 0.0 else limited(-self._apart, self._late, 0.0)
+        return min(self._fixed, self._stopped, late) + limited(self._answered - FOLLOWS, 0.0, ANSWERED_MOST)
 
     @property
     def is_fixed(self) -> bool:
@@ -317,15 +319,16 @@ class MotionResponse:
         fades = math.exp(-t / (DOUBT_LASTS_S if self.is_in_doubt else ODDS_LAST_S))
 
         def updated(log_odds: float, fades: float, evidence: float, least: float) -> float:
-            return min(log_odds * fades + min(max(evidence, least), STRONGEST), FOLLOWS)
+            log_odds = log_odds * fades + limited(evidence, least, STRONGEST)
+            return FOLLOWS if log_odds > FOLLOWS else log_odds
 
         self._fixed = updated(self._fixed, fades, 0.5 * (fixed - follows + NOISE_SHARE * share), least)
         self._stopped = updated(self._stopped, fades, 0.5 * (stopped - min(follows, late) + share), least)
-        answers = min(max(0.5 * (min(fixed, stopped) - follows + REST_SHARE * share), least), STRONGEST)
+        answers = limited(0.5 * (min(fixed, stopped) - follows + REST_SHARE * share), least, STRONGEST)
         self._answered = max(self._answered * fades + answers, 0.0)
         self._late = updated(self._late, math.exp(-t / DOUBT_LASTS_S), 0.5 * (late - follows), -STRONGEST)
-        apart = self._apart * fades + min(max(0.5 * (fixed - late), -STRONGEST), STRONGEST)
-        self._apart = min(max(apart, self._fixed - FOLLOWS), FOLLOWS - self._late)
+        apart = self._apart * fades + limited(0.5 * (fixed - late), -STRONGEST, STRONGEST)
+        self._apart = limited(apart, self._fixed - FOLLOWS, FOLLOWS - self._late)
         if self._late >= 0.0 or (self._late <= LATE and self._apart >= -DECIDED_APART):
             self.is_late = self._late < 0.0
         climb = self._motion.rate(self._time_s or 0.0)

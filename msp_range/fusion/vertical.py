@@ -206,7 +206,7 @@ class VerticalMotion:
 
     def _speed_m_s(self, time_s: float) -> float:
         """By the accelerations alone, from any speed."""
-        i = min(bisect_left(self._samples_s, time_s), len(self._samples_s) - 1)
+        i = bisect_left(self._samples_s, time_s, 0, len(self._samples_s) - 1)
         up_m_s2, speed_m_s = self._samples[i]
         return speed_m_s + up_m_s2 * (time_s - self._samples_s[i])
 

@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from msp_range.geometry import Vector
+from msp_range.numbers import limited
 
 MOST_LOG_ODDS = 600.0
 """Growth with range of the log odds of a missed echo, at most: what the exponential function bears."""
@@ -35,4 +36,4 @@ class Expected(NamedTuple):
     def missed_at(self, range_m: float) -> float:
         """Share of missed echoes at a range."""
         missed, growth = self.missed, self.missed_growth_per_m * (range_m - WEIGHTS_M)
-        return missed / (missed + (1.0 - missed) * math.exp(min(max(-growth, -MOST_LOG_ODDS), MOST_LOG_ODDS)))
+        return missed / (missed + (1.0 - missed) * math.exp(limited(-growth, -MOST_LOG_ODDS, MOST_LOG_ODDS)))

@@ -16,11 +16,8 @@ manoeuvres between slow attitudes for two vehicles, larger misses two that hover
 RATE_FACTOR = 2.0
 """Between two attitudes a vehicle turns at most this many times as fast as at the faster one of them."""
 
-_TIMES = {
-    **dict.fromkeys(("ATTITUDE", "SCALED_PRESSURE", "SYSTEM_TIME"), ("time_boot_ms", 1e-3)),
-    **dict.fromkeys(("HIGHRES_IMU", "RAW_IMU"), ("time_usec", 1e-6)),
-}
-"""Field with the time since boot, and its unit [s], of each message that the bridge uses."""
+_BY_BOOT_MS, _BY_USEC = ("ATTITUDE", "SCALED_PRESSURE", "SYSTEM_TIME"), ("HIGHRES_IMU", "RAW_IMU")
+"""Messages that the bridge uses, by their field with the time since boot."""
 
 
 class _Attitude(NamedTuple):
@@ -49,10 +46,12 @@ class Contradictions:
     def update(self, message: Any) -> bool:
         """Whether a message contradicts those before it."""
         kind = message.msgname
-        if kind not in _TIMES:
+        if kind in _BY_USEC:
+            time_s = message.time_usec * 1e-6
+        elif kind in _BY_BOOT_MS:
+            time_s = message.time_boot_ms * 1e-3
+        else:
             return False
-        field, unit_s = _TIMES[kind]
-        time_s = getattr(message, field) * unit_s
         before_s, self._times_s[kind] = self._times_s.get(kind, time_s), time_s
         jumps_back = kind == "ATTITUDE" and self._jumps_back(message, time_s)
         return jumps_back or shortest(time_s - before_s) < -LATEST_ARRIVAL_S

@@ -7,6 +7,7 @@ https://mavlink.io/en/guide/serialization.html describes them.
 
 import re
 from itertools import islice
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
@@ -59,7 +60,10 @@ class Frame(NamedTuple):
         return self.data[0] == _VERSION_2 and bool(self.data[2] & SIGNED)
 
     def decode(self) -> Any:
-        """Decode the message; pymavlink's decoder would verify the checksum again, which takes three times as long."""
+        """The fields by their names, text as bytes, and the message's name as ``msgname``.
+
+        pymavlink's decoder would verify the checksum again, and make an object that can be sent.
+        """
         kind = dialect.mavlink_map[self.message_id]
         wire = kind.unpacker
         # MAVLink 2 leaves out zeros at the end, and a later version of a message may be longer.
@@ -67,10 +71,7 @@ class Frame(NamedTuple):
         if len(values) > len(kind.lengths):  # Some fields are arrays.
             each = iter(values)
             values = [next(each) if length == 1 else tuple(islice(each, length)) for length in kind.lengths]
-        message = kind(*map(values.__getitem__, kind.orders))
-        header = message.get_header()
-        header.srcSystem, header.srcComponent = self.system, self.component
-        return message
+        return SimpleNamespace(msgname=kind.msgname, **dict(zip(kind.ordered_fieldnames, values, strict=True)))
 
 
 class FrameReader:

@@ -36,22 +36,14 @@ class Participants:
 
     def __init__(self, expected: Autopilot | None) -> None:
         self._expected = expected
-        self._other_type = Text.AUTOPILOT_TYPE.of(expected=expected)
         # When each was last seen, and what is filled in.
         self._seen: dict[str, tuple[float, Condition, dict[str, object]]] = {}
-        for condition in (
-            Text.SECOND_AUTOPILOT,
-            self._other_type,
-            Text.OWN_IDS,
-            Text.AUTOPILOT_IDS,
-            Text.AUTOPILOT_LOST,
-            Text.OTHER_KEY,
-        ):
-            self.seen(float("-inf"), condition)
         self._suspected_s: dict[str, list[float]] = {}
 
     def seen(self, now_s: float, condition: Condition, **values: object) -> None:
         """Record that a condition is seen now; ``values`` are filled in."""
+        if condition.key == Text.OTHER_KEY.key and self._expected == "px4":
+            condition = condition._replace(remedy=PX4_SIGNS_NOT)
         self._seen[condition.key] = now_s, condition, values
 
     def suspected(self, now_s: float, condition: Condition, **values: object) -> None:
@@ -67,11 +59,9 @@ class Participants:
         """Check a heartbeat of the bridge's own autopilot (MAV_AUTOPILOT)."""
         found = AUTOPILOTS.get(autopilot_type, f"type {autopilot_type}")
         if self._expected not in (None, found):
-            self.seen(now_s, self._other_type, found=found, expected=self._expected)
+            other = Text.AUTOPILOT_TYPE.of(expected=self._expected)
+            self.seen(now_s, other, found=found, expected=self._expected)
 
     def conditions(self, now_s: float) -> list[Condition]:
-        """All conditions, for `msp_range.health.Health.set`."""
-        found = [condition.when(now_s - last_s < HOLD_S, **values) for last_s, condition, values in self._seen.values()]
-        if self._expected == "px4":
-            found[-1] = found[-1]._replace(remedy=PX4_SIGNS_NOT)
-        return found
+        """All conditions that were ever seen, for `msp_range.health.Health.set`."""
+        return [condition.when(now_s - last_s < HOLD_S, **values) for last_s, condition, values in self._seen.values()]

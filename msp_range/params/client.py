@@ -97,15 +97,13 @@ class ParameterClient:
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Take a message of the autopilot."""
-        kind = message.get_type()
+        kind = message.msgname
         self.messages[kind] = message
         if kind == "HEARTBEAT":
             self._heartbeat, self._heartbeat_s = message, now_s
         elif kind == "PARAM_VALUE":
-            name = message.param_id
-            if isinstance(name, bytes):
-                name = name.rstrip(b"\0").decode("ascii", "replace")
-            self._values[name.rstrip("\0")] = (
+            name = message.param_id.partition(b"\0")[0].decode("ascii", "replace")
+            self._values[name] = (
                 _as_type("<f", "<i", message.param_value)
                 if self._is_whole(message.param_type)
                 else message.param_value,

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from msp_range.bus import Bus, BusError
 from msp_range.clock import Clock
+from msp_range.numbers import limited
 from msp_range.reading import Decoded, Reading, Status
 from msp_range.sensors.base import POLL_INTERVAL_S
 from msp_range.sensors.schedule import PolledSensor, Schedule
@@ -66,7 +67,7 @@ class _Pending:
         self._try_from(now_s + POLL_INTERVAL_S, now_s)
 
     def _try_from(self, soonest_s: float, none_until_s: float) -> None:
-        self.next_try_s = min(max(soonest_s, min(self.expected_s, none_until_s + LONGEST_WAIT_S)), self.deadline_s)
+        self.next_try_s = limited(min(self.expected_s, none_until_s + LONGEST_WAIT_S), soonest_s, self.deadline_s)
 
 
 class _Duration(NamedTuple):

@@ -201,7 +201,8 @@ class RoundRobin:
 
     def _spacing_s(self) -> float:
         """Time from the previous turn to the next one [s]."""
-        working = [each for each in self._of.values() if not self._is_dead(each)]
-        if self._near is None or not working or not all(each.is_near for each in working):
+        if self._near is None:
             return self._interval_s
-        return self._near.ping_interval_s
+        working = [each for each in self._of.values() if not self._is_dead(each)]
+        is_near = working and all(each.is_near for each in working)
+        return self._near.ping_interval_s if is_near else self._interval_s

@@ -93,7 +93,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: Path | None,
 
 def autopilot_message(message: Any) -> dict[str, Any] | None:
     """The message of ``/autopilot``: what a message of the autopilot says of distances; None for other messages."""
-    kind = message.get_type()
+    kind = message.msgname
     if kind == "DISTANCE_SENSOR":
         return {
             "kind": kind,

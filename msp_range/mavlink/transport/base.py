@@ -129,6 +129,11 @@ class Reconnecting(ABC):
         self._is_open = False
 
     @property
+    def connected(self) -> bool:
+        """True while it is open."""
+        return self._is_open
+
+    @property
     def files(self) -> Sequence[int]:
         """What is open; none, as long as nothing is: `receive` opens it."""
         return () if self._handle is None else (self._handle.fileno(),)

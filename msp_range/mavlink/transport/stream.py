@@ -118,11 +118,6 @@ class StreamTransport(Reconnecting):
         """The stream; none while frames wait, which `receive` writes."""
         return () if self._stream is None or self._stream.waiting else super().files
 
-    @property
-    def connected(self) -> bool:
-        """True while the stream is open."""
-        return self._stream is not None
-
     def send(self, frame: bytes) -> bool:
         """Send a frame whole, now or within 0.25 s; False without a link, or with too many frames waiting."""
         self._try_open()

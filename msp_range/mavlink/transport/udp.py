@@ -68,7 +68,7 @@ class UdpOut(_Udp):
     @property
     def connected(self) -> bool:
         """True if there is a route and no refusal within the last 1.5 s."""
-        return self._handle is not None and self._clock.now() - self._refused_at_s > REFUSED_FOR_S
+        return super().connected and self._clock.now() - self._refused_at_s > REFUSED_FOR_S
 
     def send(self, frame: bytes) -> bool:
         """Send one datagram; False without a route or if the operating system's buffer is full."""
@@ -110,7 +110,7 @@ class UdpIn(_Udp):
     def connected(self) -> bool:
         """True if there is a peer."""
         self._forget_silent_peers()
-        return self._handle is not None and bool(self._peers)
+        return super().connected and bool(self._peers)
 
     def send(self, frame: bytes) -> bool:
         """Send one datagram to each peer; False if none was sent."""

@@ -18,7 +18,7 @@ from msp_range.arrays import Array
 from msp_range.assembly import streams_of, windows_of
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.no_echo import QUALITY_INVALID
+from msp_range.mavlink.distance_sensor import QUALITY_INVALID
 from msp_range.reading_model.sensor_model import SensorModel
 from msp_range.recording.csv_form import table_of
 from msp_sim.device.emulated import Surroundings, ping_contexts

@@ -96,7 +96,7 @@ class AutopilotVehicle:
 
     def on_message(self, now_s: float, message: Any) -> None:
         """Update with a message of the autopilot received at ``now_s``: a HEARTBEAT or a pose; others are ignored."""
-        kind = message.get_type()
+        kind = message.msgname
         if kind == "HEARTBEAT":
             self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
             if not self.armed:
