@@ -188,8 +188,8 @@ class MotionResponse:
     def inherit(self, other: "MotionResponse") -> None:
         """Begin as on the ground so far: the vehicle moves as before, and answers that came late still do.
 
-        What is rather fixed there shows neither, nor does what was seen so long ago that the accelerations since are not
-        known. Something fixed here does not move, whatever the ground did.
+        What is rather fixed there shows neither, nor does what was seen so long ago that the accelerations since are
+        not known. Something fixed here does not move, whatever the ground did.
         """
         if other.is_late or other._apart >= 0.0:
             self._late, self.is_late = min(other._late, 0.0), other.is_late
