@@ -26,6 +26,11 @@ from msp_range.arrays import Array, Flags, Indices
 
 MIN_OTHERS = 3
 """Mean and spread are from at least so many vehicles: of two nobody could say which is the odd one."""
+ASIDE_LOG_P = float(np.log(0.0005))
+"""Vehicles down to the last one that the others predict with this probability or less are left out of mean and spread.
+Lower: of three that are late one that is just not odd itself widens the spread until none is; in a drawn fleet its
+p-value was 0.0003, and 0.00025 is asked of odd ones. Higher: ordinary vehicles are left out, and the spread is too
+small."""
 MIN_SESSIONS = 4
 """A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
 MIN_SIDE = 2
@@ -148,7 +153,7 @@ def pooled(values: Array, errors: Array, level: float) -> Pooled:
         off = np.abs(values[left] - fit.coefficients[0]) / np.sqrt(errors[left] ** 2 + fit.between)
         far = left[off.argmax()]
         left = left[left != far]
-        if left_out(values, errors, left, far) <= level:
+        if left_out(values, errors, left, far) <= max(level, ASIDE_LOG_P):
             ordinary = left
     # One that is far off with a large error may be set aside before those that are odd, and belong.
     deviation_log_p = np.array([left_out(values, errors, ordinary, k) for k in range(values.size)])
