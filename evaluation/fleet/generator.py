@@ -4,7 +4,7 @@
 unit. Kinds: ``null``; ``odd:EFFECT``, three vehicles with an effect of 10 standard errors each; ``shared:EFFECT``, all
 of them; ``change:offset``, three vehicles whose offset changes at one of their sessions; ``odd:offset``, three that are
 mounted too high or too low; ``plain:NUMBER``, one vehicle of which a number of the base is 7 standard deviations
-between sensors from what is usual.
+between sensors from what is usual, or as many as ``plain:NUMBER@3`` says.
 """
 
 from collections.abc import Sequence
@@ -87,12 +87,12 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
     ValueError
         There is no such kind.
     """
-    family, _, title = kind.partition(":")
+    family, _, title = kind.partition("@")[0].partition(":")
     possible = {"odd": (*KINDS, "offset"), "shared": KINDS, "change": ("offset",), "plain": SPREADS}
     if kind != "null" and title not in possible.get(family, ()):
         raise ValueError(
-            f"kind {kind!r}: expected null, change:offset, plain:NUMBER of {', '.join(SPREADS)}, or odd:EFFECT or "
-            f"shared:EFFECT of {', '.join(KINDS)}"
+            f"kind {kind!r}: expected null, change:offset, plain:NUMBER or plain:NUMBER@SPREADS of "
+            f"{', '.join(SPREADS)}, or odd:EFFECT or shared:EFFECT of {', '.join(KINDS)}"
         )
     rng = rng_of(kind, seed)
     for _ in range(DRAWS):
@@ -104,7 +104,7 @@ def fleet(kind: str, seed: int, vehicles: int = VEHICLES) -> Fleet:
 
 def _drawn(kind: str, rng: Generator, vehicles: int) -> Fleet | None:
     """A fleet, or None where its effect has no possible size."""
-    family, _, title = kind.partition(":")
+    family, _, title = kind.partition("@")[0].partition(":")
     common = draw_base(rng)
     hidden = None if family == "plain" else KINDS.get(title)
     if title == "offset" and family != "plain":
@@ -121,7 +121,7 @@ def _drawn(kind: str, rng: Generator, vehicles: int) -> Fleet | None:
     for number in range(vehicles):
         has_it = hidden is not None and (family == "shared" or number in odd)
         for _ in range(DRAWS):
-            base = _of_unit(common, rng, title if family == "plain" and number in odd else "")
+            base = _of_unit(common, rng, kind if number in odd else "")
             rows = draw_flights(rng, design)
             if not has_it or hidden is None:
                 effects: list[Effect] = []
@@ -163,12 +163,15 @@ def _drawn(kind: str, rng: Generator, vehicles: int) -> Fleet | None:
     return Fleet(tuple(made), bench, names, frozenset(f"V{number + 1:02d}" for number in odd))
 
 
-def _of_unit(common: Base, rng: Generator, odd: str = "") -> Base:
-    """The numbers of one sensor of the make; one of them is far from what is usual, if any."""
+def _of_unit(common: Base, rng: Generator, kind: str) -> Base:
+    """The numbers of one sensor of the make; of a plain kind one of them is far from what is usual."""
     scatter = dict(zip(SPREADS, rng.standard_normal(len(SPREADS)), strict=True))
-    if odd:
+    family, _, plain = kind.partition(":")
+    if family == "plain":
+        number, _, spreads = plain.partition("@")
         # A fault adds outliers.
-        scatter[odd] = PLAIN_SPREADS * (-1.0 if odd in ("offset", "scatter") and rng.random() < 0.5 else 1.0)
+        is_less = number in ("offset", "scatter") and rng.random() < 0.5
+        scatter[number] = float(spreads or PLAIN_SPREADS) * (-1.0 if is_less else 1.0)
     off = {name: spread * scatter[name] for name, spread in SPREADS.items()}
     return replace(
         common,

@@ -1,8 +1,14 @@
-"""Estimates of every vehicle, and the tests that are made of them.
+"""Numbers over a fleet: their mean and spread, which vehicles are odd in them, and which changed between sessions.
 
 Numbers by unit and session enter; estimates with standard errors, and logarithms of p-values leave. A session's
 estimate scatters by its own error and by omega, by how much a number differs between sessions of one vehicle. omega is
-common to the fleet: the value at which the median vehicle's sessions scatter as much as expected.
+common to the fleet.
+
+Over the fleet ``b_u ~ N(mean, tau^2 + s_u^2)``, random-effects meta-analysis: s_u is what one vehicle's readings leave
+open, tau is by how much vehicles really differ, by Paule and Mandel. A vehicle is compared with the others by Student's
+t of as many of them, whose mean and tau are without it; where errors are 0 that is the t of one that is left out. Odd
+ones must not hide each other: the farthest is set aside, then the next one, and all are odd down to the last that the
+rest alone do not explain (generalized ESD; Rosner 1983, Technometrics 25:165).
 """
 
 from collections.abc import Sequence
@@ -10,17 +16,44 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import norm
+from scipy.stats import t as student
 
-from msp_lab.fleet.meta import MIN_ORDINARY, Pooled, pooled, where_one
+from msp_lab.estimates import PointsFit, fit_points
 from msp_lab.fleet.terms import FleetTerm, candidate_of
 from msp_lab.fleet.unit import Sessions, UnitNumbers
-from msp_range.arrays import Array, Indices
+from msp_range.arrays import Array, Flags, Indices
 
+MIN_OTHERS = 3
+"""Mean and spread are from at least so many vehicles: of two nobody could say which is the odd one."""
+ASIDE_LOG_P = float(np.log(0.0005))
+"""Vehicles down to the last one that the others predict with this probability or less are left out of mean and spread.
+Lower: of three that are late one that is just not odd itself widens the spread until none is; in a drawn fleet its
+p-value was 0.0003, and 0.00025 is asked of odd ones. Higher: ordinary vehicles are left out, and the spread is too
+small."""
 MIN_SESSIONS = 4
 """A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
 MIN_SIDE = 2
 """Sessions before and after a change. One flight that differs is no change of the vehicle."""
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """A fleet's estimate of one number."""
+
+    mean: float
+    error: float
+    """Mean of the ordinary vehicles, and its standard error."""
+    tau: float
+    """Standard deviation between them."""
+    i2: float
+    """Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002)."""
+    log_p: float
+    """Logarithm of the two-sided p-value of a mean of 0."""
+    odd: Flags
+    """(units,): which vehicles do not belong."""
+    deviation_log_p: Array
+    """Logarithms of the two-sided p-values of each vehicle's deviation from the ordinary others, (units,)."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +69,6 @@ class Change:
     """By how much the number is larger after it, or a drift's rise from the first session to the last."""
     log_p: float
     """Logarithm of its p-value, with the search for the place counted."""
-    series: Sessions
-    """Of which it is one."""
 
     @property
     def nats(self) -> float:
@@ -53,6 +84,8 @@ class Number:
     """What it is."""
     units: Indices
     """Places of the units that have it, (k,)."""
+    series: tuple[Sessions, ...]
+    """By session, of each of them."""
     value: Array
     error: Array
     """Estimates and standard errors, (k,)."""
@@ -61,62 +94,119 @@ class Number:
     fleet: Pooled
     """Mean, spread, and how far each unit is off."""
 
-    def p_of(self, unit: int) -> float:
-        """Logarithm of the p-value of a unit's deviation from the others; 0 if it has no such number."""
-        return float(self.fleet.deviation_log_p[self.units == unit].min(initial=0.0))
+    @property
+    def odd(self) -> frozenset[int]:
+        """Places of the units that do not belong to the others."""
+        return frozenset(self.units[self.fleet.odd].tolist())
+
+    def changes(self) -> dict[int, Change]:
+        """The likeliest change or drift of each unit that has sessions enough."""
+        found = {
+            unit: over_sessions(each, self.omega**2)
+            for unit, each in zip(self.units.tolist(), self.series, strict=True)
+        }
+        return {unit: change for unit, change in found.items() if change is not None}
 
 
-def _series(units: Sequence[UnitNumbers]) -> dict[FleetTerm, dict[int, Sessions]]:
-    """Every number by session, by the places of the units that have it."""
-    found: dict[FleetTerm, dict[int, Sessions]] = {}
+def numbers_of(units: Sequence[UnitNumbers], level: float) -> dict[FleetTerm, Number]:
+    """Every number that more than `MIN_OTHERS` units have; a term starts nowhere here.
+
+    Parameters
+    ----------
+    units
+        Their numbers.
+    level
+        Logarithm of the p-value that an odd unit has at most.
+    """
+    series: dict[FleetTerm, dict[int, Sessions]] = {}
     for k, unit in enumerate(units):
         for term, sessions in unit.numbers:
-            found.setdefault(term.anywhere, {})[k] = sessions
-    return found
+            series.setdefault(term.anywhere, {})[k] = sessions
+    return {term: _number(term, of, level) for term, of in series.items() if len(of) > MIN_OTHERS}
 
 
-def numbers_of(units: Sequence[UnitNumbers]) -> dict[FleetTerm, Number]:
-    """Every number that more than `MIN_ORDINARY` units have; a term starts nowhere here."""
-    found = {}
-    for term, of_units in _series(units).items():
-        if len(of_units) <= MIN_ORDINARY:
-            continue
-        omega2 = between_sessions(list(of_units.values()))
-        value, error = np.array([sessions.estimate(omega2) for sessions in of_units.values()]).T
-        if not term.is_base and candidate_of(term).one_sided:
-            # The variance of a share is in proportion to it: a small one is known no better than the others' would be.
-            error *= np.sqrt(np.maximum(np.median(value) / np.maximum(value, error), 1.0))
-        found[term] = Number(term, np.array(list(of_units)), value, error, float(np.sqrt(omega2)), pooled(value, error))
-    return found
+def _number(term: FleetTerm, of_units: dict[int, Sessions], level: float) -> Number:
+    series = tuple(of_units.values())
+    omega2 = between_sessions(series)
+    value, error = np.array([sessions.estimate(omega2) for sessions in series]).T
+    if not term.is_base and candidate_of(term).one_sided:
+        # The variance of a share is in proportion to it: a small one is known no better than the others' would be.
+        error *= np.sqrt(np.maximum(np.median(value) / np.maximum(value, error), 1.0))
+    return Number(
+        term, np.array(list(of_units)), series, value, error, float(np.sqrt(omega2)), pooled(value, error, level)
+    )
 
 
-def changes_of(units: Sequence[UnitNumbers]) -> list[tuple[FleetTerm, int, Change]]:
-    """Changes and drifts of the numbers of the base and of the effects that a unit was found to have."""
-    found = []
-    for term, of_units in _series(units).items():
-        omega2 = between_sessions(list(of_units.values()))
-        for unit, sessions in of_units.items():
-            change = over_sessions(sessions, omega2)
-            if change is not None and not term.sessions:
-                found.append((term, unit, change))
-    return found
+def pooled(values: Array, errors: Array, level: float) -> Pooled:
+    """Mean and spread of the ordinary vehicles, and how far each vehicle is off.
+
+    Parameters
+    ----------
+    values, errors
+        (units,), all known; four or more.
+    level
+        Logarithm of the p-value that an odd vehicle has at most. Less than half of them can be odd.
+    """
+    left = ordinary = np.arange(values.size)
+    while 2 * (left.size - 1) > values.size and left.size > MIN_OTHERS:
+        fit = _fit(values[left], errors[left])
+        off = np.abs(values[left] - fit.coefficients[0]) / np.sqrt(errors[left] ** 2 + fit.between)
+        far = left[off.argmax()]
+        left = left[left != far]
+        if left_out(values, errors, left, far) <= max(level, ASIDE_LOG_P):
+            ordinary = left
+    # One that is far off with a large error may be set aside before those that are odd, and belong.
+    deviation_log_p = np.array([left_out(values, errors, ordinary, k) for k in range(values.size)])
+    values, errors = values[ordinary], errors[ordinary]
+    fit = _fit(values, errors)
+    mean, error = float(fit.coefficients[0]), float(np.sqrt(fit.covariance[0, 0]))
+    q = float((((values - np.average(values, weights=errors**-2)) / errors) ** 2).sum())
+    i2 = max(0.0, 1.0 - fit.freedom / q) if q > 0.0 else 0.0
+    log_p = _log_p(mean / error, fit.freedom)
+    return Pooled(mean, error, float(np.sqrt(fit.between)), i2, log_p, deviation_log_p <= level, deviation_log_p)
+
+
+def left_out(values: Array, errors: Array, others: Indices, k: int) -> float:
+    """Logarithm of the two-sided p-value of a vehicle's deviation from what the others, without it, predict.
+
+    The prediction's variance is the vehicle's own, that between vehicles, and that of the mean.
+    """
+    others = others[others != k]
+    fit = _fit(values[others], errors[others])
+    error = np.sqrt(errors[k] ** 2 + fit.between + fit.covariance[0, 0])
+    return _log_p((values[k] - fit.coefficients[0]) / error, fit.freedom)
+
+
+def _log_p(t: float, freedom: int) -> float:
+    """Logarithm of the two-sided p-value of Student's t."""
+    return min(float(np.log(2.0) + student.logsf(abs(t), freedom)), 0.0)
+
+
+def _fit(values: Array, errors: Array) -> PointsFit:
+    """Mean and variance between; in units of the scatter, as the numbers of effects are of any size."""
+    size = max(float(np.std(values)), float(np.median(errors)))
+    fit = fit_points(np.ones((values.size, 1)), values / size, (errors / size) ** 2)
+    return PointsFit(fit.coefficients * size, fit.covariance * size**2, fit.between * size**2, fit.freedom)
+
+
+def shrunk(values: Array, errors: Array, fleet: Pooled) -> tuple[Array, Array]:
+    """Each vehicle's estimate drawn towards the fleet's mean, and its standard error (empirical Bayes).
+
+    An ordinary vehicle is worth ``(b / s^2 + mean / tau^2) / (1 / s^2 + 1 / tau^2)``. The uncertainty of the mean is
+    counted (Morris 1983, J. Am. Stat. Assoc. 78:47). An odd vehicle keeps its own estimate.
+    """
+    own = np.where(fleet.odd, 1.0, fleet.tau**2 / (fleet.tau**2 + errors**2))
+    error = np.sqrt(own * errors**2 + (1.0 - own) ** 2 * fleet.error**2)
+    return own * values + (1.0 - own) * fleet.mean, error
 
 
 def between_sessions(series: Sequence[Sessions]) -> float:
-    """Variance of a number between sessions of one unit, common to the fleet."""
-    several = [sessions for sessions in series if sessions.value.size >= 2]
+    """Variance of a number between sessions of one unit, common to the fleet: that of the median unit, if any has two.
 
-    def ratio(omega2: float) -> float:
-        each = [_squares(own.value, own.variance + omega2) / chi2.median(own.value.size - 1) for own in several]
-        return float(np.median(each))
-
-    return where_one(ratio, max(float(np.ptp(own.value)) ** 2 for own in several)) if several else 0.0
-
-
-def _squares(value: Array, variance: Array) -> float:
-    """Sum of squares about the weighted mean, over the variances."""
-    mean = np.average(value, weights=1.0 / variance)
-    return float(((value - mean) ** 2 / variance).sum())
+    It is not moved by a few that changed.
+    """
+    several = [_fit(own.value, np.sqrt(own.variance)).between for own in series if own.value.size >= 2]
+    return float(np.median(several)) if several else 0.0
 
 
 def over_sessions(series: Sessions, omega2: float) -> Change | None:
@@ -147,5 +237,5 @@ def over_sessions(series: Sessions, omega2: float) -> Change | None:
     size, error = about @ (weight * value) / gained, gained**-0.5
     log_p = np.log(2.0) + norm.logsf(np.abs(size / error)) + np.log(np.append(np.full(places.size, places.size), 1.0))
     k = int(np.argmin(log_p))
-    found = float(size[k]), float(error[k]), min(float(log_p[k]), 0.0), series
+    found = float(size[k]), float(error[k]), min(float(log_p[k]), 0.0)
     return Change("change", int(places[k]), *found) if k < places.size else Change("drift", 0, *found)

@@ -1,6 +1,6 @@
 """One sensor of one vehicle: estimates of the numbers that the fleet is compared by, and what else it has.
 
-A `Unit` and the terms that it is known to have enter; plain data leave. `examine`, `search` and `held` are pure
+A `Unit` and the terms that it is known to have enter; plain data leave. `examine` and `search` are pure
 functions of what they are given, so that another process can do them; the latest prepared readings and joint fits are
 kept for the next question about the same unit, which changes how long an answer takes and nothing else.
 
@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msp_lab.fleet.terms import BASE_NUMBERS, FleetTerm, candidate_of, term_of
-from msp_lab.gap.candidates import SelectedTerm
+from msp_lab.fleet.terms import BASE, FleetTerm, candidate_of, term_of
+from msp_lab.gap.candidates import CandidateEffect, SelectedTerm
 from msp_lab.gap.intake import read_readings, with_least_weights
 from msp_lab.gap.problem import Problem, State, screened, with_candidate
 from msp_lab.gap.refit import JointFit, sums_by
@@ -56,18 +56,9 @@ class Unit:
     version: str = ""
     """Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder."""
 
-    @property
-    def name(self) -> str:
-        """For a person."""
-        return f"{self.vehicle} {self.sensor}"
-
     def rng(self, *stream: int) -> np.random.Generator:
         """Random numbers of its own, the same ones each time."""
-        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), *stream])
-
-
-class UnusableError(UserError):
-    """A sensor's readings cannot be compared; the message says why."""
+        return np.random.default_rng([self.seed, zlib.crc32(f"{self.vehicle} {self.sensor}".encode()), *stream])
 
 
 class Sessions(NamedTuple):
@@ -136,7 +127,7 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
     here = np.array([sessions.index(name) for name in run])
     readings = np.bincount(here)
     of_terms = [fit.names.index(f"{k}.{term.number}") for k, term in enumerate(terms)]
-    places = [*range(len(BASE_NUMBERS)), *of_terms]
+    places = [*range(len(BASE)), *of_terms]
     # Odds that ended at their bound are those of a kind of reading that hardly ever came: no number to compare. A share
     # that did is as near to it as the slope there says.
     at_bound = [place for place in of_terms if fit.at.held[place]]
@@ -146,7 +137,7 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
     share = readings / len(here)
     value = fit.values[places] + sums_by(here, moved) / share[:, None]
     variance = np.maximum(sums_by(here, moved**2) / share[:, None] ** 2, np.diag(covariance)[places] / share[:, None])
-    of_all = (*(FleetTerm(name, "value") for name in BASE_NUMBERS), *terms)
+    of_all = (*(FleetTerm(name, "value") for name in BASE), *terms)
     numbers = [
         (term, Sessions(*own, share)) for term, own in zip(of_all, zip(value.T, variance.T, strict=True), strict=True)
     ]
@@ -159,18 +150,17 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
         tuple(sessions),
         len(here),
         gain_nats,
-        len({(*candidate.key, candidate.parameter.name) for candidate in _asked(problem).candidates}),
+        len({(*candidate.key, candidate.parameter.name) for candidate in _asked(problem)}),
         problem.untestable,
     )
 
 
-def _asked(problem: Problem, only_calibration: bool = False) -> Problem:
-    """With the effects that vehicles are asked for; what sessions differ by is compared over the fleet."""
-    asked = [each for each in problem.candidates if each.effect.per != "run" and each.is_base >= only_calibration]
-    return replace(problem, candidates=tuple(asked))
+def _asked(problem: Problem) -> tuple[CandidateEffect, ...]:
+    """Effects that vehicles are asked for; what sessions differ by is compared over the fleet."""
+    return tuple(each for each in problem.candidates if each.effect.per != "run")
 
 
-def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float, bool]) -> OwnEffects:
+def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float]) -> OwnEffects:
     """What a unit has next to its terms, by the search of the gap workflow.
 
     Parameters
@@ -178,17 +168,13 @@ def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float, bool]) 
     model
         Sensor model.
     task
-        The unit, its terms, what an effect has to gain [nat], and whether only those are asked that say what a number
-        of the sensor model says too.
+        The unit, its terms, and what an effect has to gain [nat].
     """
-    unit, terms, needed_nats, only_calibration = task
+    unit, terms, needed_nats = task
     problem, fit = _fitted(model, unit, terms)
     # With random numbers and a memory of its own, so that the answer is the same wherever and whenever it was asked.
-    problem = replace(_asked(problem, only_calibration), rng=unit.rng(1), kept={})
-    known = tuple(
-        SelectedTerm(active, None if term.sessions else candidate_of(term))
-        for active, term in zip(fit.effects, terms, strict=True)
-    )
+    problem = replace(problem, candidates=_asked(problem), rng=unit.rng(1), kept={})
+    known = tuple(SelectedTerm(active, candidate_of(term)) for active, term in zip(fit.effects, terms, strict=True))
     begun = State(fit, known, problem.information(fit), problem.depends(fit))
     seen = screened(problem, begun)
     state = add_effects(problem, begun, seen, needed_nats, len(terms) + MAX_EFFECTS)
@@ -206,16 +192,6 @@ def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float, bool]) 
     return OwnEffects(tuple(names), found.state.fit.log_likelihood - fit.log_likelihood)
 
 
-def held(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], int, float]) -> float:
-    """What a unit's fit loses if the number of one of its terms is held at a value [nat]."""
-    unit, terms, k, value = task
-    problem, fit = _fitted(model, unit, terms)
-    effects = list(fit.effects)
-    values = {**effects[k].values, terms[k].number: value}
-    effects[k] = replace(effects[k], effect=replace(effects[k].effect, parameters=()), values=values)
-    return fit.log_likelihood - problem.refit(effects, fit.base).log_likelihood
-
-
 def _fitted(model: Model, unit: Unit, terms: tuple[FleetTerm, ...]) -> tuple[Problem, JointFit]:
     """The readings of a unit, ready for fits, and the joint fit of base and terms, which are added one after another.
 
@@ -223,8 +199,8 @@ def _fitted(model: Model, unit: Unit, terms: tuple[FleetTerm, ...]) -> tuple[Pro
     ------
     RecordingError
         A file is damaged, or its readings cannot be compared.
-    UnusableError
-        There are too few readings.
+    UserError
+        There are too few readings, or the model cannot give most of them.
     """
     pickled = pickle.dumps(model)
     return _problem(pickled, unit), _fit(pickled, unit, terms)
@@ -237,12 +213,12 @@ def _problem(pickled: bytes, unit: Unit) -> Problem:
     model = readings.in_step(model)
     count = len(readings.data)
     if count < MIN_READINGS:
-        raise UnusableError(f"{count} readings with a true range, and at least {MIN_READINGS} are needed")
+        raise UserError(f"{count} readings with a true range, and at least {MIN_READINGS} are needed")
     columns = dict(readings.data.columns)
     reading_cm = columns.pop("reading_cm")
     possible = np.isfinite(model.log_prob(reading_cm, columns))
     if possible.mean() < 1.0 - MAX_SHARE_LEFT_OUT:
-        raise UnusableError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
+        raise UserError(f"the model cannot give {100.0 * (1.0 - possible.mean()):.0f} % of the readings")
     return Problem.of(model, columns, reading_cm, numbered(columns["run"]), unit.rng())
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, UnitEstimate
-from msp_lab.fleet.terms import FleetTerm, effect_of
+from msp_lab.fleet.terms import FleetTerm
 from msp_sim.effects.plain import plain_finding
 from msp_sim.page.text import and_list, capitalised, listed
 
@@ -19,11 +19,10 @@ MAX_SENTENCES = 3
 
 def plain_of(term: FleetTerm, value: float, with_size: bool) -> str:
     """A number in words; without its size where nothing was found of it."""
-    effect = effect_of(term.effect)
+    effect = term.catalogued
     if not with_size:
         return effect.sentence.rstrip(".")
-    values = {**effect.neutral_values(), **dict(term.shape), term.number: value}
-    return plain_finding(effect, values, term.of)
+    return plain_finding(effect, {**effect.neutral_values(), **dict(term.shape), term.number: value}, term.of)
 
 
 def names_of(units: Sequence[UnitEstimate], several_sensors: bool) -> str:

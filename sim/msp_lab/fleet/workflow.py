@@ -12,10 +12,9 @@ import numpy as np
 
 import msp_range
 from msp_lab.fleet.findings import FleetEffect, FleetFindings, LeftOut, SessionEstimate, UnitEstimate
-from msp_lab.fleet.meta import shrunk
 from msp_lab.fleet.search import FleetFinding, FleetSearch
-from msp_lab.fleet.statistics import Change, numbers_of
-from msp_lab.fleet.terms import FleetTerm, effect_of
+from msp_lab.fleet.statistics import Change, shrunk
+from msp_lab.fleet.terms import FleetTerm
 from msp_lab.fleet.unit import Unit, UnitNumbers, examine
 from msp_lab.fleet.vehicles import MIN_VEHICLES, units_of
 from msp_lab.fleet.words import plain_of, sentence_of
@@ -62,7 +61,7 @@ def find_in_fleet(
     vehicles = _vehicles(dataset, units, left_out)
     numbers = [made.value for _, made in outcomes if made.value is not None]
     search = FleetSearch(units, numbers, fdr, run)
-    nothing = FleetFinding("calibration", OFFSET, (), numbers_of(numbers)[OFFSET])
+    nothing = FleetFinding("calibration", search.compared(numbers)[OFFSET])
     order = {"odd": 0, "change": 1, "drift": 1, "shared": 2, "calibration": 3}
     effects = sorted((_effect(search, finding) for finding in search.all()), key=lambda effect: order[effect.kind])
     findings = FleetFindings(
@@ -105,18 +104,12 @@ def _untestable(units: Sequence[UnitNumbers]) -> tuple[tuple[str, tuple[str, ...
 
 
 def _effect(search: FleetSearch, finding: FleetFinding) -> FleetEffect:
-    term = finding.term
-    unit_label = next(
-        parameter.unit for parameter in effect_of(term.effect).parameters if parameter.name == term.number
-    )
+    number, term, fleet = finding.number, finding.number.term, finding.number.fleet
     alternatives = tuple((other.effect, lost) for other, lost in finding.alternatives)
-    effect = FleetEffect(finding.kind, term.effect, term.number, unit_label, term.shape, "", alternatives)
-    number = finding.number
-    if number is None:
-        assert finding.change is not None
+    effect = FleetEffect(finding.kind, term.effect, term.number, term.parameter.unit, term.shape, "", alternatives)
+    if finding.change is not None:
         return _changed(search, finding, finding.change, effect)
-    fleet = number.fleet
-    is_odd = np.isin(number.units, finding.units) & (finding.kind == "odd")
+    is_odd = np.isin(number.units, list(finding.units))
     numbers = (
         number.value,
         number.error,
@@ -151,14 +144,14 @@ def _estimate(
 
 def _changed(search: FleetSearch, finding: FleetFinding, change: Change, effect: FleetEffect) -> FleetEffect:
     """The effect with what a unit's number changed by, and its estimates by session."""
-    unit = finding.units[0]
-    names = search.first[unit].sessions
-    series = zip(names, change.series.value.tolist(), np.sqrt(change.series.variance).tolist(), strict=True)
+    (unit,) = finding.units
+    names, number = search.first[unit].sessions, finding.number
+    value, variance, _ = number.series[number.units.tolist().index(unit)]
     size = change.size, change.error
     return replace(
         effect,
-        plain=plain_of(finding.term, change.size, with_size=True),
+        plain=plain_of(number.term, change.size, with_size=True),
         estimates=(_estimate(search.units[unit], *size, *size, True, float(np.exp(change.log_p))),),
         since=names[change.first] if change.kind == "change" else "",
-        sessions=tuple(SessionEstimate(*session) for session in series),
+        sessions=tuple(map(SessionEstimate, names, value.tolist(), np.sqrt(variance).tolist())),
     )

@@ -8,13 +8,14 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from msp_lab.fleet.findings import FleetFindings
-from msp_lab.fleet.meta import Pooled, left_out, pooled, shrunk
-from msp_lab.fleet.statistics import between_sessions, over_sessions
+from msp_lab.fleet.statistics import Pooled, between_sessions, left_out, over_sessions, pooled, shrunk
 from msp_lab.fleet.unit import Sessions
 from msp_lab.fleet.vehicles import units_of
 from msp_lab.fleet.words import sentence_of
 from msp_range.errors import UserError
 
+LEVEL = float(np.log(0.00025))
+"""Of an odd one of 20 vehicles at a rate of false findings of 0.05."""
 BCG = np.array(
     [
         [4, 119, 11, 128],
@@ -54,8 +55,8 @@ def test_bcg_trials_give_the_published_mean_and_spread() -> None:
     # By Paule and Mandel, Viechtbauer's metafor (2010, J. Stat. Softw. 36:3) has -0.7150 (0.1809) and tau^2 0.3181; I^2
     # by its definition from Q = 152.23.
     values, errors = bcg()
-    fleet = pooled(values, errors)
-    assert fleet.ordinary.all()
+    fleet = pooled(values, errors, LEVEL)
+    assert not fleet.odd.any()
     assert fleet.mean == pytest.approx(-0.7150, abs=0.0001)
     assert fleet.error == pytest.approx(0.1809, abs=0.0001)
     assert fleet.tau**2 == pytest.approx(0.3181, abs=0.0001)
@@ -65,14 +66,14 @@ def test_bcg_trials_give_the_published_mean_and_spread() -> None:
 
 def test_estimates_without_errors_are_compared_by_students_t() -> None:
     values = np.array([0.3, -1.4, 2.2, 0.9, -0.6, 7.0, 1.6])
-    log_p = left_out(values, np.full(7, 1e-6), np.ones(7, dtype=bool))
+    log_p = left_out(values, np.full(7, 1e-6), np.arange(7), 5)
     others = np.delete(values, 5)
     t = (values[5] - others.mean()) / np.sqrt(np.var(others, ddof=1) * (1.0 + 1.0 / others.size))
-    assert log_p[5] == pytest.approx(np.log(2.0) + student.logsf(t, others.size - 1), abs=1e-6)
+    assert log_p == pytest.approx(np.log(2.0) + student.logsf(t, others.size - 1), abs=1e-6)
 
 
 def test_equal_estimates_have_their_mean_and_next_to_no_spread() -> None:
-    fleet = pooled(np.full(20, 2.0), np.ones(20))
+    fleet = pooled(np.full(20, 2.0), np.ones(20), LEVEL)
     assert fleet.mean == pytest.approx(2.0)
     assert fleet.error == pytest.approx(20.0**-0.5)
     assert fleet.tau == 0.0
@@ -82,13 +83,13 @@ def test_three_odd_vehicles_of_twenty_do_not_hide_each_other() -> None:
     rng = np.random.default_rng(5)
     values, errors = rng.standard_normal(20), np.ones(20)
     values[:3] += 10.0
-    fleet = pooled(values, errors)
-    assert list(np.flatnonzero(~fleet.ordinary)) == [0, 1, 2]
+    fleet = pooled(values, errors, LEVEL)
+    assert list(np.flatnonzero(fleet.odd)) == [0, 1, 2]
     assert fleet.deviation_log_p[:3].max() < np.log(1e-6)
     assert fleet.deviation_log_p[3:].min() > np.log(1e-3)
     # All of them together are no odd ones, but what the fleet shares.
-    everyone = pooled(values[3:] + 10.0, errors[3:])
-    assert everyone.ordinary.all()
+    everyone = pooled(values[3:] + 10.0, errors[3:], LEVEL)
+    assert not everyone.odd.any()
     assert everyone.mean == pytest.approx(10.0, abs=0.6)
     assert everyone.log_p < -30.0
 
@@ -97,19 +98,29 @@ def test_odd_vehicles_that_are_known_better_than_the_others_do_not_hide_each_oth
     """Log odds of short readings at full throttle: who has few of them knows little of it."""
     values = [2.06, 2.28, 2.33, 0.37, -0.41, 0.44, 0.33, -0.24, -0.06, 0.17, 0.47, 0.85, 0.23, -0.82, 0.84, 0.11]
     errors = [0.25, 0.25, 0.24, 0.51, 0.67, 0.36, 0.49, 0.68, 0.50, 0.61, 0.51, 0.45, 0.50, 0.71, 0.42, 0.38]
-    fleet = pooled(np.array(values), np.array(errors))
-    assert list(np.flatnonzero(~fleet.ordinary)) == [0, 1, 2]
+    fleet = pooled(np.array(values), np.array(errors), LEVEL)
+    assert list(np.flatnonzero(fleet.odd)) == [0, 1, 2]
     assert fleet.deviation_log_p[:3].max() < np.log(5e-5)
+
+
+def test_one_that_is_far_off_by_its_own_error_is_not_odd_next_to_one_that_is() -> None:
+    """Log odds of random readings: the first has 28 of them, the second hardly any."""
+    values = [1.23, -3.03, -1.15, 0.05, 0.19, -0.84, 0.03, 0.21, 0.35, 0.07, 0.39, -0.66, -0.1, 0.41, -0.37, 0.14]
+    errors = [0.24, 1.0, 0.69, 0.39, 0.26, 0.46, 0.4, 0.3, 0.44, 0.34, 0.42, 0.55, 0.29, 0.27, 0.37, 0.29]
+    values, errors = [*values, 0.23, -0.46, -0.29, 0.3], [*errors, 0.26, 0.65, 0.37, 0.29]
+    fleet = pooled(np.array(values), np.array(errors), LEVEL)
+    assert list(np.flatnonzero(fleet.odd)) == [0]
+    assert fleet.deviation_log_p[1] < np.log(0.02)
 
 
 def test_each_vehicle_is_compared_with_what_the_others_alone_predict() -> None:
     values = np.array([0.3, -1.4, 2.2, 0.9, -0.6, 24.0, 1.6])
     errors = np.array([0.4, 1.1, 0.7, 0.5, 2.0, 0.6, 0.9])
-    fleet = pooled(values, errors)
-    assert list(np.flatnonzero(~fleet.ordinary)) == [5]
+    fleet = pooled(values, errors, LEVEL)
+    assert list(np.flatnonzero(fleet.odd)) == [5]
     for k in range(values.size):
-        others = np.array([each != k for each in range(values.size)]) & fleet.ordinary
-        alone = pooled(values[others], errors[others])
+        others = (np.arange(values.size) != k) & ~fleet.odd
+        alone = pooled(values[others], errors[others], -np.inf)
         off = (values[k] - alone.mean) / np.sqrt(errors[k] ** 2 + alone.tau**2 + alone.error**2)
         assert np.exp(fleet.deviation_log_p[k]) == pytest.approx(2.0 * student.sf(abs(off), others.sum() - 1))
 
@@ -120,14 +131,14 @@ def test_p_values_of_drawn_fleets_are_as_often_small_as_they_should_be() -> None
     for _ in range(60):
         errors = 0.3 * np.exp(0.3 * rng.standard_normal(20))
         values = rng.standard_normal(20) + errors * rng.standard_normal(20)
-        small += int((pooled(values, errors).deviation_log_p < np.log(0.01)).sum())
+        small += int((pooled(values, errors, LEVEL).deviation_log_p < np.log(0.01)).sum())
     # 12 of 1,200 are expected, with a standard deviation of 3.4.
     assert 4 <= small <= 22
 
 
 def test_an_estimate_as_uncertain_as_the_fleet_is_spread_moves_half_way() -> None:
     values, errors = np.array([-3.0, 0.0, 5.0]), np.full(3, 1.5)
-    fleet = Pooled(1.0, 0.5, 1.5, 0.5, 0.0, np.array([True, True, False]), np.zeros(3))
+    fleet = Pooled(1.0, 0.5, 1.5, 0.5, 0.0, np.array([False, False, True]), np.zeros(3))
     near, error = shrunk(values, errors, fleet)
     assert near.tolist() == [-1.0, 0.5, 5.0]
     assert error == pytest.approx([np.sqrt(0.5 * 1.5**2 + 0.25 * 0.25)] * 2 + [1.5])
