@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import brentq
-from scipy.special import logsumexp, ndtr
+from scipy.special import chdtri, gammaincinv, logsumexp, ndtr, stdtrit
 
 from msp_range.arrays import Array
 from msp_sim.intervals import CONFIDENCE, LIKELIHOOD_DROP, Z, wilson
@@ -105,7 +104,7 @@ class IntervalEstimate:
 
 def student(standard_error: float, freedom: float) -> float:
     """Half of Student's 95 % interval of an estimate with this standard error; of the normal one where it is known."""
-    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, freedom)) * standard_error
+    return float(stdtrit(freedom, 0.5 + CONFIDENCE / 2)) * standard_error
 
 
 def share(count: int, of: int) -> IntervalEstimate:
@@ -195,7 +194,7 @@ def between_points(residual: Array, variance: Array, known: float = 0.0, fitted:
     True
     """
     freedom = residual.size - fitted
-    wanted = (freedom, *stats.chi2.isf([0.025, 0.975], freedom).tolist())
+    wanted = (freedom, *chdtri(freedom, [0.025, 0.975]).tolist())
     mean = np.ones((residual.size, 1))
     value, low, high = (math.sqrt(_variance_between(mean, residual, variance + known, each)) for each in wanted)
     return IntervalEstimate(value, low, high, "cm", residual.size, "points")
@@ -218,7 +217,7 @@ def dependence_factor(series: Sequence[Array]) -> float:
         singles += float(cut.var(ddof=1)) * (batches - 1)
         freedom += batches - 1
     # The ratio is above 1 in half of all cases without dependence: only a significant one counts.
-    if singles == 0.0 or means / singles < float(stats.chi2.isf(0.01, freedom)) / freedom:
+    if singles == 0.0 or means / singles < float(chdtri(freedom, 0.01)) / freedom:
         return 1.0
     return means / singles
 
@@ -253,7 +252,7 @@ def mean_and_spread(values: Array, step: float, usual_spread: float | None = Non
     n, average = values.size, float(values.mean())
     variance = float(values.var(ddof=1))
     mean = IntervalEstimate.about(average, student(math.sqrt(variance / n), n - 1), n)
-    low, high = (n - 1) * variance / stats.chi2.ppf([0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2], n - 1)
+    low, high = (n - 1) * variance / (2.0 * gammaincinv((n - 1) / 2, [0.5 + CONFIDENCE / 2, 0.5 - CONFIDENCE / 2]))
     return MeanAndSpread(mean, IntervalEstimate(variance, low, high, "cm", n).root(step**2 / 12))
 
 
@@ -348,4 +347,4 @@ def detectable(standard_error: float, freedom: float, level: float) -> float:
     >>> print(f"{detectable(standard_error=0.1, freedom=11, level=0.05):.2f}")
     0.31
     """
-    return standard_error * float(stats.t.ppf(1 - level / 2, freedom) + stats.t.ppf(0.8, freedom))
+    return standard_error * float(stdtrit(freedom, 1 - level / 2) + stdtrit(freedom, 0.8))

@@ -112,7 +112,8 @@ def outer_sums(scores: Array, counts: Indices) -> Array:
     counts
         Readings of each cell, (K,).
     """
-    return np.array([each.T @ each for each in np.split(scores, np.cumsum(counts)[:-1])])
+    ends = np.cumsum(counts).tolist()
+    return np.array([scores[start:end].T @ scores[start:end] for start, end in zip([0, *ends], ends, strict=False)])
 
 
 def one_step(total: Array, information: Array, stack: Stack, sigma_cm: Array, by_unit: Array | None = None) -> CellFits:

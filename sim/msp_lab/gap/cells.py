@@ -7,6 +7,7 @@ context is unknown have a cell of their own.
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class Stack:
     def __len__(self) -> int:
         return self.counts.size
 
-    @property
+    @cached_property
     def readings(self) -> Indices:
         """Readings cell by cell, each as often as there are partitions."""
         return np.asarray(self.members.indices, dtype=np.intp)
@@ -75,6 +76,11 @@ class Stack:
     def sums(self, values: Array) -> Array:
         """Sums of the readings' values in each cell: (n,) or (n, m) become (K,) or (K, m)."""
         return np.asarray(self.members @ values)
+
+    def products(self, values: Array) -> Array:
+        """Sums of the products of the readings' values with each other in each cell: (n, m) become (K, m, m)."""
+        n, m = values.shape
+        return self.sums((values[:, :, None] * values[:, None, :]).reshape(n, m * m)).reshape(len(self), m, m)
 
     def each(self) -> Iterator[tuple[Partition, slice]]:
         """Each partition with the place of its cells."""

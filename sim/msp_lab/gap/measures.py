@@ -20,7 +20,6 @@ from msp_lab.gap.cell_fits import (
     drawn_sums,
     free_fit,
     one_step,
-    outer_sums,
     scores_of,
     unit_sums,
     unit_variance,
@@ -149,7 +148,7 @@ def replicates(
     for _ in range(count):
         _, scores = scores_of(rows, drawn_rows.sample(RandomStreams(rng)))
         totals.append(stack.sums(scores))
-        information = information + outer_sums(scores[stack.readings], stack.counts) / count
+        information = information + stack.products(scores) / count
         # Replicates show what the model itself lets runs share.
         shared = unit_variance(scores[stack.readings], readings.unit, stack, scores)[0] if depends else None
         variances.append(shared)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.padding import Padding
 from rich.progress import BarColumn, TaskProgressColumn, TimeElapsedColumn
@@ -10,7 +11,6 @@ from rich.text import Text
 
 from msp_lab.estimates import IntervalEstimate
 from msp_lab.gap.conclusion import in_words
-from msp_lab.gap.demo import HiddenNumber
 from msp_lab.gap.findings import FoundEffect, GapFindings, UnknownEffect
 from msp_lab.gap.findings_file import MODEL
 from msp_lab.gap.labels import (
@@ -27,6 +27,9 @@ from msp_lab.gap.tables import measures_table
 from msp_range.clock import Clock, SystemClock
 from msp_range.terminal import Bar, PlainConsole, console, plain_table
 from msp_sim.page.text import counted
+
+if TYPE_CHECKING:
+    from msp_lab.gap.demo import HiddenNumber
 
 COLOURS = {
     "nothing missing": "green",
@@ -63,7 +66,7 @@ class ProgressBar(Bar):
             print_findings(findings)
 
 
-def print_comparisons(found: Iterable[HiddenNumber]) -> None:
+def print_comparisons(found: Iterable["HiddenNumber"]) -> None:
     """What was hidden, and what was found of it."""
     header = ("hidden effect", "number", "hidden", "found", "95 % interval", "holds it")
     rows = []

@@ -12,7 +12,6 @@ import numpy as np
 
 from msp_lab.readings.others import Mounting, Referenced, side_by_side, with_others_as_reference
 from msp_range.arrays import Array
-from msp_range.config import load_airframe_from
 from msp_range.fusion.attitude import AttitudeTrack
 from msp_range.fusion.mounting import DownwardSensor
 from msp_range.geometry import Matrix
@@ -34,6 +33,9 @@ def mounting_of(recording: Recording) -> Mounting | None:
     """
     if not recording.files:
         return None
+    # Airframes and the protocol that they name take a quarter of a second, which a table does without.
+    from msp_range.config import load_airframe_from
+
     airframe = load_airframe_from(recording.files, recording.path)
     sensors = {
         sensor.name: DownwardSensor(sensor.position_m, sensor.boresight, "nearest") for sensor in airframe.downward

@@ -236,14 +236,14 @@ def intervals(
 
 def draw_pit_bars(axes: Axes, counts: ArrayLike, colour: str = OURS, base: float = 1.0) -> None:
     """Draw bars of the readings in each bin of a probability integral transform, as a factor of the expected number."""
-    # Whoever has such counts has loaded it already; the picture of a flight does without its 0.5 s.
-    from scipy.stats import binom
+    from scipy.special import bdtrik
 
     from msp_sim.intervals import CONFIDENCE
 
     counts = np.asarray(counts, dtype=float)
     expected = counts.mean()
-    low, high = binom.interval(CONFIDENCE, counts.sum(), 1.0 / counts.size) / expected
+    ends = [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2]
+    low, high = np.ceil(bdtrik(ends, counts.sum(), 1.0 / counts.size)) / expected
     axes.axhspan(low, high, label="random variation (95 %)", **shaded())
     edges = np.linspace(0.0, 1.0, counts.size + 1)
     axes.stairs(counts / expected, edges, baseline=base, fill=True, color=colour, alpha=0.75)
