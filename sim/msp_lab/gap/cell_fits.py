@@ -9,6 +9,7 @@ bootstrap over units (Chernozhukov, Chetverikov & Kato 2013, Annals of Statistic
 dependence.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -113,7 +114,7 @@ def outer_sums(scores: Array, counts: Indices) -> Array:
         Readings of each cell, (K,).
     """
     ends = np.cumsum(counts).tolist()
-    return np.array([scores[start:end].T @ scores[start:end] for start, end in zip([0, *ends], ends, strict=False)])
+    return np.array([scores[start:end].T @ scores[start:end] for start, end in itertools.pairwise([0, *ends])])
 
 
 def one_step(total: Array, information: Array, stack: Stack, sigma_cm: Array, by_unit: Array | None = None) -> CellFits:
