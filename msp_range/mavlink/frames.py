@@ -74,6 +74,11 @@ class Frame(NamedTuple):
         return SimpleNamespace(msgname=kind.msgname, **dict(zip(kind.ordered_fieldnames, values, strict=True)))
 
 
+def text_of(field: bytes) -> str:
+    """A message's text, which ends at its first zero."""
+    return field.partition(b"\0")[0].decode("ascii", "replace")
+
+
 class FrameReader:
     """Finds the frames in one sender's bytes, which may be split anywhere.
 

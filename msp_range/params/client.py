@@ -13,6 +13,7 @@ from msp_range.clock import Clock
 from msp_range.config import LinkSettings
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.distance_sensor import Autopilot
+from msp_range.mavlink.frames import text_of
 from msp_range.mavlink.link import Link
 from msp_range.mavlink.participants import AUTOPILOTS
 from msp_range.mavlink.signing import Signing, signing_of
@@ -102,7 +103,7 @@ class ParameterClient:
         if kind == "HEARTBEAT":
             self._heartbeat, self._heartbeat_s = message, now_s
         elif kind == "PARAM_VALUE":
-            name = message.param_id.partition(b"\0")[0].decode("ascii", "replace")
+            name = text_of(message.param_id)
             self._values[name] = (
                 _as_type("<f", "<i", message.param_value)
                 if self._is_whole(message.param_type)

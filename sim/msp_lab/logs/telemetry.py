@@ -34,7 +34,7 @@ from msp_lab.logs.log import (
 from msp_range.correction.humidity import HYGROMETER, relative_humidity_percent
 from msp_range.input_file import open_input
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.mavlink.frames import Frame, FrameReader, text_of
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import LARGEST_FILE_BYTES
 from msp_sim.model.derived import tilt_deg
@@ -92,11 +92,12 @@ def read_telemetry(path: Path, asked: LogRequest) -> VehicleLog:
             key = (*sender, decoded.id)
             distances.setdefault(key, MessageColumns.collecting("DISTANCE_SENSOR", _DISTANCE)).add(*stamp)
         elif frame.message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-            parameters[decoded.param_id] = _parameter(decoded)
+            name = text_of(decoded.param_id)
+            parameters[name] = _parameter(name, decoded)
         else:
-            name = ids[frame.message_id]
-            if senders.setdefault(name, sender) == sender:
-                flight.setdefault(name, MessageColumns.collecting(name, fields[name])).add(*stamp)
+            kind = ids[frame.message_id]
+            if senders.setdefault(kind, sender) == sender:
+                flight.setdefault(kind, MessageColumns.collecting(kind, fields[kind])).add(*stamp)
     clock = make_continuous([*distances.values(), *flight.values()])
     if frames.bad_bytes > MOST_BAD_SHARE * frames.size:
         raise RecordingError(f"{path}: no telemetry log: {frames.bad_bytes} of {frames.size} bytes are in no frame")
@@ -164,9 +165,9 @@ def _is_frame(data: bytes, at: int, end: int) -> bool:
     return data[begin] in (_VERSION_1, _VERSION_2) and int.from_bytes(data[at:begin], "big") < LATEST_US
 
 
-def _parameter(message: Any) -> float:
+def _parameter(name: str, message: Any) -> float:
     """A parameter's value: PX4 sends the bytes of an integer in the place of a float, ArduPilot its value."""
-    if message.param_id.startswith("EKF2_") and message.param_type in _INTEGER_TYPES:
+    if name.startswith("EKF2_") and message.param_type in _INTEGER_TYPES:
         number: int = struct.unpack("<i", struct.pack("<f", message.param_value))[0]
         return float(number)
     return float(message.param_value)
