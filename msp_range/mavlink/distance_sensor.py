@@ -2,23 +2,18 @@
 
 How autopilots interpret the fields (ArduPilot 4.7, PX4 main): quality 0 means unknown and is accepted; covariance 255
 means unknown; the sensor's shortest report, 20 cm, has to be above ``min_distance`` to be accepted; a fault is silence.
-
-'No echo': a working sensor got none, so that no ground or obstacle is within its range. The autopilot is to know that,
-unlike a fault. For ArduPilot, and for PX4 looking down or up, it is a distance above the maximum ('out of range high',
-healthy); for PX4's collision prevention one that equals the maximum. Quality 0 would mean unknown and be accepted, so
-it is 1, invalid; the covariance is unknown.
+`msp_range.mavlink.no_echo` has the form of 'no echo'.
 """
 
 import math
 from typing import Any, Literal, NamedTuple
 
 from msp_range.mavlink.dialect import dialect
-from msp_range.mavlink.orientation import DOWN, PITCH_90, Orientation
+from msp_range.mavlink.no_echo import QUALITY_INVALID, no_echo_cm
+from msp_range.mavlink.orientation import Orientation
 from msp_range.numbers import limited
 
 COVARIANCE_UNKNOWN = 255
-QUALITY_INVALID = 1
-"""``signal_quality`` of 'no echo'."""
 QUALITY_LOWEST, QUALITY_BEST = 2, 100
 
 Autopilot = Literal["ardupilot", "px4"]
@@ -46,11 +41,6 @@ class Stream(NamedTuple):
         """A centimetre below the shortest distance, but not below 0 [cm]: a distance that equals ``min_distance`` is
         out of range for both autopilots."""
         return max(self.shortest_cm - 1, 0)
-
-    @property
-    def no_echo_cm(self) -> int:
-        """``current_distance`` of 'no echo' [cm]."""
-        return self.max_distance_cm + (self.orientation.value in (DOWN, PITCH_90) or self.autopilot != "px4")
 
 
 def distance_sensor(
@@ -83,7 +73,8 @@ def distance_sensor(
     """
     covariance, minimum_cm = COVARIANCE_UNKNOWN, stream.min_distance_cm
     if range_m is None:
-        current_cm, quality = stream.no_echo_cm, QUALITY_INVALID
+        current_cm = no_echo_cm(stream.max_distance_cm, stream.orientation.value, stream.autopilot)
+        quality = QUALITY_INVALID
     else:
         if not math.isfinite(range_m):
             raise ValueError(f"a distance of {range_m} m cannot be sent")

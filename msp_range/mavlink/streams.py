@@ -1,7 +1,6 @@
 """Send a reading's messages: on the sensor's single stream, on the fused stream, or none.
 
-A distance is sent if filter or fusion gave one, else 'no echo' if that is known: of a single sensor, if it received
-none; of the fused stream, if the vehicle is above the range of its downward sensors (`msp_range.fusion.above`). A fault
+A distance is sent if filter or fusion gave one, else 'no echo' if that is known (`msp_range.mavlink.no_echo`); a fault
 is silence.
 
 Fused messages are sent at once, those of single streams spaced out after them: PX4 keeps one unread message per link,
@@ -19,7 +18,8 @@ from msp_range.filters.chain import UNEXPECTED, Filtered
 from msp_range.fusion import Fused, Outcome
 from msp_range.fusion.fusion import CONFIDENCE_READINGS
 from msp_range.mavlink.distance_sensor import QUALITY_BEST, Stream, distance_sensor
-from msp_range.reading import Reading, Status
+from msp_range.mavlink.no_echo import is_no_echo
+from msp_range.reading import Reading
 
 SPACING_S = 0.020
 """Time from a message to the next one of a single stream [s]: more delays the last of several streams."""
@@ -115,7 +115,7 @@ class Streams:
         confidence
             In a distance (`Fusion.confidence`).
         """
-        if self._fused is None or (outcome.fused is None and not outcome.above_maximum):
+        if self._fused is None or (outcome.fused is None and not is_no_echo(outcome)):
             return False
         self.outbox.send_now(
             now_s, self._message(self._fused, boot_ms, outcome.reading.sensor, outcome.fused, air, confidence)
@@ -136,7 +136,7 @@ class Streams:
         stream = self._singles[sensor]
         if filtered.rejected in (None, UNEXPECTED):
             self._agree[sensor].append(filtered.rejected is None)
-        if estimate is None and reading.status is not Status.NO_ECHO:
+        if estimate is None and not is_no_echo(reading):
             return False
         confidence = sum(self._agree[sensor]) / CONFIDENCE_READINGS
         self.outbox.put(now_s, stream.id, self._message(stream, boot_ms, sensor, estimate, air, confidence))
