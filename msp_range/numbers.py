@@ -13,7 +13,9 @@ Numbers = TypeVar("Numbers", float, "NDArray[np.float64]")
 
 
 def limited(value: float, least: float, most: float) -> float:
-    """A number, but no less than ``least`` and no more than ``most``; `min` and `max` would take four times as long.
+    """A number, but no less than ``least`` and no more than ``most``.
+
+    A flight needs some hundreds of these a second, and two comparisons are cheaper than calls of `min` and `max`.
 
     Examples
     --------

@@ -181,11 +181,10 @@ class TemperatureTrack:
 
     def flapping_c(self, now_s: float) -> tuple[float, float] | None:
         """Lowest and highest level of a source that flaps [deg C]; None: it does not."""
-        if self._good is None or len(self._departures) < FLAPS:
+        left = self._departures
+        if self._good is None or len(left) < FLAPS or left[0][0] < now_s - FLAP_MEMORY_S:
             return None
-        left_c = [level_c for left_s, level_c in self._departures if left_s >= now_s - FLAP_MEMORY_S]
-        if len(left_c) < FLAPS:
-            return None
+        left_c = [level_c for _, level_c in left]
         return min(*left_c, self._good.value_c), max(*left_c, self._good.value_c)
 
     @property

@@ -142,6 +142,7 @@ def test_a_flood_does_not_hold_up_the_polling(kind: str, whose: str) -> None:
     transport.close()
     # One step in a hundred may be interrupted: a virtual computer counts what its host takes.
     assert np.quantile(spent_s, 0.99) < SLOT_S / 4
+    assert np.median(spent_s) < SLOT_S / 20
     gaps_s = [after_s - before_s for before_s, after_s in itertools.pairwise(pings_s)]
     print(f"{kind}, {whose}: longest step {1e3 * max(spent_s):.1f} ms CPU, {sum(spent_s) / took_s:.2f} of a core; gaps")
     print(f"between pings {1e3 * min(gaps_s):.0f} to {1e3 * max(gaps_s):.0f} ms; {autopilot.distances} distances")

@@ -5,8 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from msp_lab.gap.cells import partitions
+from msp_lab.gap.evidence import evidence_nats
 from msp_lab.gap.measures import HeldOutReadings, measure, places, replicates
+from msp_lab.gap.problem import Problem
 from msp_lab.gap.screen import replicate
+from msp_range.arrays import numbered
 from msp_range.reading_model.rows import Base
 from msp_range.reading_model.sensor_model import load_sensor_model
 from msp_sim.model.model import Model
@@ -118,3 +121,20 @@ def test_the_pit_of_the_right_model_is_even_and_without_memory() -> None:
     assert ((counts - 300.0) ** 2 / 300.0).sum() < 27.9  # the 99.9 % quantile of 9 degrees of freedom
     off = transformed.reshape(10, 300) - 0.5
     assert abs(np.mean(off[:, 1:] * off[:, :-1])) < 0.2 / 12.0
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7])
+def test_a_gain_counts_less_where_neighbours_still_follow_each_other(correlation: float) -> None:
+    """Of n readings (1 - r) / (1 + r) n say as much about a mean, where the fit leaves a correlation r."""
+    contexts = flown(6, 200)
+    contexts["true_range_cm"] = 200.0 + np.tile(np.linspace(0.0, 100.0, 200), 6)
+    drawn_cm = model(correlation).sample(contexts, np.random.default_rng(1))
+    rng = np.random.default_rng(2)
+    problem = Problem.of(model(0.0), contexts, 1.01 * drawn_cm, numbered(contexts["run"]), rng)
+    scale = next(each for each in problem.candidates if each.effect.name == "range_scale")
+    larger = problem.refit([scale.at(scale.neutral)], problem.base.base)
+    whole = evidence_nats(problem.base, larger, problem.unit)
+    counted = problem.evidence_nats(problem.base, larger, by_run=True)
+    left = problem.dependence(larger).lag_correlation
+    assert (left > 0.1) == (correlation > 0.0)
+    assert counted == pytest.approx(whole * (1.0 - left) / (1.0 + left) if correlation else whole)

@@ -370,59 +370,58 @@ def test_a_surface_that_is_seen_with_other_answers_does_not_take_back_that_answe
     assert response.is_late
 
 
+def handed_on(
+    height_m: Callable[[float], float],
+    seen_m: Callable[[float], float],
+    new_s: float,
+    until_s: float,
+    seed: int,
+) -> dict[float, float]:
+    """The log odds after each reading, by its time [s], where the surface is a new one from a time on.
+
+    ``seen_m`` is what is read at a time [m]; NaN: nothing.
+    """
+    motion, draw = VerticalMotion(), random.Random(seed)
+    response, found = MotionResponse(motion, TURN_S), {}
+    for i in range(round(until_s / GAP_S)):
+        read_s = GAP_S * i
+        accelerate(motion, height_m, read_s, draw)
+        if i == round(new_s / GAP_S):
+            before, response = response, MotionResponse(motion, TURN_S)
+            response.inherit(before)
+        if math.isfinite(read_m := seen_m(read_s) + draw.gauss(0.0, 0.01)):
+            response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, read_m, 1e-4), 0.8, False)
+            found[read_s] = response.log_odds
+    return found
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_on_another_surface_the_vehicle_climbs_on_whose_range_must_then_grow(seed: int) -> None:
     """A payload is nearer than the ground that the vehicle leaves at a steady rate: no acceleration shows it."""
-    climb, draw, motion = ramp(5.0, 0.8, 12.0), random.Random(seed), VerticalMotion()
-    response, found = MotionResponse(motion, TURN_S), {}
-    for i in range(90):
-        read_s = 0.1 * i
-        accelerate(motion, climb, read_s, draw)
-        if i == 70:
-            ground, response = response, MotionResponse(motion, TURN_S)
-            response.inherit(ground)
-        seen_m = (0.5 if i >= 70 else 0.3 + climb(read_s)) + draw.gauss(0.0, 0.01)
-        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.8, False)
-        found[i] = response.log_odds
-    assert found[69] > 0.0
-    assert min(found[i] for i in range(70, 85)) < -8.0
+    climb = ramp(5.0, 0.8, 12.0)
+    found = handed_on(climb, lambda time_s: 0.5 if time_s > 6.95 else 0.3 + climb(time_s), 7.0, 8.5, seed)
+    assert all(found[time_s] > 0.0 for time_s in found if 6.8 < time_s < 6.95)
+    assert min(found.values()) < -8.0
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_what_did_not_answer_to_the_motion_does_not_hand_it_on(seed: int) -> None:
     """A payload in a take-off, and then the ground, which moves as the accelerations say."""
-    climb, draw, motion = ramp(5.0, 0.8, 12.0), random.Random(seed), VerticalMotion()
-    response, found = MotionResponse(motion, TURN_S), {}
-    for i in range(85):
-        read_s = 0.1 * i
-        accelerate(motion, climb, read_s, draw)
-        if i == 62:
-            payload, response = response, MotionResponse(motion, TURN_S)
-            response.inherit(payload)
-        seen_m = (0.5 if i < 62 else 0.3 + climb(read_s)) + draw.gauss(0.0, 0.01)
-        response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), 0.8, False)
-        found[i] = response.log_odds
-    assert found[61] < -3.0
-    assert min(found[i] for i in range(62, 85)) > -3.0
+    climb = ramp(5.0, 0.8, 12.0)
+    found = handed_on(climb, lambda time_s: 0.5 if time_s < 6.15 else 0.3 + climb(time_s), 6.2, 8.5, seed)
+    assert all(found[time_s] < -3.0 for time_s in found if 6.05 < time_s < 6.15)
+    assert min(found[time_s] for time_s in found if time_s > 6.15) > -3.0
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_motion_of_long_ago_is_not_handed_on(seed: int) -> None:
     """The ground was lost in a climb, and is seen again eight seconds later, as the vehicle sinks steadily."""
-    up, down, draw = ramp(0.0, 3.0, 6.0), ramp(7.0, 1.5, 16.0), random.Random(seed)
-    motion = VerticalMotion()
-    response = MotionResponse(motion, TURN_S)
+    up, down = ramp(0.0, 3.0, 6.0), ramp(7.0, 1.5, 16.0)
 
     def height_m(time_s: float) -> float:
         return 1.0 + up(time_s) - down(time_s)
 
-    for i in range(145):
-        read_s = 0.1 * i
-        accelerate(motion, height_m, read_s, draw)
-        if i == 110:
-            before, response = response, MotionResponse(motion, TURN_S)
-            response.inherit(before)
-        if not 30 <= i < 110:
-            seen_m = height_m(read_s) + draw.gauss(0.0, 0.01)
-            response.update(HeightReading(NAMES[i % 4], read_s, TURN_S, seen_m, 1e-4), -1.5, False)
-        assert response.log_odds > -3.0
+    found = handed_on(
+        height_m, lambda time_s: math.nan if 2.95 < time_s < 10.95 else height_m(time_s), 11.0, 14.5, seed
+    )
+    assert min(found.values()) > -3.0
