@@ -279,7 +279,9 @@ class Belief:
     def expected(self) -> tuple[float, float] | None:
         """Where the ground should be by now, and the standard deviation of that [m]; None: it was never known."""
         if self.proven is not None:
-            known, is_seen = self.proven.filter, self.sees(self.proven, self._time_s - self._windows.held_s)
+            known = self.proven.filter
+            # An outlier of one sensor alone may have moved it, and no other one says that it has not.
+            is_seen = len(self._modes) > 1 and self.proven.seen_s >= self._time_s - self._windows.held_s
             std_m = math.sqrt(known.variance(1.0, 0.0, 0.0))
             return known.height_m, std_m if is_seen else math.hypot(RETURNS_M, std_m)
         if self._known is None:
@@ -300,7 +302,10 @@ class Belief:
             shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
             if surface is not self.proven:
                 shared += object_prior(surface.filter.height_m - self.proven.filter.height_m if self.proven else 9.0)
-            fault = surface.common + surface.same - surface.response.log_odds + self._rises(surface) + _steep(surface)
+            answers = surface.response.log_odds
+            if surface.same >= SAME_RAW_MOST:
+                answers = min(answers, 0.0)  # What does not change answers to no movement.
+            fault = surface.common + surface.same - answers + self._rises(surface) + _steep(surface)
             other[surface] = _log_sum(0.0, surface.evidence + _log_sum(shared, fault))
             if surface is self.proven:
                 nothing = _log_sum(0.0, surface.evidence + fault) - other[surface]
@@ -361,8 +366,10 @@ class Belief:
         self.proven = ground
         for each in self.surfaces:
             off_m = each.filter.height_m - ground.filter.height_m
-            each.prior = 0.0 if each is ground else ground_prior(off_m, RETURNS_M, each.filter.height_m)
-        ground.same, ground.raw = 0.0, None
+            if each is not ground:
+                each.prior = ground_prior(off_m, RETURNS_M, each.filter.height_m)
+            elif ground.raw is None:
+                each.prior = 0.0
         ground.common = max(ground.common, _common(ground))
         ground.response.is_in_doubt = ground.common > math.log(COMMON)
 
@@ -414,6 +421,8 @@ class Belief:
             surface.same = min(surface.same + SAME_RAW, SAME_RAW_MOST)
         else:
             surface.same, surface.raw = 0.0, raw if surface.evidence <= 0.0 else None
+            if surface is self.proven:
+                surface.prior = 0.0
 
     def _merge(self, surface: Surface, other: Surface) -> Surface:
         """Two surfaces are one by now: the first stays, unless the other one is the ground."""

@@ -104,8 +104,9 @@ sensor sees that is fixed, where the answers are the same. Not varied: it is sen
 SAME_RAW, SAME_RAW_MOST = 3.0, 6.0
 """What each answer that is the same as all before on a new surface adds to its prior as a fault, and at most [nats]:
 sensors with a centimetre's noise answer the same in one of four readings, and one constant is the commonest fault of
-all. Another answer takes it back, and without an accelerometer it does not count: on a bench sensors repeat themselves.
-A larger limit keeps good sensors over calm ground silent after a step."""
+all. Another answer takes it back, also where the surface is the ground by then, and without an accelerometer it does
+not count: on a bench sensors repeat themselves. A larger limit keeps good sensors over calm ground silent after a
+step."""
 UNSEEN = -4.0
 """Log prior that a surface which no sensor sees any more is the ground. Not varied."""
 RETURNS_M = 0.15

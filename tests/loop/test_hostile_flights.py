@@ -32,6 +32,8 @@ from evaluation.faults.plans import draw_plan
         pytest.param(822, 1_001_014, 0.0, 2.0, id="a landing that bounces, below one slow sensor"),
         pytest.param(821, 1_000_270, 0.0, None, id="a strap below a vehicle that climbs fast between two readings"),
         pytest.param(821, 1_000_444, 2.0, 0.5, id="a landing that bounces so hard that the accelerometer leads away"),
+        pytest.param(824, 1_000_483, 0.0, None, id="one constant of all, as far as the ground could be, in a hover"),
+        pytest.param(824, 1_000_963, 0.0, None, id="one constant of two sensors, as likely as a step"),
         pytest.param(1, 497, 0.0, 1.0, id="an outlier in a hover that follows the motion and not what is fixed"),
         pytest.param(94, 216, 0.0, 1.0, id="one sensor after a fast descent is neither higher nor lower than others"),
         pytest.param(51, 266, 0.0, 1.0, id="a noisy reading where a late one would be"),

@@ -150,6 +150,8 @@ class Moving:
         Of the sensors.
     late_from_s
         When each sensor begins to answer with its ping before [s].
+    in_cm
+        Whether readings are as whole centimetres, and have no noise.
     """
 
     def __init__(
@@ -161,6 +163,7 @@ class Moving:
         measured_from_s: tuple[float, float] = (-1.0, -1.0),
         names: str = NAMES,
         late_from_s: float = math.inf,
+        in_cm: bool = False,
     ) -> None:
         self._climbs, self._climb_m = climbs, climb_m
         motion, draw = VerticalMotion(), np.random.default_rng(seed)
@@ -177,8 +180,10 @@ class Moving:
             if time_s > measured_from_s[1]:
                 motion.on_pressure_height(time_s, by_pressure_m)
             name = names[i % len(names)]
-            seen_m = range_m(name, time_s, self._at(time_s)[0]) + draw.normal(scale=SIGMA_M)
+            seen_m = range_m(name, time_s, self._at(time_s)[0]) + (0.0 if in_cm else draw.normal(scale=SIGMA_M))
             seen = Reading(time_s, name, Status.NO_ANSWER) if math.isnan(seen_m) else reading(name, time_s, seen_m)
+            if in_cm:
+                seen = replace(seen, raw=round(100 * seen_m))
             before, pings[name] = pings.get(name, seen), seen
             if time_s > late_from_s:
                 seen = replace(before, time_s=time_s)
@@ -187,6 +192,7 @@ class Moving:
             self.doubts[time_s] = {each.key: each.text for each in fusion.conditions()}["doubt"]
             if out.fused is not None:
                 self.sent[time_s] = out.fused.range_m
+                self.probability = out.fused.probability
 
     def sent_s(self, from_s: float, to_s: float = math.inf) -> list[float]:
         """When something was sent between two times [s]."""
@@ -204,6 +210,21 @@ class Moving:
             height_m += t * t / 2 if t < 1.0 else 1.0 - (2.0 - t) ** 2 / 2
             up_m_s2 += (1.0 if t < 1.0 else -1.0) if 0.0 < t < 2.0 else 0.0
         return self._climb_m * height_m, self._climb_m * up_m_s2
+
+
+@pytest.mark.parametrize(("varies_m", "least_sent"), [(0.0, 1), (0.01, 90)])
+def test_a_step_in_a_hover_is_sent_where_the_answers_beyond_it_differ(varies_m: float, least_sent: int) -> None:
+    """Two sensors that agree on one constant are as likely out of order."""
+
+    def range_m(_name: str, time_s: float, _height_m: float) -> float:
+        differs_m = 0.01 * (round(time_s / SLOT_S) % 3)
+        return 3.0 + differs_m if time_s < 10.0 else 3.5 + varies_m * round(100 * differs_m)
+
+    flight = Moving(range_m, names="ab", in_cm=True)
+    assert flight.probability > 0.9999 or not varies_m
+    sent = flight.sent_m(10.05)
+    assert least_sent <= len(sent) < least_sent + 12
+    assert all(abs(each - 3.5) < 0.05 for each in sent)
 
 
 def test_the_ground_returns_where_the_barometer_says() -> None:

@@ -110,9 +110,9 @@ def test_edges_are_sent_without_a_text(names: str, from_m: float, to_m: float, s
 @pytest.mark.parametrize("names", ["ab", "a"])
 def test_a_ground_that_no_sensor_sees_any_more_does_not_silence_the_one_that_they_see(names: str) -> None:
     """Over a kerb, near the ground: what is left behind is as probable as what is seen."""
-    flight = Hover(lambda name, time_s: 0.64 if time_s < JUMP_S else 0.34, names)
+    flight = Hover(lambda name, time_s: 0.64 if time_s < JUMP_S else 0.5, names)
     assert len(flight.sent_m(JUMP_S, JUMP_S + 2.0)) >= 16
-    assert all(abs(distance_m - 0.34) < 0.1 for distance_m in flight.sent_m(JUMP_S + 0.5))
+    assert all(abs(distance_m - 0.5) < 0.1 for distance_m in flight.sent_m(JUMP_S + 0.5))
 
 
 def test_a_step_in_the_way_of_a_doubted_one_is_compared_with_the_ground_before_both() -> None:
