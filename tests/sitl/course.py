@@ -35,11 +35,12 @@ this one is a staircase with treads of this length [m]: its lips lie on the slop
 2 mm further from a sensor than the slope itself."""
 BOXES = (
     {"centre_m": [42.0, 0.0], "size_m": [1.5, 1.5], "height_m": 0.5},
-    {"centre_m": [46.0, 0.52], "size_m": [2.0, 0.8], "height_m": 0.5},
-    {"centre_m": [50.0, -0.52], "size_m": [2.0, 0.8], "height_m": 0.8},
+    {"centre_m": [46.0, 0.85], "size_m": [2.0, 0.8], "height_m": 0.5},
+    {"centre_m": [50.0, -0.85], "size_m": [2.0, 0.8], "height_m": 0.8},
 )
-"""Below all four sensors, below the right pair and below the left pair. The last two begin 0.12 m to the side of the
-vehicle's middle, whose sensors are 0.20 m to its sides."""
+"""Below all four sensors, below the right pair and below the left pair. The last two begin 0.45 m to the side of the
+vehicle's middle, whose sensors are 0.20 m to its sides. From 0.35 m to the side on a box is in the beams of the other
+pair, too, at its corners: then more than half of the sensors see it, and no ground below the middle."""
 SECTIONS = {
     "edges of 0.3 and 0.6 m": (0.0, 16.5),
     "edge of 1.2 m": (16.5, 24.0),
