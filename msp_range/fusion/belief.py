@@ -128,6 +128,8 @@ class Belief:
         level. It lasts until some ground is sure; None: no reason.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
+    reference
+        The ground that priors count from: the proven one, or the one before it, while that may be seen again.
     """
 
     def __init__(self, modes: Sequence[SensorMode], motion: VerticalMotion, windows: Windows) -> None:
@@ -136,6 +138,8 @@ class Belief:
         self._windows = windows
         self.surfaces: list[Surface] = []
         self.proven: Surface | None = None
+        self.reference: Surface | None = None
+        self._proven_s = float("-inf")  # Since when most sensors see the proven ground.
         self._known: Known | None = None
         self._response: MotionResponse | None = None  # Of the last ground.
         self._time_s = float("-inf")
@@ -278,10 +282,10 @@ class Belief:
 
     def expected(self) -> tuple[float, float] | None:
         """Where the ground should be by now, and the standard deviation of that [m]; None: it was never known."""
-        if self.proven is not None:
-            known = self.proven.filter
+        if self.reference is not None:
+            known = self.reference.filter
             # An outlier of one sensor alone may have moved it, and no other one says that it has not.
-            is_seen = len(self._modes) > 1 and self.proven.seen_s >= self._time_s - self._windows.held_s
+            is_seen = len(self._modes) > 1 and self.reference.seen_s >= self._time_s - self._windows.held_s
             std_m = math.sqrt(known.variance(1.0, 0.0, 0.0))
             return known.height_m, std_m if is_seen else math.hypot(RETURNS_M, std_m)
         if self._known is None:
@@ -296,19 +300,17 @@ class Belief:
         since_s = self._time_s - self._windows.held_s
         voters = [mode for mode in self._modes if mode.seen_s >= since_s]
         counts = {surface: sum([mode.share for mode in voters if mode.sees is surface]) for surface in self.surfaces}
-        nothing, other = 0.0, {}
+        nothing, other, reference = 0.0, {}, self.reference
         for surface, count in counts.items():
             shared = max(count - 1, 0.0) * math.log(SHARED)
             shared += (max(count - len(voters) / 2, 0.0) + (count > len(voters) - 0.5)) * math.log(MOST)
-            if surface is not self.proven:
-                shared += object_prior(surface.filter.height_m - self.proven.filter.height_m if self.proven else 9.0)
-            answers = surface.response.log_odds
-            if surface.same >= SAME_RAW_MOST:
-                answers = min(answers, 0.0)  # What does not change answers to no movement.
-            fault = surface.common + surface.same - answers + self._rises(surface) + _steep(surface)
+            if surface is not reference:
+                shared += object_prior(surface.filter.height_m - reference.filter.height_m if reference else 9.0)
+            fault = self._as_fault(surface)
             other[surface] = _log_sum(0.0, surface.evidence + _log_sum(shared, fault))
             if surface is self.proven:
                 nothing = _log_sum(0.0, surface.evidence + fault) - other[surface]
+                nothing += surface.prior if surface.raw is None else 0.0
         total = sum(other.values())
         nothing += total
         scores = {each: total - other[each] + each.prior + each.evidence for each in self.surfaces}
@@ -345,8 +347,18 @@ class Belief:
             self.sure = (weights[self.proven] + max(others, default=0.0)) / total * (1 - self.noise)
             return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
-        if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
+        is_most = 2 * counts[best] > len({*in_order, *voters})
+        if best is not self.proven and self.sure > SURE and is_most:
             self._prove(best)
+        if self.proven is not None and self.proven.prior:
+            self._refer_to(self.proven, best is self.proven and is_most)
+
+    def _as_fault(self, surface: Surface) -> float:
+        """Log probability, over the ground's, that a surface is a fault of several sensors."""
+        answers = surface.response.log_odds
+        if surface.same >= SAME_RAW_MOST:
+            answers = min(answers, 0.0)  # What does not change answers to no movement.
+        return surface.common + surface.same - answers + self._rises(surface) + _steep(surface)
 
     def _rises(self, surface: Surface) -> float:
         """How much less likely a surface that is in doubt is the ground, since by the barometer the vehicle rises."""
@@ -363,15 +375,23 @@ class Belief:
     def _prove(self, ground: Surface) -> None:
         self._suspect_late(ground.again)
         ground.again = 0.0
-        self.proven = ground
-        for each in self.surfaces:
-            off_m = each.filter.height_m - ground.filter.height_m
-            if each is not ground:
-                each.prior = ground_prior(off_m, RETURNS_M, each.filter.height_m)
-            elif ground.raw is None:
-                each.prior = 0.0
+        self.proven, self.reference, self._proven_s = ground, self.reference or ground, self._time_s
         ground.common = max(ground.common, _common(ground))
         ground.response.is_in_doubt = ground.common > math.log(COMMON)
+
+    def _refer_to(self, ground: Surface, is_most: bool) -> None:
+        """From when on the priors count from a new ground: every other surface is then a step away from it.
+
+        Not before one answer differs from the first; nor while the ground before may be seen again, as beside a box.
+        """
+        if not is_most:
+            self._proven_s = self._time_s
+        lasts = self._time_s - self._proven_s > self._windows.memory_s
+        if ground.raw is None and (self.reference is ground or lasts):
+            self.reference = ground
+            for each in self.surfaces:
+                off_m = each.filter.height_m - ground.filter.height_m
+                each.prior = 0.0 if each is ground else ground_prior(off_m, RETURNS_M, each.filter.height_m)
 
     def forget(self, surface: Surface) -> None:
         """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""
@@ -415,14 +435,12 @@ class Belief:
             each.response.suspect_late(nats)
 
     def _update_same(self, surface: Surface, raw: int | None) -> None:
-        if surface.raw is None or raw is None or not self._is_measured:
-            return  # On a bench sensors do repeat themselves.
-        if raw == surface.raw:
-            surface.same = min(surface.same + SAME_RAW, SAME_RAW_MOST)
-        else:
+        if surface.raw is None or raw is None:
+            return
+        if raw != surface.raw:
             surface.same, surface.raw = 0.0, raw if surface.evidence <= 0.0 else None
-            if surface is self.proven:
-                surface.prior = 0.0
+        elif self._is_measured:  # On a bench sensors do repeat themselves.
+            surface.same = min(surface.same + SAME_RAW, SAME_RAW_MOST)
 
     def _merge(self, surface: Surface, other: Surface) -> Surface:
         """Two surfaces are one by now: the first stays, unless the other one is the ground."""
@@ -441,6 +459,8 @@ class Belief:
                 mode.sees = None
         if surface is self.proven:
             self.proven = None
+        if surface is self.reference:
+            self.reference = self.proven
         if surface is self.ground:
             self.ground = None
 

@@ -381,7 +381,7 @@ class Fusion:
         It is no reason to send a distance, but without it the garbled answers of all sensors would soon be the only
         ground that is known.
         """
-        expected, parent = self._belief.expected(), self._belief.proven
+        expected, parent = self._belief.expected(), self._belief.reference
         seen = look.over(None if parent is None else parent.filter)
         if expected is None or seen is None:
             return False
