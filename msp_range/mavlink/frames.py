@@ -7,7 +7,6 @@ https://mavlink.io/en/guide/serialization.html describes them.
 
 import re
 from collections import namedtuple
-from collections.abc import Callable, Iterable
 from functools import cache
 from itertools import islice
 from typing import Any, NamedTuple
@@ -78,10 +77,10 @@ class Frame(NamedTuple):
 
 
 @cache
-def _fields(message_id: int) -> Callable[[Iterable[object]], Any]:
-    """Makes a message of its name and the values of its fields, in their order on the wire."""
+def _fields(message_id: int) -> Any:
+    """The function that makes a message of its name and the values of its fields, in their order on the wire."""
     kind = dialect.mavlink_map[message_id]
-    return namedtuple(kind.msgname, ("msgname", *kind.ordered_fieldnames))._make
+    return namedtuple(kind.msgname, ("msgname", *kind.ordered_fieldnames))._make  # type: ignore[attr-defined]
 
 
 def text_of(field: bytes) -> str:
@@ -112,7 +111,7 @@ class FrameReader:
         frames: list[Frame] = []
         false_starts = start = 0
         end = len(stream)
-        while found := _START.search(stream, start):
+        while start < end and (found := _START.search(stream, start)):
             start = found.start()
             if start + _CLAIM_BYTES > end:
                 break

@@ -166,7 +166,8 @@ class Link:
             if self._next_heartbeat_s <= now_s:  # The loop stood still: the next one is a second from now.
                 self._next_heartbeat_s = now_s + HEARTBEAT_INTERVAL_S
             self.send(self._heartbeat())
-        if now_s >= min(self.autopilot_clock.next_request_s, self.wanted.next_request_s) and self.autopilot_is_present:
+        is_due = now_s >= self.wanted.next_request_s or now_s >= self.autopilot_clock.next_request_s
+        if is_due and self.autopilot_is_present:
             self._ask(now_s)
         is_dense = False
         # Also where no bytes have come: a server with all the clients that it takes stays readable, and would wake the
@@ -257,7 +258,7 @@ class Link:
             self._take_heartbeat(now_s, frame, message)
         elif message_id in _COMMANDS:
             self._take_command(now_s, frame, message)
-        if (system, component) == self._autopilot:
+        if component == dialect.MAV_COMP_ID_AUTOPILOT1 and system == self.autopilot_system:
             self._take_autopilots(now_s, frame, message)
 
     def _take_autopilots(self, now_s: float, frame: Frame, message: Any) -> None:
