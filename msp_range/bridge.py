@@ -375,8 +375,8 @@ class Bridge:
     def _set_limits(self, temperature_c: float) -> None:
         """The longest distances of the streams are those that sound reaches in air of this temperature."""
         self._limits_c = temperature_c
-        airframe = self.airframe
-        self._streams.set_streams(*streams_of(airframe, temperature_c))
+        airframe, streams = self.airframe, self._streams
+        streams.singles, streams.fused, streams.objects = streams_of(airframe, temperature_c)
         if self._fusion is not None:
             self._fusion.set_maximum(fused_maximum_m(airframe, temperature_c))
 

@@ -92,13 +92,12 @@ class Health:
 
     def set(self, condition: Condition) -> None:
         """Note a condition that is not a sensor's, as it is now."""
-        known = self._conditions.get(condition.key)
         if condition.text is None:
-            if known is not None:
-                del self._conditions[condition.key]
-                if known.is_reported:
-                    self._report(Severity.INFO, condition.over)
+            ended = self._conditions.pop(condition.key, None)
+            if ended is not None and ended.is_reported:
+                self._report(Severity.INFO, condition.over)
             return
+        known = self._conditions.get(condition.key)
         if known is None or not known.is_reported or (condition.renews and known.text != condition.text):
             self._conditions[condition.key] = condition
             if condition.is_reported:

@@ -61,8 +61,9 @@ class OutputWatch:
         self._silence_s = silence_s
         # When each stream has been silent for too long, if it stays so.
         self._limits_s = dict.fromkeys(streams, start_s + silence_s)
-        rows = {name: Text.FUSED_SILENT if name == FUSED else Text.SILENT for name in self._limits_s}
-        self._silent = {name: row.of(sensor=name) for name, row in rows.items()}
+        self._silent = {
+            name: (Text.FUSED_SILENT if name == FUSED else Text.SILENT).of(sensor=name) for name in self._limits_s
+        }
         self._used: deque[bool] = deque(maxlen=DISAGREE_READINGS)
         self._fit = 1.0
         self._disagree, self._noisy = _Lasting(), _Lasting()

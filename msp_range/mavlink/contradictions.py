@@ -7,7 +7,7 @@ turned meanwhile, also where both autopilots were switched on together.
 import math
 from typing import Any, NamedTuple
 
-from msp_range.geometry import Vector, dot, down_axis
+from msp_range.geometry import Vector, angle_between, down_axis
 from msp_range.mavlink.time_sync import LATEST_ARRIVAL_S, shortest
 
 TILT_RAD = math.radians(15.0)
@@ -16,8 +16,11 @@ manoeuvres between slow attitudes for two vehicles, larger misses two that hover
 RATE_FACTOR = 2.0
 """Between two attitudes a vehicle turns at most this many times as fast as at the faster one of them."""
 
-_BY_BOOT_MS, _BY_USEC = ("ATTITUDE", "SCALED_PRESSURE", "SYSTEM_TIME"), ("HIGHRES_IMU", "RAW_IMU")
-"""Messages that the bridge uses, by their field with the time since boot."""
+_TIMES = {
+    **dict.fromkeys(("ATTITUDE", "SCALED_PRESSURE", "SYSTEM_TIME"), ("time_boot_ms", 1e-3)),
+    **dict.fromkeys(("HIGHRES_IMU", "RAW_IMU"), ("time_usec", 1e-6)),
+}
+"""Messages that the bridge uses: their field with the time since boot, and its unit [s]."""
 
 
 class _Attitude(NamedTuple):
@@ -30,8 +33,8 @@ class _Attitude(NamedTuple):
     def fits(self, other: "_Attitude") -> bool:
         """Whether one vehicle can have had both."""
         rate_rad_s = max(self.rate_rad_s, other.rate_rad_s)
-        turned_rad = TILT_RAD + RATE_FACTOR * rate_rad_s * abs(self.time_s - other.time_s)
-        return dot(self.down, other.down) > math.cos(min(turned_rad, math.pi))
+        turned_rad = RATE_FACTOR * rate_rad_s * abs(self.time_s - other.time_s)
+        return angle_between(self.down, other.down) < TILT_RAD + turned_rad
 
 
 class Contradictions:
@@ -46,12 +49,10 @@ class Contradictions:
     def update(self, message: Any) -> bool:
         """Whether a message contradicts those before it."""
         kind = message.msgname
-        if kind in _BY_USEC:
-            time_s = message.time_usec * 1e-6
-        elif kind in _BY_BOOT_MS:
-            time_s = message.time_boot_ms * 1e-3
-        else:
+        if kind not in _TIMES:
             return False
+        field, unit_s = _TIMES[kind]
+        time_s = getattr(message, field) * unit_s
         before_s, self._times_s[kind] = self._times_s.get(kind, time_s), time_s
         jumps_back = kind == "ATTITUDE" and self._jumps_back(message, time_s)
         return jumps_back or shortest(time_s - before_s) < -LATEST_ARRIVAL_S

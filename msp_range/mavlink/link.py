@@ -111,7 +111,8 @@ class Link:
         self._frames = FrameReader()
         self._from_autopilot: Waiting = []
         self._from_others: Waiting = []
-        self._mav = dialect.MAVLink(None, system_id or 1, component_id)
+        self._ids = system_id or 1, component_id
+        self._mav = dialect.MAVLink(None, *self._ids)
         now_s = clock.now()
         self._start_s = self._next_heartbeat_s = self.next_event_s = now_s
         self.autopilot_clock = AutopilotClock(now_s)
@@ -126,9 +127,8 @@ class Link:
         return self._clock.now() - self._heartbeat_s < AUTOPILOT_LOST_S
 
     @property
-    def _ids(self) -> tuple[int, int]:
-        """System and component that it sends as."""
-        return self._mav.srcSystem, self._mav.srcComponent
+    def _autopilot(self) -> tuple[int | None, int]:
+        return self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
 
     @property
     def files(self) -> Sequence[int]:
@@ -166,7 +166,8 @@ class Link:
             if self._next_heartbeat_s <= now_s:  # The loop stood still: the next one is a second from now.
                 self._next_heartbeat_s = now_s + HEARTBEAT_INTERVAL_S
             self.send(self._heartbeat())
-        if self.autopilot_is_present:
+        is_due = now_s >= self.wanted.next_request_s or now_s >= self.autopilot_clock.next_request_s
+        if is_due and self.autopilot_is_present:
             self._ask(now_s)
         is_dense = False
         # Also where no bytes have come: a server with all the clients that it takes stays readable, and would wake the
@@ -200,42 +201,36 @@ class Link:
 
     def _ask(self, now_s: float) -> None:
         """Send due requests to the autopilot: for its time, and for a message that arrives too slowly."""
-        target = self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1
         if now_s >= self.autopilot_clock.next_request_s:
-            self.send(_timesync(0, self.autopilot_clock.request(now_s), target))
+            self._send_timesync(0, self.autopilot_clock.request(now_s))
         request = self.wanted.request(now_s)
         if request is not None:
-            self.send(
-                dialect.MAVLink_command_long_message(
-                    *target,
-                    dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
-                    0,
-                    *request,
-                    *[0] * 5,
-                )
-            )
+            command = dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, *request, *[0] * 5
+            self.send(dialect.MAVLink_command_long_message(*self._autopilot, *command))
+
+    def _send_timesync(self, tc1: int, ts1: int) -> None:
+        """TIMESYNC to the autopilot, with its target where the dialect has those fields."""
+        kind = dialect.MAVLink_timesync_message
+        self.send(kind(tc1, ts1, *self._autopilot) if "target_system" in kind.fieldnames else kind(tc1, ts1))
 
     def _sort(self, now_s: float, frames: list[Frame]) -> None:
         """Keep the frames to be decoded: all from an autopilot, and those from others that concern the bridge.
 
         Frames whose signature is wrong are dropped; that of an autopilot's heartbeat is reported.
         """
-        autopilot = self.autopilot_system or self._pinned_system
-        own_ids = self._ids
+        autopilot, signing = self.autopilot_system or self._pinned_system, self._signing
         for frame in frames:
-            is_own = (frame.system, frame.component) == own_ids
-            is_heartbeat = frame.is_autopilot_heartbeat
-            if frame.component == dialect.MAV_COMP_ID_AUTOPILOT1 and autopilot in (None, frame.system):
+            message_id, system, component, _, _ = frame
+            is_own = (system, component) == self._ids
+            if component == dialect.MAV_COMP_ID_AUTOPILOT1 and autopilot in (None, system):
                 waiting = self._from_autopilot
-            elif is_own or is_heartbeat or frame.message_id in _COMMANDS:
+            elif is_own or message_id in _COMMANDS or frame.is_autopilot_heartbeat:
                 waiting = self._from_others
             else:
                 continue
-            if is_own or self._signing is None or self._signing.accepts(frame):
+            if is_own or signing is None or signing.accepts(frame):
                 waiting.append((now_s, frame))
-                if is_heartbeat and not is_own and self._signing is None and frame.is_signed:
-                    self._participants.seen(now_s, Text.NO_KEY)
-            elif is_heartbeat:
+            elif frame.is_autopilot_heartbeat:
                 self._participants.seen(now_s, Text.OTHER_KEY)
 
     def _decode_first(self, waiting: Waiting, most_decoded: int, most_waiting: int) -> None:
@@ -253,32 +248,32 @@ class Link:
         del waiting[:most_decoded]
 
     def _decode(self, now_s: float, frame: Frame) -> None:
-        source = (frame.system, frame.component)
-        if source == self._ids:
-            if frame.data not in self._sent_frames:
-                self._participants.suspected(now_s, Text.OWN_IDS, system=frame.system, component=frame.component)
+        message_id, system, component, data, _ = frame
+        if (system, component) == self._ids:
+            if data not in self._sent_frames:
+                self._participants.suspected(now_s, Text.OWN_IDS, system=system, component=component)
             return
         message = frame.decode()
         if frame.is_autopilot_heartbeat:
-            self._take_heartbeat(now_s, frame.system, message)
-        elif frame.message_id in _COMMANDS:
-            self._take_command(now_s, source, message)
-        if source == (self.autopilot_system, dialect.MAV_COMP_ID_AUTOPILOT1):
-            self._take_autopilots(now_s, frame, source, message)
+            self._take_heartbeat(now_s, frame, message)
+        elif message_id in _COMMANDS:
+            self._take_command(now_s, frame, message)
+        if component == dialect.MAV_COMP_ID_AUTOPILOT1 and system == self.autopilot_system:
+            self._take_autopilots(now_s, frame, message)
 
-    def _take_autopilots(self, now_s: float, frame: Frame, source: tuple[int, int], message: Any) -> None:
+    def _take_autopilots(self, now_s: float, frame: Frame, message: Any) -> None:
         if self._contradictions.update(message):
             self._participants.suspected(now_s, Text.AUTOPILOT_IDS, system=frame.system)
         kind = message.msgname
         if kind == "PING" and message.target_system == 0 and message.target_component == 0:
             if self._autopilot_answers.take(now_s):
-                self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, *source))
+                self.send(dialect.MAVLink_ping_message(message.time_usec, message.seq, frame.system, frame.component))
         # Older senders and dialects do not have TIMESYNC's target, which is 0 for all.
         elif kind == "TIMESYNC" and self._is_for(*frame.payload[TIMESYNC_BYTES:].ljust(2, b"\0")[:2]):
             if message.tc1:
                 self.autopilot_clock.on_timesync(now_s, message.tc1, message.ts1)
             elif self._autopilot_answers.take(now_s):
-                self.send(_timesync(round(now_s * 1e9), message.ts1, source))
+                self._send_timesync(round(now_s * 1e9), message.ts1)
         elif kind == "SYSTEM_TIME":
             self.autopilot_clock.on_system_time(now_s, message.time_boot_ms)
         elif (
@@ -290,18 +285,21 @@ class Link:
         self.wanted.on_message(now_s, frame.message_id)
         self._report_message(now_s, message)
 
-    def _take_heartbeat(self, now_s: float, system: int, message: Any) -> None:
+    def _take_heartbeat(self, now_s: float, frame: Frame, message: Any) -> None:
         """Use the autopilot stated in the file, or the first one, and another one only while the first is lost."""
-        is_present = self.autopilot_is_present
+        is_present, system = self.autopilot_is_present, frame.system
+        if frame.is_signed and self._signing is None:
+            self._participants.seen(now_s, Text.NO_KEY)
         self._first_system = self._first_system or system
         if system != self._first_system:
             if self._pinned_system is not None or (is_present and system != self.autopilot_system):
                 other = Text.SECOND_AUTOPILOT if is_present else Text.OTHER_AUTOPILOT
-                self._participants.seen(now_s, other, system=system, own=self._mav.srcSystem)
+                self._participants.seen(now_s, other, system=system, own=self._ids[0])
                 return
             self._participants.seen(now_s, Text.AUTOPILOT_LOST, first=self._first_system, system=system)
         if system != self.autopilot_system:
             self.autopilot_system = self._mav.srcSystem = system
+            self._ids = system, self._ids[1]
             self.autopilot_clock = AutopilotClock(self._start_s)
             self._contradictions = Contradictions()
             is_present = False
@@ -313,7 +311,7 @@ class Link:
         self.autopilot_armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         self._participants.on_autopilot(now_s, message.autopilot)
 
-    def _take_command(self, now_s: float, source: tuple[int, int], command: Any) -> None:
+    def _take_command(self, now_s: float, frame: Frame, command: Any) -> None:
         """Acknowledge every command to this component, and commands to all components if it supports them."""
         if not self._is_for(command.target_system, command.target_component):
             return
@@ -327,7 +325,7 @@ class Link:
             result = dialect.MAV_RESULT_DENIED if answer is None else dialect.MAV_RESULT_ACCEPTED
         if (command.target_component == 0 and answer is None) or not self._command_answers.take(now_s):
             return
-        self.send(dialect.MAVLink_command_ack_message(command.command, result, 0, 0, *source))
+        self.send(dialect.MAVLink_command_ack_message(command.command, result, 0, 0, frame.system, frame.component))
         if answer is not None:
             self.send(answer)
 
@@ -335,12 +333,6 @@ class Link:
         """Whether a target is this component, or all."""
         own_system, own_component = self._ids
         return system in (0, own_system) and component in (0, own_component)
-
-
-def _timesync(tc1: int, ts1: int, target: tuple[int | None, int]) -> Any:
-    """TIMESYNC, with its target where the dialect has those fields."""
-    kind = dialect.MAVLink_timesync_message
-    return kind(tc1, ts1, *target) if "target_system" in kind.fieldnames else kind(tc1, ts1)
 
 
 class _Allowance:

@@ -36,15 +36,15 @@ class Participants:
 
     def __init__(self, expected: Autopilot | None) -> None:
         self._expected = expected
-        # When each was last seen, and what is filled in.
-        self._seen: dict[str, tuple[float, Condition, dict[str, object]]] = {}
+        # When each was last seen.
+        self._seen: dict[str, tuple[float, Condition]] = {}
         self._suspected_s: dict[str, list[float]] = {}
 
     def seen(self, now_s: float, condition: Condition, **values: object) -> None:
         """Record that a condition is seen now; ``values`` are filled in."""
         if condition.key == Text.OTHER_KEY.key and self._expected == "px4":
             condition = condition._replace(remedy=PX4_SIGNS_NOT)
-        self._seen[condition.key] = now_s, condition, values
+        self._seen[condition.key] = now_s, condition.when(True, **values)
 
     def suspected(self, now_s: float, condition: Condition, **values: object) -> None:
         """Count what only means something if it is seen repeatedly."""
@@ -64,4 +64,4 @@ class Participants:
 
     def conditions(self, now_s: float) -> list[Condition]:
         """All conditions that were ever seen, for `msp_range.health.Health.set`."""
-        return [condition.when(now_s - last_s < HOLD_S, **values) for last_s, condition, values in self._seen.values()]
+        return [condition.when(now_s - last_s < HOLD_S) for last_s, condition in self._seen.values()]

@@ -78,26 +78,23 @@ class Streams:
     ----------
     outbox
         Messages of the single streams that wait for their turn.
+    singles, objects
+        Streams of single sensors, and streams that send only while an object is below a sensor, by its name.
+    fused
+        The fused stream, or None.
+
+    The streams have the limits that they have in air of the present temperature: set them before the first message, and
+    where it changes.
     """
+
+    singles: Mapping[str, Stream]
+    fused: Stream | None
+    objects: Mapping[str, Stream]
 
     def __init__(self, beams: Mapping[str, BreakawayTable], send: Callable[[Any], object]) -> None:
         self._beams = beams
         self._agree = {name: deque([True] * CONFIDENCE_READINGS, CONFIDENCE_READINGS) for name in beams}
         self.outbox = Outbox(send)
-
-    def set_streams(self, singles: Mapping[str, Stream], fused: Stream | None, objects: Mapping[str, Stream]) -> None:
-        """Set the streams with the limits that they have in air of the present temperature.
-
-        Parameters
-        ----------
-        singles
-            Streams of single sensors, by name.
-        fused
-            The fused stream, or None.
-        objects
-            Streams that send only while an object is below a sensor, by name.
-        """
-        self._singles, self._fused, self._objects = singles, fused, objects
 
     def send_fused(self, now_s: float, boot_ms: int, outcome: Outcome, air: Air, confidence: float) -> bool:
         """Send the fused stream's message for a downward sensor's reading; False if there is nothing usable.
@@ -115,11 +112,11 @@ class Streams:
         confidence
             In a distance (`Fusion.confidence`).
         """
-        if self._fused is None or (outcome.fused is None and not is_no_echo(outcome)):
+        fused = outcome.fused
+        if self.fused is None or (fused is None and not is_no_echo(outcome)):
             return False
-        self.outbox.send_now(
-            now_s, self._message(self._fused, boot_ms, outcome.reading.sensor, outcome.fused, air, confidence)
-        )
+        message = self._message(self.fused, boot_ms, outcome.reading.sensor, fused, air, confidence)
+        self.outbox.send_now(now_s, message)
         return True
 
     def send_single(self, now_s: float, boot_ms: int, reading: Reading, filtered: Filtered, air: Air) -> bool:
@@ -133,7 +130,7 @@ class Streams:
             The sensor's answer, and its filters' result.
         """
         sensor, estimate = reading.sensor, filtered.estimate
-        stream = self._singles[sensor]
+        stream = self.singles[sensor]
         if filtered.rejected in (None, UNEXPECTED):
             self._agree[sensor].append(filtered.rejected is None)
         if estimate is None and not is_no_echo(reading):
@@ -144,7 +141,7 @@ class Streams:
 
     def send_object(self, now_s: float, boot_ms: int, reading: Reading, air: Air) -> None:
         """Send the distance of an object below a downward sensor, unless the sensor has its own stream."""
-        stream = self._objects.get(reading.sensor)
+        stream = self.objects.get(reading.sensor)
         if stream is None or reading.range_m is None:
             return
         estimate = Estimate(reading.range_m, reading.variance_m2)

@@ -39,10 +39,10 @@ _NOT_REFUSED = (dialect.MAV_RESULT_ACCEPTED, dialect.MAV_RESULT_TEMPORARILY_REJE
 class _Message:
     """The state of one required message."""
 
+    requests = received = 0
+
     def __init__(self, rate_hz: float, now_s: float) -> None:
         self.rate_hz = rate_hz
-        self.refused = False
-        self.requests = self.received = 0
         self.first_s = now_s
         self.measured_s = now_s + FIRST_MEASURED_S
         self.next_check_s = min(now_s + MEASURED_INTERVALS / rate_hz, self.measured_s)
@@ -60,7 +60,14 @@ class WantedMessages:
     ------
     AttributeError
         The dialect has no such message.
+
+    Attributes
+    ----------
+    next_request_s
+        When `request` may have one [s].
     """
+
+    next_request_s: float
 
     def __init__(self, rates_hz: Mapping[str, float]) -> None:
         self._rates_hz = {getattr(dialect, f"MAVLINK_MSG_ID_{name}"): rate_hz for name, rate_hz in rates_hz.items()}
@@ -70,7 +77,7 @@ class WantedMessages:
         """Forget refusals and rates: this may be another autopilot or another firmware."""
         self._messages = {message_id: _Message(rate_hz, now_s) for message_id, rate_hz in self._rates_hz.items()}
         self._under_way: list[tuple[float, _Message]] = []
-        self._next_request_s = float("-inf")
+        self.next_request_s = float("-inf")
         self._apart_s = APART_S
 
     def on_message(self, now_s: float, message_id: int) -> None:
@@ -88,19 +95,19 @@ class WantedMessages:
         under_way = self._not_yet_answered(now_s)
         if result not in _NOT_REFUSED:
             if len(under_way) == 1:
-                under_way[0][1].refused = True
+                under_way[0][1].next_check_s = float("inf")
             else:
                 self._apart_s = ANSWER_S
         self._under_way = under_way[1:]
-        self._next_request_s = now_s
+        self.next_request_s = now_s
 
     def request(self, now_s: float) -> tuple[int, float] | None:
         """The message to request now: its number, and its interval [us]."""
-        if now_s < self._next_request_s:
+        if now_s < self.next_request_s:
             return None
-        self._next_request_s = now_s + self._apart_s
+        self.next_request_s = now_s + self._apart_s
         for message_id, message in self._messages.items():
-            if message.refused or now_s < message.next_check_s:
+            if now_s < message.next_check_s:
                 continue
             # Not since the last check, or too slowly since it first arrived.
             is_soon = now_s < message.measured_s

@@ -29,9 +29,21 @@ class Serial(StreamTransport):
         except FileNotFoundError as error:
             hint = "; on a Raspberry Pi: enable_uart=1 in config.txt" if self._url.path.startswith(UARTS) else ""
             raise OSError(error.errno, f"there is no such port{hint}") from None
+        port, speed = self._handle, getattr(termios, f"B{self._url.baud}")
+        mode = termios.CS8 | termios.CREAD | termios.CLOCAL
         try:
-            _make_exclusive(self._handle)
-            _make_raw(self._handle, getattr(termios, f"B{self._url.baud}"))
+            # This is the lock of pyserial and most terminal programs, and the only one that root respects.
+            fcntl.flock(port, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.ioctl(port, termios.TIOCEXCL)
+            control = termios.tcgetattr(port)[6]
+            # With VMIN 0 'nothing has arrived' and 'the device is gone' would look the same.
+            control[termios.VMIN] = 1
+            control[termios.VTIME] = 0
+            termios.tcsetattr(port, termios.TCSANOW, [0, 0, mode, 0, speed, speed, control])
+            if termios.tcgetattr(port)[5] != speed:
+                raise OSError("the device does not have this baud rate")
+        except BlockingIOError:
+            raise OSError("the port is in use by another program") from None
         except termios.error as error:  # not an OSError, though it has the same two arguments
             raise OSError(*error.args) from None
         self._stream = FrameStream(self._write, self._clock, self.stats)
@@ -57,23 +69,3 @@ class Serial(StreamTransport):
 def queued_bytes(file: FileIO) -> int:
     """Bytes that the kernel has buffered; 0 if the driver does not report them."""
     return int.from_bytes(fcntl.ioctl(file, termios.TIOCOUTQ, bytes(4)), sys.byteorder)
-
-
-def _make_exclusive(file: FileIO) -> None:
-    try:
-        # This is the lock of pyserial and most terminal programs, and the only one that root respects.
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise OSError("the port is in use by another program") from None
-    fcntl.ioctl(file, termios.TIOCEXCL)
-
-
-def _make_raw(file: FileIO, speed: int) -> None:
-    control = termios.tcgetattr(file)[6]
-    # With VMIN 0 'nothing has arrived' and 'the device is gone' would look the same.
-    control[termios.VMIN] = 1
-    control[termios.VTIME] = 0
-    mode = termios.CS8 | termios.CREAD | termios.CLOCAL
-    termios.tcsetattr(file, termios.TCSANOW, [0, 0, mode, 0, speed, speed, control])
-    if termios.tcgetattr(file)[5] != speed:
-        raise OSError("the device does not have this baud rate")

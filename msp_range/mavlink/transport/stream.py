@@ -8,6 +8,7 @@ range, not all of them.
 import os
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from msp_range.clock import Clock
 from msp_range.mavlink.transport.base import RECEIVE_BOUND_BYTES, Reconnecting, TransportStats
@@ -17,6 +18,7 @@ FRAME_DEADLINE_S = 0.25
 MOST_WAITING_FRAMES = 64
 
 
+@dataclass
 class FrameStream:
     """The output of an open byte stream.
 
@@ -40,19 +42,12 @@ class FrameStream:
         When a write was incomplete and none has made progress after it [s]; None: the last write was complete.
     """
 
-    def __init__(
-        self,
-        write: Callable[[bytes], int],
-        clock: Clock,
-        stats: TransportStats,
-        stuck_after_s: float = float("inf"),
-    ) -> None:
-        self._write = write
-        self._clock = clock
-        self._stats = stats
-        self._stuck_after_s = stuck_after_s
-        self.waiting: deque[tuple[bytes, float]] = deque()
-        self.blocked_since_s: float | None = None
+    write: Callable[[bytes], int]
+    clock: Clock
+    stats: TransportStats
+    stuck_after_s: float = float("inf")
+    waiting: deque[tuple[bytes, float]] = field(default_factory=deque)
+    blocked_since_s: float | None = None
 
     def send(self, frame: bytes) -> bool:
         """Write ``frame``, or keep it until its deadline; False if too many are waiting.
@@ -62,12 +57,12 @@ class FrameStream:
         OSError
             As `flush` does.
         """
-        self.waiting.append((frame, self._clock.now() + FRAME_DEADLINE_S))
+        self.waiting.append((frame, self.clock.now() + FRAME_DEADLINE_S))
         self.flush()
         if len(self.waiting) <= MOST_WAITING_FRAMES:
             return True
         self.waiting.pop()
-        self._stats.dropped_frames += 1
+        self.stats.dropped_frames += 1
         return False
 
     def flush(self) -> None:
@@ -78,15 +73,15 @@ class FrameStream:
         OSError
             The stream is broken; TimeoutError if it accepted nothing for too long.
         """
-        now_s = self._clock.now()
+        now_s = self.clock.now()
         while self.waiting:
             unwritten, deadline_s = self.waiting[0]
             if now_s > deadline_s:
                 self.waiting.popleft()
-                self._stats.dropped_frames += 1
+                self.stats.dropped_frames += 1
                 continue
             try:
-                written = self._write(unwritten)
+                written = self.write(unwritten)
             except BlockingIOError:
                 written = 0
             if written:
@@ -96,15 +91,15 @@ class FrameStream:
             if written < len(unwritten):
                 if self.blocked_since_s is None:
                     self.blocked_since_s = now_s
-                elif now_s - self.blocked_since_s > self._stuck_after_s:
-                    raise TimeoutError(f"the peer has accepted nothing for {self._stuck_after_s:.0f} s")
+                elif now_s - self.blocked_since_s > self.stuck_after_s:
+                    raise TimeoutError(f"the peer has accepted nothing for {self.stuck_after_s:.0f} s")
                 return
             self.waiting.popleft()
-            self._stats.sent_frames += 1
+            self.stats.sent_frames += 1
 
     def abandon(self) -> None:
         """Count incomplete frames as dropped, because the stream is closed."""
-        self._stats.dropped_frames += len(self.waiting)
+        self.stats.dropped_frames += len(self.waiting)
         self.waiting.clear()
 
 

@@ -78,10 +78,9 @@ def parse_url(text: str) -> TransportUrl:
         path, comma, baud = text.partition(",")
         return SerialUrl(path, _baud(text, baud) if comma else DEFAULT_BAUD)
     if not colon or kind not in _EXAMPLES:
-        raise ValueError(
-            f"link {text!r}: found {kind!r} as its kind; expected one of {', '.join(_EXAMPLES)}, each followed by a"
-            f" colon (udpout sends to an address, udpin waits to be sent to), for example {_EXAMPLES['udpout']}"
-        )
+        kinds = f"one of {', '.join(_EXAMPLES)}, each followed by a colon"
+        how = "udpout sends to an address, udpin waits to be sent to"
+        raise _wrong(text, f"{kind!r} as its kind", f"{kinds} ({how})", "udpout")
     return _serial(text, rest) if kind == "serial" else _network(text, kind, rest)
 
 

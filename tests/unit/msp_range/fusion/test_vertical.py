@@ -5,10 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from msp_range.fusion.vertical import CLIMB_STD_M, Acceleration, VerticalMotion, corrected, moved
-from msp_range.mavlink.inertial import pressure_height_m, specific_force
 
 IMU_S, PRESSURE_S = 0.04, 0.1
 
@@ -110,21 +108,6 @@ def test_accelerations_are_those_between_the_times() -> None:
     assert motion.measured(1.9, 2.4) == pytest.approx(2.6)
     assert motion.measured(2.1, 2.5) == pytest.approx(3.0)
     assert motion.measured(2.5, 3.0) is None
-
-
-def test_messages_in_si_units() -> None:
-    raw = mavlink.MAVLink_raw_imu_message(0, 100, 0, -1000, 0, 0, 0, 0, 0, 0)
-    assert specific_force(raw) == pytest.approx((0.980665, 0.0, -9.80665))
-    highres = mavlink.MAVLink_highres_imu_message(0, 0.5, 0.0, -9.8, *[0.0] * 10, 0)
-    assert specific_force(highres) == pytest.approx((0.5, 0.0, -9.8))
-    assert specific_force(mavlink.MAVLink_raw_imu_message(0, *[0] * 9)) is None, "no accelerometer"
-    low, high = (mavlink.MAVLink_scaled_pressure_message(0, hpa, 0.0, 2000) for hpa in (1013.25, 1012.05))
-    climbed_m = (pressure_height_m(high) or 0.0) - (pressure_height_m(low) or 0.0)
-    assert climbed_m == pytest.approx(10.0, rel=0.01), "0.12 hPa a metre near the ground"
-    for hpa in (0.0, math.nan, 5000.0):
-        assert pressure_height_m(mavlink.MAVLink_scaled_pressure_message(0, hpa, 0.0, 2000)) is None
-    assert pressure_height_m(raw) is None
-    assert specific_force(low) is None
 
 
 def test_covariances_are_those_of_matrices() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from msp_range.mavlink import frames as module
-from msp_range.mavlink.frames import Frame, FrameReader
+from msp_range.mavlink.frames import FrameReader
 from tests.support.mavlink_ends import Component
 
 ATTITUDE = common.MAVLink_attitude_message(1000, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
@@ -119,7 +119,7 @@ def test_every_message_is_decoded_as_pymavlink_does(version: int) -> None:
             payload = draw.randbytes(length)
             data = common.MAVLink_message(message_id, kind.msgname)._pack(packer, kind.crc_extra, payload, version == 1)
             [frame] = FrameReader().read(data)
-            ours, theirs = vars(frame.decode()), common.MAVLink(None).decode(bytearray(data))
+            ours, theirs = frame.decode()._asdict(), common.MAVLink(None).decode(bytearray(data))
             assert (ours.pop("msgname"), frame.system, frame.component) == (kind.msgname, 7, 1)
             assert ours.keys() == set(kind.fieldnames)
             for name, value in ours.items():
@@ -156,13 +156,13 @@ def test_crafted_bytes_make_no_buffer_grow(kind: str) -> None:
 def test_crafted_bytes_cost_little_more_than_frames_do(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A false start each few bytes, each of a long frame, would be a checksum over 267 bytes each few bytes."""
     checked: list[int] = []
-    real = module._check
+    real = module.mcrf4xx
 
-    def counted(stream: bytes, start: int, stop: int) -> tuple[Frame | None, bool]:
-        checked.append(stop - start)
-        return real(stream, start, stop)
+    def counted(covered: bytes) -> int:
+        checked.append(len(covered))
+        return real(covered)
 
-    monkeypatch.setattr(module, "_check", counted)
+    monkeypatch.setattr(module, "mcrf4xx", counted)
     content = CRAFTED[kind][:8191]
     FrameReader().read(content)
     assert sum(checked) <= len(content) + module.MAX_FALSE_STARTS * MAX_FRAME_BYTES

@@ -542,7 +542,7 @@ class TestWanted:
         bench.run(1.5)
         assert len(self.requests(bench)) == 1
         bench.arrive(self.answer(Component(*sender), dialect.MAV_RESULT_DENIED, target))
-        assert [each.refused for each in bench.link.wanted._messages.values()] == [refused]
+        assert [each.next_check_s == math.inf for each in bench.link.wanted._messages.values()] == [refused]
 
     def test_an_autopilot_that_comes_back_is_asked_anew(self) -> None:
         """It may have another program by now."""

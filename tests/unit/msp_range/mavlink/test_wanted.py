@@ -1,6 +1,7 @@
 """What is asked of an autopilot, against autopilots that send at given rates and answer or do not."""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Callable
 
@@ -110,7 +111,11 @@ def test_a_message_that_never_comes_is_asked_for_less_often_after_a_while() -> N
 
 
 def refused(wanted: WantedMessages) -> list[str]:
-    return [name for name in NAMES if NUMBER[name] in wanted._messages and wanted._messages[NUMBER[name]].refused]
+    return [
+        name
+        for name in NAMES
+        if NUMBER[name] in wanted._messages and wanted._messages[NUMBER[name]].next_check_s == math.inf
+    ]
 
 
 def refuses(*names: str) -> Callable[[str], int]:
