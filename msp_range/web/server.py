@@ -24,7 +24,6 @@ from websockets.http11 import Request, Response
 
 from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC, WITHHELD_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, parsed
-from msp_range.watch.facts import facts_of
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
@@ -173,9 +172,6 @@ class Page:
             return
         message = parsed(packet)
         self._newest.update(message)
-        if message.topic == "/status":
-            message.message["facts"] = [(fact.name, fact.text) for fact in facts_of(self._newest) if fact.in_list]
-            packet = json.dumps(message._asdict()).encode()
         if message.topic in ("/airframe", "/status", GONE):
             self._kept = ({} if message.topic == "/airframe" else self._kept) | {message.topic: packet}
         else:

@@ -242,8 +242,8 @@ def make_log(
     rangers: Iterable[Ranger],
     context: Mapping[str, Series | None],
     references: Iterable[TruthSource | None],
-    notes: Iterable[str],
-    clock: tuple[ClockRun, ...],
+    notes: Iterable[str] = (),
+    clock: tuple[ClockRun, ...] = (),
 ) -> VehicleLog:
     """A log without the series and references that it lacks, which are None or empty."""
     known = {name: each for name, each in context.items() if each is not None and len(each)}
