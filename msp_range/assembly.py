@@ -103,12 +103,13 @@ def fused_maximum_m(airframe: Airframe, temperature_c: float | None = None) -> f
 
 
 FACING_MARGIN_RAD = math.radians(3.0)
-"""Missed echoes are counted while a sensor faces level ground so much better than its beam requires [rad], for slopes
-and the attitude's error: less counts those of a leaning vehicle, more asks a smaller part of a flight."""
+"""Missed echoes are counted while a sensor's angle to level ground is this far within its beam [rad]; slopes and the
+attitude's error need the margin. Smaller: echoes that a leaning vehicle misses are counted; larger: less of a flight is
+used."""
 
 
 def sensor_watch_of(airframe: Airframe) -> SensorWatch | str:
-    """The watch that holds each downward sensor against its model; or why there is none."""
+    """The watch that compares each downward sensor with its model, or the reason why there is none."""
     if not airframe.sensor_watch:
         return "switched off in the airframe file"
     if airframe.send.fused is None:

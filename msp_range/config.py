@@ -33,7 +33,7 @@ MOST_SENSORS = 117
 before the models that they name are read."""
 
 FARTHEST_M = 50.0
-"""Lengths beyond this are refused [m]: no vehicle is so large, and 60 is 60 cm written without its point."""
+"""Larger lengths are refused [m]: no vehicle has them, and a 60 was meant as 0.60."""
 
 
 def _not_centimetres(value: Any) -> Any:
@@ -353,7 +353,7 @@ class Airframe(Section):
 
 
 def check_link(url: str) -> None:
-    """Refuse a URL from the command line that is none of a link; raises ConfigError."""
+    """Check the URL that --link gives; raises ConfigError if it is not one of a link."""
     try:
         parse_url(url)
     except ValueError as error:
@@ -390,7 +390,8 @@ NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
 
 
 def load_airframe_from(files: Mapping[str, str], source: Path, instead: str = "") -> Airframe:
-    """Read an airframe from the texts in `Airframe.files` of a recording; ``instead`` is what else the command takes.
+    """Read an airframe from the texts that a recording has of it (`Airframe.files`). ``instead`` ends each error
+    message: what the user can give the command in its place.
 
     Raises
     ------

@@ -32,7 +32,7 @@ ATTITUDE_HZ = 10.0
 RETURNED_HZ = 5.0
 """Rate of the autopilot's own distances that is asked for [Hz]."""
 SILENT_S = 2.0
-"""A running bridge that says nothing for so long hangs [s]: it sends its status twice a second."""
+"""A running bridge that sends nothing for this long hangs [s]: it sends its status twice a second."""
 ENDED = "the running bridge ended or hangs: start it again, or stop the service, then again"
 
 

@@ -176,7 +176,7 @@ class Computer:
         )
 
     def _table(self, path: str, columns: int) -> list[list[str]]:
-        """The lines of a file such as /etc/passwd that have so many columns."""
+        """The lines of a file such as /etc/passwd that have this number of columns."""
         lines = (self.text(path) or "").splitlines()
         return [fields for line in lines if len(fields := line.split(":")) == columns]
 

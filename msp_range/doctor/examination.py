@@ -1,6 +1,6 @@
 """The order of the steps, from the bus to the autopilot; what an earlier step makes impossible is left out.
 
-Bus and port of a bridge that runs are its own, and are left alone: it is seen through its own socket.
+Bus and serial port are not touched while a bridge runs; its state is read from its socket.
 """
 
 import os
@@ -45,7 +45,7 @@ def check_running() -> Iterator[Finding]:
 
 
 def findings(newest: Newest) -> Iterator[Finding]:
-    """What its newest state means."""
+    """Findings from the newest state of a running bridge."""
     status = newest.status
     yield right("running bridge", f"{newest.airframe['vehicle']}, {status['state']}, for {status['uptime_s']:.0f} s")
     for fault in status["faults"]:

@@ -165,7 +165,7 @@ def _alone(sensor: PolledSensor, bus: Bus, clock: Clock, turns: int) -> list[Ran
 def _polled(
     bus: Bus, clock: Clock, groups: Sequence[Sequence[PolledSensor]], interval_s: float, turns: int
 ) -> dict[str, list[Ranging]]:
-    """What each sensor answers in so many turns of the groups, by name."""
+    """The answers of each sensor in this number of turns of all groups, by name."""
     order = RoundRobin(groups, interval_s, clock.now() + SILENCE_S, dead_after=inf)
     poller = Poller(bus, clock, order)
     found: dict[str, list[Ranging]] = {sensor.name: [] for group in groups for sensor in group}

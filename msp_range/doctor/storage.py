@@ -11,9 +11,9 @@ from msp_range.recording.flight_recorder import START_FREE_BYTES
 from msp_range.state_folder import SERVICE_USER
 
 BYTES_PER_HOUR = 10e6
-"""Size of a recording of four sensors (docs/flying.md)."""
+"""Size of an hour's recording of four sensors [bytes] (docs/flying.md)."""
 SHORT_HOURS = 10
-"""With less than this left the disk is reported as nearly full."""
+"""The disk is reported as nearly full with less than this left for recordings [h]."""
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 """The Raspberry Pi's bits: 0 the supply is too low now, 16 it was since the start."""
 STRONGER = "a stronger 5 V supply and shorter wires"

@@ -30,7 +30,7 @@ from msp_range.recording.error import RecordingError, new_file
 REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
 NEVER_EMPTY = frozenset({"time_s", "sensor"})
 BLOCK = 1 << 10
-"""Rows that are held as text at a time, which need many times the memory that they need as numbers: so many stay in a
+"""Rows that are held as text at a time, which need many times the memory that they need as numbers: this many stay in a
 processor's cache."""
 MOST_WORD_BYTES = 256 * 2**20
 """Memory that a column of words may take: it is as many rows long as its longest word is wide."""

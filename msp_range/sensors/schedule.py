@@ -95,7 +95,7 @@ class _Turns:
     pinged_s: float = -math.inf
     again_since_s: float = -math.inf
     again: int = 0
-    """Extra turns since that time [s]."""
+    """Number of extra turns since ``again_since_s``."""
 
 
 class RoundRobin:

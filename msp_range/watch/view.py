@@ -1,4 +1,5 @@
-"""What watchers get as well as the records: the vehicle, its state, and what the autopilot says it received.
+"""The messages that watchers get besides the records: the vehicle, its state, and the distances that the autopilot
+reports.
 
 Pure functions from the bridge's objects to messages of the feed.
 """

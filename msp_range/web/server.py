@@ -31,7 +31,7 @@ from msp_range.web.access import refusal
 from msp_range.web.metrics import BridgeMetrics
 
 BATCH_S = 0.05
-"""Packets of so long go to the browsers together [s]: the eye sees no delay, and a phone wakes 20 times a second."""
+"""Packets of this time go to the browsers together [s]: the eye sees no delay, and a phone wakes 20 times a second."""
 HISTORY_PACKETS = 4000
 """Packets that a new browser gets at once: a minute of four sensors. Each takes 400 bytes of memory."""
 SLOW_BYTES = 1 << 20

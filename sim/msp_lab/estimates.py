@@ -25,8 +25,8 @@ STRAY = 1e-4
 order has, spread over a hundred steps. At 0 one such reading widens the spread of readings that are nearly all alike,
 and their mean moves by a tenth of a step with it; larger, tails count as strays."""
 NEAR_STEPS, MOST_NEAR = 3.0, 0.9
-"""Readings within so many steps of the median decide whether they scatter by more than `DITHERED`, where they are at
-least this share of all: the others are strays then, and no second group."""
+"""Only readings within this number of steps of the median decide whether they scatter by more than `DITHERED`, if they
+are at least this share of all: the others are then strays, not a second group."""
 GROUPS = 3
 """Set-ups with readings of two steps or more that a spread of all is taken from."""
 USUAL_WITHIN = 0.3

@@ -21,7 +21,7 @@ from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
 from msp_range.yaml_file import ConfigError
 
 HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
-"""A hover: at least this high above the lowest distance [m], within so much of its median [m], for this long [s]."""
+"""A hover: at least this high above the lowest distance [m], within this of its median [m], for this long [s]."""
 SILENT_S = 0.7
 """Longest time between two fused distances that is usual [s]; ArduPilot drops a range finder after 0.5 s, and PX4 gets
 ten a second."""

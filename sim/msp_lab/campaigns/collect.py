@@ -22,10 +22,10 @@ from msp_range.reading import Reading
 from msp_range.yaml_file import ConfigError
 
 TROUBLE_AFTER = 20
-"""Ask the operator after so many pings in a row without a usable answer: 2 s of a sensor at 10 Hz, which no single
+"""Ask the operator after this many pings in a row without a usable answer: 2 s of a sensor at 10 Hz, which no single
 fault of the bus lasts. A smaller number asks about single faults, a larger one lets a person wait."""
 GIVE_UP_AFTER = 5
-"""Skip a point after asking so many times about it, so that an unattended collection comes to its end."""
+"""Skip a point after asking this many times about it, so that an unattended collection comes to its end."""
 STEADY_C = 0.05
 """Record a new air temperature where it differs by this or more [deg C]: 0.01 % of a range. A smaller value writes the
 thermometer's noise into every reading."""

@@ -20,8 +20,8 @@ PEAK_HALF_CM = 3
 MIN_PEAK_SHARE = 0.001
 MIN_READINGS = 10
 PEAK_DEVIATIONS = 6.0
-"""A peak has this share of all readings, so many, and so many standard deviations more than readings that are spread
-evenly over the sensor's range would have."""
+"""A peak has at least this share of all readings, this number of readings, and this many standard deviations more than
+if readings were spread evenly over the sensor's range."""
 PEAK_FOOT = 0.0999
 """A peak reaches as far as a tenth of its top, and two with more than that between them are one. Higher: shoulders
 become peaks of their own."""

@@ -28,8 +28,8 @@ GATE_CM = 8.0
 report assumes (R = 3.78 cm^2). A narrower gate makes outliers of noisy hits, a wider one hits of outliers."""
 GATE_DEVIATIONS = 4.5
 GATE_SHARE = 0.05
-"""For hits that scatter more, the gate is so many of their robust standard deviations, at most this share of the range:
-one in 150,000 normal hits is outside."""
+"""For hits that scatter more, the gate is this many of their robust standard deviations, but at most this share of the
+range: one in 150,000 normal hits is outside."""
 FARTHEST_CM, FARTHEST_SHARE = 25.0, 0.15
 """Readings with a median error above this, or this share of the range, are not of the surface [cm]: four times the
 error of 46 deg C at 260 cm, and more than that of a neighbour's ping 1 ms early."""

@@ -34,9 +34,9 @@ Map = Callable[[Callable[[Model, Any], Any], Sequence[Any]], Iterable[ItemOutcom
 COMPARED_SHARE = 0.5
 """Share of the rate of false findings that the comparison of the numbers has, a fifth of it for each of the base's."""
 SHARED_NATS = 8.0
-"""An effect that the fleet shares gains so much in the mean ordinary sensor [nat], 4 standard errors. Twenty vehicles
-show less for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn fleet without any
-effect. Lower: shared effects that are the bench's error; higher: weak ones are missed."""
+"""An effect counts as shared by the fleet if it gains at least this much in the mean ordinary sensor [nat], 4 standard
+errors. Twenty vehicles show less for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn
+fleet without any effect. Lower: shared effects that are the bench's error; higher: weak ones are missed."""
 
 
 @dataclass(frozen=True)

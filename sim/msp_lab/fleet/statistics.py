@@ -25,14 +25,15 @@ from msp_lab.fleet.unit import Sessions, UnitNumbers
 from msp_range.arrays import Array, Flags, Indices
 
 MIN_OTHERS = 3
-"""Mean and spread are from at least so many vehicles: of two nobody could say which is the odd one."""
+"""Mean and spread are computed from at least this many vehicles: of two nobody could say which is the odd one."""
 ASIDE_LOG_P = float(np.log(0.0005))
 """Vehicles down to the last one that the others predict with this probability or less are left out of mean and spread.
 Lower: of three that are late one that is just not odd itself widens the spread until none is; in a drawn fleet its
 p-value was 0.0003, and 0.00025 is asked of odd ones. Higher: ordinary vehicles are left out, and the spread is too
 small."""
 MIN_SESSIONS = 4
-"""A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
+"""Changes are looked for in vehicles with at least this many sessions: two before and two after. Fewer: a single flight
+is a change."""
 MIN_SIDE = 2
 """Sessions before and after a change. One flight that differs is no change of the vehicle."""
 

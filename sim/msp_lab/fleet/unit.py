@@ -33,8 +33,8 @@ MIN_READINGS = 200
 """A sensor with fewer readings is left out, with the reason. Its base has seven numbers, of which three are odds of a
 few per cent. Fewer: numbers that rest on single readings."""
 MAX_EFFECTS = 4
-"""A sensor is searched for so many effects at most that the fleet does not share: as `msp-lab gap --max-effects`, but
-of a sensor with more nobody could say what each of them is. More: slower."""
+"""At most this many effects that the fleet does not share are searched for in a sensor, as with `msp-lab gap
+--max-effects`: of a sensor with more nobody could say what each of them is. More: slower."""
 MAX_SHARE_LEFT_OUT = 0.5
 """A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
 unit is wrong. Higher: fits to what is left of them."""

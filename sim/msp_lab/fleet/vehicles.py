@@ -13,7 +13,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
 MIN_VEHICLES = 4
-"""A fleet is so many vehicles at least: when one is left out, mean and spread of the others are from three. Fewer:
+"""A fleet has at least this many vehicles: when one is left out, mean and spread of the others are from three. Fewer:
 of two nobody can say which is the odd one."""
 
 

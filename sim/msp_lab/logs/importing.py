@@ -35,7 +35,7 @@ from msp_sim.workers import Workers
 Progress = Callable[[str, float], None]
 
 REPEATS_ROWS = 10
-"""Repeats are counted where the range changes by more than a centimetre a row over so many rows: there a sensor of
+"""Repeats are counted where the range changes by more than a centimetre a row over this many rows: there a sensor of
 whole centimetres repeats none. Longer: short climbs are left out; shorter: outliers count as a change."""
 OBTAINABLE = {
     TRUE_RANGE: "a true range: --truth, or a log with RTK, motion capture or a second range finder",

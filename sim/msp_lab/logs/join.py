@@ -20,8 +20,8 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
 
 RATE_STEP_S = 0.1
-"""Without a vertical speed, the rate of the range is that of the reference over so long before and after [s]. Shorter:
-noise of the reference; longer: the ends of a climb are rounded."""
+"""Without a vertical speed, the rate of the range is that of the reference over this long before and after [s].
+Shorter: noise of the reference; longer: the ends of a climb are rounded."""
 OVERTURNED_DEG = 90.0
 """From this tilt on a sensor that looks down does not see the ground, by geometry. Seen in logs: before the attitude is
 known, and of a copter that crashes. It is also the largest ``incidence_deg`` of the CSV form."""

@@ -100,7 +100,7 @@ class Series:
         return 1.0 / interval_s if interval_s > 0.0 else float("nan")
 
     def during(self, begins_s: float, ends_s: float, later_s: float) -> "Series":
-        """The samples from one time to another, on a clock that is by so much earlier [s]."""
+        """The samples between two times, moved ``later_s`` back in time [s]."""
         first, last = np.searchsorted(self.time_s, (begins_s, ends_s))
         return Series(self.source, self.time_s[first:last] - later_s, self.values[first:last])
 

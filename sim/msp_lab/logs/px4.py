@@ -73,7 +73,7 @@ MOST_AFTER = 0.5
 """A height is refused if more of it than this share is after the range was first fused. Higher: a reference that
 ends after the take-off; lower: logs in which only a landing is fused are refused as a whole. Chosen by judgement."""
 MOST_READ = 20
-"""A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
+"""A file is given up after this many times its size was read: where its definitions are cut, pyulog goes back without
 end. A damaged file is searched a few times over."""
 _EVERY_BYTES = 2**20
 

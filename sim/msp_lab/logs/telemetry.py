@@ -40,9 +40,9 @@ from msp_range.recording.reader import LARGEST_FILE_BYTES
 from msp_sim.model.derived import tilt_deg
 
 LATEST_US = 4_000_000_000_000_000
-"""Times after the year 2096 are none [us]: the log is damaged there."""
+"""Later times are not believed [us], this is in the year 2096: the log is damaged there."""
 MOST_BAD_BYTES = 2**20
-"""After so many bytes in no frame nothing more is read: the log was overwritten there. Each costs a microsecond."""
+"""After this many bytes in no frame nothing more is read: the log was overwritten there. Each costs a microsecond."""
 MOST_BAD_SHARE = 0.5
 """A file of which a larger share is not in frames is no log. A damaged one has a few per cent."""
 _BLOCK_BYTES = 2**20

@@ -18,7 +18,7 @@ LEAST_BACK_S = 0.1
 """A clock that goes back by less is no step [s]: stamps of one sender may be written a little out of order, and NTP
 steps only what is off by 0.128 s or more. Smaller: such stamps begin runs; larger: so long a time is interleaved."""
 LEAST_FORWARD_S = 1.0
-"""A clock that goes forward by so much more than another one, and stays there, is a step [s]. Values are interpolated
+"""A clock that goes forward by this much more than another one, and stays there, was set [s]. Values are interpolated
 over no longer pause, so smaller steps join nothing that is apart; radio links delay messages by as much."""
 STAYS = 200
 """Messages before and after a step forward whose least differences of the clocks are compared: delays only add to them,

@@ -22,8 +22,8 @@ from msp_range.recording.reader import Recording
 from msp_sim.model.model import Model
 
 AFTER_S = 0.1
-"""Attitudes received so long after an echo are used for it [s]: at the usual 10 Hz the next one is. A shorter time
-extrapolates, a longer one does no harm."""
+"""Attitudes received up to this long after an echo are used for it [s]: at the usual 10 Hz the next one is. A shorter
+time extrapolates, a longer one does no harm."""
 
 
 def mounting_of(recording: Recording) -> Mounting | None:

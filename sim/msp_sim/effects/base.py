@@ -114,8 +114,8 @@ class Scene:
         return np.where(known, self._contexts[column], otherwise)
 
     def at(self, ago_s: Any) -> "Scene":
-        """The scene so long before this one [s]: other true ranges, from the reference's path, or from the rate where
-        there is none."""
+        """The scene ``ago_s`` earlier [s]: the true ranges then, from the reference's path, or from the rate without a
+        path."""
         stamped, ago_s = self._stamped, self._ago_s + ago_s
         last = self._shifted
         if last is not None and np.array_equal(last._ago_s, ago_s):
@@ -163,7 +163,7 @@ class Contribution(NamedTuple):
     bias_cm: Any = None
     """Added to the centre of the hits [cm]."""
     ago_s: Any = None
-    """The reading is of what was there so long before its stamp [s]; the bias is by how much the range was another."""
+    """Age of the reading at its stamp [s]: it shows the range of then, and the difference becomes a bias."""
     log_spread: Any = None
     """Added to the logarithm of the hits' standard deviation."""
     run_offset_cm: float | None = None
@@ -174,7 +174,7 @@ class Contribution(NamedTuple):
     """Added to the log odds of a short, missed or random reading against a hit."""
     component: Component | None = None
     share: Any = None
-    """One more component of the mixture, and its share of the readings if it were the only one."""
+    """An additional component of the mixture, and its share of the readings if it is the only one added."""
     fault: CodeFault | None = None
     fault_share: Any = None
     """A fault of the reading's code, and the share of the readings affected."""

@@ -18,7 +18,7 @@ FEWEST_DRAWN = 20_000
 FARTHEST = 0.8
 """Surfaces beyond this share of the maximum are left out, as in `msp_range.health.sensor_watch`."""
 OFF_SIGMAS = 4.0
-"""A reading so many deviations nearer than the surface counts as short, as there."""
+"""A reading this many standard deviations nearer than the surface counts as short, as there."""
 
 
 def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Generator) -> InFlight | None:

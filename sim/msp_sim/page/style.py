@@ -135,7 +135,7 @@ def new_axes(height_in: float, x: str = "", y: str = "") -> tuple[Figure, Axes]:
 def new_panels(
     height_in: float, rows: int, columns: int = 1, width_in: float = WIDTH_IN, **shared: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure with so many panels, row by row; what they share as for `Figure.subplots`."""
+    """Make a figure of ``rows`` times ``columns`` panels, listed row by row; ``shared`` is for `Figure.subplots`."""
     figure = new_figure(height_in, width_in)
     return figure, list(figure.subplots(rows, columns, squeeze=False, **shared).flat)
 
@@ -203,7 +203,7 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
 
 
 def label(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any) -> None:
-    """Write a few words next to a place, so many points to the right of it and above."""
+    """Write a few words next to a place, ``offset`` points to the right of it and above."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.0} | look)
 
 

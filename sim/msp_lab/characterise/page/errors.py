@@ -28,7 +28,7 @@ from msp_sim.page.style import (
 )
 
 MOST_RANGES, BINS = 45, 24
-"""With more ranges than this they are taken as continuous, and put into so many bins."""
+"""With more different ranges than this, ranges are treated as continuous, and put into this number of bins."""
 MOST_TICKS = 16
 """Ranges that have room for a tick each, and for their counts in full."""
 LINEAR_CM = 5.0
