@@ -241,7 +241,7 @@ class Airframe(Section):
 
     def _check_filters(self) -> None:
         # Only a sensor with a stream of its own has a chain of filters.
-        if self.sent_names and any(each.filter == "kalman" for each in self.filters):
+        if self.sent_names and any(parameters.filter == "kalman" for parameters in self.filters):
             absent = missing("kalman")
             if absent is not None:
                 raise ValueError(f"filters: kalman requires {absent}; or use another filter, such as changepoint")
@@ -402,15 +402,17 @@ def load_airframe_from(files: Mapping[str, str], source: Path, instead: str = ""
         raise ConfigError(f"{source}: contains no airframe file{instead}")
     with TemporaryDirectory() as name:
         folder = Path(name)
-        for each, text in files.items():
-            path = PurePath(each)
+        for name_in_file, text in files.items():
+            path = PurePath(name_in_file)
             if path.is_absolute() or ".." in path.parts:
-                raise ConfigError(f"{source}: its airframe names {each}, outside of its folder{instead}")
+                raise ConfigError(f"{source}: its airframe names {name_in_file}, outside of its folder{instead}")
             try:
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_text(text, encoding="utf-8")
             except (OSError, ValueError):
-                raise ConfigError(f"{source}: no file can have the name of the attached {each[:80]!r}") from None
+                raise ConfigError(
+                    f"{source}: no file can have the name of the attached {name_in_file[:80]!r}"
+                ) from None
         try:
             airframe = load_airframe(folder / AIRFRAME_NAME)
         except ConfigError as error:

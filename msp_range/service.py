@@ -206,8 +206,8 @@ class _LinkLog:
 def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
     counts = bridge.counts()
     return {
-        "readings": {name: each.readings for name, each in counts.items()},
-        "rejected": {name: each.rejected for name, each in counts.items() if each.rejected},
+        "readings": {name: count.readings for name, count in counts.items()},
+        "rejected": {name: count.rejected for name, count in counts.items() if count.rejected},
         "frames": {
             "sent": transport.stats.sent_frames,
             "dropped": transport.stats.dropped_frames,

@@ -105,10 +105,12 @@ class _Values:
             start = next(self._events)
             value = self._value(start, depth + 1)
             if name == "<<" and isinstance(key, yaml.ScalarEvent) and key.implicit[0]:
-                for each in reversed(value if isinstance(value, list) else [value]):
-                    if not isinstance(each, dict):
-                        raise _error(f"expected a mapping or list of mappings for merging, but found {each!r}", start)
-                    merged |= each
+                for mapping in reversed(value if isinstance(value, list) else [value]):
+                    if not isinstance(mapping, dict):
+                        raise _error(
+                            f"expected a mapping or list of mappings for merging, but found {mapping!r}", start
+                        )
+                    merged |= mapping
             else:
                 own[name] = value
         return merged | own

@@ -162,7 +162,8 @@ def places(samples: Samples, from_file: Mapping[str, Sequence[float]]) -> Places
         typical_m = [float(np.median(np.abs(fit.residual_m[rows.sensor == i]))) for i in range(len(rows.names))]
         moved_m = np.abs(fit.solution[len(rows.knots) :].reshape(-1, 3)).max(axis=1)
         typical_m = [
-            max(each, OTHER_M * moved / FARTHEST_M) for each, moved in zip(typical_m, moved_m.tolist(), strict=True)
+            max(residual_m, OTHER_M * moved / FARTHEST_M)
+            for residual_m, moved in zip(typical_m, moved_m.tolist(), strict=True)
         ]
         worst = int(np.argmax(typical_m))
         if typical_m[worst] <= OTHER_M:
@@ -182,8 +183,8 @@ def places(samples: Samples, from_file: Mapping[str, Sequence[float]]) -> Places
 
 def _rows(samples: Samples, names: Sequence[str], from_file: Mapping[str, Sequence[float]]) -> _Rows:
     found = {
-        name: np.flatnonzero(each.is_distance & np.isfinite(samples.down_at(each.time_s)[:, 0]))
-        for name, each in ((name, samples.readings[name]) for name in names)
+        name: np.flatnonzero(readings.is_distance & np.isfinite(samples.down_at(readings.time_s)[:, 0]))
+        for name, readings in ((name, samples.readings[name]) for name in names)
     }
     # Three numbers each, and a person sees some of the motion.
     kept = [name for name in names if len(found[name]) >= 12]

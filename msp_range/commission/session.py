@@ -137,7 +137,7 @@ class RunningBridge:
             greeting = next(self._packets, None)
         if greeting is None:
             raise ConfigError(ENDED)
-        flown = {each["name"]: each["address"] for each in greeting.message["sensors"]}
+        flown = {sensor["name"]: sensor["address"] for sensor in greeting.message["sensors"]}
         if flown != {sensor.name: f"0x{sensor.address:02x}" for sensor in airframe.sensors}:
             raise ConfigError(
                 "the running bridge has other sensors or addresses than the file: sudo systemctl reload msp-range if "

@@ -67,7 +67,7 @@ def findings(newest: Newest) -> Iterator[Finding]:
     sent = link["sent"].get("DISTANCE_SENSOR", 0)
     if link["autopilot"] is not None:
         yield right("autopilot", f"system {link['autopilot']} is received; {sent} distances were sent")
-    elif not any(each["what"] == "autopilot" for each in status["faults"]):
+    elif not any(fault["what"] == "autopilot" for fault in status["faults"]):
         yield unknown("autopilot", f"{link['url']}: no heartbeat yet", "msp-range doctor once more")
 
 

@@ -74,7 +74,7 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
 def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding], list[SensorSettings]]:
     step = "addresses"
     try:
-        found = [each.address for each in scan(bus, clock, identify=False)]
+        found = [device.address for device in scan(bus, clock, identify=False)]
     except BusError as error:
         held = f"the bus does not move (errno {error.errno}): SDA or SCL is held low"
         remedy = "find the device that holds it: disconnect one after the other; check for a short and for pull-ups"
@@ -285,9 +285,9 @@ def _crosstalk(
 def disagreeing(airframe: Airframe, ranges_m: Mapping[str, float]) -> Iterator[Finding]:
     """Downward sensors whose height above the ground differs from that of the others, if there are at least three."""
     heights_m = {
-        each.name: ranges_m[each.name] * cos(each.tilt_from_down_rad) + each.position_m[2]
-        for each in airframe.downward
-        if each.name in ranges_m
+        sensor.name: ranges_m[sensor.name] * cos(sensor.tilt_from_down_rad) + sensor.position_m[2]
+        for sensor in airframe.downward
+        if sensor.name in ranges_m
     }
     if len(heights_m) < 3:
         return

@@ -27,7 +27,7 @@ def check_disk(computer: Computer, folder: str | None) -> Finding:
     path = Path(folder)
     if not path.is_absolute():
         return unknown(step, f"{folder} is relative: it depends on where the bridge is started", "give the whole path")
-    there = next(each for each in (path, *path.parents) if computer.at(each).is_dir() or each == each.parent)
+    there = next(parent for parent in (path, *path.parents) if computer.at(parent).is_dir() or parent == parent.parent)
     who, disk = computer.user.name, computer.disk(computer.at(there))
     left = disk.f_bavail * disk.f_frsize
     is_refused, hours, left_mb = not computer.may_write(str(there)), left / BYTES_PER_HOUR, f"{left / 1e6:.0f} MB left"

@@ -56,7 +56,7 @@ class ByRow:
 
     def take(self, rows: Any) -> Self:
         """Some of the rows."""
-        return replace(self, **{each.name: take(getattr(self, each.name), rows) for each in fields(self)})
+        return replace(self, **{column.name: take(getattr(self, column.name), rows) for column in fields(self)})
 
 
 def take(values: Any, rows: Any) -> Any:
@@ -64,7 +64,7 @@ def take(values: Any, rows: Any) -> Any:
     if isinstance(values, np.ndarray):
         return values[rows]
     if isinstance(values, tuple):
-        taken = [take(each, rows) for each in values]
+        taken = [take(value, rows) for value in values]
         return type(values)(*taken) if hasattr(values, "_fields") else tuple(taken)
     return values.take(rows) if isinstance(values, ByRow) else values
 
@@ -78,7 +78,7 @@ def among(some: Array, rows: Indices, size: int) -> Array:
 
 def shares_of(log_weights: Sequence[Any]) -> list[Any]:
     """Shares of hit, short, missed and random by the logarithms of their weights, numbers or (n,)."""
-    weights = [np.exp(each) for each in log_weights]
+    weights = [np.exp(log_weight) for log_weight in log_weights]
     total = sum(weights)
     return [weight / total for weight in weights]
 

@@ -190,12 +190,12 @@ def read_columns(
             parts[name].append(word_column(str(path), name, column) if found is None else found)
     columns = {}
     for index, (name, blocks) in enumerate(parts.items()):
-        if len({each.dtype.kind for each in blocks}) > 1:
+        if len({part.dtype.kind for part in blocks}) > 1:
             # Numbers at first, and words further on: it was words all along.
             columns[name] = word_column(str(path), name, [cells[index] for _, cells in rows()])
         elif blocks:
             if blocks[0].dtype.kind == "U":
-                longest = max(each.dtype.itemsize // 4 for each in blocks)
+                longest = max(part.dtype.itemsize // 4 for part in blocks)
                 _check_words(str(path), name, sum(map(len, blocks)), longest)
             columns[name] = np.concatenate(blocks)
         else:
@@ -304,7 +304,7 @@ def _check_header(path: Path, header: list[str], required: Sequence[str], option
             raise RecordingError(f"{path}:1: the column {name[:LONGEST_CELL]!r} is there twice")
     names = *required, *optional
     for name in names:
-        near = difflib.get_close_matches(name, [each[:64] for each in header if each not in names], n=1)
+        near = difflib.get_close_matches(name, [heading[:64] for heading in header if heading not in names], n=1)
         if name not in header and (near or name in required):
             why = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{why} Found: {short_list(header)}{hint}")
@@ -412,7 +412,7 @@ def is_number(cell: str, parse: Callable[[str], float] = to_number) -> bool:
 
 def _cells(name: str, column: Column) -> Iterable[str]:
     if column.dtype.kind not in "fiub":
-        words = [str(each) for each in column.tolist()]
+        words = [str(word) for word in column.tolist()]
         wrong = next((word for word in words if CONTROL.search(word)), None)
         if wrong is not None:
             raise ValueError(f"column {name!r}: found a control character in {wrong!r}")
@@ -425,4 +425,4 @@ def _cells(name: str, column: Column) -> Iterable[str]:
     known = numbers[~np.isnan(numbers)]
     # Whole centimetres stay whole: 123, not 123.0.
     show = "{:.0f}".format if (known == np.rint(known)).all() and (np.abs(known) < 2**53).all() else repr
-    return ["" if each != each else show(each) for each in numbers.tolist()]
+    return ["" if value != value else show(value) for value in numbers.tolist()]

@@ -107,7 +107,7 @@ def neighbour_lags_ms(time_s: Column, sensors: Sequence[str], runs: Column) -> C
     for row in np.lexsort((time_s, runs)).tolist():
         if runs[row] != here:
             here, last_s = runs[row], {}
-        others_s = [each for name, each in last_s.items() if name != sensors[row]]
+        others_s = [ping_s for name, ping_s in last_s.items() if name != sensors[row]]
         if others_s:
             lags_ms[row] = 1e3 * (time_s[row] - max(others_s))
         last_s[sensors[row]] = float(time_s[row])

@@ -43,7 +43,7 @@ class ReplayBus:
         playbacks: Mapping[int, Callable[[], Playback]],
     ) -> None:
         self._clock = clock
-        self._sensors = {address: _Sensor(each, playbacks[address]()) for address, each in pings.items()}
+        self._sensors = {address: _Sensor(of_sensor, playbacks[address]()) for address, of_sensor in pings.items()}
         self.behind_s = 0.0
 
     def next_ping(self, address: int) -> RecordedPing | None:

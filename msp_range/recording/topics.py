@@ -186,7 +186,7 @@ def schema_of(topic: str) -> tuple[str, bytes]:
     """
     key = _known(topic)
     if key not in TOPICS:
-        known = [f"{each}<sensor>" if each.endswith("/") else each for each in TOPICS]
+        known = [f"{known_topic}<sensor>" if known_topic.endswith("/") else known_topic for known_topic in TOPICS]
         raise ValueError(f"no topic {topic!r}; known: {', '.join(known)}")
     meaning, keys, _ = TOPICS[key]
     words = key.strip("/").replace("/", "_").split("_")
@@ -195,7 +195,8 @@ def schema_of(topic: str) -> tuple[str, bytes]:
         "description": meaning,
         "type": "object",
         "properties": {
-            name: {"type": _JSON_TYPES[_TYPES.get(name, float)], "description": each} for name, each in keys.items()
+            name: {"type": _JSON_TYPES[_TYPES.get(name, float)], "description": meaning_of_key}
+            for name, meaning_of_key in keys.items()
         },
     }
     return schema["title"], json.dumps(schema).encode()

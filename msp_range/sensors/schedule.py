@@ -151,10 +151,10 @@ class RoundRobin:
         if not self._round:
             self._round.extend(self._next_round(at_s))
         group = self._round.popleft()
-        for each in group:
-            each.pinged_s = at_s
+        for member in group:
+            member.pinged_s = at_s
         self._is_retry = self._are_dead(group) and bool(self._living_groups())
-        return at_s, [each.sensor for each in group]
+        return at_s, [member.sensor for member in group]
 
     def on_reading(self, reading: Reading) -> None:
         """Record whether the sensor works, and whether it is near the ground."""
@@ -166,8 +166,8 @@ class RoundRobin:
             return
         if self._is_dead(turns):
             # The cause of its recovery (a plug, the supply, the bus) may have affected others too: retry them now.
-            for each in self._of.values():
-                each.pinged_s = -math.inf
+            for other in self._of.values():
+                other.pinged_s = -math.inf
         turns.faults = 0
 
     def again(self, sensor: str) -> None:
@@ -196,7 +196,8 @@ class RoundRobin:
         # One retry per cycle: if retries are acknowledged, more of them would delay the working sensors.
         retried = sorted(due, key=lambda group: group[0].pinged_s)[:1]
         return retried + [
-            [each for each in group if not self._is_dead(each) or at_s - each.pinged_s >= RETRY_S] for group in living
+            [member for member in group if not self._is_dead(member) or at_s - member.pinged_s >= RETRY_S]
+            for group in living
         ]
 
     def _spacing_s(self) -> float:

@@ -86,12 +86,12 @@ class Feed:
         """Greet new watchers and receive marks; one system call if there is nothing to do."""
         # The server comes last: a watcher that loses its place to a new one has been read by then.
         readable, _, _ = select.select([*self._watchers, self._server], (), (), 0.0)
-        for each in readable:
-            if each is self._server:
+        for ready in readable:
+            if ready is self._server:
                 with suppress(OSError):  # It has gone already, or there are too many open files.
-                    self._greet(each.accept()[0], now_s)
+                    self._greet(ready.accept()[0], now_s)
             else:
-                self._receive(each, now_s)
+                self._receive(ready, now_s)
 
     def close(self) -> None:
         """End all connections and remove the socket."""

@@ -79,11 +79,11 @@ def status_message(
         "sensors": {
             name: {
                 "fault": faults.get(name),
-                "readings": each.readings,
-                "rejected": each.rejected,
+                "readings": counts.readings,
+                "rejected": counts.rejected,
                 "findings": [found.text for found in bridge.sensor_findings if found.sensor == name],
             }
-            for name, each in bridge.counts().items()
+            for name, counts in bridge.counts().items()
         },
         "sensor_watch_off": bridge.sensor_watch_off,
         "faults": [finding._asdict() | {"severity": finding.severity.name.lower()} for finding in verdict.findings],

@@ -267,7 +267,7 @@ def common_spread(groups: Sequence[Array], step: float) -> float | None:
     None where fewer than `GROUPS` of them show anything of it: values of two steps or more that scatter little.
     """
     few = [group for group in groups if _is_of_few_steps(group, step)]
-    shown = [each for each in few if np.unique(each).size > 1]
+    shown = [values for values in few if np.unique(values).size > 1]
     if len(shown) < GROUPS:
         return None
     spreads = np.geomspace(*_SPREADS, 41)

@@ -117,7 +117,7 @@ def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
     """Shares of missed and rejected readings."""
     total = len(readings.status)
     missed = np.mean(~np.isin(readings.status, ("ok", "at_minimum")))
-    reasons = Counter(each for each in readings.rejected.tolist() if each not in ("", "no_echo", "suspect"))
+    reasons = Counter(reason for reason in readings.rejected.tolist() if reason not in ("", "no_echo", "suspect"))
     rejected = np.mean(np.isin(readings.rejected, [*reasons.keys() - {"no_answer", "clock_fault", "impossible"}]))
     listed = ", ".join(
         f"{reason.replace('_', ' ')} {100 * count / total:.0f} %" for reason, count in reasons.most_common(3)

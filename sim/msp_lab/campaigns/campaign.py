@@ -29,7 +29,7 @@ MAX_STEPS = 1000
 
 def repeated(values: Iterable[Any]) -> list[Any]:
     """Those of the values that are there more than once."""
-    return [each for each, count in Counter(values).items() if count > 1]
+    return [value for value, count in Counter(values).items() if count > 1]
 
 
 class Span(Section):
@@ -233,7 +233,7 @@ class Campaign(Section):
 
     def sensor(self, name: str) -> BenchSensor:
         """The sensor of that name."""
-        return next(each for each in self.sensors if each.name == name)
+        return next(sensor for sensor in self.sensors if sensor.name == name)
 
 
 def load_campaign(path: Path | str) -> Campaign:

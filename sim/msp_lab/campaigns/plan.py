@@ -106,7 +106,7 @@ class Point:
             "external_distance_cm": source.distance_cm,
             "external_frequency_khz": source.frequency_khz,
         }
-        return {name: each for name, each in columns.items() if each is not None}
+        return {name: value for name, value in columns.items() if value is not None}
 
 
 def make_plan(campaign: Campaign) -> tuple[Point, ...]:

@@ -197,7 +197,9 @@ def _choose(data: _Points) -> _Choice:
                 kept, kept_pieces = form, pieces
             except ValueError as error:
                 refused += f"; {NAMES[form]} would predict better and is no calibration: {error}"
-    others = [f"{each.rms_cm:.2f} cm by {NAMES[each.form]}" for each in held_out if each.form != kept]
+    others = [
+        f"{candidate.rms_cm:.2f} cm by {NAMES[candidate.form]}" for candidate in held_out if candidate.form != kept
+    ]
     reason = (
         f"left-out ranges are predicted to {_rms(errors[kept_pieces]):.2f} cm rms, against {' and '.join(others)}; a "
         f"more complex form is kept if its gain is significant{' and left-out runs agree' if by_run else ''}{refused}"

@@ -206,7 +206,7 @@ class PointReadings(SetUp):
             change = float(np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit]))
             compensated = error.mapped(lambda end: end + change)
         return PointResult(
-            **{each.name: getattr(self, each.name) for each in fields(SetUp)},
+            **{field.name: getattr(self, field.name) for field in fields(SetUp)},
             true_range_cm=self.range_cm,
             incidence_deg=_known(self.incidence_deg),
             air_temperature_c=_known(_mean(self.air_temperature_c)),

@@ -53,9 +53,9 @@ class FilterComparison:
 
     def best(self, *, centred: bool = False, in_time: bool = False) -> tuple[str, float]:
         """The best of the nine and its mean RMS [cm]; centred: with the medians that look ahead in place of theirs."""
-        names = [each for each in CAUSAL if not (centred and each.startswith("median"))]
+        names = [name for name in CAUSAL if not (centred and name.startswith("median"))]
         if centred:
-            names += [f"centred {each}" for each in CENTRED if each.startswith("median")]
+            names += [f"centred {name}" for name in CENTRED if name.startswith("median")]
         if in_time:
             names = [f"{name} in time" if f"{name} in time" in self.rms_cm else name for name in names]
         return min(((name, self.mean(name)) for name in names), key=lambda each: each[1])
@@ -86,12 +86,12 @@ def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> Fi
 
 def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: Array) -> FilterComparison:
     counts = np.all([~np.isnan(estimate) for estimate in estimates.values()], axis=0)
-    errors = {each: np.where(counts, cm - runs.true_cm, np.nan) for each, cm in estimates.items()}
+    errors = {name: np.where(counts, cm - runs.true_cm, np.nan) for name, cm in estimates.items()}
     stated = counts & ~np.isnan(variance_cm2)
     normalised = errors[CHANGEPOINT][stated] ** 2 / variance_cm2[stated]
     return FilterComparison(
-        {each: error_statistics(error)[0] for each, error in errors.items()},
-        {each: float(delay_samples(cm, runs.true_cm).mean()) for each, cm in estimates.items()},
+        {name: error_statistics(error)[0] for name, error in errors.items()},
+        {name: float(delay_samples(cm, runs.true_cm).mean()) for name, cm in estimates.items()},
         float((normalised < 1.96**2).mean()),
     )
 
@@ -184,6 +184,6 @@ def delays(results: Study) -> Mapping[str, Mapping[str, float]]:
     """Delay [samples] by scenario and filter, of the filters as the report states them: its medians look ahead."""
     return {
         name: compared.delay
-        | {each: compared.delay[f"centred {each}"] for each in CENTRED if each.startswith("median")}
+        | {name: compared.delay[f"centred {name}"] for name in CENTRED if name.startswith("median")}
         for name, compared in results.report_noise.items()
     }

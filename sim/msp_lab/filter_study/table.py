@@ -135,9 +135,9 @@ def _columns_in_order(table: Mapping[tuple[str, str], Row]) -> Table:
     swapped = {}
     for scenario in {row.scenario for row in table.values()}:
         rows = {key: _is_swapped(row) for key, row in table.items() if row.scenario == scenario}
-        decided = [each for each in rows.values() if each is not None]
+        decided = [row for row in rows.values() if row is not None]
         most = sum(decided) > len(decided) / 2
-        swapped.update({key: most if each is None else each for key, each in rows.items()})
+        swapped.update({key: most if row is None else row for key, row in rows.items()})
     return {key: _exchanged(row) if swapped[key] else row for key, row in table.items()}
 
 

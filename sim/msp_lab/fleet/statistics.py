@@ -103,8 +103,8 @@ class Number:
     def changes(self) -> dict[int, Change]:
         """The likeliest change or drift of each unit that has sessions enough."""
         found = {
-            unit: over_sessions(each, self.omega**2)
-            for unit, each in zip(self.units.tolist(), self.series, strict=True)
+            unit: over_sessions(sessions, self.omega**2)
+            for unit, sessions in zip(self.units.tolist(), self.series, strict=True)
         }
         return {unit: change for unit, change in found.items() if change is not None}
 

@@ -73,7 +73,7 @@ class FleetTerm:
     @property
     def parameter(self) -> Parameter:
         """The number as a parameter of its effect."""
-        return next(each for each in self.catalogued.parameters if each.name == self.number)
+        return next(parameter for parameter in self.catalogued.parameters if parameter.name == self.number)
 
     @property
     def calibrates(self) -> bool:

@@ -157,7 +157,7 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
 
 def _asked(problem: Problem) -> tuple[CandidateEffect, ...]:
     """Effects that vehicles are asked for; what sessions differ by is compared over the fleet."""
-    return tuple(each for each in problem.candidates if each.effect.per != "run")
+    return tuple(candidate for candidate in problem.candidates if candidate.effect.per != "run")
 
 
 def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float]) -> OwnEffects:

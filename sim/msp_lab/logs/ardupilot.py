@@ -132,7 +132,7 @@ def flight_of(found: Messages) -> LoggedFlight:
     flight = LoggedFlight()
     for message, fields in found.items():
         stamp = next((fields[name] / per_s for name, per_s in _STAMPS if name in fields), None)
-        if stamp is None or len({each.size for each in fields.values()}) > 1:
+        if stamp is None or len({column.size for column in fields.values()}) > 1:
             continue  # it has no time, or the format of some of its messages is damaged
         other_s = np.full(stamp.size, np.nan)
         if "GMS" in fields and "GWk" in fields:

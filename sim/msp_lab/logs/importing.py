@@ -268,7 +268,7 @@ def _import_run(common: Import, log: VehicleLog, run: str) -> Imported:
         reference, difference_s = reference_of(truth.file, truth, log, common.sensor.maximum_cm)
         notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
     joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
-    if reference is not None and not any(TRUE_RANGE in each.data for each in joined):
+    if reference is not None and not any(TRUE_RANGE in ranger.data for ranger in joined):
         if truth.kind:
             raise RecordingError(f"{path}: --truth {truth.kind}: {_why_no_truth(joined)}")
         reference = None
@@ -408,7 +408,7 @@ def _missing(joined: Sequence[Joined]) -> tuple[Missing, ...]:
     found = []
     for column, what in OBTAINABLE.items():
         if column not in there:
-            effects = tuple(sorted(each.name for each in CATALOGUE.values() if column in each.requires))
+            effects = tuple(sorted(effect.name for effect in CATALOGUE.values() if column in effect.requires))
             found.append(Missing(column, what, effects))
     return tuple(found)
 

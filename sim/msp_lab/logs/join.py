@@ -74,7 +74,7 @@ def join(
         Whether the readings' lag behind the reference is taken off. It is the range finder's latency, unless the two
         have different clocks.
     """
-    joined = [_join(log, each, reference, rng, shift) for each in log.rangers]
+    joined = [_join(log, ranger, reference, rng, shift) for ranger in log.rangers]
     _add_neighbours(joined)
     return joined
 

@@ -136,7 +136,7 @@ class _OfSeries:
 
     def during(self, *span_s: float) -> Self:
         """All of its series from one time to another, as `Series.during`."""
-        parts = {name: each.during(*span_s) for name, each in vars(self).items() if isinstance(each, Series)}
+        parts = {name: part.during(*span_s) for name, part in vars(self).items() if isinstance(part, Series)}
         return replace(self, **parts)
 
 
@@ -383,8 +383,8 @@ def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     """Put the times of all senders of a log on a clock that never steps; the runs between the steps."""
     senders = list(senders)
     times_s, runs = continuous([sender.stamps for sender in senders])
-    for each, time_s in zip(senders, times_s, strict=True):
-        each.restamp(time_s)
+    for sender, time_s in zip(senders, times_s, strict=True):
+        sender.restamp(time_s)
     return runs
 
 

@@ -149,7 +149,7 @@ def _messages(
     start_ns: int | None = None
     lost = []
     files, unpack = files_of(path)
-    size = sum(each.stat().st_size for each in files if each.is_file())
+    size = sum(file.stat().st_size for file in files if file.is_file())
     for file in files:
         try:
             for topic, arrived_ns, packed in read_messages(file, is_wanted):
@@ -247,10 +247,10 @@ def files_of(path: Path) -> tuple[list[Path], Callable[[bytes], bytes]]:
         return [path], bytes
     try:
         about = yaml.safe_load(read_text(path / "metadata.yaml", _MOST_METADATA_BYTES))["rosbag2_bagfile_information"]
-        files = [path / Path(each).name for each in about["relative_file_paths"]]
+        files = [path / Path(name).name for name in about["relative_file_paths"]]
         is_packed = str(about.get("compression_mode")).lower() == "message"
     except (OSError, KeyError, TypeError, AttributeError, yaml.YAMLError):
-        files, is_packed = sorted(each for each in path.iterdir() if each.suffix != ".yaml"), False
+        files, is_packed = sorted(file for file in path.iterdir() if file.suffix != ".yaml"), False
     return files, zstandard.ZstdDecompressor().decompress if is_packed else bytes
 
 

@@ -18,8 +18,8 @@ MOST_EFFECTS = 4
 def show(found: Sequence[Imported], out: Path | None = None) -> None:
     """Print the account of an import; with the dataset's folder also how to go on."""
     shown = console()
-    for each in found:
-        _show(shown, each)
+    for log in found:
+        _show(shown, log)
     if out is not None:
         runs = counted(sum(len(each.runs) for each in found), "run")
         rangers = [ranger for each in found for ranger in each.rangers]

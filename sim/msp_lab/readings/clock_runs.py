@@ -95,7 +95,7 @@ def continuous(senders: Iterable[Stamps]) -> tuple[list[Array], tuple[ClockRun, 
         runs.append(ClockRun(start_s + later_s, later_s, cuts[number - 1][1] if runs else 0.0))
         end_s = float(times_s.max(initial=-np.inf)) + later_s
     later = np.array([run.later_s for run in runs])
-    return [each.time_s + later[part] for each, part in zip(senders, parts, strict=True)], tuple(runs)
+    return [sender.time_s + later[part] for sender, part in zip(senders, parts, strict=True)], tuple(runs)
 
 
 def _steps(sender: Stamps) -> Iterator[tuple[int, int, float]]:
@@ -149,8 +149,8 @@ def with_clock_runs(path: Path, table: MeasuredData, run_column: str = "run") ->
         for number, part in enumerate(parts[1:], start=2):
             name = f"{run or path.name.split('.')[0]}/{number}"
             notes.append(f"{part.note[:-1]}, {name}.")
-            for each, continuous_s in zip(senders, times_s, strict=True):
-                found[each[continuous_s >= part.start_s]] = name
+            for sender, continuous_s in zip(senders, times_s, strict=True):
+                found[sender[continuous_s >= part.start_s]] = name
     return (MeasuredData({**table.columns, run_column: found.astype(str)}) if notes else table), notes
 
 

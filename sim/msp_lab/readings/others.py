@@ -101,11 +101,11 @@ def with_others_as_reference(
         Too few sensors.
     """
     names = sorted(set(data["sensor"].tolist()) & set(mounting.sensors))
-    for each in names or [""]:
-        others = set(names) - {each, *without}
+    for name in names or [""]:
+        others = set(names) - {name, *without}
         if len(others) < MIN_OTHERS:
             raise RecordingError(
-                f"found {len(others)} other downward sensors to compare {each or 'a sensor'} with, expected at least "
+                f"found {len(others)} other downward sensors to compare {name or 'a sensor'} with, expected at least "
                 f"{MIN_OTHERS}: of two that differ nobody knows which one is off"
             )
     rows = np.flatnonzero(np.isin(data["sensor"], names))
@@ -113,7 +113,7 @@ def with_others_as_reference(
     # A flight is no experiment of a campaign: its angles are the vehicle's own.
     columns: dict[str, Column] = {key: column[order] for key, column in data.columns.items() if key not in FROM_TRUTH}
     columns.setdefault("condition", np.full(order.size, "baseline"))
-    reference, offsets_cm = _reference(columns, names, model, mounting, [each not in without for each in names])
+    reference, offsets_cm = _reference(columns, names, model, mounting, [name not in without for name in names])
     known = columns["sensor"][~np.isnan(reference[TRUE_RANGE])].tolist()
     rows_of = {name: count for name in names if (count := known.count(name))}
     offsets = dict(zip(names, offsets_cm.tolist(), strict=True))

@@ -138,10 +138,12 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_
     1.0 0.1
     """
     usual = {*COMPARED_CM, model_step_cm}
-    steps = sorted(each for each in usual if not any(round(limit_cm / each, 6) % 1.0 for limit_cm in limits_cm))
+    steps = sorted(
+        step_cm for step_cm in usual if not any(round(limit_cm / step_cm, 6) % 1.0 for limit_cm in limits_cm)
+    )
     least_cm, gaps, weights = 0.0, [np.zeros(0)], [np.zeros(0)]
-    for each in np.unique(run):
-        own = np.round(reading_cm[run == each], 6)
+    for name in np.unique(run):
+        own = np.round(reading_cm[run == name], 6)
         for start in range(0, own.size, WINDOW):
             values, counts = np.unique(own[start : start + WINDOW], return_counts=True)
             gaps.append(np.diff(values))

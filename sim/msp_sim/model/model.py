@@ -105,7 +105,7 @@ class Model:
             and the sensor's resolution is another.
         """
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
-        if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
+        if sensor.oblique_reading == "slant" and all(effect.effect.name != "slant_range" for effect in effects):
             effects.append(make_term("slant_range", None, {"share": 1.0}))
         for i, each in enumerate(effects):
             if "code" in each.effect.channels and not each.effect.happens_to(sensor):
@@ -129,7 +129,7 @@ class Model:
 
     def added_from(self, given: int) -> "Model":
         """The same model, whose effects from this place on were added to a given one."""
-        effects = (replace(each, is_added=i >= given) for i, each in enumerate(self.effects))
+        effects = (replace(effect, is_added=i >= given) for i, effect in enumerate(self.effects))
         return replace(self, effects=tuple(effects))
 
     @cached_property
@@ -141,7 +141,9 @@ class Model:
     def columns(self) -> frozenset[str]:
         """Context columns that the model uses."""
         history = HISTORY_COLUMNS if self.sensor.reading_model.correlation > 0.0 else ()
-        return frozenset({TRUE_RANGE, REFERENCE_STD, *history}).union(*(each.effect.columns for each in self.effects))
+        return frozenset({TRUE_RANGE, REFERENCE_STD, *history}).union(
+            *(effect.effect.columns for effect in self.effects)
+        )
 
     def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> Array:
         """Draw one reading for each context.
@@ -214,8 +216,8 @@ class Model:
         columns = {name: _column(name, contexts[name]) for name in self.columns | about_runs if name in contexts}
         if TRUE_RANGE not in columns:
             raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
-        if any(each.effect.is_shift for each in self.effects):
-            columns |= {name: each for name, each in with_path(contexts).items() if name == PATH}
+        if any(effect.effect.is_shift for effect in self.effects):
+            columns |= {name: column for name, column in with_path(contexts).items() if name == PATH}
         sizes = {name: column.size for name, column in columns.items()}
         if len(set(sizes.values())) > 1:
             raise ValueError(f"found context columns of different lengths: {sizes}")
@@ -255,27 +257,27 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
     logs: list[Any] = list(rows.log_weights)
     added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
     known_offsets = len(offsets)
-    for each in shifts_first(effects):
-        known = applies(scene, each)
+    for effect in shifts_first(effects):
+        known = applies(scene, effect)
         if known is False:
             continue
-        change = each.change(scene)
+        change = effect.change(scene)
         if change.bias_cm is not None:
             centre_cm = centre_cm + _where(known, change.bias_cm)
         scene = shifted_by(scene, known, change)
         if change.log_spread is not None:
             log_spread = log_spread + _where(known, change.log_spread)
         if change.run_offset_cm is not None:
-            offsets.append(RunOffset(change.run_offset_cm, np.where(known, scene["run"], ""), each.stream))
+            offsets.append(RunOffset(change.run_offset_cm, np.where(known, scene["run"], ""), effect.stream))
         odds = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)
         for i, log_odds in enumerate(odds, start=1):
             if log_odds is not None:
                 logs[i] = logs[i] + _where(known, log_odds)
         if change.component is not None:
             share = np.clip(_where(known, change.share), 0.0, LARGEST_SHARE)
-            added.append(AddedComponent(share / (1.0 - share), change.component, each.stream))
+            added.append(AddedComponent(share / (1.0 - share), change.component, effect.stream))
         if change.fault is not None:
-            faults.append(AppliedFault(_where(known, change.fault_share), change.fault, each.stream))
+            faults.append(AppliedFault(_where(known, change.fault_share), change.fault, effect.stream))
     sigma_cm = rows.wider(np.exp(log_spread)).sigma_cm if np.any(log_spread) else rows.sigma_cm
     for deviation_cm, runs, _ in offsets[known_offsets:]:
         sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
@@ -292,10 +294,10 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
 
 def shifted(scene: Scene, effects: Iterable[Term]) -> Scene:
     """The scene that readings are of, by those of the effects that say when it was."""
-    for each in effects:
-        known = each.effect.is_shift and applies(scene, each)
+    for effect in effects:
+        known = effect.effect.is_shift and applies(scene, effect)
         if known is not False:
-            scene = shifted_by(scene, known, each.change(scene))
+            scene = shifted_by(scene, known, effect.change(scene))
     return scene
 
 

@@ -105,7 +105,7 @@ def _distribution(rows: Sequence[Row], column: str) -> Distribution | None:
     # What never happens has no distribution.
     if not known or not any(known):
         return None
-    return Distribution(SIZES[column], column, tuple(Quantile(each, *quantile(known, each)) for each in QUANTILES))
+    return Distribution(SIZES[column], column, tuple(Quantile(share, *quantile(known, share)) for share in QUANTILES))
 
 
 def _badness(row: Row) -> tuple[Any, ...]:

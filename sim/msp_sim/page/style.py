@@ -187,7 +187,9 @@ def _file(figure: Figure, name: str) -> bytes:
 
 def _add_legend(figure: Figure) -> None:
     """List each label once below the axes, in columns as wide as the longest; axes with a legend have their own."""
-    drawn = [each for axes in figure.axes if axes.get_legend() is None for each in axes.get_legend_handles_labels()[0]]
+    drawn = [
+        handle for axes in figure.axes if axes.get_legend() is None for handle in axes.get_legend_handles_labels()[0]
+    ]
     # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
     handles = {str(each.get_label()): each for each in drawn}
     if handles:

@@ -136,7 +136,7 @@ def _sonar(rows: PictureData) -> Drawn:
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
     axes.plot(span_cm, span_deg, color=GREEN, label="sonar equation, fitted")
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    ends_deg = {each.range_cm: each.half_angle.ends for each in view.angles}
+    ends_deg = {angle.range_cm: angle.half_angle.ends for angle in view.angles}
     missed_deg = [abs(row.fitted_deg - row.measured_deg) for row in sonar.rows if row.fitted_deg is not None]
     others_deg = {row.range_cm: row.left_out_deg for row in sonar.rows if row.left_out_deg is not None}
     highest_deg = max([*used_deg, *others_deg.values()])

@@ -74,19 +74,19 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     if found.knots:
         curve = curve_through(found.knots)
         axes.plot(span_cm, curve.forward(span_cm) - span_cm, color=GREEN, label="calibration that is kept")
-        knots_cm = np.array([each.true_cm for each in found.knots if span_cm[0] <= each.true_cm <= span_cm[-1]])
+        knots_cm = np.array([knot.true_cm for knot in found.knots if span_cm[0] <= knot.true_cm <= span_cm[-1]])
         axes.plot(knots_cm, curve.forward(knots_cm) - knots_cm, "s", color=GREEN, markeredgecolor="white")
     where = ", in air of the calibration temperature" if by_sound else ""
     axes.set(xlabel=f"true range [cm]{where}", ylabel="mean reading − true range [cm]")
-    for each in side:
+    for panel in side:
         forms = [one.form.replace(" ", "\n", 1) for one in found.held_out]
         colours = [GREEN if one.form == found.form else PALE for one in found.held_out]
-        bars = each.bar(forms, [one.rms_cm for one in found.held_out], width=0.7, color=colours)
-        each.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
-        each.tick_params(axis="x", labelsize=7)
-        each.set_ylabel("rms on points left out [cm]")
-        each.set_title(f"kept: {found.form}", fontsize=8)
-        each.margins(y=0.15)
+        bars = panel.bar(forms, [one.rms_cm for one in found.held_out], width=0.7, color=colours)
+        panel.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
+        panel.tick_params(axis="x", labelsize=7)
+        panel.set_ylabel("rms on points left out [cm]")
+        panel.set_title(f"kept: {found.form}", fontsize=8)
+        panel.margins(y=0.15)
     return figure
 
 
