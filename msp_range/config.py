@@ -43,7 +43,6 @@ def _not_centimetres(value: Any) -> Any:
 
 
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M), BeforeValidator(_not_centimetres)]
-_DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
 
 
 Degrees = Annotated[float, Field(ge=-360, le=360)]
@@ -84,7 +83,7 @@ class SensorSettings(SensorOnBus):
     @cached_property
     def tilt_from_down_rad(self) -> float:
         """Angle between its axis and straight down [rad]."""
-        return angle_between(self.boresight, _DOWN_AXIS)
+        return angle_between(self.boresight, (0.0, 0.0, 1.0))
 
     @cached_property
     def orientation(self) -> Orientation:

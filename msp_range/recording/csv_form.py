@@ -27,8 +27,6 @@ from msp_range.input_file import CONTROL, open_input, text_fault
 from msp_range.recording.columns import KNOWN_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.error import RecordingError, new_file
 
-REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
-NEVER_EMPTY = frozenset({"time_s", "sensor"})
 BLOCK = 1 << 10
 """Rows that are held as text at a time, which need many times the memory that they need as numbers: this many stay in a
 processor's cache."""
@@ -46,8 +44,6 @@ MOST_COLUMNS = 1000
 """Columns of a table. Tables of readings have 4 to 40; each column costs 8 bytes of memory for each row."""
 LONGEST_CELL = 200
 """Characters of a cell that is kept as a word: names of runs, targets and conditions have 10 to 40."""
-
-_BLOCK_CHARACTERS = 2**16
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,10 @@ def join_tables(tables: Sequence[MeasuredData]) -> MeasuredData:
 
 
 def read_csv(
-    path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS, optional: Sequence[str] = (), hint: str = ""
+    path: Path | str,
+    required: Sequence[str] = ("time_s", "sensor", "reading_cm"),
+    optional: Sequence[str] = (),
+    hint: str = "",
 ) -> MeasuredData:
     """Read measured data.
 
@@ -148,7 +147,7 @@ def read_csv(
                 raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {len(header)} as in the header")
             yield line, row
 
-    return read_columns(path, rows, dict(zip(header, header, strict=True)), NEVER_EMPTY)
+    return read_columns(path, rows, dict(zip(header, header, strict=True)), {"time_s", "sensor"})
 
 
 def read_columns(
@@ -264,7 +263,7 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
         most = FREE_EXPANSION_BYTES + MOST_EXPANSION * os.fstat(file.fileno()).st_size if is_packed else LARGEST_BYTES
         text = io.TextIOWrapper(stream, "utf-8-sig", "surrogateescape")
         number, rest = 1, ""
-        while block := text.read(_BLOCK_CHARACTERS):
+        while block := text.read(2**16):
             if stream.tell() > most:
                 raise RecordingError(f"{path}: found more than {most / 1e6:.0f} MB of unpacked text, expected less")
             if (fault := text_fault(block)) is not None:

@@ -14,7 +14,6 @@ from msp_range.input_file import CONTROL
 from msp_range.recording.columns import CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 
 _TIME_S = "time of the echo, or of the ping where there was none, on the bridge's clock [s]"
-_RANGE_M = "distance along the beam [m]"
 _MAVLINK = {
     "name": "name of the MAVLink message",
     "hex": "the whole frame as it is on the link, in hexadecimal; of one not sent, unnumbered and unsigned",
@@ -135,7 +134,7 @@ TOPICS = {
             "status": "what the answer means",
             "raw": "the sensor's 16-bit answer; absent where there was none",
             "suspect": "a legal range that is also a known fault code",
-            "range_m": _RANGE_M,
+            "range_m": "distance along the beam [m]",
             "std_m": "standard deviation of range_m [m]",
             "temperature_c": "air temperature of the correction [deg C]",
             "temperature_std_c": "standard deviation of its error, with that of the humidity as degrees [deg C]",

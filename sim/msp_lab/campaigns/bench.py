@@ -121,7 +121,8 @@ class KnownRanging(NamedTuple):
 
 
 class _RecordedSensor:
-    """A `RangeSensor` that keeps the time since the last ping of another sensor; None where its own was not sent.
+    """A `RangeSensor` that also keeps ``lag_s``, the time from the last ping of another sensor to its own ping [s];
+    None if its ping was not sent, or is the first.
 
     ``pings_s`` has the time of each sensor's last ping [s], taken right after its command was written.
     """

@@ -31,7 +31,7 @@ _DENSITIES = (
 )
 
 Figure = tuple[str, str, Callable[..., Drawn], Any, str]
-"""File, title, what draws it, of what (None: there is only one), and what the report shows there."""
+"""File, title, function that draws it, its argument (None: it has none), and what the report shows there."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:

@@ -61,7 +61,8 @@ def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array
 
 
 def _interesting_s(runs: ScenarioRuns) -> float:
-    """Half a second before the largest change after the first; the middle where there is none."""
+    """Half a second before the largest change of the true range from shortly before the middle on; the middle if it
+    never changes [s]."""
     changes = np.abs(np.diff(runs.true_cm[0]))
     middle = changes.size // 2
     sample = middle if changes.max() == 0 else int(changes[middle - 40 :].argmax()) + middle - 40

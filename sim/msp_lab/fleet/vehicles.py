@@ -73,7 +73,7 @@ def natural(name: str) -> list[tuple[int, int | str]]:
 
 
 def _version(dataset: Path) -> str:
-    """Another one whenever a file of the dataset is."""
+    """Hash that changes whenever a file of the dataset does."""
     about = [(str(path), path.stat()) for path in sorted(dataset.rglob("*"))]
     return sha256(repr([(name, status.st_size, status.st_mtime_ns) for name, status in about]).encode()).hexdigest()
 

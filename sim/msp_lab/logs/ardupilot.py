@@ -65,7 +65,6 @@ PLACE = "place"
 """Kept like a field: where in the file each message is. No field of a log has a name in small letters only."""
 TEXTS = ("Name", "Message")
 """Fields that are texts, of all that are read; the others are numbers."""
-_FIELD = re.compile(r"\d*[a-zA-Z]")
 
 
 _WEEK_S = 604_800.0
@@ -322,7 +321,7 @@ def _formats(piece: bytes, places: Sequence[int]) -> dict[int, Any]:
 
 def _layout(form: Any) -> np.dtype[Any]:
     """A message's fields as numpy has them; pymavlink writes them in the letters of `struct`, which are numpy's."""
-    letters = _FIELD.findall(form.msg_struct[1:])
+    letters = re.findall(r"\d*[a-zA-Z]", form.msg_struct[1:])
     types = [f"S{letter[:-1]}" if letter.endswith("s") else f"<{letter}" for letter in letters]
     return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
 

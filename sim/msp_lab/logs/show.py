@@ -10,9 +10,10 @@ from msp_range.terminal import console, plain_table
 from msp_sim.page.text import counted, listed
 
 MANY_REPEATS = 0.3
-"""With a larger share of repeats while the range changes, a line says so: a log with two rows a reading has half."""
+"""A larger share of repeated readings while the range changes is reported: in a log with two rows a reading it is a
+half."""
 MOST_EFFECTS = 4
-"""Names of effects in a line; the account in dataset.json has all."""
+"""Most names of effects in a line; dataset.json has all."""
 
 
 def show(found: Sequence[Imported], out: Path | None = None) -> None:

@@ -189,7 +189,7 @@ def load_map(options: Sequence[str]) -> ColumnMap:
 
 
 def load_maps(options: Sequence[str] | None) -> ColumnMap | None:
-    """`load_map`; None where no option is given."""
+    """The map of the options as `load_map` makes it; None if no option is given."""
     return load_map(options) if options else None
 
 

@@ -56,7 +56,7 @@ class Referenced:
     """Readings with the other sensors as reference."""
 
     data: MeasuredData
-    """In the order of time."""
+    """The readings in the order of time."""
     offsets_cm: Mapping[str, float]
     """How much more than the others each sensor with a reference read on average, which was taken off."""
     rows: Mapping[str, int]
@@ -68,9 +68,10 @@ class Mounting:
     """Where a vehicle's sensors are, and how it was turned."""
 
     sensors: Mapping[str, DownwardSensor]
-    """Those that look down, by name."""
+    """The sensors that look down, by name."""
     rotations: Callable[[Array], Sequence[Matrix | None]]
-    """From times [s] in order to body to north, east, down; None where it is not known, which counts as level."""
+    """Function from increasing times [s] to rotations from body to north, east, down; None where it is not known, which
+    counts as level."""
 
 
 def side_by_side(names: Collection[str]) -> Mounting:
@@ -219,7 +220,7 @@ def _grounded(time_s: Array, around_cm: Array, least_cm: float) -> Flags:
 
 
 def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
-    """What a sensor should read; nothing depends on the height where it looks past the ground."""
+    """What a sensor should read; a sensor that looks past the ground does not depend on the height."""
     found = mounted.turned(rotation).view(float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
     return View(0.0, 0.0, 0.0, 0.0, 0.0) if found is None else found
 

@@ -1,6 +1,6 @@
 """Geometry of the vehicle that made a recording: where its sensors are, and how it was turned at each time.
 
-`Mounting` is read from a recording; a table without either is one of sensors side by side. Each run gets the other
+A recording has a `Mounting`; the sensors of a table, which has none, count as side by side. Each run gets the other
 sensors as its reference.
 """
 

@@ -37,7 +37,7 @@ class SampledFlight:
     """One flight with random parameters."""
 
     scenario: Scenario
-    """To be flown."""
+    """The scenario to be flown, with the drawn values in it."""
     seed: int
     """Random seed of the flight itself."""
     values: Mapping[str, Any]
@@ -152,7 +152,7 @@ class Sampled:
         Raises
         ------
         ImpossibleFlight
-            Its values are possible, and its flight is not.
+            Each value is possible, but the flight is not: into the ground, or longer than the scenario.
         ConfigError
             A value is not possible.
         """

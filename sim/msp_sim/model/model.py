@@ -50,7 +50,7 @@ class Term:
     values: Mapping[str, float]
     of: str | None = None
     shape: tuple[str, tuple[str, ...], tuple[Knots, ...]] | None = None
-    """For a curve: channel, variables and knots."""
+    """For an effect that is a curve: its channel, variables and knots."""
     is_added: bool = False
     """It was added to the model with which the true range was found (`Scene.about_run_mean`)."""
 
@@ -64,7 +64,7 @@ class Term:
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
 
     def having(self, values: Mapping[str, float]) -> "Term":
-        """With other values of some of its parameters."""
+        """A copy with other values of some of its parameters."""
         return replace(self, values={**self.values, **values})
 
     def change(self, scene: Scene) -> Contribution:

@@ -12,7 +12,7 @@ from msp_sim.monte_carlo.summary import Summary
 from msp_sim.page.style import GREY, OURS, REFERENCE, intervals, label, new_panels, save, shaded, style
 
 STEPS = 99
-"""Shares for which the interval of the distribution is drawn; more are not seen."""
+"""Number of shares for which the interval of the distribution is drawn; more make no visible difference."""
 
 
 @style()

@@ -55,7 +55,7 @@ class Summary:
     """Number of flights."""
     shares: tuple[Share, ...]
     distributions: tuple[Distribution, ...]
-    """What happened how often, and how large it was."""
+    """How often each event happened, and how large the errors and silences were."""
     worst: tuple[Row, ...]
     """Rows of the worst flights, the worst first."""
     failed: Mapping[int, str]

@@ -88,8 +88,8 @@ def write_page(
     page
         Name of the page's file.
     values
-        Values of the names in the template, as well as ``pictures`` and ``tables`` by their names; a missing one is an
-        error. What is not marked safe there is escaped.
+        Values of the other names in the template, which also gets ``pictures`` and ``tables``, each by name; a missing
+        one is an error. Values that the template does not mark as safe are escaped.
 
     Returns
     -------

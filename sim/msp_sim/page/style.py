@@ -27,7 +27,6 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 GREEN = "#009E73"
 ORANGE = "#E69F00"
-SKY = "#56B4E9"
 PURPLE = "#CC79A7"
 INK = "#1a1a1a"
 GREY = "#767676"
@@ -39,7 +38,7 @@ OURS = BLUE
 REFERENCE = VERMILION
 """Colour of what it is compared with: the report's value, the truth, the expectation."""
 
-SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (VERMILION, "P"))
+SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), ("#56B4E9", "v"), (VERMILION, "P"))
 """Colour and marker of the first, second ... of several series of equal importance."""
 
 BARS: dict[str, Any] = {"color": OURS, "alpha": 0.7}
@@ -67,8 +66,6 @@ DOTS: dict[str, Any] = {
 
 WIDTH_IN = 7.4
 """Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
-
-DPI = 150
 
 # Names of runs may have letters that the font lacks. They are drawn as boxes, and the user cannot change that.
 warnings.filterwarnings("ignore", "Glyph .* missing from font")
@@ -121,7 +118,7 @@ def style() -> Iterator[None]:
 
 def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
     """Make an empty figure of this size [in] on its own canvas."""
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(width_in, height_in), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
