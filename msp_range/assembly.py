@@ -50,7 +50,7 @@ def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
 
 
 def windows_of(airframe: Airframe) -> Windows:
-    """For how long a downward sensor's readings count, from the airframe's polling order."""
+    """Times for which a downward sensor's readings count, from the airframe's polling order."""
     groups = airframe.polling_groups
     # A ping waits for the answer of the previous one.
     ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
@@ -125,7 +125,7 @@ def sensor_watch_of(airframe: Airframe) -> SensorWatch | str:
 
 
 def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expected | str:
-    """What a sensor model says of a sensor's readings, as plain numbers; or why it cannot."""
+    """Numbers that a sensor model expects of a sensor's readings, or the reason why it cannot say."""
     mixture, in_flight = model.reading_model, model.in_flight
     weights = mixture.weights
     short, missed, random, spread = weights.short, weights.missed, weights.random, 1.0
@@ -163,11 +163,11 @@ class AirframeStreams(NamedTuple):
     """All streams of an airframe."""
 
     singles: dict[str, Stream]
-    """Those of sensors with a stream of their own, by name."""
+    """Streams of sensors that have a stream of their own, by name."""
     fused: Stream | None
     """The fused downward stream."""
     objects: dict[str, Stream]
-    """Those for objects below single sensors of the fused stream that have no stream of their own, by name. Their
+    """Streams for objects below single sensors of the fused stream that have no stream of their own, by name. Their
     orientation is CUSTOM, with the mounting as a quaternion: ArduPilot and PX4 would mix another downward stream with
     the fused one."""
 

@@ -170,7 +170,7 @@ Live = OwnBridge | RunningBridge
 
 @dataclass
 class Session:
-    """One vehicle and one person."""
+    """A commissioning session: the vehicle, and the person who works on it."""
 
     path: Path
     """The airframe file."""
@@ -178,7 +178,7 @@ class Session:
     clock: Clock
     """The computer whose files doctor looks at, and the clock."""
     operator: PersonAtTerminal
-    """The person."""
+    """The person at the terminal."""
     make_bus: Callable[[int | str], KernelBus] = KernelBus
     make_transport: Callable[[str, Clock], Transport] = open_transport
     """Open the bus and the transport that the airframe file names."""

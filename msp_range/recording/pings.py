@@ -52,7 +52,7 @@ class Recorded(NamedTuple):
 
     @property
     def first_ping_s(self) -> float:
-        """When it begins [s]."""
+        """Time of the first ping [s]."""
         return min(of_sensor[0].ping_s for of_sensor in self.pings.values())
 
     def air_at(self, now_s: float) -> Air:

@@ -42,10 +42,10 @@ _JSON_TYPES = {float: "number", int: "integer", str: "string", bool: "boolean"}
 
 
 class Topic(NamedTuple):
-    """What is recorded on a topic."""
+    """Messages that are recorded on a topic."""
 
     meaning: str
-    """What a message is."""
+    """Content of a message, in words."""
     keys: Mapping[str, str]
     """What each of its keys means."""
     required: frozenset[str] | None = None

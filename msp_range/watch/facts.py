@@ -21,7 +21,7 @@ class Fact(NamedTuple):
     """One field as it is now."""
 
     name: str
-    """What it is."""
+    """Name of the field, for a person."""
     text: str
     """What follows its name, for a person."""
     gauges: dict[str, tuple[str, float]]

@@ -59,7 +59,7 @@ class Stand:
 
 @dataclass(frozen=True)
 class Levels:
-    """What the heights show."""
+    """Results of holding the vehicle level at measured heights."""
 
     down_m: Mapping[str, Measured]
     """How far below the reference point each sensor is, by name [m]."""

@@ -41,7 +41,7 @@ class FilterResult:
     """Result for one filter."""
 
     filter: str
-    """Its name."""
+    """Name of the filter."""
     rows: Rows
     """Its rows in the table, by scenario."""
     before: Mapping[str, Band]
@@ -55,7 +55,7 @@ class FilterResult:
     nearest: Changes | None = None
     """If nothing fits all rows: the single change that comes nearest."""
     alone: Mapping[str, Changes | None] = field(default_factory=dict)
-    """If nothing fits all rows: the changes that fit each row alone; None: there are none."""
+    """If nothing fits all rows: the changes that fit each row alone; None for a row that no change fits."""
 
 
 def explain_rows(table: Table) -> tuple[bool, list[FilterResult]]:

@@ -79,7 +79,7 @@ class FleetEffect:
 
     @property
     def odd(self) -> tuple[UnitEstimate, ...]:
-        """The odd ones out."""
+        """The estimates of odd sensors."""
         return tuple(estimate for estimate in self.estimates if estimate.odd)
 
 
@@ -123,7 +123,7 @@ class FleetFindings:
     """Random seed, date and version of the program."""
 
     def as_json(self) -> str:
-        """All numbers."""
+        """All findings as text in JSON."""
         return json.dumps(asdict(self), indent=2) + "\n"
 
     def as_csv(self) -> str:

@@ -83,7 +83,7 @@ class Number:
     """One number over the fleet."""
 
     term: FleetTerm
-    """What it is."""
+    """The effect and parameter, or number of the base, that it is."""
     units: Indices
     """Indices of the units that have it, (k,)."""
     series: tuple[Sessions, ...]

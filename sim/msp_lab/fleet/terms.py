@@ -42,7 +42,7 @@ class FleetTerm:
     effect: str
     """Name in the catalogue or in `BASE`."""
     number: str
-    """Its parameter."""
+    """Name of the parameter."""
     of: str | None = None
     """The target (kind of ground) that it applies to; None: all."""
     shape: tuple[tuple[str, float], ...] = ()

@@ -46,11 +46,11 @@ class Joined:
     ranger: Ranger
     """The range finder."""
     data: MeasuredData
-    """Its table."""
+    """Its readings as a table, with true range and context."""
     alignment: Alignment | None = None
     """How its readings fit the reference; None: no reference, or hardly any reading with one."""
     error: TruthAccuracy | None = None
-    """How well the reference is known; None: nothing says."""
+    """Accuracy of the reference; None: not known."""
     is_shifted: bool = False
     """Whether the lag was taken off."""
     notes: tuple[str, ...] = ()

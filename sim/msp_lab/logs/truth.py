@@ -38,7 +38,7 @@ class Truth:
     name: str = ""
     """Name of the sensor, or MESSAGE.FIELD of the column."""
     factor: float = 1.0
-    """From the column's unit to metres."""
+    """Factor from the column's unit to metres."""
     file: Path | None = None
     """Another log that has the reference, on a clock of its own; None: the log itself."""
 

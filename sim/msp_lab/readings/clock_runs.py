@@ -40,11 +40,11 @@ class Stamps:
     """Times of one sender's messages in the order of the log."""
 
     place: NDArray[np.int64]
-    """Where in the log each message is, in any unit that all senders share; it increases."""
+    """Position of each message in the log, increasing, in any unit that all senders share."""
     time_s: Array
-    """Its time."""
+    """Time of each message by the clock of the log [s]."""
     other_s: Array
-    """That time by another clock; NaN where it is not known."""
+    """Time of each message by another clock [s]; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
