@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from msp_range.acoustics.air import TWO_SIDED_95_PERCENT
 from msp_range.arrays import Array, Indices
 from msp_range.commission.samples import Samples
 
@@ -249,7 +250,7 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
     curve, slope, _ = np.polyfit(lags_s[best - 1 : best + 2], sums[best - 1 : best + 2], 2)
     curvature = max(2 * float(curve), 1e-12)
     lag_s = float(np.clip(-slope / curvature, lags_s[0], lags_s[-1]))
-    error_m = MARGIN * 1.96 * fit.std_m
+    error_m = MARGIN * TWO_SIDED_95_PERCENT * fit.std_m
     # In a hover that hardly leans, delays far from the best one may fit nearly as well.
     most_m2 = sums[best] + (MARGIN * OF_MANY * fit.std_m) ** 2
     as_good_s = [abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < most_m2]
@@ -259,7 +260,7 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
 def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> Places:
     knots, sensors = len(rows.knots), len(rows.names)
     moved = fit.solution[knots:].reshape(sensors, 3)
-    half = MARGIN * 1.96 * np.sqrt(np.diag(np.linalg.inv(fit.normal))[knots:]).reshape(sensors, 3)
+    half = MARGIN * TWO_SIDED_95_PERCENT * np.sqrt(np.diag(np.linalg.inv(fit.normal))[knots:]).reshape(sensors, 3)
     shift = np.array([common_shift(rows.from_file[:, axis], moved[:, axis], half[:, axis]) for axis in range(3)])
     places_m = rows.from_file + moved - shift
     height = fit.solution[:knots] - shift[2]  # r + q . d is the height
@@ -276,7 +277,7 @@ def _scatter(residual_m: Array, fitted: float) -> Measured:
     # Heights that bend little cost less than one number each.
     free = max(len(kept) - 0.5 * fitted, 0.5 * len(kept))
     std = max(float(np.sqrt(np.mean(kept**2))), NOISE_M) * float(np.sqrt(len(kept) / free))
-    return Measured(std, 1.96 * MARGIN * std / float(np.sqrt(2 * free)))
+    return Measured(std, TWO_SIDED_95_PERCENT * MARGIN * std / float(np.sqrt(2 * free)))
 
 
 def without_outliers(off_m: Array, least_m: float) -> Array:

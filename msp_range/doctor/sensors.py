@@ -39,8 +39,8 @@ SCATTER_M = 0.30
 """Readings that lie further apart [m] are reported: a still sensor scatters by 1 to 3 cm."""
 
 
-class Looked(NamedTuple):
-    """What the sensors answered."""
+class SensorExamination(NamedTuple):
+    """Findings about the sensors, and their answers."""
 
     findings: list[Finding]
     """A finding for each step."""
@@ -50,8 +50,8 @@ class Looked(NamedTuple):
     """Shortest time from an echo to its answer [s]; None where there was none. A busy computer adds to the others."""
 
 
-def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
-    """All steps on the bus. Takes some 2 s for each sensor."""
+def examine_sensors(airframe: Airframe, bus: Bus, clock: Clock) -> SensorExamination:
+    """Make all checks of the sensors on the bus. Takes some 2 s for each sensor."""
     findings, present = _addresses(airframe, bus, clock)
     polled = polled_sensors(airframe, bus)
     alone: dict[str, list[Ranging]] = {}
@@ -68,7 +68,9 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
     ranges_m = {name: median(ranges) for name, rangings in alone.items() if (ranges := _ranges(rangings))}
     findings += disagreeing(airframe, ranges_m)
     answered = [ranging for rangings in alone.values() for ranging in rangings if ranging.reading.range_m is not None]
-    return Looked(findings, ranges_m, min([each.answered_s - each.reading.time_s for each in answered], default=None))
+    return SensorExamination(
+        findings, ranges_m, min([each.answered_s - each.reading.time_s for each in answered], default=None)
+    )
 
 
 def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding], list[SensorSettings]]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.acoustics.air import FIXED, ZERO_CELSIUS_K
+from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K
 from msp_range.arrays import Array
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
@@ -98,7 +98,7 @@ def noise_m(samples: Samples) -> dict[str, Measured]:
         variance = float(np.mean(kept**2)) / 2 - 0.01**2 / 12
         std = float(np.sqrt(max(variance, 0.0)))
         # Successive differences share a reading: 1.5 times the variance of independent ones.
-        found[name] = Measured(std, 1.96 * max(std, 0.003) * float(np.sqrt(1.5 / (2 * len(kept)))))
+        found[name] = Measured(std, TWO_SIDED_95_PERCENT * max(std, 0.003) * float(np.sqrt(1.5 / (2 * len(kept)))))
     return found
 
 
@@ -146,7 +146,7 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
     inverse = np.linalg.inv(covariance)
     solved = np.linalg.inv(matrix.T @ inverse @ matrix + prior)
     solution = solved @ matrix.T @ inverse @ wanted
-    half = 1.96 * np.sqrt(np.diag(solved))
+    half = TWO_SIDED_95_PERCENT * np.sqrt(np.diag(solved))
     down = {name: Measured(float(solution[i]), float(half[i])) for i, name in enumerate(names)}
     scale = Measured(1.0 + float(solution[-1]), float(half[-1])) if spread >= 0.3 else None
     return Levels(down, scale)

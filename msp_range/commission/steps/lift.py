@@ -128,11 +128,11 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
         outcome.unknown("lift", text, "lift it from the floor to 1 m when you are asked to, then again")
         outcome.complete = False
         return outcome
-    still = [name for name, rise_m in rises_m.items() if abs(rise_m - lifted_m) > FOLLOWED * lifted_m]
+    not_on_floor = [name for name, rise_m in rises_m.items() if abs(rise_m - lifted_m) > FOLLOWED * lifted_m]
     try:
         found = places(
             recorded.all,
-            {sensor.name: sensor.position_m for sensor in airframe.sensors if sensor.name not in still},
+            {sensor.name: sensor.position_m for sensor in airframe.sensors if sensor.name not in not_on_floor},
         )
     except NotMeasured as error:
         if len(airframe.downward) != 1:

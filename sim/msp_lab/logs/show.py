@@ -18,9 +18,9 @@ MOST_EFFECTS = 4
 
 def show(found: Sequence[Imported], out: Path | None = None) -> None:
     """Print the account of an import; with the dataset's folder also how to go on."""
-    shown = console()
+    terminal = console()
     for log in found:
-        _show(shown, log)
+        _show(terminal, log)
     if out is not None:
         runs = counted(sum(len(each.runs) for each in found), "run")
         rangers = [ranger for each in found for ranger in each.rangers]
@@ -29,16 +29,16 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
             then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
         else:
             then = "without a true range there is nothing that 'msp-lab gap' could compare them with"
-        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", soft_wrap=True)
+        terminal.print(f"{out}: {readings:,} readings in {runs}; {then}", soft_wrap=True)
 
 
-def _show(shown: Console, found: Imported) -> None:
-    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
+def _show(terminal: Console, found: Imported) -> None:
+    terminal.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
     rows = [(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger)) for ranger in found.rangers]
     rows += [(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples") for each in found.series]
-    shown.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
+    terminal.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
     for line in _lines(found):
-        shown.print(line)
+        terminal.print(line)
 
 
 def _lines(found: Imported) -> list[str]:
