@@ -32,7 +32,7 @@ thermometer's noise into every reading."""
 
 
 class Decision(Enum):
-    """What the operator wants next."""
+    """The operator's decision."""
 
     GO = "go"
     SKIP = "skip"
@@ -102,12 +102,12 @@ class Collection:
         ]
 
     def left(self, store: Store) -> str:
-        """How many points are not read yet, in words."""
+        """Text with the number of points that are not read yet."""
         return f"{sum(not store.is_done(point) for point in self.points)} of {len(self.points)} points are left"
 
 
 def load_collection(campaign_file: Path, only: Sequence[str], repeat: Sequence[str]) -> Collection:
-    """What the options of a command ask for.
+    """The campaign, and the points that a command's options select.
 
     Raises
     ------
@@ -127,13 +127,13 @@ def collect_readings(collection: Collection, bench: Bench, store: Store, operato
     Parameters
     ----------
     collection
-        What is to be measured.
+        The campaign, and its points to be read.
     bench
-        Where the sensors are.
+        The bench with the sensors.
     store
-        Where readings are recorded.
+        The folder in which readings are recorded.
     operator
-        Who sets up.
+        The person or program that sets points up.
     """
     _Session(collection, bench, store, operator).go_through(collection.todo(store))
 
@@ -239,7 +239,8 @@ class _Session:
         return Decision.GO, watches
 
     def _end_s(self, point: Point, start_cm: float) -> float:
-        """When a movement that begins now has arrived [s]; a target at rest is read for as long as it takes."""
+        """Time at which a movement that begins now ends [s]; infinite for a target at rest, which is read until it has
+        its readings."""
         movement = point.setup.movement
         if movement is None:
             return float("inf")

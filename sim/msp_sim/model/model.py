@@ -52,7 +52,7 @@ class Term:
     shape: tuple[str, tuple[str, ...], tuple[Knots, ...]] | None = None
     """For an effect that is a curve: its channel, variables and knots."""
     is_added: bool = False
-    """It was added to the model with which the true range was found (`Scene.about_run_mean`)."""
+    """Whether it was added to the model by which the true range was estimated (see `Scene.about_run_mean`)."""
 
     @property
     def stream(self) -> str:
@@ -68,7 +68,7 @@ class Term:
         return replace(self, values={**self.values, **values})
 
     def change(self, scene: Scene) -> Contribution:
-        """What it changes; where its contexts make no sense, NaN without a warning."""
+        """Contribution of the effect; NaN, without a warning, for contexts that make no sense."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             change = self.effect.apply(scene, self.values)
             if change.bias_cm is None or not self.is_added:
@@ -117,7 +117,7 @@ class Model:
         return cls(sensor, tuple(effects))
 
     def with_step(self, step_cm: float) -> "Model":
-        """The same model, of readings in another step [cm]."""
+        """A copy for readings in another step [cm]."""
         if step_cm == self.sensor.resolution_cm:
             return self
         content = self.sensor.model_dump() | {"resolution_cm": step_cm}
@@ -128,7 +128,7 @@ class Model:
         return replace(self, effects=(*self.effects, make_term(name, of, values)))
 
     def added_from(self, given: int) -> "Model":
-        """The same model, whose effects from this place on were added to a given one."""
+        """A copy in which the effects from this index on count as added to a given model."""
         effects = (replace(effect, is_added=i >= given) for i, effect in enumerate(self.effects))
         return replace(self, effects=tuple(effects))
 
@@ -246,7 +246,7 @@ def base_rows(model: Model, scene: Scene) -> ModelRows:
 
 
 def history_of(scene: Scene, correlation: float, spacing_s: float) -> History:
-    """Which reading of a scene came before which."""
+    """The history of a scene's readings: which one came before which."""
     columns = {name: scene[name] for name in HISTORY_COLUMNS if name in scene}
     return History.of(columns, int(np.size(scene.range_cm)), correlation, spacing_s)
 
@@ -293,7 +293,7 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
 
 
 def shifted(scene: Scene, effects: Iterable[Term]) -> Scene:
-    """The scene that readings are of, by those of the effects that say when it was."""
+    """The scene that the readings show, shifted in time by the effects that do that."""
     for effect in effects:
         known = effect.effect.is_shift and applies(scene, effect)
         if known is not False:
@@ -302,12 +302,12 @@ def shifted(scene: Scene, effects: Iterable[Term]) -> Scene:
 
 
 def shifts_first(effects: Iterable[Term]) -> list[Term]:
-    """The effects, first those that say when the scene was that the others are of."""
+    """The effects, those first that shift the scene in time for the others."""
     return sorted(effects, key=lambda each: not each.effect.is_shift)
 
 
 def shifted_by(scene: Scene, known: Any, change: Contribution) -> Scene:
-    """The scene for the effects after one that has this change in known rows."""
+    """The scene for later effects, after one with this change in the rows where its columns are known."""
     return scene if change.ago_s is None else scene.at(_where(known, change.ago_s))
 
 
