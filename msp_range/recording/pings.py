@@ -40,7 +40,7 @@ Pings = Mapping[str, Sequence[RecordedPing]]
 
 
 class Recorded(NamedTuple):
-    """What a bridge received, to be played again; of a table only pings and air."""
+    """The input of a bridge, to be played again; from a table only pings and air."""
 
     pings: Pings
     """Pings of every sensor."""

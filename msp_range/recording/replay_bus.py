@@ -27,7 +27,7 @@ class ReplayBus:
     clock
         The bridge's clock.
     playbacks
-        By 7-bit address, what makes the sensor there: a driver's ``playback``.
+        Function that makes the recorded sensor at each 7-bit address: a driver's ``playback``.
 
     Attributes
     ----------

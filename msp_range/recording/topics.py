@@ -49,7 +49,7 @@ class Topic(NamedTuple):
     keys: Mapping[str, str]
     """What each of its keys means."""
     required: frozenset[str] | None = None
-    """Keys without which a message is of no use; None: nobody reads the topic back."""
+    """Keys that a message needs to be used; None: nothing reads the topic back."""
 
     def fits(self, message: Mapping[str, Any]) -> bool:
         """Whether a message has these keys; those that are not named hold one number, text or truth value."""
@@ -165,7 +165,7 @@ def _known(topic: str) -> str:
 
 
 def read_back(topic: str) -> Topic | None:
-    """What is recorded on a topic; None for topics that nobody reads back, of this program or another."""
+    """The messages recorded on a topic; None for topics that nothing reads back, of this program or another."""
     found = TOPICS.get(_known(topic))
     return None if found is None or found.required is None else found
 

@@ -47,7 +47,7 @@ def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]])
 
 
 def _present(bus: Bus, clock: Clock, addresses: Sequence[int]) -> list[int]:
-    """Those of the addresses at which a device acknowledges, in ascending order."""
+    """The addresses among these at which a device acknowledges, in ascending order."""
     there = {address for address in addresses if acknowledges(bus, address)}
     if len(there) < len(addresses):
         # A sensor that is measuring does not acknowledge.

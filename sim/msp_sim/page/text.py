@@ -75,7 +75,7 @@ def listed(names: Sequence[str], most: int = 12) -> str:
 
 
 def capitalised(text: str) -> str:
-    """With a capital first letter."""
+    """The text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
