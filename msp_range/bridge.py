@@ -464,7 +464,7 @@ class Bridge:
         self.verdict = verdict_of(self.health.conditions, self.health.complete and is_there)
         self.link.system_status = _SYSTEM_STATUS[self.verdict.state]
         if self._reminder.is_due(now_s, self.link.autopilot_clock.reboots if is_there else None):
-            texts = [(each.severity, each.text) for each in self.verdict.findings if each.is_reported]
+            texts = [(reported.severity, reported.text) for reported in self.verdict.findings if reported.is_reported]
             for severity, text in texts + self._below.texts():
                 self.link.send_text(severity, text)
 

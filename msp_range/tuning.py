@@ -39,7 +39,9 @@ def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Mo
         airframe = load_airframe_from(Recording(paths[0]).files, paths[0], "; name one with --airframe")
     parameters = _kalman_of(airframe, model)
     models = [sensor.sensor_model for sensor in airframe.sensors]
-    variance_cm2 = max(each.reading_model.sigma_cm**2 + each.answered_cm**2 / 12 for each in models)
+    variance_cm2 = max(
+        sensor_model.reading_model.sigma_cm**2 + sensor_model.answered_cm**2 / 12 for sensor_model in models
+    )
     try:
         return tune(tracks, parameters, variance_cm2)
     except ValueError as error:

@@ -115,8 +115,8 @@ def _correct(
 
 def _asked(session: Session, proposal: Proposal) -> str:
     lines = wrapped("change   ", proposal.text)
-    for each in proposal.edits:
-        lines += wrapped("         ", f"{place_of(each.path)}: {edit.as_yaml(each.value)}")
+    for change in proposal.edits:
+        lines += wrapped("         ", f"{place_of(change.path)}: {edit.as_yaml(change.value)}")
     return "\n".join(lines)
 
 

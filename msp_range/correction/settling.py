@@ -159,8 +159,10 @@ class Settling:
         for tau_s in TAUS_S:
             grown = [math.exp(age_s / tau_s) for age_s, _ in values]
             mean = sum(grown) / len(grown)
-            square = sum((each - mean) ** 2 for each in grown) + noise_c2 / LAG_STD_C**2
-            product = sum((each - mean) * (past_c - mean_c) for each, (_, past_c) in zip(grown, values, strict=True))
+            square = sum((growth - mean) ** 2 for growth in grown) + noise_c2 / LAG_STD_C**2
+            product = sum(
+                (growth - mean) * (past_c - mean_c) for growth, (_, past_c) in zip(grown, values, strict=True)
+            )
             lags_c.append(-product / square)
             variances.append(noise_c2 / square)
             logs.append(0.5 * product * product / square / noise_c2 - 0.5 * math.log(square))

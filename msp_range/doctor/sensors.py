@@ -69,7 +69,7 @@ def examine_sensors(airframe: Airframe, bus: Bus, clock: Clock) -> SensorExamina
     findings += disagreeing(airframe, ranges_m)
     answered = [ranging for rangings in alone.values() for ranging in rangings if ranging.reading.range_m is not None]
     return SensorExamination(
-        findings, ranges_m, min([each.answered_s - each.reading.time_s for each in answered], default=None)
+        findings, ranges_m, min([ranging.answered_s - ranging.reading.time_s for ranging in answered], default=None)
     )
 
 
@@ -104,7 +104,7 @@ def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding
     if answers.verdict is WRONG:
         return [answers], []
     findings = [answers] if present else []
-    names = {each.address: each.name for each in present}
+    names = {sensor.address: sensor.name for sensor in present}
     findings += [_absent(sensor, others, names) for sensor in sensors if sensor not in present]
     if others:
         listed = "; ".join(

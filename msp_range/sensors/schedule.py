@@ -131,7 +131,7 @@ class RoundRobin:
         if not groups or not all(groups):
             raise ValueError(f"every polling group needs at least one sensor; found {groups!r}")
         self._groups = [[_Turns(sensor) for sensor in group] for group in groups]
-        self._of = {each.sensor.name: each for group in self._groups for each in group}
+        self._of = {member.sensor.name: member for group in self._groups for member in group}
         self._interval_s = interval_s
         self._near = near
         self._dead_after = dead_after
@@ -204,6 +204,6 @@ class RoundRobin:
         """Time from the previous turn to the next one [s]."""
         if self._near is None:
             return self._interval_s
-        working = [each for each in self._of.values() if not self._is_dead(each)]
-        is_near = working and all(each.is_near for each in working)
+        working = [turns for turns in self._of.values() if not self._is_dead(turns)]
+        is_near = working and all(turns.is_near for turns in working)
         return self._near.ping_interval_s if is_near else self._interval_s

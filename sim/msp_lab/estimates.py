@@ -196,7 +196,7 @@ def between_points(residual: Array, variance: Array, known: float = 0.0, fitted:
     freedom = residual.size - fitted
     wanted = (freedom, *chdtri(freedom, [0.025, 0.975]).tolist())
     mean = np.ones((residual.size, 1))
-    value, low, high = (math.sqrt(_variance_between(mean, residual, variance + known, each)) for each in wanted)
+    value, low, high = (math.sqrt(_variance_between(mean, residual, variance + known, total)) for total in wanted)
     return IntervalEstimate(value, low, high, "cm", residual.size, "points")
 
 
@@ -308,7 +308,7 @@ def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSprea
         IntervalEstimate(mean, *mean_ends, "cm", values.size),
         IntervalEstimate(spread, least, largest, "cm", values.size),
     )
-    return MeanAndSpread(*(each.mapped(lambda steps: step * steps) for each in found))
+    return MeanAndSpread(*(estimate.mapped(lambda steps: step * steps) for estimate in found))
 
 
 def _log_likelihood(values: Array, means: Array, spreads: Array) -> Array:

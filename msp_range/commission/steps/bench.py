@@ -211,7 +211,7 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
         outcome.wrong("level", text, "put it level, or calibrate the autopilot's level, then again")
         return outcome
     noise = noise_m(still)
-    outcome.measured["noise_cm"] = {name: round(100 * each.value, 2) for name, each in noise.items()}
+    outcome.measured["noise_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in noise.items()}
     compare_noise(airframe, noise, "while still", outcome)
     answer_s = latency_s(still)
     if math.isfinite(answer_s):
@@ -274,8 +274,8 @@ def _warmer_c(airframe: Airframe, flown: Airframe, source: str) -> float:
     """How much warmer the air would be by a changed file [deg C]."""
     if source == FIXED:
         return airframe.temperature.fixed_c - flown.temperature.fixed_c
-    bias_c = {each.name: each.bias_c for each in airframe.temperature.sources}
-    bias_then_c = {each.name: each.bias_c for each in flown.temperature.sources}
+    bias_c = {thermometer.name: thermometer.bias_c for thermometer in airframe.temperature.sources}
+    bias_then_c = {thermometer.name: thermometer.bias_c for thermometer in flown.temperature.sources}
     return bias_then_c.get(source, 0.0) - bias_c.get(source, 0.0)
 
 
@@ -287,7 +287,7 @@ def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source
     if not measured.differs_from(assumed_c, WARMER_C):
         outcome.right("air temperature", text)
         return
-    sources, fixed_c = [each.name for each in airframe.temperature.sources], airframe.temperature.fixed_c
+    sources, fixed_c = [thermometer.name for thermometer in airframe.temperature.sources], airframe.temperature.fixed_c
     if source in sources:
         i = sources.index(source)
         before_c = airframe.temperature.sources[i].bias_c

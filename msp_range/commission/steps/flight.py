@@ -137,7 +137,7 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
         outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")
-    outcome.measured["noise_in_flight_cm"] = {name: round(100 * each.value, 2) for name, each in found.std_m.items()}
+    outcome.measured["noise_in_flight_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in found.std_m.items()}
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
 

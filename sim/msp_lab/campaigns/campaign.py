@@ -56,7 +56,7 @@ class Span(Section):
     def values(self) -> tuple[float, ...]:
         """All values."""
         count = round((self.last - self.first) / self.step)
-        return tuple(round(self.first + self.step * each, 6) for each in range(count + 1))
+        return tuple(round(self.first + self.step * i, 6) for i in range(count + 1))
 
 
 _Spread = BeforeValidator(lambda given: Span.model_validate(given).values if isinstance(given, dict) else given)

@@ -30,7 +30,7 @@ become peaks of their own."""
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
     """Accuracy at the points with nothing varied; ``reference_std_cm`` as for `calibration.calibrate`."""
     found = sorted((point.found for point in points), key=lambda result: result.true_range_cm)
-    known = [(each.true_range_cm, each.error.value, each.error.standard_error**2) for each in found if each.error]
+    known = [(point.true_range_cm, point.error.value, point.error.standard_error**2) for point in found if point.error]
     if not known:
         return None
     echoes = [point for point in points if point.found.error is not None]

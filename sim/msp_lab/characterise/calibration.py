@@ -185,7 +185,7 @@ def _choose(data: _Points) -> _Choice:
     for form, pieces in tried:
         # Mean square error taken off, ranges as the unit.
         saved = errors[kept_pieces] ** 2 - errors[pieces] ** 2
-        gain = mean_of_points(np.array([saved[data.range_cm == each].mean() for each in ranges]), unit="cm^2")
+        gain = mean_of_points(np.array([saved[data.range_cm == at_cm].mean() for at_cm in ranges]), unit="cm^2")
         held_out.append(HeldOut(form, _rms(errors[pieces]), gain))
         is_better = gain.ends[0] > 0.0
         if is_better and by_run:

@@ -84,7 +84,7 @@ def _notes(
 ) -> Iterator[str]:
     """What to know of set-ups that were moved, and of parameters at a bound or not identified."""
     if moved:
-        farthest_cm = max(abs(each.error_cm) for each in moved)
+        farthest_cm = max(abs(set_up.error_cm) for set_up in moved)
         yield (
             f"{len(moved)} of {set_ups} set-ups are fitted about the mean of their own hits, up to "
             f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "

@@ -264,9 +264,9 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
             )
         )
     points.sort(key=lambda each: int(each.rows[0]))
-    alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
+    alike = [set_up.reading_cm[set_up.is_hit] for set_up in points if set_up.condition == BASELINE and set_up.is_fixed]
     usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
-    return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
+    return [replace(set_up, usual_spread_cm=usual_cm) if set_up.condition == BASELINE else set_up for set_up in points]
 
 
 def conditions(data: MeasuredData) -> Texts:

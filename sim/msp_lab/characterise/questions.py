@@ -257,7 +257,7 @@ def _exp(value: float) -> float:
 
 
 def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
-    verdict = next(each for each in VERDICTS if any(effect.verdict == each for effect in effects))
+    verdict = next(possible for possible in VERDICTS if any(effect.verdict == possible for effect in effects))
     decisive = [effect for effect in effects if effect.verdict == verdict]
     who = f" for {question.sensor}" if question.sensor else ""
     answer = f"{question.compared}{who}: {verdict}"

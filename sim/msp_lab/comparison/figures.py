@@ -106,7 +106,7 @@ def table_5_1(findings: Findings) -> PageTable:
             (
                 *compensation_cells(row),
                 number(row.implied_c.value, 1),
-                *(number(each, 3) for each in REPORT.mean_errors_at(row.range_cm) or (None, None)),
+                *(number(error_cm, 3) for error_cm in REPORT.mean_errors_at(row.range_cm) or (None, None)),
                 number(implied_temperature_c(row.range_cm), 1),
             )
             for row in findings.temperature_compensation

@@ -97,7 +97,7 @@ def _is_reversed(of_filter: Mapping[str, Rows]) -> bool:
             unfit += misfit(base, rows, SEEDS)[1] > WIDTH
             lags = (change for change in single(base) if change.kind in _LAGS)
             late = [change for change in lags if change.kind != "delay" or change.value > 0]
-            total += min(misfit(each, rows, SEARCH_SEEDS)[0] for each in (base, *(one.made_in(base) for one in late)))
+            total += min(misfit(start, rows, SEARCH_SEEDS)[0] for start in (base, *(one.made_in(base) for one in late)))
         scores.append((unfit, total))
     return scores[1] < scores[0]
 

@@ -64,8 +64,8 @@ class FilterComparison:
 def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
     """Compare with the report's Gaussian noise, which is the changepoint filter's model too."""
     runs = report_readings(truth(name, seeds, rng), rng)
-    estimates = {each: apply(variant, runs.reading_cm) for each, variant in CAUSAL.items()}
-    estimates |= {f"centred {each}": apply(variant, runs.reading_cm) for each, variant in CENTRED.items()}
+    estimates = {filter_name: apply(variant, runs.reading_cm) for filter_name, variant in CAUSAL.items()}
+    estimates |= {f"centred {filter_name}": apply(variant, runs.reading_cm) for filter_name, variant in CENTRED.items()}
     estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, GAUSSIAN)
     estimates[ORACLE] = oracle(runs)
     return _compared(runs, estimates, variance_cm2)
@@ -74,10 +74,13 @@ def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Fil
 def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
     """Compare with some readings missing, short or random; all filters are behind the same status gate."""
     runs = outlier_readings(truth(name, seeds, rng), rng)
-    estimates = {each: behind_the_gate(partial(apply, variant), runs.reading_cm) for each, variant in CAUSAL.items()}
+    estimates = {
+        filter_name: behind_the_gate(partial(apply, variant), runs.reading_cm)
+        for filter_name, variant in CAUSAL.items()
+    }
     estimates |= {
-        f"{each} in time": over_samples(variant, runs.reading_cm)
-        for each, variant in CAUSAL.items()
+        f"{filter_name} in time": over_samples(variant, runs.reading_cm)
+        for filter_name, variant in CAUSAL.items()
         if variant.family != "kalman"
     }
     estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, OUTLIERS)
@@ -171,7 +174,7 @@ class Study:
 
 def run_study(seeds: int, seed: int) -> Study:
     """Run the study; every part has its own random numbers."""
-    parts = [np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
+    parts = [np.random.default_rng(sequence) for sequence in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
     return Study(
         {name: compare_report_noise(name, seeds, parts[index]) for index, name in enumerate(NAMES)},
         {name: compare_with_outliers(name, seeds, parts[3 + index]) for index, name in enumerate(NAMES)},

@@ -144,7 +144,9 @@ def _columns_in_order(table: Mapping[tuple[str, str], Row]) -> Table:
 def _is_swapped(row: Row) -> bool | None:
     """Whether RMS^2 = mean^2 + (N - 1) / N variance holds with the column headed median only; None: undecided."""
     rms, _, median, mean, variance = row.values
-    as_named, exchanged = (abs(rms * rms - each * each - variance * (SAMPLES - 1) / SAMPLES) for each in (mean, median))
+    as_named, exchanged = (
+        abs(rms * rms - middle * middle - variance * (SAMPLES - 1) / SAMPLES) for middle in (mean, median)
+    )
     # What the rounding of the printed numbers explains.
     rounding = rms * 10.0 ** -row.decimals[0] + 0.5 * 10.0 ** -row.decimals[4]
     if as_named <= rounding and exchanged <= rounding:

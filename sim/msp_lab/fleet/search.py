@@ -93,7 +93,7 @@ class FleetSearch:
         """All findings, the simplest explanation first."""
         everyone = range(len(self.units))
         own = self._own(everyone)
-        while self._take_shared(named_by([each.effects for each in own])):
+        while self._take_shared(named_by([own_search.effects for own_search in own])):
             own = self._own(everyone)
         self._take_changes(own)
         self._take_odd(own)
@@ -150,7 +150,7 @@ class FleetSearch:
 
     def _take_odd(self, own: Sequence[OwnEffects]) -> None:
         """Add effects that the searches in some units found, and that the others do not have, or have less of."""
-        left = [list(each.effects) for each in own]
+        left = [list(own_search.effects) for own_search in own]
         while names := named_by(left):
             best = names[0]
             _, number = self._with(best.term)
@@ -201,7 +201,7 @@ def named_by(effects: Sequence[Iterable[Names]]) -> list[Named]:
 
 def near(name: Named, names: Iterable[Named]) -> tuple[tuple[FleetTerm, float], ...]:
     """Alternatives in the same units, with how much less they gain [nat]."""
-    lost = [(each.term, each.lost_nats - name.lost_nats) for each in names if set(each.units) >= set(name.units)]
+    lost = [(other.term, other.lost_nats - name.lost_nats) for other in names if set(other.units) >= set(name.units)]
     return tuple(each for each in lost if each[0] != name.term and each[1] <= rules.ALTERNATIVE_NATS)
 
 

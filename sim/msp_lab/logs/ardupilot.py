@@ -149,7 +149,7 @@ def flight_of(found: Messages) -> LoggedFlight:
 
 def _rangers(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[Ranger]:
     rangers = []
-    for rfnd in [each for name, each in flight.items() if name.partition("[")[0] == "RFND"]:
+    for rfnd in [messages for name, messages in flight.items() if name.partition("[")[0] == "RFND"]:
         if "Dist" in rfnd:
             number = int(rfnd.get("Instance", rfnd.get("I", 0.0)[0])[0])
             rangers.append(_ranger(number + 1, rfnd, ("Dist", "Orient"), parameters))
@@ -217,7 +217,7 @@ def _parameters(found: Messages) -> dict[str, float]:
 def _version(found: Messages) -> str:
     texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
     named = (text.decode("ascii", "replace") for text in texts)
-    return next((each for each in named if re.match(r"[\w:]+ V\d", each)), "unknown version")
+    return next((text for text in named if re.match(r"[\w:]+ V\d", text)), "unknown version")
 
 
 @contextlib.contextmanager
@@ -285,7 +285,7 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
                 bad += size - file.tell()
                 break
             newest = {piece[at + 3]: piece[at : at + _FMT_BYTES] for at in offsets[_FMT]}
-            formats = b"".join(each for each in newest.values() if len(each) == _FMT_BYTES)
+            formats = b"".join(message for message in newest.values() if len(message) == _FMT_BYTES)
             progress(file.tell() / size)
     joined = {name: {field: np.concatenate(parts) for field, parts in fields.items()} for name, fields in found.items()}
     bad += len(rest)
@@ -323,7 +323,7 @@ def _layout(form: Any) -> np.dtype[Any]:
     """A message's fields as numpy has them; pymavlink writes them in the letters of `struct`, which are numpy's."""
     letters = re.findall(r"\d*[a-zA-Z]", form.msg_struct[1:])
     types = [f"S{letter[:-1]}" if letter.endswith("s") else f"<{letter}" for letter in letters]
-    return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
+    return np.dtype([(f"f{index}", kind) for index, kind in enumerate(types)])
 
 
 def _values(piece: bytes, places: Sequence[int], form: Any, fields: Sequence[str]) -> Iterator[tuple[str, Column]]:

@@ -58,7 +58,7 @@ def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -
         if found is None:
             raise RecordingError(f"{path}: no reference in this file")
         reference = found
-    ranger = next((each for each in log.rangers if each.is_down), None)
+    ranger = next((candidate for candidate in log.rangers if candidate.is_down), None)
     if ranger is None:
         raise RecordingError(f"{log.path}: no range finder that looks down, to compare with {path.name}")
     try:

@@ -287,7 +287,7 @@ def _without_truth(ranger: Ranger) -> Ranger:
 
 def _why_no_truth(joined: Sequence[Joined]) -> str:
     """Why no reading of a log has the reference that it was compared with."""
-    reasons = [f"{each.ranger.name}: {note}" for each in joined for note in each.notes]
+    reasons = [f"{one.ranger.name}: {note}" for one in joined for note in one.notes]
     if not any(each.ranger.is_down for each in joined):
         reasons = ["no range finder looks down, and of others a height says nothing"]
     return "; ".join(reasons) or "no reading has it"

@@ -144,7 +144,7 @@ def _is_for(log: VehicleLog, reference: TruthSource, ranger: Ranger) -> bool:
     of itself. A column may be a range along the beam where none of them looks down."""
     if reference.ranger == ranger.name:
         return False
-    return ranger.is_down or (reference.kind == "column" and not any(each.is_down for each in log.rangers))
+    return ranger.is_down or (reference.kind == "column" and not any(other.is_down for other in log.rangers))
 
 
 def _about_lost(reference: TruthSource, at_s: Array) -> list[str]:

@@ -226,9 +226,9 @@ class VehicleLog:
             span = (run.start_s, end_s, run.later_s)
             yield replace(
                 self,
-                rangers=tuple(ranger for each in self.rangers if len((ranger := each.during(*span)).series)),
-                context={name: found for name, each in self.context.items() if len(found := each.during(*span))},
-                references=tuple(truth for each in self.references if len((truth := each.during(*span)).series)),
+                rangers=tuple(ranger for whole in self.rangers if len((ranger := whole.during(*span)).series)),
+                context={name: found for name, whole in self.context.items() if len(found := whole.during(*span))},
+                references=tuple(truth for whole in self.references if len((truth := whole.during(*span)).series)),
                 notes=(*self.notes[: 0 if number else None], *([run.note] if number else [])),
                 clock=(),
             )
@@ -246,7 +246,7 @@ def make_log(
     clock: tuple[ClockRun, ...] = (),
 ) -> VehicleLog:
     """A log without the series and references that it lacks, which are None or empty."""
-    known = {name: each for name, each in context.items() if each is not None and len(each)}
+    known = {name: found for name, found in context.items() if found is not None and len(found)}
     return VehicleLog(path, form, tuple(rangers), known, tuple(filter(None, references)), tuple(notes), clock)
 
 

@@ -104,7 +104,7 @@ def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
         place = np.array(log.places[each.msg_id])[-each.data["timestamp"].size :]
         topics.append(messages_of(name, each.data, place))
     clock = make_continuous(topics)
-    flight = LoggedFlight({each.source: each for each in topics})
+    flight = LoggedFlight({columns.source: columns for columns in topics})
     parameters = log.initial_parameters | {name: value for _, name, value in log.changed_parameters}
     context = {
         TILT: flight.combined("vehicle_attitude", ("q[1]", "q[2]"), tilt_of_quaternion_deg, "q"),

@@ -127,7 +127,7 @@ def read_bag(path: Path, asked: LogRequest) -> VehicleLog:
         except (AttributeError, IndexError, TypeError, ValueError) as error:
             raise RecordingError(f"{path}: {name}, a {kind}, has no such number: {error}") from None
     clock = make_continuous(topics.values())
-    known = [each for each in topics.values() if each.message_type in _FIELDS]
+    known = [connection for connection in topics.values() if connection.message_type in _FIELDS]
     references = _references(known)
     references += [TruthSource("column", topics[name].series(field)) for name in names if name in topics]
     return make_log(path, "ROS bag", _rangers(known), _context(known), references, notes, clock)

@@ -22,8 +22,8 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
     for log in found:
         _show(terminal, log)
     if out is not None:
-        runs = counted(sum(len(each.runs) for each in found), "run")
-        rangers = [ranger for each in found for ranger in each.rangers]
+        runs = counted(sum(len(log.runs) for log in found), "run")
+        rangers = [ranger for log in found for ranger in log.rangers]
         readings = sum(ranger.readings for ranger in rangers)
         if any(ranger.with_truth for ranger in rangers):
             then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
@@ -35,7 +35,9 @@ def show(found: Sequence[Imported], out: Path | None = None) -> None:
 def _show(terminal: Console, found: Imported) -> None:
     terminal.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
     rows = [(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger)) for ranger in found.rangers]
-    rows += [(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples") for each in found.series]
+    rows += [
+        (series.name, series.source, _rate(series.rate_hz), f"{series.samples:,} samples") for series in found.series
+    ]
     terminal.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
     for line in _lines(found):
         terminal.print(line)
@@ -48,9 +50,9 @@ def _lines(found: Imported) -> list[str]:
     if usable := [f"{kind} ({source})" for kind, source in found.others.items() if kind not in found.refused]:
         lines.append(f"also in the log: {', '.join(usable)}")
     lines += [f"refused: {kind}: {found.others[kind]}" for kind in found.refused]
-    for each in found.missing:
-        named = listed(each.effects, MOST_EFFECTS)
-        lines.append(f"missing: {each.column}; without {each.what} these effects cannot be found: {named}")
+    for missing in found.missing:
+        named = listed(missing.effects, MOST_EFFECTS)
+        lines.append(f"missing: {missing.column}; without {missing.what} these effects cannot be found: {named}")
     return lines + [f"note: {note}" for note in found.notes]
 
 

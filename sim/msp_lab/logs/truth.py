@@ -148,7 +148,7 @@ def is_same(one: Series, other: Series) -> bool:
 
 
 def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
-    ranger = next((each for each in log.rangers if each.name == name), None)
+    ranger = next((candidate for candidate in log.rangers if candidate.name == name), None)
     if ranger is None:
         raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {_names(log)}")
     series = ranger.series

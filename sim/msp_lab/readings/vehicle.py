@@ -44,10 +44,10 @@ def mounting_of(recording: Recording) -> Mounting | None:
 
     def rotations(time_s: Array) -> Sequence[Matrix | None]:
         found = []
-        for each in time_s.tolist():
-            while attitudes and attitudes[0][0] <= each + AFTER_S:
+        for at_s in time_s.tolist():
+            while attitudes and attitudes[0][0] <= at_s + AFTER_S:
                 track.update(attitudes.popleft()[1])
-            found.append(track.rotation_at(each))
+            found.append(track.rotation_at(at_s))
         return found
 
     return Mounting(sensors, rotations)

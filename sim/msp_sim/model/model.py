@@ -107,11 +107,11 @@ class Model:
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
         if sensor.oblique_reading == "slant" and all(effect.effect.name != "slant_range" for effect in effects):
             effects.append(make_term("slant_range", None, {"share": 1.0}))
-        for i, each in enumerate(effects):
-            if "code" in each.effect.channels and not each.effect.happens_to(sensor):
+        for i, effect in enumerate(effects):
+            if "code" in effect.effect.channels and not effect.effect.happens_to(sensor):
                 step_cm = sensor.resolution_cm
                 raise ConfigError(
-                    f"effects[{i}].name: {each.effect.name} acts on bytes of whole centimetres, and resolution_cm is "
+                    f"effects[{i}].name: {effect.effect.name} acts on bytes of whole centimetres, and resolution_cm is "
                     f"{step_cm:g}"
                 )
         return cls(sensor, tuple(effects))

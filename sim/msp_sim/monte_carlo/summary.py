@@ -96,7 +96,7 @@ def summarise(rows: Sequence[Row], failed: Mapping[int, str]) -> Summary:
 
 def _share(rows: Sequence[Row], column: str) -> Share:
     known = [row[column] for row in rows if row[column] is not None]
-    count = sum(each > 0 for each in known)
+    count = sum(value > 0 for value in known)
     return Share(EVENTS[column], count, len(known), *wilson(count, len(known)))
 
 

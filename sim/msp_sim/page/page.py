@@ -110,7 +110,9 @@ def write_page(
         lstrip_blocks=True,
     )
     html = environment.get_template(file_name).render(
-        pictures={each.name: each for each in pictures}, tables={each.name: each for each in tables}, **values
+        pictures={picture.name: picture for picture in pictures},
+        tables={table.name: table for table in tables},
+        **values,
     )
     try:
         folder.mkdir(parents=True, exist_ok=True)

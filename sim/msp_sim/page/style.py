@@ -188,7 +188,7 @@ def _add_legend(figure: Figure) -> None:
         handle for axes in figure.axes if axes.get_legend() is None for handle in axes.get_legend_handles_labels()[0]
     ]
     # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
-    handles = {str(each.get_label()): each for each in drawn}
+    handles = {str(handle.get_label()): handle for handle in drawn}
     if handles:
         columns = int(figure.get_figwidth() / (_LETTER_IN * max(map(len, handles)) + _HANDLE_IN))
         figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=max(columns, 1))

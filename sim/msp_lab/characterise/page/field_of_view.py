@@ -50,9 +50,9 @@ def sweep(rows: PictureData, range_cm: float) -> Drawn:
     """Draw the readings over angle at a range [cm]."""
     found = rows.of("field_of_view")
     view = rows.needed(rows.findings.field_of_view, "field_of_view")
-    angle = next((each for each in view.angles if each.range_cm == range_cm), None)
+    angle = next((candidate for candidate in view.angles if candidate.range_cm == range_cm), None)
     if angle is None:
-        there = ", ".join(f"{each.range_cm:g}" for each in view.angles[:12])
+        there = ", ".join(f"{candidate.range_cm:g}" for candidate in view.angles[:12])
         raise Absent(f"The field of view was not measured at {range_cm:g} cm at several angles, but at {there} cm.")
     breakaway = "Breakaway not found: no angle is reliable to both sides"
     if angle.half_angle.value:
@@ -130,7 +130,7 @@ def _sonar(rows: PictureData) -> Drawn:
     equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
     span_cm = np.linspace(0.6 * np.min(used_cm), np.max(used_cm), 120)
     # Where there is no echo, None becomes NaN.
-    span_deg = np.array([equation.half_angle_deg(each / 100.0) for each in span_cm.tolist()], dtype=float)
+    span_deg = np.array([equation.half_angle_deg(at_cm / 100.0) for at_cm in span_cm.tolist()], dtype=float)
     figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())

@@ -142,7 +142,7 @@ def densities(rows: PictureData) -> Densities:
     here = [
         set_up for set_up in set_ups if set_up.condition == condition and math.isclose(set_up.true_range_cm, true_cm)
     ]
-    apparent_cm = mean_cm + sum(each.error_cm for each in here) / max(len(here), 1)
+    apparent_cm = mean_cm + sum(set_up.error_cm for set_up in here) / max(len(here), 1)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm]

@@ -121,7 +121,7 @@ def material(rows: PictureData, name: str) -> Drawn:
 
 def _one_of(groups: Mapping[str, Sequence[PointReadings]], name: str) -> Drawn:
     """Draw one of several groups of points, on the scale that all of them need."""
-    errors = {each: errors_of(points) for each, points in groups.items() if points}
+    errors = {group: errors_of(points) for group, points in groups.items() if points}
     return draw_errors([errors[name]], scale_of(list(errors.values()))), summary(errors[name])
 
 
@@ -137,7 +137,7 @@ def temperature(rows: PictureData, kind: str) -> Drawn:
     }
     here = kinds[kind]
     if not here:
-        there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint([air_c for _, air_c in known]))[:8])
+        there = ", ".join(f"{degrees_c:.0f}" for degrees_c in np.unique(np.rint([air_c for _, air_c in known]))[:8])
         raise Absent(f"No readings at {kind} temperature; the air was at {there} °C.")
     figure, counts = _one_of(kinds, kind)
     far_c = np.array([point.target_temperature_c for point in here])
@@ -188,4 +188,4 @@ def external(rows: PictureData) -> Drawn:
 def _answers(rows: PictureData, name: str, level: str = "") -> str:
     """Answers to the questions of an experiment, or of one of its levels, one sentence each."""
     asked = [question for question in rows.findings.questions if question.name == name]
-    return "".join(f" {sentence(each.answer)}" for each in asked if level in ("", each.level))
+    return "".join(f" {sentence(question.answer)}" for question in asked if level in ("", question.level))

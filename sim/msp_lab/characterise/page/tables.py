@@ -126,7 +126,7 @@ def _point(point: PointResult) -> tuple[str, ...]:
         f"{point.true_range_cm:g}",
         "" if point.incidence_deg is None else number(point.incidence_deg, 1),
         *(f"{count:,}" for count in counts),
-        *("–" if each is None else number(each.value, 2) for each in (point.error, point.spread)),
+        *("–" if estimate is None else number(estimate.value, 2) for estimate in (point.error, point.spread)),
     )
 
 
