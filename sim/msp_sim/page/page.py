@@ -109,11 +109,9 @@ def write_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    html = environment.get_template(file_name).render(
-        pictures={picture.name: picture for picture in pictures},
-        tables={table.name: table for table in tables},
-        **values,
-    )
+    pictures_by_name = {picture.name: picture for picture in pictures}
+    tables_by_name = {table.name: table for table in tables}
+    html = environment.get_template(file_name).render(pictures=pictures_by_name, tables=tables_by_name, **values)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for picture in pictures:
