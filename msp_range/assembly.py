@@ -50,7 +50,7 @@ def polling_order(airframe: Airframe, bus: Bus, start_s: float) -> RoundRobin:
 
 
 def windows_of(airframe: Airframe) -> Windows:
-    """For how long a downward sensor's readings count, from the airframe's polling order."""
+    """Times for which a downward sensor's readings count, from the airframe's polling order."""
     groups = airframe.polling_groups
     # A ping waits for the answer of the previous one.
     ranging_s = max(sensor.sensor_model.timing.deadline_s for sensor in airframe.sensors)
@@ -103,12 +103,13 @@ def fused_maximum_m(airframe: Airframe, temperature_c: float | None = None) -> f
 
 
 FACING_MARGIN_RAD = math.radians(3.0)
-"""Missed echoes are counted while a sensor faces level ground so much better than its beam requires [rad], for slopes
-and the attitude's error: less counts those of a leaning vehicle, more asks a smaller part of a flight."""
+"""Missed echoes are counted while a sensor's angle to level ground is this far within its beam [rad]; slopes and the
+attitude's error need the margin. Smaller: echoes that a leaning vehicle misses are counted; larger: less of a flight is
+used."""
 
 
 def sensor_watch_of(airframe: Airframe) -> SensorWatch | str:
-    """The watch that holds each downward sensor against its model; or why there is none."""
+    """The watch that compares each downward sensor with its model, or the reason why there is none."""
     if not airframe.sensor_watch:
         return "switched off in the airframe file"
     if airframe.send.fused is None:
@@ -124,7 +125,7 @@ def sensor_watch_of(airframe: Airframe) -> SensorWatch | str:
 
 
 def expected_of(model: SensorModel, boresight: Vector, turn_s: float) -> Expected | str:
-    """What a sensor model says of a sensor's readings, as plain numbers; or why it cannot."""
+    """Numbers that a sensor model expects of a sensor's readings, or the reason why it cannot say."""
     mixture, in_flight = model.reading_model, model.in_flight
     weights = mixture.weights
     short, missed, random, spread = weights.short, weights.missed, weights.random, 1.0
@@ -162,11 +163,11 @@ class AirframeStreams(NamedTuple):
     """All streams of an airframe."""
 
     singles: dict[str, Stream]
-    """Those of sensors with a stream of their own, by name."""
+    """Streams of sensors that have a stream of their own, by name."""
     fused: Stream | None
     """The fused downward stream."""
     objects: dict[str, Stream]
-    """Those for objects below single sensors of the fused stream that have no stream of their own, by name. Their
+    """Streams for objects below single sensors of the fused stream that have no stream of their own, by name. Their
     orientation is CUSTOM, with the mounting as a quaternion: ArduPilot and PX4 would mix another downward stream with
     the fused one."""
 

@@ -112,13 +112,13 @@ class Records(Protocol):
 
     @property
     def fault(self) -> str | None:
-        """Why nothing is recorded, in at most 28 characters; None while all is well."""
+        """Why nothing is recorded, in at most 28 characters (see `DISK_FAULTS`); None while recording works."""
 
     def write(self, topic: str, time_s: float, message: dict[str, Any]) -> None:
         """Keep one message."""
 
     def flush_if_due(self, now_s: float) -> None:
-        """Bring to the disk what was kept, where it is time."""
+        """Write to the disk what was kept, when it is time."""
 
 
 class Replayed(Schedule, Protocol):
@@ -133,7 +133,7 @@ class Replayed(Schedule, Protocol):
 
 
 class _Channel:
-    """What the bridge has of one sensor: its correction, its filters, and counts of its readings."""
+    """One sensor in the bridge: its correction, its filters, and counts of its readings."""
 
     def __init__(self, sensor: SensorSettings, airframe: Airframe, memory_s: float) -> None:
         self.calibration = sensor.sensor_model.calibration_curve
@@ -148,7 +148,7 @@ class _Channel:
 
 
 class Step(NamedTuple):
-    """What one reading became; for those who watch the bridge."""
+    """One reading at each stage of the bridge, for those who watch it."""
 
     ranging: Ranging
     """The reading as it came from the sensor."""
@@ -172,18 +172,18 @@ class Counts:
 
 
 MOTIONLESS = (Status.STUCK, Status.FIXED)
-"""What the fusion finds about a sensor, by the vehicle's motion."""
+"""Faults that the fusion finds, by comparing a sensor's readings with the vehicle's motion."""
 
 
 class Bridge:
-    """All of an airframe's sensors, from bus to link.
+    """The bridge of one airframe: it polls the sensors, fuses and filters their readings, and sends distances.
 
     Parameters
     ----------
     airframe
         The vehicle.
     bus, clock, transport
-        Where sensors answer, what time is, where frames go.
+        The bus of the sensors, the clock for all times, and the transport for MAVLink frames.
     recorder
         Keeps every stage of every reading; None: nothing is kept.
     report
@@ -209,9 +209,9 @@ class Bridge:
     started_s
         When it was made [s].
     sensor_watch_off
-        Why sensors are not held against their models; None: they are.
+        Why sensors are not compared with their models; None: they are.
     verdict
-        What the state is, and what is wrong.
+        The bridge's state, with what is wrong.
     completed_s
         When a step last left nothing undone that was due, and every message had been handed to the link or counted as
         dropped [s]; whoever watches over the loop goes by it.
@@ -280,7 +280,7 @@ class Bridge:
 
     @property
     def sensor_findings(self) -> Sequence[SensorFinding]:
-        """What the sensor watch finds now."""
+        """Present findings of the sensor watch."""
         return () if self._sensor_watch is None else self._sensor_watch.findings
 
     def record_to(self, recorder: Records) -> None:
@@ -292,7 +292,7 @@ class Bridge:
         self._publish = publish
 
     def step(self) -> list[Step]:
-        """Sleep until something is due, do it, and return what became of the readings that ended."""
+        """Sleep until something is due, do it, and return the readings that it completed."""
         clock, poller, outbox, link = self._clock, self._poller, self._streams.outbox, self.link
         due_s = min(poller.next_event_s, outbox.next_event_s, link.next_event_s, self._next_conditions_s)
         has_arrived = clock.sleep_until(due_s, link.files)
@@ -464,7 +464,7 @@ class Bridge:
         self.verdict = verdict_of(self.health.conditions, self.health.complete and is_there)
         self.link.system_status = _SYSTEM_STATUS[self.verdict.state]
         if self._reminder.is_due(now_s, self.link.autopilot_clock.reboots if is_there else None):
-            texts = [(each.severity, each.text) for each in self.verdict.findings if each.is_reported]
+            texts = [(reported.severity, reported.text) for reported in self.verdict.findings if reported.is_reported]
             for severity, text in texts + self._below.texts():
                 self.link.send_text(severity, text)
 

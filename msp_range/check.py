@@ -67,7 +67,7 @@ def drawing(airframe: Airframe) -> list[str]:
 
     Sensors at one place share a cell, where the last id is shown.
     """
-    farthest_m = max([abs(each) for sensor in airframe.sensors for each in sensor.position_m[:2]] + [0.01])
+    farthest_m = max([abs(distance_m) for sensor in airframe.sensors for distance_m in sensor.position_m[:2]] + [0.01])
     rows = [[" "] * WIDTH for _ in range(HEIGHT)]
     middle_row, middle_column = HEIGHT // 2, WIDTH // 2
     rows[middle_row][middle_column] = "+"
@@ -131,7 +131,7 @@ def _streams(airframe: Airframe) -> Iterator[str]:
             f"{bounds.min_distance_cm + 1} to {bounds.max_distance_cm} cm: {_use(airframe, DOWN)}"
         )
     if airframe.sent_names:
-        names = ", ".join(each.filter for each in airframe.filters) or "none"
+        names = ", ".join(parameters.filter for parameters in airframe.filters) or "none"
         yield f"filters of the single streams: {names}"
     for sensor in airframe.sent:
         yield f"{sensor.name}: id {sensor.id}: {_use(airframe, sensor.orientation.value)}"

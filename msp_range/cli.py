@@ -259,7 +259,7 @@ def scan(
     if not found:
         print(f"{kernel_bus.path}: nothing acknowledges; check power, pull-ups and the two bus wires")
         return
-    rows = [(f"0x{each.address:02x}", f"0x{each.address << 1:02X}", each.answer) for each in found]
+    rows = [(f"0x{device.address:02x}", f"0x{device.address << 1:02X}", device.answer) for device in found]
     PlainConsole().print(plain_table(("7-bit", "8-bit", "what"), rows, "l", str(kernel_bus.path)))
 
 
@@ -282,8 +282,8 @@ def address(
     kind = drivers_at(old_address)[0] if driver is None else driver_of(driver)
     check_new_address(new_address, kind)
     kernel_bus, clock = KernelBus(bus_of(bus)), SystemClock()
-    for each in scan_bus(kernel_bus, clock, identify=False):
-        print(f"{kernel_bus.path}: 0x{each.address:02x} acknowledges {each.answer}".rstrip())
+    for device in scan_bus(kernel_bus, clock, identify=False):
+        print(f"{kernel_bus.path}: 0x{device.address:02x} acknowledges {device.answer}".rstrip())
     if not yes:
         confirm(f"Move the sensor at 0x{old_address:02x} to 0x{new_address:02x}?", abort=True)
     found = change_address(kernel_bus, clock, old_address, new_address, kind)

@@ -33,7 +33,7 @@ MOST_SENSORS = 117
 before the models that they name are read."""
 
 FARTHEST_M = 50.0
-"""Lengths beyond this are refused [m]: no vehicle is so large, and 60 is 60 cm written without its point."""
+"""Larger lengths are refused [m]: no vehicle has them, and a 60 was meant as 0.60."""
 
 
 def _not_centimetres(value: Any) -> Any:
@@ -43,7 +43,6 @@ def _not_centimetres(value: Any) -> Any:
 
 
 Metres = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M), BeforeValidator(_not_centimetres)]
-_DOWN_AXIS: Vector = (0.0, 0.0, 1.0)
 
 
 Degrees = Annotated[float, Field(ge=-360, le=360)]
@@ -84,7 +83,7 @@ class SensorSettings(SensorOnBus):
     @cached_property
     def tilt_from_down_rad(self) -> float:
         """Angle between its axis and straight down [rad]."""
-        return angle_between(self.boresight, _DOWN_AXIS)
+        return angle_between(self.boresight, (0.0, 0.0, 1.0))
 
     @cached_property
     def orientation(self) -> Orientation:
@@ -241,7 +240,7 @@ class Airframe(Section):
 
     def _check_filters(self) -> None:
         # Only a sensor with a stream of its own has a chain of filters.
-        if self.sent_names and any(each.filter == "kalman" for each in self.filters):
+        if self.sent_names and any(parameters.filter == "kalman" for parameters in self.filters):
             absent = missing("kalman")
             if absent is not None:
                 raise ValueError(f"filters: kalman requires {absent}; or use another filter, such as changepoint")
@@ -353,7 +352,7 @@ class Airframe(Section):
 
 
 def check_link(url: str) -> None:
-    """Refuse a URL from the command line that is none of a link; raises ConfigError."""
+    """Check the URL that --link gives; raises ConfigError if it is not one of a link."""
     try:
         parse_url(url)
     except ValueError as error:
@@ -390,7 +389,8 @@ NamedAirframe = Annotated[Airframe, BeforeValidator(_load_named)]
 
 
 def load_airframe_from(files: Mapping[str, str], source: Path, instead: str = "") -> Airframe:
-    """Read an airframe from the texts in `Airframe.files` of a recording; ``instead`` is what else the command takes.
+    """Read an airframe from the texts that a recording has of it (`Airframe.files`). ``instead`` ends each error
+    message: what the user can give the command in its place.
 
     Raises
     ------
@@ -401,15 +401,17 @@ def load_airframe_from(files: Mapping[str, str], source: Path, instead: str = ""
         raise ConfigError(f"{source}: contains no airframe file{instead}")
     with TemporaryDirectory() as name:
         folder = Path(name)
-        for each, text in files.items():
-            path = PurePath(each)
+        for name_in_file, text in files.items():
+            path = PurePath(name_in_file)
             if path.is_absolute() or ".." in path.parts:
-                raise ConfigError(f"{source}: its airframe names {each}, outside of its folder{instead}")
+                raise ConfigError(f"{source}: its airframe names {name_in_file}, outside of its folder{instead}")
             try:
                 (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_text(text, encoding="utf-8")
             except (OSError, ValueError):
-                raise ConfigError(f"{source}: no file can have the name of the attached {each[:80]!r}") from None
+                raise ConfigError(
+                    f"{source}: no file can have the name of the attached {name_in_file[:80]!r}"
+                ) from None
         try:
             airframe = load_airframe(folder / AIRFRAME_NAME)
         except ConfigError as error:

@@ -15,9 +15,9 @@ from functools import cache
 def descriptions(section: type) -> dict[str, str]:
     """Descriptions by key, of a class and its base classes; attributes without a string are left out."""
     found: dict[str, str] = {}
-    for each in reversed(section.__mro__):
-        if each.__module__.split(".")[0] not in ("builtins", "pydantic"):
-            found |= _of_class(each)
+    for base in reversed(section.__mro__):
+        if base.__module__.split(".")[0] not in ("builtins", "pydantic"):
+            found |= _of_class(base)
     return found
 
 

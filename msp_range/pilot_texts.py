@@ -32,11 +32,11 @@ class Condition(NamedTuple):
     """Something that is wrong while it lasts, or an event with a text of its own."""
 
     key: str
-    """Which condition it is; empty for an event."""
+    """Identifies the condition; empty for an event."""
     text: str | None
-    """What is wrong, for the pilot; None: nothing."""
+    """Text for the pilot; None while the condition is absent."""
     over: str = ""
-    """What to report at its end."""
+    """Text that is reported when it ends; empty: none."""
     severity: Severity = Severity.WARNING
     """How bad it is."""
     renews: bool = False
@@ -47,11 +47,11 @@ class Condition(NamedTuple):
     """Whether the pilot is to read it; else it only counts for the verdict."""
 
     def of(self, **values: object) -> "Condition":
-        """With ``values`` filled in at its key and its end."""
+        """The condition with ``values`` filled in at its key and its end."""
         return self._replace(key=self.key.format(**values), over=self.over.format(**values))
 
     def when(self, present: object, **values: object) -> "Condition":
-        """As it is now; ``values`` are filled in at its text."""
+        """The condition as it is now: its text with ``values`` filled in, or without a text if it is not present."""
         return self._replace(text=(self.text or "").format(**values)) if present else _absent(self)
 
     def said(self, **values: object) -> tuple[Severity, str]:
@@ -69,7 +69,7 @@ def _event(text: str) -> Condition:
 
 
 class Text:
-    """All of them. Another text of a condition is made of its first one."""
+    """All texts. Further texts of a condition are copies of its first one with another text."""
 
     # Three of a sensor's readings in a row are faults, or half of the last ten; and three are good again.
     SENSOR = Condition("sensor {sensor}", "Range {sensor}: {fault}", "Range {sensor}: good again", Severity.ERROR)

@@ -20,7 +20,7 @@ EKF2 requires readings at least this often."""
 def doubts(airframe: Airframe) -> Iterator[str]:
     """One sentence for each."""
     for sensor in airframe.sensors:
-        far = max(abs(each) for each in sensor.position_m)
+        far = max(abs(along_m) for along_m in sensor.position_m)
         if far > FAR_M:
             yield (
                 f"sensors.{sensor.name}.position_m: {far:g} m from the reference point; positions are in metres: "

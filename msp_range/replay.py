@@ -78,8 +78,8 @@ class RecordedFlight:
         first_s = min(ping.ping_s for ping, _ in pings)
         # Both times count from the ping. The first try to read is the one that succeeded, whatever the interval was.
         return first_s, [
-            each._replace(timing=each.timing._replace(first_answer_s=ping.ready_s))
-            for ping, each in pings
+            sensor._replace(timing=sensor.timing._replace(first_answer_s=ping.ready_s))
+            for ping, sensor in pings
             if ping.ping_s - first_s <= TOGETHER_S
         ]
 

@@ -54,9 +54,9 @@ STUCK_S = 1.25
 """A transfer of this length is reported to the pilot before it ends [s]: kernel drivers give up after 1 s unless they
 say otherwise, and the report after that has the error. Longer leaves the pilot longer without a reason."""
 LONGEST_TRANSFER_S = 10.0
-"""A transfer keeps the watchdog fed for so long [s]: adapters on USB give up after 2 to 4 s for each of its parts, and
-a restart helps none of them. Less restarts the bridge for ever with a slower one; more leaves a driver that hangs alone
-for longer."""
+"""A transfer keeps the watchdog fed for this long [s]: adapters on USB give up after 2 to 4 s for each of its parts,
+and a restart helps none of them. Less restarts the bridge for ever with a slower one; more leaves a driver that hangs
+alone for longer."""
 
 
 def notify_systemd(state: str) -> None:
@@ -206,8 +206,8 @@ class _LinkLog:
 def _summary(bridge: Bridge, transport: Transport) -> dict[str, object]:
     counts = bridge.counts()
     return {
-        "readings": {name: each.readings for name, each in counts.items()},
-        "rejected": {name: each.rejected for name, each in counts.items() if each.rejected},
+        "readings": {name: count.readings for name, count in counts.items()},
+        "rejected": {name: count.rejected for name, count in counts.items() if count.rejected},
         "frames": {
             "sent": transport.stats.sent_frames,
             "dropped": transport.stats.dropped_frames,

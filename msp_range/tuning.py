@@ -39,7 +39,9 @@ def tune_recordings(paths: Sequence[Path], airframe_file: Path | None, model: Mo
         airframe = load_airframe_from(Recording(paths[0]).files, paths[0], "; name one with --airframe")
     parameters = _kalman_of(airframe, model)
     models = [sensor.sensor_model for sensor in airframe.sensors]
-    variance_cm2 = max(each.reading_model.sigma_cm**2 + each.answered_cm**2 / 12 for each in models)
+    variance_cm2 = max(
+        sensor_model.reading_model.sigma_cm**2 + sensor_model.answered_cm**2 / 12 for sensor_model in models
+    )
     try:
         return tune(tracks, parameters, variance_cm2)
     except ValueError as error:
@@ -66,9 +68,9 @@ def recorded_tracks(path: Path) -> list[Track]:
 
 def _kalman_of(airframe: Airframe, model: Model | None) -> KalmanParameters:
     """The airframe's Kalman filter; the default one if it has none or one of another model."""
-    for each in airframe.filters:
-        if isinstance(each, KalmanParameters) and model in (None, each.model):
-            return each
+    for parameters in airframe.filters:
+        if isinstance(parameters, KalmanParameters) and model in (None, parameters.model):
+            return parameters
     return KalmanParameters(filter="kalman", model=model or "constant_velocity")
 
 
@@ -79,11 +81,11 @@ def show(tuned: Tuned) -> None:
         f"Kalman filter, {tuned.parameters.model}: {tuned.innovations} innovations, {tuned.outliers} outliers removed\n"
     )
     rows = []
-    for each in tuned.fitted:
-        interval = f"{each.low:.3g} to {each.high:.3g}"
-        if each.low == 0.0 or each.high == float("inf"):
+    for parameter in tuned.fitted:
+        interval = f"{parameter.low:.3g} to {parameter.high:.3g}"
+        if parameter.low == 0.0 or parameter.high == float("inf"):
             interval = "not determined by these flights"
-        rows.append((each.name, f"{each.before:.3g}", f"{each.value:.3g}", interval))
+        rows.append((parameter.name, f"{parameter.before:.3g}", f"{parameter.value:.3g}", interval))
     console.print(plain_table(("parameter", "before", "fitted", "95 % interval"), rows))
     gain = tuned.after - tuned.before
     console.print(f"log likelihood: {tuned.before:.1f} before, {tuned.after:.1f} fitted, {gain:+.1f}")

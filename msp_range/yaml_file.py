@@ -126,7 +126,7 @@ def read_config(path: Path) -> str:
     try:
         return read_text(path, LARGEST_FILE_BYTES)
     except FileNotFoundError:
-        names = sorted(each.name for each in path.parent.iterdir()) if path.parent.is_dir() else []
+        names = sorted(file.name for file in path.parent.iterdir()) if path.parent.is_dir() else []
         near = difflib.get_close_matches(path.name, names, n=1)
         hint = f" (next to it there is {near[0]})" if near else ""
         raise ConfigError(f"{path}: no such file{hint}") from None
@@ -237,7 +237,7 @@ def config_path(name: Path | str, kind: str, folder: Path = Path()) -> Path:
     word = str(name)
     if "/" in word or "." in word or os.path.exists(path):  # unlike Path's, False for a name that is too long
         return path
-    known = {each.stem: each for each in (SHIPPED / kind).glob("*.yaml")}
+    known = {file.stem: file for file in (SHIPPED / kind).glob("*.yaml")}
     if word not in known:
         raise ConfigError(
             f"{path}: no such file, and none of this name comes with the package.{suggest(word, known)} "
@@ -322,7 +322,9 @@ def _describe(spot: _Spot, problem: Any) -> tuple[str, str]:
         return "", f"this key is missing; expected {_meaning(around, spot.path[-1])}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         key, tag = context["discriminator"].strip(_QUOTE), context.get("tag")
-        known = [str(each) for section in spot.choices for each in get_args(section.model_fields[key].annotation)]
+        known = [
+            str(tag_value) for section in spot.choices for tag_value in get_args(section.model_fields[key].annotation)
+        ]
         if tag is None:
             return "", f"this key is missing; expected one of {_join(known)}"
         return f"found {_show(tag)}; expected one of ", f"{_join(known)}.{suggest(tag, known)}"
@@ -374,7 +376,7 @@ def _inside(annotation: Any, part: int | str) -> list[Any]:
     if _is_section(annotation):
         field = annotation.model_fields.get(part)
         return [] if field is None else [field.annotation]
-    inside = [each for each in get_args(annotation) if each is not Ellipsis]
+    inside = [argument for argument in get_args(annotation) if argument is not Ellipsis]
     return inside[1:] if get_origin(annotation) is dict else inside
 
 
@@ -383,7 +385,12 @@ def _members(annotation: Any) -> list[Any]:
     if get_origin(annotation) is Annotated:
         return _members(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
-        return [member for each in get_args(annotation) if each is not types.NoneType for member in _members(each)]
+        return [
+            member
+            for argument in get_args(annotation)
+            if argument is not types.NoneType
+            for member in _members(argument)
+        ]
     return [annotation]
 
 

@@ -28,7 +28,6 @@ LARGEST_NUMBER = 1e12
 _TAG = "tag:yaml.org,2002:"
 _EXPONENT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+")
 """1e3 is text in YAML 1.1, and a number to the section that holds it."""
-_OCTAL = re.compile(r"[-+]?0[0-7]+")
 
 
 class _Values:
@@ -105,10 +104,12 @@ class _Values:
             start = next(self._events)
             value = self._value(start, depth + 1)
             if name == "<<" and isinstance(key, yaml.ScalarEvent) and key.implicit[0]:
-                for each in reversed(value if isinstance(value, list) else [value]):
-                    if not isinstance(each, dict):
-                        raise _error(f"expected a mapping or list of mappings for merging, but found {each!r}", start)
-                    merged |= each
+                for mapping in reversed(value if isinstance(value, list) else [value]):
+                    if not isinstance(mapping, dict):
+                        raise _error(
+                            f"expected a mapping or list of mappings for merging, but found {mapping!r}", start
+                        )
+                    merged |= mapping
             else:
                 own[name] = value
         return merged | own
@@ -134,7 +135,7 @@ def _scalar(event: Any) -> Any:
         return None
     if kind == "bool":
         return SafeConstructor.bool_values[text]
-    if kind == "int" and _OCTAL.fullmatch(text):
+    if kind == "int" and re.fullmatch(r"[-+]?0[0-7]+", text):
         raise _error(
             f"found {word[:40]}, which may be read as an octal number; expected no 0 in front, 0x if it is "
             "hexadecimal, or quotes around it if it is text",

@@ -198,7 +198,7 @@ def air_variance_m2(range_m: float, air: Air) -> float:
 
 
 def air_error_m(range_m: float, air: Air) -> float:
-    """Error of a range due to the air temperature that 95 % of the errors do not exceed [m].
+    """Largest error of a range from the air temperature, with 95 % probability [m].
 
     It is that in the coldest air of ``air`` (1.96 standard deviations): in the warmest one a range errs less.
     """

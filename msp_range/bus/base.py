@@ -64,8 +64,8 @@ class Bus(Protocol):
         """Return ``count`` bytes from the 7-bit ``address``; raises BusError as `write` does."""
 
     def busy_s(self, address: int) -> float | None:
-        """For how long no device at ``address`` will answer a read [s], 0: it may at any time; None: unknown, as on
-        every real bus."""
+        """Time until a device at ``address`` can answer a read [s]; 0: at any time; None: unknown, as on every real
+        bus."""
 
     def reopen(self) -> None:
         """Close and open the bus again after a lock-up; raises BusError if that fails."""

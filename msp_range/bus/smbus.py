@@ -90,7 +90,7 @@ class KernelBus:
         return bytes(self._transfer("read", address, count))
 
     def _transfer(self, verb: str, address: int, content: bytes | int) -> Any:
-        """Send the bytes, or read so many; returns the message."""
+        """Write ``content``, or read as many bytes as it says; returns the message of smbus2."""
         message, send = self._prepared.get((address, content)) or self._prepare(verb, address, content)
         self.waiting.release()
         try:

@@ -56,7 +56,7 @@ def commission(session: Session, step: str | None, out: TextIO, as_json: bool) -
         changes, outcome = _correct(session, outcome, show)
         report[name] = {
             "passed": outcome.passed,
-            "findings": [asdict(each) for each in outcome.findings],
+            "findings": [asdict(finding) for finding in outcome.findings],
             "changes": changes,
             "proposals_left": [proposal.text for proposal in outcome.proposals],
             "measured": outcome.measured,
@@ -92,8 +92,8 @@ def _correct(
     agreed = [proposal for proposal in outcome.proposals if session.operator.agrees(_asked(session, proposal))]
     if not agreed:
         return [], outcome
-    edits = [one for each in agreed for one in each.edits]
-    for name, text in {file: text for each in agreed for file, text in each.files}.items():
+    edits = [one for proposal in agreed for one in proposal.edits]
+    for name, text in {file: text for proposal in agreed for file, text in proposal.files}.items():
         edit.save(session.path.with_name(name), text)
     backup = edit.change(session.path, edits)
     try:
@@ -102,7 +102,7 @@ def _correct(
         backup.replace(session.path)
         raise ConfigError(f"nothing was changed, as the file would not be valid any more:\n{error}") from None
     show([f"saved in {session.path}; as it was: {backup.name}"])
-    changes = [{"text": each.text, "backup": str(backup)} for each in agreed]
+    changes = [{"text": proposal.text, "backup": str(backup)} for proposal in agreed]
     if outcome.again is None:
         return changes, outcome
     verified = outcome.again(changed).keep_founded(changed)
@@ -115,8 +115,8 @@ def _correct(
 
 def _asked(session: Session, proposal: Proposal) -> str:
     lines = wrapped("change   ", proposal.text)
-    for each in proposal.edits:
-        lines += wrapped("         ", f"{place_of(each.path)}: {edit.as_yaml(each.value)}")
+    for change in proposal.edits:
+        lines += wrapped("         ", f"{place_of(change.path)}: {edit.as_yaml(change.value)}")
     return "\n".join(lines)
 
 

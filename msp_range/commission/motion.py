@@ -1,4 +1,4 @@
-"""Where the sensors sit, from readings while somebody lifts and tilts the vehicle over a flat floor.
+"""Positions of the sensors, measured while somebody lifts and tilts the vehicle over a flat floor.
 
 With d the direction of straight down in the body's axes (from the attitude), h the unknown height of the reference
 point over the floor at that time and q a sensor's place, a sensor that looks at the floor reads
@@ -6,8 +6,8 @@ point over the floor at that time and q a sensor's place, a sensor that looks at
     r = h - q . d
 
 since the nearest point of the floor is straight below it. h is free at every time (a straight line between knots), so
-only differences between sensors are measured: a shift of all of them together is not seen, and the one is chosen with
-which most sensors agree with the airframe file. How much later the attitudes are than the readings is measured too.
+only differences between sensors are measured. A common shift of all of them is not seen; that one is chosen with which
+most sensors agree with the airframe file. How much later the attitudes are than the readings is measured too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from msp_range.acoustics.air import TWO_SIDED_95_PERCENT
 from msp_range.arrays import Array, Indices
 from msp_range.commission.samples import Samples
 
@@ -23,7 +24,7 @@ KNOT_S = 0.4
 """Time between two heights of the reference point [s]. A hand that swings by 5 cm in 3 s is followed to 4 mm. With less
 the heights take over what a tilt does, with more a quick lift becomes noise."""
 BEND_M = 0.05
-"""Standard deviation of the change of speed between knots, as a distance [m]: an acceleration of 0.3 m/s^2, a calm
+"""Standard deviation of the second difference of the height at three knots [m]: an acceleration of 0.3 m/s^2, a calm
 hand. It carries the height over gaps in the readings."""
 NOISE_M = 0.006
 """Least standard deviation of a reading [m]: they are rounded to 1 cm, and a floor is not flatter."""
@@ -36,8 +37,9 @@ vehicle that two hands lift is larger."""
 OUTLIER = 4.7
 """Readings this many standard deviations away have no weight (Tukey's biweight, 95 % efficient)."""
 OF_MANY = 3.0
-"""A delay far from the best one fits as well within so many standard deviations: the best of some twenty is farther
-than two from the true one by chance. Less takes the motion of a hover for a delay, more leaves delays unmeasured."""
+"""A delay that fits worse than the best one by fewer standard deviations than this counts as fitting equally well: the
+best of some twenty is often two away from the true one by chance. Less takes the motion of a hover for a delay, more
+leaves delays unmeasured."""
 MARGIN = 1.5
 """Intervals are this much wider than the fit's: neighbouring errors go together, a floor has joints, and a tilted beam
 reads a little differently. In 37 simulated lifts 95 % intervals with 1.0 contained the truth of 86 % of the numbers,
@@ -68,7 +70,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the sensors sit."""
+    """Positions of the sensors, with their intervals."""
 
     position_m: Mapping[str, tuple[Measured, ...]]
     """Measured place of each sensor that sees the floor, forward, right and down [m], by name."""
@@ -92,7 +94,7 @@ class NotMeasured(Exception):
 
 @dataclass(frozen=True)
 class _Rows:
-    """All readings with a distance: time, distance, number of the sensor."""
+    """All readings with a distance: time, distance, index of the sensor."""
 
     time_s: Array
     range_m: Array
@@ -115,7 +117,8 @@ class _Rows:
 
     @cached_property
     def assumed(self) -> Array:
-        """Rows that are zero without readings: heights bend little, and the sensors do not move together."""
+        """Prior rows of the least-squares problem: heights bend little, and the mean displacement of the sensors is
+        zero."""
         knots, sensors = len(self.knots), len(self.names)
         bends = np.diff(np.eye(knots), 2, axis=0) / BEND_M
         together = np.tile(np.eye(3), sensors) / 1e-4
@@ -160,7 +163,8 @@ def places(samples: Samples, from_file: Mapping[str, Sequence[float]]) -> Places
         typical_m = [float(np.median(np.abs(fit.residual_m[rows.sensor == i]))) for i in range(len(rows.names))]
         moved_m = np.abs(fit.solution[len(rows.knots) :].reshape(-1, 3)).max(axis=1)
         typical_m = [
-            max(each, OTHER_M * moved / FARTHEST_M) for each, moved in zip(typical_m, moved_m.tolist(), strict=True)
+            max(residual_m, OTHER_M * moved / FARTHEST_M)
+            for residual_m, moved in zip(typical_m, moved_m.tolist(), strict=True)
         ]
         worst = int(np.argmax(typical_m))
         if typical_m[worst] <= OTHER_M:
@@ -180,8 +184,8 @@ def places(samples: Samples, from_file: Mapping[str, Sequence[float]]) -> Places
 
 def _rows(samples: Samples, names: Sequence[str], from_file: Mapping[str, Sequence[float]]) -> _Rows:
     found = {
-        name: np.flatnonzero(each.is_distance & np.isfinite(samples.down_at(each.time_s)[:, 0]))
-        for name, each in ((name, samples.readings[name]) for name in names)
+        name: np.flatnonzero(readings.is_distance & np.isfinite(samples.down_at(readings.time_s)[:, 0]))
+        for name, readings in ((name, samples.readings[name]) for name in names)
     }
     # Three numbers each, and a person sees some of the motion.
     kept = [name for name in names if len(found[name]) >= 12]
@@ -246,7 +250,7 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
     curve, slope, _ = np.polyfit(lags_s[best - 1 : best + 2], sums[best - 1 : best + 2], 2)
     curvature = max(2 * float(curve), 1e-12)
     lag_s = float(np.clip(-slope / curvature, lags_s[0], lags_s[-1]))
-    error_m = MARGIN * 1.96 * fit.std_m
+    error_m = MARGIN * TWO_SIDED_95_PERCENT * fit.std_m
     # In a hover that hardly leans, delays far from the best one may fit nearly as well.
     most_m2 = sums[best] + (MARGIN * OF_MANY * fit.std_m) ** 2
     as_good_s = [abs(each_s - lag_s) for each_s, each in zip(lags_s, sums, strict=True) if each < most_m2]
@@ -256,7 +260,7 @@ def _lag(samples: Samples, rows: _Rows, fit: _Fit) -> Measured:
 def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> Places:
     knots, sensors = len(rows.knots), len(rows.names)
     moved = fit.solution[knots:].reshape(sensors, 3)
-    half = MARGIN * 1.96 * np.sqrt(np.diag(np.linalg.inv(fit.normal))[knots:]).reshape(sensors, 3)
+    half = MARGIN * TWO_SIDED_95_PERCENT * np.sqrt(np.diag(np.linalg.inv(fit.normal))[knots:]).reshape(sensors, 3)
     shift = np.array([common_shift(rows.from_file[:, axis], moved[:, axis], half[:, axis]) for axis in range(3)])
     places_m = rows.from_file + moved - shift
     height = fit.solution[:knots] - shift[2]  # r + q . d is the height
@@ -268,16 +272,16 @@ def _result(rows: _Rows, fit: _Fit, lag: Measured, elsewhere: Sequence[str]) -> 
 
 
 def _scatter(residual_m: Array, fitted: float) -> Measured:
-    """Standard deviation of residuals without outliers, from which so many numbers were fitted."""
+    """Standard deviation of residuals without outliers, after ``fitted`` numbers were fitted to them."""
     kept = without_outliers(residual_m, NOISE_M)
     # Heights that bend little cost less than one number each.
     free = max(len(kept) - 0.5 * fitted, 0.5 * len(kept))
     std = max(float(np.sqrt(np.mean(kept**2))), NOISE_M) * float(np.sqrt(len(kept) / free))
-    return Measured(std, 1.96 * MARGIN * std / float(np.sqrt(2 * free)))
+    return Measured(std, TWO_SIDED_95_PERCENT * MARGIN * std / float(np.sqrt(2 * free)))
 
 
 def without_outliers(off_m: Array, least_m: float) -> Array:
-    """Those of the deviations within three times their scatter, which is ``least_m`` at least [m]."""
+    """The deviations within three times their own scatter, which is taken as at least ``least_m`` [m]."""
     kept, spread_m = off_m, max(1.4826 * float(np.median(np.abs(off_m))), least_m)
     for _ in range(5):
         kept = off_m[np.abs(off_m) <= 3 * spread_m]

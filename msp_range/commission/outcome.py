@@ -17,7 +17,7 @@ class Proposal:
     text: str
     """What was measured, with its interval, what the file has, and what is proposed."""
     edits: tuple[Edit, ...]
-    """The change."""
+    """Changes of values in the file."""
     files: tuple[tuple[str, str], ...] = ()
     """Files to be made next to the airframe file first: name, text."""
 

@@ -108,12 +108,12 @@ def samples_of(records: Iterable[Message], first_s: float = -np.inf, last_s: flo
 
 def _readings(messages: list[Mapping[str, Any]]) -> SensorReadings:
     messages = sorted(messages, key=lambda message: float(message["time_s"]))
-    latencies_s = [each["read_s"] - each["time_s"] for each in messages if np.isfinite(_distance_m(each))]
+    latencies_s = [record["read_s"] - record["time_s"] for record in messages if np.isfinite(_distance_m(record))]
     return SensorReadings(
-        np.array([float(each["time_s"]) for each in messages]),
-        np.array([_distance_m(each) for each in messages]),
-        np.array(["suspect" if each.get("suspect") else each["status"] for each in messages]),
-        np.array([each.get("rejected") or "" for each in messages]),
+        np.array([float(record["time_s"]) for record in messages]),
+        np.array([_distance_m(record) for record in messages]),
+        np.array(["suspect" if record.get("suspect") else record["status"] for record in messages]),
+        np.array([record.get("rejected") or "" for record in messages]),
         min(latencies_s, default=np.nan),
         messages[-1].get("temperature_c"),
         messages[-1].get("temperature_source"),

@@ -32,7 +32,7 @@ ATTITUDE_HZ = 10.0
 RETURNED_HZ = 5.0
 """Rate of the autopilot's own distances that is asked for [Hz]."""
 SILENT_S = 2.0
-"""A running bridge that says nothing for so long hangs [s]: it sends its status twice a second."""
+"""A running bridge that sends nothing for this long hangs [s]: it sends its status twice a second."""
 ENDED = "the running bridge ended or hangs: start it again, or stop the service, then again"
 
 
@@ -137,7 +137,7 @@ class RunningBridge:
             greeting = next(self._packets, None)
         if greeting is None:
             raise ConfigError(ENDED)
-        flown = {each["name"]: each["address"] for each in greeting.message["sensors"]}
+        flown = {sensor["name"]: sensor["address"] for sensor in greeting.message["sensors"]}
         if flown != {sensor.name: f"0x{sensor.address:02x}" for sensor in airframe.sensors}:
             raise ConfigError(
                 "the running bridge has other sensors or addresses than the file: sudo systemctl reload msp-range if "
@@ -170,7 +170,7 @@ Live = OwnBridge | RunningBridge
 
 @dataclass
 class Session:
-    """One vehicle and one person."""
+    """A commissioning session: the vehicle, and the person who works on it."""
 
     path: Path
     """The airframe file."""
@@ -178,7 +178,7 @@ class Session:
     clock: Clock
     """The computer whose files doctor looks at, and the clock."""
     operator: PersonAtTerminal
-    """The person."""
+    """The person at the terminal."""
     make_bus: Callable[[int | str], KernelBus] = KernelBus
     make_transport: Callable[[str, Clock], Transport] = open_transport
     """Open the bus and the transport that the airframe file names."""

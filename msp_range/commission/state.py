@@ -28,7 +28,7 @@ class PassedSteps:
     """The passed steps of one airframe file."""
 
     path: Path
-    """Where they are kept."""
+    """File in which they are kept."""
     steps: dict[str, dict[str, Any]] = field(default_factory=dict)
     """What is kept of each step, by its name: ``passed`` (UTC), ``hash`` and ``measured``."""
 

@@ -1,5 +1,4 @@
-"""The humidity of the air for the speed of sound: what a hygrometer measures, or what it leaves uncertain if there is
-none.
+"""The humidity of the air for the speed of sound, as a hygrometer measures it, or the uncertainty of not knowing it.
 
 HYGROMETER_SENSOR messages give the humidity, with which an `Air` is corrected. Without a hygrometer the speed of sound
 is that of dry air (the report's eq 6).
@@ -14,8 +13,8 @@ from msp_range.numbers import Numbers
 
 HYGROMETER = "HYGROMETER_SENSOR"
 MAX_AGE_S = 600.0
-"""Time for which a measured humidity is used [s]: vapour changes with the weather and not with the place. Longer uses
-that of another air mass, shorter loses it when the link is interrupted."""
+"""Time for which a measured humidity is used [s]: the vapour in the air changes with the weather, hardly along a
+flight. Longer uses that of another air mass, shorter loses it when the link is interrupted."""
 MOISTEST_C = 30.0
 """Dew point that open air does not exceed [deg C]; the record is 35. Larger states a larger variance for air that is
 warmer than this."""
@@ -28,8 +27,8 @@ MEASURED_SHARE = 0.1
 vapour per degree of the hygrometer's own error, and 8 % for pressure 700 m above the sea. Larger states a larger
 variance in humid air."""
 WHOLE_PERCENT = 100
-"""HYGROMETER_SENSOR has hundredths of a per cent (ArduPilot); PX4 sends whole per cents, so at most 100. Air of less
-than 1 % is not met."""
+"""HYGROMETER_SENSOR has hundredths of a per cent (ArduPilot), but PX4 sends whole per cents: numbers up to this are
+taken as whole per cents. Air of less than 1 % does not occur."""
 
 
 def relative_humidity_percent(sent: Numbers) -> Numbers:

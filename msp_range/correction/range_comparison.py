@@ -55,7 +55,7 @@ class RangeHistory:
             self._readings.popleft()
 
     def between(self, from_s: float, to_s: float, most: int) -> Readings:
-        """Those after ``from_s`` and not after ``to_s``, the newest ``most`` of them, in the order of their times."""
+        """The ranges after ``from_s`` and up to ``to_s``, the newest ``most`` of them, in the order of their times."""
         since = takewhile(lambda each: each[0] > from_s, reversed(self._readings))
         newest = islice((each for each in since if each[0] <= to_s), most)
         return [(sensor, math.log(range_m)) for _, sensor, range_m in newest][::-1]

@@ -23,13 +23,13 @@ thermometer. With less, shadows count; with more, settling is recognised later: 
 35 C colder after 10 s, in air that is 10 C colder after 36 s, and below 3 C, where the lag is within the thermometer's
 own 95 %, never."""
 SWITCHED_ON_S, SWITCHED_ON_C = 10.0, 1.0
-"""In the first seconds [s] so little is settling [deg C], without the largest step, as of a take-off out of warm air: a
-vehicle is switched on where it has just been carried to. Longer reports shadows, shorter lets a vehicle that takes off
-at once fly with a distance that is 6 % off."""
+"""In the first seconds [s] a change by this much already counts as settling [deg C], apart from its largest step, which
+a take-off out of warm air makes: a vehicle is switched on where it has just been carried to. Longer reports shadows,
+shorter lets a vehicle that takes off at once fly with a distance that is 6 % off."""
 STRAIGHT_NATS = 9.0
-"""If a straight line is likelier than a constant by so much, with a noise that is not known [nats]: that of the few
-first values says little. Five values show it at ten standard errors of the slope, ten values at six; a step gives
-less than eight. Less reports noise, more reports later."""
+"""A thermometer settles if a straight line is likelier than a constant by this much, with a noise that is not known
+[nats]: the noise of the few first values says little. Five values show it at ten standard errors of the slope, ten
+values at six; a step gives less than eight. Less reports noise, more reports later."""
 ORDINARY_NOISES = 6.0
 """The same in standard deviations of the thermometer's noise, in addition. The difference of two values has 1.4, and
 that of the extremes of `MEMORY_S` five; with less, noise of 0.5 C counts as settling."""
@@ -49,19 +49,19 @@ TAUS_S = (5.0, 10.0, 20.0, 40.0, 60.0, 90.0, SLOWEST_S)
 """Time constants that are tried [s]: each as likely as the next before the fit. Fewer make the correction jump from one
 to the next, more cost processor time once a second."""
 FITTED_VALUES = 4
-"""With fewer values nothing is corrected: two show a rate, and no more. More correct later."""
+"""With fewer values nothing is corrected: two show only a rate. With more the correction starts later."""
 LAG_STD_C = 15.0
 """Standard deviation of a lag before the fit [deg C]: 40 is the largest. Larger follows the fit of a few values."""
 LEVEL_VALUES, LEVEL_NOISES = 9, 2.5
-"""What a thermometer read before it began to settle is the median of so many values, and it has begun where a value is
-farther from it than so many standard deviations of the noise. With an earlier beginning a quick thermometer looks
+"""The level before settling is the median of the first number of values; settling begins at the value that is farther
+from it than the second number of standard deviations of the noise. With an earlier beginning a quick thermometer looks
 slow."""
 LEAST_NOISE_C = 0.1
-"""Scatter about the fitted curve at least [deg C]: steps of a thermometer, and air that is not the same everywhere.
+"""Least scatter about the fitted curve [deg C]: steps of a thermometer, and air that is not the same everywhere.
 Smaller decides for one time constant after fewer values."""
 LAG_SHARE = 1 / math.sqrt(12)
-"""Standard deviation of the lag at least, as a share of its largest value: that of one that is evenly distributed from
-none on. A housing has more than one time constant; smaller trusts the fitted form."""
+"""Least standard deviation of the lag, as a share of its largest value: that of a uniform distribution from 0 to it. A
+housing has more than one time constant; smaller trusts the fitted form."""
 FASTEST_C_PER_S = 2.0
 """The lag is corrected for no faster than this [deg C/s]: 2 cm/s at 6 m, slower than a vehicle that lands. Faster moves
 the distance like a climb, slower leaves it wrong for longer."""
@@ -159,8 +159,10 @@ class Settling:
         for tau_s in TAUS_S:
             grown = [math.exp(age_s / tau_s) for age_s, _ in values]
             mean = sum(grown) / len(grown)
-            square = sum((each - mean) ** 2 for each in grown) + noise_c2 / LAG_STD_C**2
-            product = sum((each - mean) * (past_c - mean_c) for each, (_, past_c) in zip(grown, values, strict=True))
+            square = sum((growth - mean) ** 2 for growth in grown) + noise_c2 / LAG_STD_C**2
+            product = sum(
+                (growth - mean) * (past_c - mean_c) for growth, (_, past_c) in zip(grown, values, strict=True)
+            )
             lags_c.append(-product / square)
             variances.append(noise_c2 / square)
             logs.append(0.5 * product * product / square / noise_c2 - 0.5 * math.log(square))

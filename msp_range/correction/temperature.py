@@ -52,7 +52,7 @@ class MavlinkField(NamedTuple):
     is_die: bool = False
     """Whether it is that of a barometer's chip."""
     absent_c: float | None = None
-    """What autopilots send that have no such sensor [deg C]."""
+    """Temperatures that autopilots without such a sensor send [deg C]."""
 
 
 MAVLINK_FIELDS: dict[tuple[str, str], MavlinkField] = {

@@ -25,14 +25,14 @@ FIRST_VALUES = 3
 """A first level of fewer values is replaced by the next one [values], once: some autopilots send a zero before their
 first measurement. With more, a thermometer that fails in its first seconds is believed."""
 FLAPS, FLAP_MEMORY_S = 2, 60.0
-"""A source flaps that jumps so many times and comes back within this time [s]; a single damaged value is one jump. With
-more jumps or a shorter time, a loose contact is followed for longer; with a longer time it is doubted for longer after
-it has healed."""
+"""A source flaps, as with a loose contact, if it jumps this many times and comes back within this time [s]; a single
+damaged value is one jump. With more jumps or a shorter time its wrong levels are followed for longer; with a longer
+time it is doubted for longer after it has healed."""
 STEADY_C = 2.0
 """Largest variation of a steady level [deg C]."""
 COVERS = 0.55
-"""Standard deviation that covers two levels, as a share of their difference: each is within the other's 95 %
-interval."""
+"""Standard deviation that covers two levels, as a share of their difference: 1 / 1.96 and some more, so that each is
+within the other's 95 % interval."""
 BELIEVED_AFTER_S = 300.0
 """Time after which the new level of a jump is used if it was steady and nothing contradicts it [s]: five time constants
 of a slow thermometer in still air (60 s), so a vehicle carried into cold air is right after that at the latest. Longer
@@ -199,7 +199,8 @@ class TemperatureTrack:
         return self.settling is not None and self.settling.lag_c != 0.0
 
     def good(self, now_s: float) -> Air | None:
-        """The last good value, with a standard deviation for its age only; None before the first.
+        """The last good value; its standard deviation covers the source's error and the value's age. None before the
+        first.
 
         Its source is `HELD` if it is older than the source's limit, or the source has jumped or flaps.
         """

@@ -73,7 +73,7 @@ class LoopReader:
         self._on_error = on_error
         self._errors: dict[FileSource, str] = {}
         self.next_s: dict[FileSource, float] = {}
-        """When the file of each source is read again [s]."""
+        """Time at which the file of each source is read again [s]."""
 
     def newest(self, source: FileSource, now_s: float) -> Sample | None:
         """A new value, or None: reads the file if that is due."""

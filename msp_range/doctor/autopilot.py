@@ -99,7 +99,7 @@ def check_autopilot(
         From an echo to its answer [s]; None where it was not measured.
     """
     tap = Tap(transport)
-    temperatures = [each for each in airframe.temperature.sources if isinstance(each, MavlinkSource)]
+    temperatures = [source for source in airframe.temperature.sources if isinstance(source, MavlinkSource)]
     wanted = {temperature.message: 1.0 for temperature in temperatures} | {"DISTANCE_SENSOR": 5.0, "SYS_STATUS": 2.0}
     try:
         client = ParameterClient(tap, clock, airframe.link, wanted)
@@ -316,7 +316,7 @@ def _withheld(client: ParameterClient) -> Finding:
 def _distances(airframe: Airframe, client: ParameterClient, clock: Clock, ranges_m: Mapping[str, float]) -> Finding:
     step, stream = "distances", downward_stream(airframe)
     downward = airframe.downward or [sensor for sensor in airframe.sensors if sensor.orientation.value == DOWN]
-    measured = sorted(ranges_m[each.name] for each in downward if each.name in ranges_m)
+    measured = sorted(ranges_m[sensor.name] for sensor in downward if sensor.name in ranges_m)
     if stream is None:
         return unknown(step, "nothing looks down: what the autopilot makes of the others is not tried")
     if not measured:

@@ -33,7 +33,7 @@ def show(path: Path, computer: Computer, as_json: bool, bench: bool = False) -> 
             print("\n".join(lines_of(finding)), flush=True)
     counts = Counter(finding.verdict.value for finding in findings)
     if as_json:
-        print(json.dumps({"findings": [asdict(each) for each in findings], "counts": counts}, indent=2))
+        print(json.dumps({"findings": [asdict(finding) for finding in findings], "counts": counts}, indent=2))
     else:
         print(f"\n{counts['right']} right, {counts['wrong']} wrong, {counts['unknown']} unknown")
     return int(counts["wrong"] > 0)

@@ -105,7 +105,7 @@ class Computer:
     @property
     def boot_config(self) -> str:
         """Name of the file that switches I2C and serial ports on."""
-        return next((each for each in BOOT_CONFIGS if self.exists(each)), BOOT_CONFIGS[0])
+        return next((name for name in BOOT_CONFIGS if self.exists(name)), BOOT_CONFIGS[0])
 
     def boots_with(self, pattern: str) -> bool:
         """Whether a line of that file, not commented out, fits a pattern."""
@@ -176,7 +176,7 @@ class Computer:
         )
 
     def _table(self, path: str, columns: int) -> list[list[str]]:
-        """The lines of a file such as /etc/passwd that have so many columns."""
+        """The lines of a file such as /etc/passwd that have this number of columns."""
         lines = (self.text(path) or "").splitlines()
         return [fields for line in lines if len(fields := line.split(":")) == columns]
 

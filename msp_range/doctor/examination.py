@@ -1,6 +1,6 @@
 """The order of the steps, from the bus to the autopilot; what an earlier step makes impossible is left out.
 
-Bus and port of a bridge that runs are its own, and are left alone: it is seen through its own socket.
+Bus and serial port are not touched while a bridge runs; its state is read from its socket.
 """
 
 import os
@@ -15,7 +15,7 @@ from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
 from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, unknown, wrong
 from msp_range.doctor.port import check_clock, check_interface, check_port
-from msp_range.doctor.sensors import Looked, look
+from msp_range.doctor.sensors import SensorExamination, examine_sensors
 from msp_range.doctor.storage import check_date, check_disk, check_supply
 from msp_range.doctor.thermometer import check_files
 from msp_range.mavlink.transport import Transport, open_transport
@@ -45,7 +45,7 @@ def check_running() -> Iterator[Finding]:
 
 
 def findings(newest: Newest) -> Iterator[Finding]:
-    """What its newest state means."""
+    """Findings from the newest state of a running bridge."""
     status = newest.status
     yield right("running bridge", f"{newest.airframe['vehicle']}, {status['state']}, for {status['uptime_s']:.0f} s")
     for fault in status["faults"]:
@@ -67,7 +67,7 @@ def findings(newest: Newest) -> Iterator[Finding]:
     sent = link["sent"].get("DISTANCE_SENSOR", 0)
     if link["autopilot"] is not None:
         yield right("autopilot", f"system {link['autopilot']} is received; {sent} distances were sent")
-    elif not any(each["what"] == "autopilot" for each in status["faults"]):
+    elif not any(fault["what"] == "autopilot" for fault in status["faults"]):
         yield unknown("autopilot", f"{link['url']}: no heartbeat yet", "msp-range doctor once more")
 
 
@@ -102,7 +102,7 @@ def examine(
     yield right("airframe file", f"{path}: {airframe.vehicle}")
     for doubt in doubts(airframe):
         yield unknown("airframe file", doubt, "correct it if that is so")
-    looked, in_use = Looked([], {}, None), False
+    examined, in_use = SensorExamination([], {}, None), False
     bus_path = str(KernelBus(airframe.bus).path)
     if (yield from check_interface(computer, bus_path)):
         if any(sensor.driver.stretches_clock for sensor in airframe.sensors):
@@ -116,12 +116,12 @@ def examine(
             yield unknown("I2C bus in use", f"{error}. Bus and port are left alone", remedy)
             yield from check_running()
         else:
-            looked = look(airframe, bus, clock)
-            yield from looked.findings
+            examined = examine_sensors(airframe, bus, clock)
+            yield from examined.findings
             bus.close()
     yield from check_files(computer, airframe.temperature)
     if not in_use:
-        yield from _link(airframe, computer, clock, looked, make_transport)
+        yield from _link(airframe, computer, clock, examined, make_transport)
     yield check_disk(computer, airframe.recording.folder if airframe.recording else None)
     yield check_date(computer, path)
     yield from check_supply(computer)
@@ -131,11 +131,11 @@ def _link(
     airframe: Airframe,
     computer: Computer,
     clock: Clock,
-    looked: Looked,
+    examined: SensorExamination,
     make_transport: Callable[[str, Clock], Transport],
 ) -> Iterator[Finding]:
     url = parse_url(airframe.link.url)
     if isinstance(url, SerialUrl) and not (yield from check_port(computer, url)):
         return
     with closing(make_transport(airframe.link.url, clock)) as transport:
-        yield from check_autopilot(airframe, computer, transport, clock, looked.ranges_m, looked.latency_s)
+        yield from check_autopilot(airframe, computer, transport, clock, examined.ranges_m, examined.latency_s)

@@ -27,11 +27,11 @@ class Finding:
     step: str
     """What was looked at, in a few words."""
     verdict: Verdict
-    """The outcome."""
+    """Right, wrong or unknown."""
     text: str
-    """What was seen."""
+    """What was found, for the user."""
     remedy: str | None = None
-    """What to do; None where nothing is to be done."""
+    """What to do about it; None if nothing has to be done."""
 
 
 Row = tuple[object, str] | tuple[object, str, str] | tuple[object, str, str | None, Verdict]

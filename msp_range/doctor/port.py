@@ -99,7 +99,7 @@ def _port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
 
 
 def _there(computer: Computer, path: str) -> Finding:
-    target, pins, other = (computer.target(each) for each in (path, "/dev/serial0", "/dev/serial1"))
+    target, pins, other = (computer.target(name) for name in (path, "/dev/serial0", "/dev/serial1"))
     is_there, is_pi, config = computer.exists(target), computer.is_raspberry_pi, computer.boot_config
     is_uart = is_pi and path.startswith(UARTS)
     ports = [name for pattern in PORTS for name in computer.names(pattern)]

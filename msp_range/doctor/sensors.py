@@ -39,8 +39,8 @@ SCATTER_M = 0.30
 """Readings that lie further apart [m] are reported: a still sensor scatters by 1 to 3 cm."""
 
 
-class Looked(NamedTuple):
-    """What the sensors answered."""
+class SensorExamination(NamedTuple):
+    """Findings about the sensors, and their answers."""
 
     findings: list[Finding]
     """A finding for each step."""
@@ -50,8 +50,8 @@ class Looked(NamedTuple):
     """Shortest time from an echo to its answer [s]; None where there was none. A busy computer adds to the others."""
 
 
-def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
-    """All steps on the bus. Takes some 2 s for each sensor."""
+def examine_sensors(airframe: Airframe, bus: Bus, clock: Clock) -> SensorExamination:
+    """Make all checks of the sensors on the bus. Takes some 2 s for each sensor."""
     findings, present = _addresses(airframe, bus, clock)
     polled = polled_sensors(airframe, bus)
     alone: dict[str, list[Ranging]] = {}
@@ -68,13 +68,15 @@ def look(airframe: Airframe, bus: Bus, clock: Clock) -> Looked:
     ranges_m = {name: median(ranges) for name, rangings in alone.items() if (ranges := _ranges(rangings))}
     findings += disagreeing(airframe, ranges_m)
     answered = [ranging for rangings in alone.values() for ranging in rangings if ranging.reading.range_m is not None]
-    return Looked(findings, ranges_m, min([each.answered_s - each.reading.time_s for each in answered], default=None))
+    return SensorExamination(
+        findings, ranges_m, min([ranging.answered_s - ranging.reading.time_s for ranging in answered], default=None)
+    )
 
 
 def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding], list[SensorSettings]]:
     step = "addresses"
     try:
-        found = [each.address for each in scan(bus, clock, identify=False)]
+        found = [device.address for device in scan(bus, clock, identify=False)]
     except BusError as error:
         held = f"the bus does not move (errno {error.errno}): SDA or SCL is held low"
         remedy = "find the device that holds it: disconnect one after the other; check for a short and for pull-ups"
@@ -102,7 +104,7 @@ def _addresses(airframe: Airframe, bus: Bus, clock: Clock) -> tuple[list[Finding
     if answers.verdict is WRONG:
         return [answers], []
     findings = [answers] if present else []
-    names = {each.address: each.name for each in present}
+    names = {sensor.address: sensor.name for sensor in present}
     findings += [_absent(sensor, others, names) for sensor in sensors if sensor not in present]
     if others:
         listed = "; ".join(
@@ -165,7 +167,7 @@ def _alone(sensor: PolledSensor, bus: Bus, clock: Clock, turns: int) -> list[Ran
 def _polled(
     bus: Bus, clock: Clock, groups: Sequence[Sequence[PolledSensor]], interval_s: float, turns: int
 ) -> dict[str, list[Ranging]]:
-    """What each sensor answers in so many turns of the groups, by name."""
+    """The answers of each sensor in this number of turns of all groups, by name."""
     order = RoundRobin(groups, interval_s, clock.now() + SILENCE_S, dead_after=inf)
     poller = Poller(bus, clock, order)
     found: dict[str, list[Ranging]] = {sensor.name: [] for group in groups for sensor in group}
@@ -285,9 +287,9 @@ def _crosstalk(
 def disagreeing(airframe: Airframe, ranges_m: Mapping[str, float]) -> Iterator[Finding]:
     """Downward sensors whose height above the ground differs from that of the others, if there are at least three."""
     heights_m = {
-        each.name: ranges_m[each.name] * cos(each.tilt_from_down_rad) + each.position_m[2]
-        for each in airframe.downward
-        if each.name in ranges_m
+        sensor.name: ranges_m[sensor.name] * cos(sensor.tilt_from_down_rad) + sensor.position_m[2]
+        for sensor in airframe.downward
+        if sensor.name in ranges_m
     }
     if len(heights_m) < 3:
         return

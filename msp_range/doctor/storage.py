@@ -11,9 +11,9 @@ from msp_range.recording.flight_recorder import START_FREE_BYTES
 from msp_range.state_folder import SERVICE_USER
 
 BYTES_PER_HOUR = 10e6
-"""Size of a recording of four sensors (docs/flying.md)."""
+"""Size of an hour's recording of four sensors [bytes] (docs/flying.md)."""
 SHORT_HOURS = 10
-"""With less than this left the disk is reported as nearly full."""
+"""The disk is reported as nearly full with less than this left for recordings [h]."""
 THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 """The Raspberry Pi's bits: 0 the supply is too low now, 16 it was since the start."""
 STRONGER = "a stronger 5 V supply and shorter wires"
@@ -27,7 +27,7 @@ def check_disk(computer: Computer, folder: str | None) -> Finding:
     path = Path(folder)
     if not path.is_absolute():
         return unknown(step, f"{folder} is relative: it depends on where the bridge is started", "give the whole path")
-    there = next(each for each in (path, *path.parents) if computer.at(each).is_dir() or each == each.parent)
+    there = next(parent for parent in (path, *path.parents) if computer.at(parent).is_dir() or parent == parent.parent)
     who, disk = computer.user.name, computer.disk(computer.at(there))
     left = disk.f_bavail * disk.f_frsize
     is_refused, hours, left_mb = not computer.may_write(str(there)), left / BYTES_PER_HOUR, f"{left / 1e6:.0f} MB left"

@@ -35,8 +35,8 @@ class Windowed:
     def update(self, time_s: float, measured: Estimate) -> Estimate:
         """Update with a reading; the mean of M independent ones has the variance (sum of their variances) / M^2."""
         self._recent.append(measured)
-        mean_variance_m2 = sum([each.variance_m2 for each in self._recent]) / len(self._recent) ** 2
-        return self._combined([each.range_m for each in self._recent], mean_variance_m2)
+        mean_variance_m2 = sum([estimate.variance_m2 for estimate in self._recent]) / len(self._recent) ** 2
+        return self._combined([estimate.range_m for estimate in self._recent], mean_variance_m2)
 
     def reset(self) -> None:
         """Forget all readings."""

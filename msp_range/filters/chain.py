@@ -71,8 +71,8 @@ class Chain:
             if elapsed_s > self._memory_s or apart_m > CONFIRM_M + CONFIRM_M_S * elapsed_s:
                 return Filtered(None, UNCONFIRMED)
             self._last, self._rate_m_s = None, 0.0
-            for each in self._filters:
-                each.reset()
+            for stage in self._filters:
+                stage.reset()
             self._filter(*first)
         self._first, self._accepted_s = None, time_s
         return self._filter(reading, range_m)
@@ -80,8 +80,8 @@ class Chain:
     def _filter(self, reading: Reading, range_m: float) -> Filtered:
         time_s = reading.time_s
         estimate = Estimate(range_m, reading.variance_m2)
-        for each in self._filters:
-            outcome = each.update(time_s, estimate)
+        for stage in self._filters:
+            outcome = stage.update(time_s, estimate)
             if outcome is None:
                 return Filtered(None, UNEXPECTED)
             estimate = outcome

@@ -21,7 +21,7 @@ GROUP = "msp_range.filters"
 """Entry points of installed packages that are filters."""
 
 BuiltIn = MovingAverageParameters | MedianParameters | KalmanParameters | ChangepointParameters
-BUILT_IN = [get_args(each.model_fields["filter"].annotation)[0] for each in get_args(BuiltIn)]
+BUILT_IN = [get_args(parameters.model_fields["filter"].annotation)[0] for parameters in get_args(BuiltIn)]
 """Their names in airframe files."""
 
 

@@ -112,8 +112,8 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     limits = np.log([BOUNDS[name] for name in names]).T
     found = min(
         (
-            minimize(cost, each, method="Nelder-Mead", bounds=limits.T, options={"xatol": 1e-3, "fatol": 1e-3})
-            for each in (start, np.array([start[0] - 2.0, _differences(tracks)]))
+            minimize(cost, start_logs, method="Nelder-Mead", bounds=limits.T, options={"xatol": 1e-3, "fatol": 1e-3})
+            for start_logs in (start, np.array([start[0] - 2.0, _differences(tracks)]))
         ),
         key=lambda result: float(result.fun),
     )
@@ -121,7 +121,7 @@ def tune(tracks: Sequence[Track], parameters: KalmanParameters, variance_cm2: fl
     reach = np.where(np.isclose(best, limits, atol=0.02).any(axis=0), np.inf, _reach(cost, best))
     low, high = np.exp(best - reach).tolist(), np.exp(best + reach).tolist()
     fitted = [FittedParameter(*row) for row in zip(names, given, np.exp(best).tolist(), low, high, strict=True)]
-    changed = parameters.model_copy(update={each.name: float(f"{each.value:.3g}") for each in fitted})
+    changed = parameters.model_copy(update={parameter.name: float(f"{parameter.value:.3g}") for parameter in fitted})
     return Tuned(changed, (fitted[0], fitted[1]), count, outliers, -cost(start), -float(found.fun))
 
 

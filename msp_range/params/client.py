@@ -21,9 +21,10 @@ from msp_range.mavlink.transport import Transport
 from msp_range.params.settings import Firmware, Vehicle
 
 COMPONENT_ID = 192
-"""MAV_COMP_ID_ONBOARD_COMPUTER2: the bridge itself is the first, and may be running."""
+"""MAV_COMP_ID_ONBOARD_COMPUTER2: the bridge itself uses that of the first computer, and may be running."""
 ANSWER_S = 1.0
-"""An autopilot on a wire answers a request in some 10 ms, over a radio in some 300 ms; longer only waits [s]."""
+"""How long an answer is waited for [s]: over a wire it takes some 10 ms, over a radio some 300 ms. Longer only
+waits."""
 TRIES = 3
 HEARTBEAT_OLD_S = 3.0
 """A heartbeat that is older does not show that the vehicle is disarmed now [s]: it comes once a second."""
@@ -58,7 +59,7 @@ class ParameterClient:
     wanted
         Other messages to ask the autopilot for: name -> rate [Hz].
     signing
-        Instead of that with the airframe's key.
+        Replaces the signing that the airframe's key gives.
 
     Attributes
     ----------
@@ -97,7 +98,7 @@ class ParameterClient:
         )
 
     def on_message(self, now_s: float, message: Any) -> None:
-        """Take a message of the autopilot."""
+        """Keep a message of the autopilot."""
         kind = message.msgname
         self.messages[kind] = message
         if kind == "HEARTBEAT":
@@ -112,7 +113,7 @@ class ParameterClient:
             )
 
     def wait(self, is_there: Callable[[], bool], limit_s: float) -> bool:
-        """Serve the link until something is there, at most so long; whether it is."""
+        """Serve the link until ``is_there()``, at most ``limit_s``; returns whether it came."""
         end_s = self._clock.now() + limit_s
         while not is_there():
             if self._clock.now() >= end_s:
@@ -131,16 +132,18 @@ class ParameterClient:
 
     @property
     def armed(self) -> bool | None:
-        """Whether the vehicle is armed; None where nobody knows."""
+        """Whether the vehicle is armed; None if no recent heartbeat says so."""
         if self._clock.now() - self._heartbeat_s > HEARTBEAT_OLD_S:
             return None
         return bool(self._heartbeat.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
 
     def firmware(self) -> Firmware | None:
-        """What decides names and units of parameters; None where the autopilot is neither ArduPilot nor PX4.
+        """The firmware, which decides names and units of parameters; None if the autopilot is neither ArduPilot nor
+        PX4.
 
-        ArduPilot's names before 4.7 follow from those that it knows, which development versions changed before their
-        number did; what changed with 4.8 follows from the number, and counts where there is none.
+        Whether ArduPilot has the names before 4.7 is seen by asking for one of them, since development versions changed
+        names before their number. Whether it has what came with 4.8 is seen by its version; without one it counts as
+        having it.
         """
         if self.autopilot != "ardupilot":
             return None if self.autopilot is None else Firmware(self.autopilot)
@@ -168,7 +171,7 @@ class ParameterClient:
         return self._read(name).get(name)
 
     def _read(self, *names: str) -> dict[str, float]:
-        """What is known as soon as one of several names was answered."""
+        """Values by name, as soon as one of the names was answered."""
         for name in names:
             self._values.pop(name, None)
         self._ask(
@@ -219,7 +222,7 @@ class ParameterClient:
 
 
 def _as_type(given: str, wanted: str, value: float) -> float:
-    """The number that the bytes of another one are, by `struct`'s names of their types."""
+    """A number of one type (`struct` format) whose bytes are read as another type."""
     return float(struct.unpack(wanted, struct.pack(given, value))[0])
 
 

@@ -35,9 +35,13 @@ def text_of(value: float) -> str:
 
 def parm_text(heading: Iterable[str], settings: Sequence[Setting]) -> str:
     """The content of a file, with each parameter's reason and source above it."""
-    lines = [line for each in heading for line in textwrap.wrap(each, 100, initial_indent="# ", subsequent_indent="# ")]
-    for each in settings:
-        lines += ["", f"# {each.reason} ({each.source})", f"{each.name},{text_of(each.value)}"]
+    lines = [
+        line
+        for paragraph in heading
+        for line in textwrap.wrap(paragraph, 100, initial_indent="# ", subsequent_indent="# ")
+    ]
+    for setting in settings:
+        lines += ["", f"# {setting.reason} ({setting.source})", f"{setting.name},{text_of(setting.value)}"]
     return "\n".join(lines) + "\n"
 
 

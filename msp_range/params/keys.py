@@ -22,7 +22,7 @@ TAKEN_S = 5.0
 
 
 def key_file(airframe: Airframe) -> Path:
-    """Where the airframe's key is.
+    """Path of the file with the airframe's key.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def make(path: Path, passphrase: str | None) -> None:
 
 
 def give(airframe: Airframe, clock: Clock, removes: bool = False) -> None:
-    """Give the airframe's key to the autopilot, or remove it there, and see that it is so.
+    """Give the airframe's key to the autopilot, or remove it there, and check by its heartbeat that it did so.
 
     Raises
     ------

@@ -57,7 +57,7 @@ class Hit:
     first, last
         Readings, (n,).
     top
-        Whether ``last`` is the no-echo code: True or False, or (n,).
+        Whether ``last`` is the no-echo code, one bool or (n,).
     centre
         Expected range, (n,); NaN or infinite without an echo: then every hit reads as no echo.
     sigma

@@ -16,11 +16,13 @@ from msp_range.reading_model.kernel import Hit, Missed, Random, Short, is_on_gri
 from msp_range.reading_model.sensor_model import SATURATED_CM
 
 Part: TypeAlias = Callable[[Any, Array, Array], Array]
-"""Something linear in the probability of the readings from first to last of rows, shape (m, n)."""
+"""A function of (rows, first, last): the probability of the readings from first to last, or that and its derivatives,
+shape (m, n)."""
 
 
 class Base(NamedTuple):
-    """Changes of a mixture's numbers: of the five channels through which effects act, and three further ones."""
+    """Changes that are added to the numbers of a mixture. Effects of the simulator act through the first five; the
+    other three belong to the base mixture alone."""
 
     offset_cm: Any = 0.0
     log_sigma: Any = 0.0
@@ -28,7 +30,7 @@ class Base(NamedTuple):
     log_odds_short: Any = 0.0
     log_odds_missed: Any = 0.0
     log_odds_random: Any = 0.0
-    """Against hits."""
+    """Logarithms of the odds against hits."""
     log_rate: Any = 0.0
     """Logarithm of the rate of short readings."""
     saturated: Any = 0.0
@@ -43,18 +45,18 @@ MIN_PROBABILITY = 1e-12
 """Smallest probability of a reading: one that the model cannot give is treated as this improbable, so that a single
 impossible reading does not make every likelihood zero. Smaller gives such readings more weight."""
 ON_GRID = 1e-6
-"""A reading that is farther from a step, as a share of it, lies between two: above the rounding of a division."""
+"""A reading within this share of a step counts as a multiple of it [1]: more than the rounding error of a division."""
 UNDERFLOW = 1e-290
-"""Below this a probability is no longer a float with all its digits, and that of the hits is taken by its logarithm."""
+"""Smaller probabilities are computed by their logarithm: near 1e-308 floats lose their digits."""
 
 
 @dataclass(frozen=True)
 class ByRow:
-    """Base of what has fields with an element for each row."""
+    """Base of dataclasses whose array fields have an element for each row."""
 
     def take(self, rows: Any) -> Self:
         """Some of the rows."""
-        return replace(self, **{each.name: take(getattr(self, each.name), rows) for each in fields(self)})
+        return replace(self, **{column.name: take(getattr(self, column.name), rows) for column in fields(self)})
 
 
 def take(values: Any, rows: Any) -> Any:
@@ -62,7 +64,7 @@ def take(values: Any, rows: Any) -> Any:
     if isinstance(values, np.ndarray):
         return values[rows]
     if isinstance(values, tuple):
-        taken = [take(each, rows) for each in values]
+        taken = [take(value, rows) for value in values]
         return type(values)(*taken) if hasattr(values, "_fields") else tuple(taken)
     return values.take(rows) if isinstance(values, ByRow) else values
 
@@ -76,7 +78,7 @@ def among(some: Array, rows: Indices, size: int) -> Array:
 
 def shares_of(log_weights: Sequence[Any]) -> list[Any]:
     """Shares of hit, short, missed and random by the logarithms of their weights, numbers or (n,)."""
-    weights = [np.exp(each) for each in log_weights]
+    weights = [np.exp(log_weight) for log_weight in log_weights]
     total = sum(weights)
     return [weight / total for weight in weights]
 
@@ -131,7 +133,8 @@ class MixtureRows(ByRow):
         return self.scores_into(by, reading_cm), np.ascontiguousarray(by.T)
 
     def scores_into(self, by: Array, reading_cm: Array) -> Array:
-        """As `scores`, but with a row (n,) for each number, in place: half of the time of a fit is memory."""
+        """As `scores`, but writes into ``by``, a row (n,) for each number: half of the time of a fit went into new
+        arrays."""
         parts = self.of_readings(reading_cm, type(self).slopes)
         p = np.maximum(parts[0], MIN_PROBABILITY)
         np.divide(parts[1:], p, out=by)
@@ -162,12 +165,12 @@ class MixtureRows(ByRow):
         return log_p
 
     def of_readings(self, reading_cm: Array, part: Part) -> Array:
-        """What ``part`` is of each reading, (m, n); 0 for what is no multiple of the step."""
+        """``part`` for each single reading, (m, n); 0 for a reading that is no multiple of the step."""
         code = np.where(is_on_grid(reading_cm, self.step_cm), reading_cm, -1.0)
         return self.arrives(code, code, part)
 
     def arrives(self, first: Array, last: Array, part: Part) -> Array:
-        """What ``part`` is of the mixture, as it is of the readings that arrive: some of M, the no-echo code, as 255.
+        """``part`` for the readings that arrive: the sensor sends some of its no-echo codes M as 255.
 
         With q of the mixture and the saturated fraction s, p(M) = (1 - s) q(M) and p(255) = q(255) + s q(M).
         """

@@ -161,7 +161,7 @@ MEAN_EFFECTS = frozenset(
 sensor's offset from the others. A model with other effects needs `InFlight`; a name too many lets good sensors be
 reported."""
 WIDEST_IN_FLIGHT_CM = 100.0
-"""Hits of a flight scatter by so much at most [cm]: no sensor that scatters by a metre is worth watching. Larger: the
+"""Hits of a flight scatter by at most this much [cm]: no sensor that scatters by a metre is worth watching. Larger: the
 bridge watches what says nothing; smaller: models of poor sensors are not watched."""
 
 

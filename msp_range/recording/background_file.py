@@ -18,9 +18,9 @@ from queue import SimpleQueue
 from msp_range.clock import Clock, SystemClock
 
 REST_S = 0.1
-"""After the disk has kept something, the thread rests for so long [s]. On a vehicle a block comes every 0.5 s, so none
-waits for this; in a virtual flight one comes every few milliseconds, and to wake the thread for each of them took a
-tenth of the flight's time. Longer than a disk leaves of the 0.5 s would add to what a power cut costs."""
+"""After each write that the disk has confirmed, the thread rests for this long [s]. On a vehicle a block comes every
+0.5 s, so none waits for this; in a virtual flight one comes every few milliseconds, and to wake the thread for each of
+them took a tenth of the flight's time. Longer than a disk leaves of the 0.5 s would add to what a power cut costs."""
 
 
 class BackgroundFile:

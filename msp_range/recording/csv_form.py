@@ -27,10 +27,8 @@ from msp_range.input_file import CONTROL, open_input, text_fault
 from msp_range.recording.columns import KNOWN_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 from msp_range.recording.error import RecordingError, new_file
 
-REQUIRED_COLUMNS = ("time_s", "sensor", "reading_cm")
-NEVER_EMPTY = frozenset({"time_s", "sensor"})
 BLOCK = 1 << 10
-"""Rows that are held as text at a time, which need many times the memory that they need as numbers: so many stay in a
+"""Rows that are held as text at a time, which need many times the memory that they need as numbers: this many stay in a
 processor's cache."""
 MOST_WORD_BYTES = 256 * 2**20
 """Memory that a column of words may take: it is as many rows long as its longest word is wide."""
@@ -46,8 +44,6 @@ MOST_COLUMNS = 1000
 """Columns of a table. Tables of readings have 4 to 40; each column costs 8 bytes of memory for each row."""
 LONGEST_CELL = 200
 """Characters of a cell that is kept as a word: names of runs, targets and conditions have 10 to 40."""
-
-_BLOCK_CHARACTERS = 2**16
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,10 @@ def join_tables(tables: Sequence[MeasuredData]) -> MeasuredData:
 
 
 def read_csv(
-    path: Path | str, required: Sequence[str] = REQUIRED_COLUMNS, optional: Sequence[str] = (), hint: str = ""
+    path: Path | str,
+    required: Sequence[str] = ("time_s", "sensor", "reading_cm"),
+    optional: Sequence[str] = (),
+    hint: str = "",
 ) -> MeasuredData:
     """Read measured data.
 
@@ -148,7 +147,7 @@ def read_csv(
                 raise RecordingError(f"{path}:{line}: found {len(row)} cells, expected {len(header)} as in the header")
             yield line, row
 
-    return read_columns(path, rows, dict(zip(header, header, strict=True)), NEVER_EMPTY)
+    return read_columns(path, rows, dict(zip(header, header, strict=True)), {"time_s", "sensor"})
 
 
 def read_columns(
@@ -190,12 +189,12 @@ def read_columns(
             parts[name].append(word_column(str(path), name, column) if found is None else found)
     columns = {}
     for index, (name, blocks) in enumerate(parts.items()):
-        if len({each.dtype.kind for each in blocks}) > 1:
+        if len({part.dtype.kind for part in blocks}) > 1:
             # Numbers at first, and words further on: it was words all along.
             columns[name] = word_column(str(path), name, [cells[index] for _, cells in rows()])
         elif blocks:
             if blocks[0].dtype.kind == "U":
-                longest = max(each.dtype.itemsize // 4 for each in blocks)
+                longest = max(part.dtype.itemsize // 4 for part in blocks)
                 _check_words(str(path), name, sum(map(len, blocks)), longest)
             columns[name] = np.concatenate(blocks)
         else:
@@ -264,7 +263,7 @@ def _lines(path: Path, file: io.BufferedReader) -> Iterator[str]:
         most = FREE_EXPANSION_BYTES + MOST_EXPANSION * os.fstat(file.fileno()).st_size if is_packed else LARGEST_BYTES
         text = io.TextIOWrapper(stream, "utf-8-sig", "surrogateescape")
         number, rest = 1, ""
-        while block := text.read(_BLOCK_CHARACTERS):
+        while block := text.read(2**16):
             if stream.tell() > most:
                 raise RecordingError(f"{path}: found more than {most / 1e6:.0f} MB of unpacked text, expected less")
             if (fault := text_fault(block)) is not None:
@@ -304,7 +303,7 @@ def _check_header(path: Path, header: list[str], required: Sequence[str], option
             raise RecordingError(f"{path}:1: the column {name[:LONGEST_CELL]!r} is there twice")
     names = *required, *optional
     for name in names:
-        near = difflib.get_close_matches(name, [each[:64] for each in header if each not in names], n=1)
+        near = difflib.get_close_matches(name, [heading[:64] for heading in header if heading not in names], n=1)
         if name not in header and (near or name in required):
             why = f" Is it {near[0]!r}?" if near else " Columns are separated by commas." if len(header) == 1 else ""
             raise RecordingError(f"{path}:1: the column {name!r} is missing.{why} Found: {short_list(header)}{hint}")
@@ -412,7 +411,7 @@ def is_number(cell: str, parse: Callable[[str], float] = to_number) -> bool:
 
 def _cells(name: str, column: Column) -> Iterable[str]:
     if column.dtype.kind not in "fiub":
-        words = [str(each) for each in column.tolist()]
+        words = [str(word) for word in column.tolist()]
         wrong = next((word for word in words if CONTROL.search(word)), None)
         if wrong is not None:
             raise ValueError(f"column {name!r}: found a control character in {wrong!r}")
@@ -425,4 +424,4 @@ def _cells(name: str, column: Column) -> Iterable[str]:
     known = numbers[~np.isnan(numbers)]
     # Whole centimetres stay whole: 123, not 123.0.
     show = "{:.0f}".format if (known == np.rint(known)).all() and (np.abs(known) < 2**53).all() else repr
-    return ["" if each != each else show(each) for each in numbers.tolist()]
+    return ["" if value != value else show(value) for value in numbers.tolist()]

@@ -21,7 +21,8 @@ from msp_range.recording.reader import Recording
 from msp_range.recording.topics import FUSED_TOPIC, RANGE_PREFIX, TRUTH_PREFIX
 
 MOST_COLUMNS = 100
-"""Columns of the table: the catalogue of contexts has 17, and each costs 8 bytes of memory for each row."""
+"""Most columns of a table; a recording with more is refused. The contexts that are known have 17, and each column costs
+8 bytes of memory a row."""
 
 _NOT_A_READING = frozenset({Status.NO_ANSWER.value, Status.PART_INFO.value})
 
@@ -42,8 +43,8 @@ def export(recording: Path | str | Recording, csv_path: Path | str) -> int:
 def measured_data(recording: Recording, *, faults: bool = True, stages: bool = False) -> MeasuredData:
     """The readings of a recording as columns, in the order in which they were recorded.
 
-    ``reading_cm`` is the sensor's own word, fault codes and all; empty where there was no answer, or only part
-    information. ``run`` is the recording's file name, or what a bench or simulator called it.
+    ``reading_cm`` is the sensor's answer as it was read, fault codes included; empty where there was no answer, or only
+    part information. ``run`` is the recording's file name, or what a bench or simulator called it.
 
     Parameters
     ----------
@@ -106,7 +107,7 @@ def neighbour_lags_ms(time_s: Column, sensors: Sequence[str], runs: Column) -> C
     for row in np.lexsort((time_s, runs)).tolist():
         if runs[row] != here:
             here, last_s = runs[row], {}
-        others_s = [each for name, each in last_s.items() if name != sensors[row]]
+        others_s = [ping_s for name, ping_s in last_s.items() if name != sensors[row]]
         if others_s:
             lags_ms[row] = 1e3 * (time_s[row] - max(others_s))
         last_s[sensors[row]] = float(time_s[row])

@@ -95,10 +95,10 @@ class FlightRecorder:
 
     def flush_if_due(self, now_s: float) -> None:
         """Hand over to the disk what is due, begin a new file where it is time, and check `fault`."""
-        for each in self._ending:
-            if each.file.has_ended and each.fault is None and each.file.error is not None:
-                self._on_failure(each.failure())
-        self._ending = [each for each in self._ending if not each.file.has_ended]
+        for ending in self._ending:
+            if ending.file.has_ended and ending.fault is None and ending.file.error is not None:
+                self._on_failure(ending.failure())
+        self._ending = [ending for ending in self._ending if not ending.file.has_ended]
         if self._recorder is None:
             # A disk that hangs has ended nothing: its last file has to end before there is another.
             if now_s >= self._retry_s and not self._ending:
@@ -131,8 +131,8 @@ class FlightRecorder:
     def close(self) -> None:
         """Finish the file, and wait until the disk has it; raises RecordingError where it does not."""
         recorder, self._recorder = self._recorder, None
-        for each in self._ending if recorder is None else [*self._ending, recorder]:
-            each.close()
+        for unfinished in self._ending if recorder is None else [*self._ending, recorder]:
+            unfinished.close()
 
     def _begin(self) -> Recorder:
         self._is_reported = False

@@ -70,11 +70,11 @@ def plotjuggler(plots: Sequence[Plot]) -> str:
     sizes = ";".join([f"{1 / len(plots):.6g}"] * len(plots))
     container = SubElement(tab, "Container")
     splitter = SubElement(container, "DockSplitter", orientation="-", count=str(len(plots)), sizes=sizes)
-    for each in plots:
-        area = SubElement(splitter, "DockArea", name=each.title)
+    for shown in plots:
+        area = SubElement(splitter, "DockArea", name=shown.title)
         plot = SubElement(area, "plot", mode="TimeSeries", style="LinesAndDots")
-        for key in each.keys:
-            SubElement(plot, "curve", name=f"{each.topic}/{key}", color=_CURVES[key])
+        for key in shown.keys:
+            SubElement(plot, "curve", name=f"{shown.topic}/{key}", color=_CURVES[key])
     SubElement(main, "currentTabIndex", index="0")
     SubElement(root, "use_relative_time_offset", enabled="1")
     indent(root)

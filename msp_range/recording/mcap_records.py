@@ -62,7 +62,7 @@ _FORMS: dict[int, tuple[int, ...]] = {
     Opcode.SUMMARY_OFFSET: (17,),
     Opcode.DATA_END: (4,),
 }
-"""What each record consists of: so many bytes, or as many as the number in front of them says (-4 or -8: its bytes).
+"""Lengths of each record's fields [bytes]; -4 and -8 stand for a field whose own length comes first, in 4 or 8 bytes.
 That these fill the record's length exactly tells a record from what only looks like one. Messages have no such form."""
 _KINDS: dict[int, Any] = {
     Opcode.HEADER: Header,

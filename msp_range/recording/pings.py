@@ -40,7 +40,7 @@ Pings = Mapping[str, Sequence[RecordedPing]]
 
 
 class Recorded(NamedTuple):
-    """What a bridge received, to be played again; of a table only pings and air."""
+    """The input of a bridge, to be played again; from a table only pings and air."""
 
     pings: Pings
     """Pings of every sensor."""
@@ -52,7 +52,7 @@ class Recorded(NamedTuple):
 
     @property
     def first_ping_s(self) -> float:
-        """When it begins [s]."""
+        """Time of the first ping [s]."""
         return min(of_sensor[0].ping_s for of_sensor in self.pings.values())
 
     def air_at(self, now_s: float) -> Air:

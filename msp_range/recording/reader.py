@@ -23,7 +23,6 @@ from msp_range.recording.mcap_records import Losses, RawMessage, Record, read_re
 from msp_range.recording.topics import LARGEST_TIME_S, LONGEST_TOPIC, Message, Topic, read_back
 from msp_range.recording.writer import METADATA_NAME
 
-SUFFIX = ".mcap"
 LARGEST_FILE_BYTES = 2**40
 """Recordings are read piece by piece, so this only keeps out what is no file of a disk."""
 MOST_ATTACHED_BYTES = 4 * 2**20
@@ -165,7 +164,7 @@ def is_recording(path: Path | str) -> bool:
         It cannot be read.
     """
     with _opened(path) as file:
-        return Path(path).suffix == SUFFIX or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        return Path(path).suffix == ".mcap" or file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
 def _opened(path: Path | str) -> BinaryIO:

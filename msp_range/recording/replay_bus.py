@@ -1,8 +1,8 @@
 """A bus whose sensors answer with readings that were measured before.
 
-The bridge's own driver pings and reads as ever, and gets the recorded answers of each 7-bit address in their order.
-When to ping is in the record too: `ReplayBus.next_ping` says it, and whoever drives the polling sleeps until then, so
-that on a virtual clock the readings get their own times back.
+The bridge's own driver pings and reads as in a flight, and gets the recorded answers of each 7-bit address in their
+order. The recorded time of the next ping is `ReplayBus.next_ping`; whoever drives the polling sleeps until then, so
+that on a virtual clock the readings have their recorded times.
 """
 
 import errno
@@ -16,9 +16,9 @@ from msp_range.sensors.base import Playback, RecordedPing
 class ReplayBus:
     """A Bus (see `msp_range.bus.base.Bus`) with recorded sensors on it.
 
-    Each range command takes the next recorded ping of its address, however late it comes, so nothing is left out. A
-    read is never acknowledged where the sensor did not answer, and a range command not after its last reading; an
-    address that is not in the record does not acknowledge either.
+    Each range command starts the next recorded ping of its address, however late it comes, so none is left out. Not
+    acknowledged are a read where the sensor did not answer, a range command after the last recorded ping, and anything
+    at an address that is not in the record.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class ReplayBus:
     clock
         The bridge's clock.
     playbacks
-        By 7-bit address, what makes the sensor there: a driver's ``playback``.
+        Function that makes the recorded sensor at each 7-bit address: a driver's ``playback``.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class ReplayBus:
         playbacks: Mapping[int, Callable[[], Playback]],
     ) -> None:
         self._clock = clock
-        self._sensors = {address: _Sensor(each, playbacks[address]()) for address, each in pings.items()}
+        self._sensors = {address: _Sensor(of_sensor, playbacks[address]()) for address, of_sensor in pings.items()}
         self.behind_s = 0.0
 
     def next_ping(self, address: int) -> RecordedPing | None:
@@ -75,7 +75,7 @@ class ReplayBus:
         return answer
 
     def busy_s(self, address: int) -> float:
-        """Not at all, as far as the bridge knows: it asks every few milliseconds, and reads each answer as soon."""
+        """0: the bridge asks every few milliseconds, and so reads each answer as early as it was read in the flight."""
         return 0.0
 
     def reopen(self) -> None:

@@ -14,7 +14,6 @@ from msp_range.input_file import CONTROL
 from msp_range.recording.columns import CONTEXT_COLUMNS, LARGEST_NUMBER, WORD_COLUMNS
 
 _TIME_S = "time of the echo, or of the ping where there was none, on the bridge's clock [s]"
-_RANGE_M = "distance along the beam [m]"
 _MAVLINK = {
     "name": "name of the MAVLink message",
     "hex": "the whole frame as it is on the link, in hexadecimal; of one not sent, unnumbered and unsigned",
@@ -43,14 +42,14 @@ _JSON_TYPES = {float: "number", int: "integer", str: "string", bool: "boolean"}
 
 
 class Topic(NamedTuple):
-    """What is recorded on a topic."""
+    """Messages that are recorded on a topic."""
 
     meaning: str
-    """What a message is."""
+    """Content of a message, in words."""
     keys: Mapping[str, str]
     """What each of its keys means."""
     required: frozenset[str] | None = None
-    """Keys without which a message is of no use; None: nobody reads the topic back."""
+    """Keys that a message needs to be used; None: nothing reads the topic back."""
 
     def fits(self, message: Mapping[str, Any]) -> bool:
         """Whether a message has these keys; those that are not named hold one number, text or truth value."""
@@ -135,7 +134,7 @@ TOPICS = {
             "status": "what the answer means",
             "raw": "the sensor's 16-bit answer; absent where there was none",
             "suspect": "a legal range that is also a known fault code",
-            "range_m": _RANGE_M,
+            "range_m": "distance along the beam [m]",
             "std_m": "standard deviation of range_m [m]",
             "temperature_c": "air temperature of the correction [deg C]",
             "temperature_std_c": "standard deviation of its error, with that of the humidity as degrees [deg C]",
@@ -166,7 +165,7 @@ def _known(topic: str) -> str:
 
 
 def read_back(topic: str) -> Topic | None:
-    """What is recorded on a topic; None for topics that nobody reads back, of this program or another."""
+    """The messages recorded on a topic; None for topics that nothing reads back, of this program or another."""
     found = TOPICS.get(_known(topic))
     return None if found is None or found.required is None else found
 
@@ -186,7 +185,7 @@ def schema_of(topic: str) -> tuple[str, bytes]:
     """
     key = _known(topic)
     if key not in TOPICS:
-        known = [f"{each}<sensor>" if each.endswith("/") else each for each in TOPICS]
+        known = [f"{known_topic}<sensor>" if known_topic.endswith("/") else known_topic for known_topic in TOPICS]
         raise ValueError(f"no topic {topic!r}; known: {', '.join(known)}")
     meaning, keys, _ = TOPICS[key]
     words = key.strip("/").replace("/", "_").split("_")
@@ -195,7 +194,8 @@ def schema_of(topic: str) -> tuple[str, bytes]:
         "description": meaning,
         "type": "object",
         "properties": {
-            name: {"type": _JSON_TYPES[_TYPES.get(name, float)], "description": each} for name, each in keys.items()
+            name: {"type": _JSON_TYPES[_TYPES.get(name, float)], "description": meaning_of_key}
+            for name, meaning_of_key in keys.items()
         },
     }
     return schema["title"], json.dumps(schema).encode()

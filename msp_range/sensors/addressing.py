@@ -43,11 +43,11 @@ def _identify(bus: Bus, clock: Clock, address: int, drivers: list[type[Driver]])
     """The result of the first of these kinds that recognises the device; otherwise the result of the first kind."""
     found = (driver.identify(bus, clock, address) for driver in drivers)
     first = next(found)
-    return first if first.ranged else next((each for each in found if each.ranged), first)
+    return first if first.ranged else next((device for device in found if device.ranged), first)
 
 
 def _present(bus: Bus, clock: Clock, addresses: Sequence[int]) -> list[int]:
-    """Those of the addresses at which a device acknowledges, in ascending order."""
+    """The addresses among these at which a device acknowledges, in ascending order."""
     there = {address for address in addresses if acknowledges(bus, address)}
     if len(there) < len(addresses):
         # A sensor that is measuring does not acknowledge.

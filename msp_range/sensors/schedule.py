@@ -95,7 +95,7 @@ class _Turns:
     pinged_s: float = -math.inf
     again_since_s: float = -math.inf
     again: int = 0
-    """Extra turns since that time [s]."""
+    """Number of extra turns since ``again_since_s``."""
 
 
 class RoundRobin:
@@ -131,7 +131,7 @@ class RoundRobin:
         if not groups or not all(groups):
             raise ValueError(f"every polling group needs at least one sensor; found {groups!r}")
         self._groups = [[_Turns(sensor) for sensor in group] for group in groups]
-        self._of = {each.sensor.name: each for group in self._groups for each in group}
+        self._of = {member.sensor.name: member for group in self._groups for member in group}
         self._interval_s = interval_s
         self._near = near
         self._dead_after = dead_after
@@ -151,10 +151,10 @@ class RoundRobin:
         if not self._round:
             self._round.extend(self._next_round(at_s))
         group = self._round.popleft()
-        for each in group:
-            each.pinged_s = at_s
+        for member in group:
+            member.pinged_s = at_s
         self._is_retry = self._are_dead(group) and bool(self._living_groups())
-        return at_s, [each.sensor for each in group]
+        return at_s, [member.sensor for member in group]
 
     def on_reading(self, reading: Reading) -> None:
         """Record whether the sensor works, and whether it is near the ground."""
@@ -166,8 +166,8 @@ class RoundRobin:
             return
         if self._is_dead(turns):
             # The cause of its recovery (a plug, the supply, the bus) may have affected others too: retry them now.
-            for each in self._of.values():
-                each.pinged_s = -math.inf
+            for other in self._of.values():
+                other.pinged_s = -math.inf
         turns.faults = 0
 
     def again(self, sensor: str) -> None:
@@ -196,13 +196,14 @@ class RoundRobin:
         # One retry per cycle: if retries are acknowledged, more of them would delay the working sensors.
         retried = sorted(due, key=lambda group: group[0].pinged_s)[:1]
         return retried + [
-            [each for each in group if not self._is_dead(each) or at_s - each.pinged_s >= RETRY_S] for group in living
+            [member for member in group if not self._is_dead(member) or at_s - member.pinged_s >= RETRY_S]
+            for group in living
         ]
 
     def _spacing_s(self) -> float:
         """Time from the previous turn to the next one [s]."""
         if self._near is None:
             return self._interval_s
-        working = [each for each in self._of.values() if not self._is_dead(each)]
-        is_near = working and all(each.is_near for each in working)
+        working = [turns for turns in self._of.values() if not self._is_dead(turns)]
+        is_near = working and all(turns.is_near for turns in working)
         return self._near.ping_interval_s if is_near else self._interval_s

@@ -1,8 +1,15 @@
-"""The fields of a running bridge's state: each is a row here, which terminal, page and metrics show."""
+"""The fields of a running bridge's state: each is named here alone, and terminal, page and metrics show it.
+
+The bridge makes them for each status, and sends them with it (`status_facts`). The fused distance is not among them: it
+changes with each reading, so a watcher makes its field of the newest record (`distance_fact`).
+"""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
+from msp_range.bridge import Bridge
+from msp_range.mavlink.transport import Transport
 from msp_range.watch.newest import Newest
 
 DISTANCE = "distance down"
@@ -14,7 +21,7 @@ class Fact(NamedTuple):
     """One field as it is now."""
 
     name: str
-    """What it is."""
+    """Name of the field, for a person."""
     text: str
     """What follows its name, for a person."""
     gauges: dict[str, tuple[str, float]]
@@ -23,37 +30,61 @@ class Fact(NamedTuple):
     """Whether the page lists it; else it draws it in a form of its own."""
 
 
-def facts_of(newest: Newest) -> Iterator[Fact]:
-    """All that is known, in the order in which it is shown."""
-    fused, airframe, status = newest.distance, newest.airframe, newest.status
-    if fused is not None:
-        climb = f", climbing {fused['climb_m_s']:+.1f} m/s" if abs(fused["climb_m_s"]) >= SHOWN_CLIMB_M_S else ""
-        not_sent = " (not sent)" * airframe.get("sends_nothing", False)
-        text = f" {fused['range_m']:.2f} m{not_sent}, deviation {100 * fused['variance_m2'] ** 0.5:.1f} cm{climb}"
-        range_m = "Fused distance along the down axis.", fused["range_m"]
-        variance_m2 = "Variance of its error.", fused["variance_m2"]
-        gauges = {"msp_range_distance_m": range_m, "msp_range_distance_variance_m2": variance_m2}
-        yield Fact(DISTANCE, text, gauges, in_list=False)
-    elif airframe.get("reference_down_m") is not None:
-        yield Fact(DISTANCE, ": none", {}, in_list=False)
-    if not status:
-        return
-    air, link = status["air"], status["link"]
-    text = f" {air['temperature_c']:.1f} C, deviation {air['std_c']:.1f} C, from {air['source']}"
-    temperature_c = "Air temperature of the correction.", air["temperature_c"]
+def status_facts(
+    bridge: Bridge, transport: Transport, recording: Path | None, uptime_s: float, received: dict[str, Any] | None
+) -> Iterator[Fact]:
+    """The fields of a status, in the order in which they are shown.
+
+    Parameters
+    ----------
+    recording
+        The file that is written; None: none.
+    uptime_s
+        Time since the bridge was started [s].
+    received
+        The distance that the autopilot has, as `autopilot_message` gives it; None: it sends none.
+    """
+    air, link = bridge.air, bridge.link
+    text = f" {air.temperature_c:.1f} C, deviation {air.std_c:.1f} C, from {air.source}"
+    temperature_c = "Air temperature of the correction.", air.temperature_c
     yield Fact("air", text, {"msp_range_air_temperature_c": temperature_c})
-    is_there = link["autopilot"] is not None
-    there = f"system {link['autopilot']}" if is_there else "none received"
-    armed = {True: ", armed", False: ", disarmed", None: ""}[link["armed"]]
-    down = "" if link["connected"] else f", not connected: {link['error'] or 'waiting'}"
+    is_there = link.autopilot_is_present
+    there = f"system {link.autopilot_system}" if is_there else "none received"
+    armed = {True: ", armed", False: ", disarmed", None: ""}[link.autopilot_armed if is_there else None]
+    down = "" if transport.connected else f", not connected: {transport.last_error or 'waiting'}"
     is_present = "1 if heartbeats arrive.", is_there
-    yield Fact("link", f" {link['url']}{down}; autopilot: {there}{armed}", {"msp_range_autopilot_present": is_present})
-    distances = f"{link['sent'].get('DISTANCE_SENSOR', 0)} distances{'' if is_there else ', nobody gets them'}"
-    sent = "no distances" if airframe.get("sends_nothing") else distances
-    yield Fact("sent", f" {sent}, {link['dropped']} frames dropped", {})
-    if (back := newest.received.get("DISTANCE_SENSOR")) is not None:
-        text = f" {back['distance_m']:.2f} m (orientation {back['orientation']})"
+    text = f" {transport.description}{down}; autopilot: {there}{armed}"
+    yield Fact("link", text, {"msp_range_autopilot_present": is_present})
+    distances = f"{link.sent['DISTANCE_SENSOR']} distances{'' if is_there else ', nobody gets them'}"
+    sent = "no distances" if bridge.airframe.send.nothing else distances
+    yield Fact("sent", f" {sent}, {transport.stats.dropped_frames} frames dropped", {})
+    if received is not None:
+        text = f" {received['distance_m']:.2f} m (orientation {received['orientation']})"
         yield Fact("the autopilot has", text, {}, in_list=False)
-    yield Fact("recording", f": {status['recording'] or 'none'}", {})
-    uptime_s = "Time since the bridge was started.", status["uptime_s"]
-    yield Fact("running for", f" {status['uptime_s']:.0f} s", {"msp_range_uptime_seconds": uptime_s}, in_list=False)
+    yield Fact("recording", f": {recording or 'none'}", {})
+    uptime = {"msp_range_uptime_seconds": ("Time since the bridge was started.", uptime_s)}
+    yield Fact("running for", f" {uptime_s:.0f} s", uptime, in_list=False)
+
+
+def distance_fact(newest: Newest) -> Fact | None:
+    """The fused distance; None where the vehicle has none."""
+    fused = newest.distance
+    if fused is None:
+        has_none = newest.airframe.get("reference_down_m") is None
+        return None if has_none else Fact(DISTANCE, ": none", {}, in_list=False)
+    climb = f", climbing {fused['climb_m_s']:+.1f} m/s" if abs(fused["climb_m_s"]) >= SHOWN_CLIMB_M_S else ""
+    not_sent = " (not sent)" * newest.airframe.get("sends_nothing", False)
+    text = f" {fused['range_m']:.2f} m{not_sent}, deviation {100 * fused['variance_m2'] ** 0.5:.1f} cm{climb}"
+    gauges = {
+        "msp_range_distance_m": ("Fused distance along the down axis.", fused["range_m"]),
+        "msp_range_distance_variance_m2": ("Variance of its error.", fused["variance_m2"]),
+    }
+    return Fact(DISTANCE, text, gauges, in_list=False)
+
+
+def facts_of(newest: Newest) -> Iterator[Fact]:
+    """All fields of a watched bridge, in the order in which they are shown."""
+    if (distance := distance_fact(newest)) is not None:
+        yield distance
+    for field in newest.status.get("facts", []):
+        yield Fact(**field)

@@ -21,8 +21,8 @@ from msp_range.errors import UserError
 from msp_range.input_file import printable
 
 MOST_WATCHERS = 8
-"""Places: a page's process and some terminals. Each costs the bridge a system call a packet. Where all are taken, the
-user with most of them loses one to a user with fewer."""
+"""Most watchers at a time: a page's process and some terminals. Each costs the bridge a system call a packet. When all
+places are taken, the user with most of them loses one to a user with fewer."""
 LONGEST_MARK = 100
 """Characters of a mark; longer ones are cut."""
 MARKS_PER_S = 2.0
@@ -41,8 +41,8 @@ class Feed:
     Parameters
     ----------
     path
-        Where; the folder is made, for this user alone, where it is not there. A socket that nobody listens on any more
-        is replaced.
+        Path of the socket. Its folder is made if it is missing, for this user alone; a socket that nobody listens on
+        any more is replaced.
     greeting
         Gives the message of ``/airframe``, which each watcher gets first.
     on_mark
@@ -83,15 +83,15 @@ class Feed:
                 self._forget(watcher)
 
     def service(self, now_s: float) -> None:
-        """Greet who has come, and take marks: one system call where there is nothing to do."""
+        """Greet new watchers and receive marks; one system call if there is nothing to do."""
         # The server comes last: a watcher that loses its place to a new one has been read by then.
         readable, _, _ = select.select([*self._watchers, self._server], (), (), 0.0)
-        for each in readable:
-            if each is self._server:
+        for ready in readable:
+            if ready is self._server:
                 with suppress(OSError):  # It has gone already, or there are too many open files.
-                    self._greet(each.accept()[0], now_s)
+                    self._greet(ready.accept()[0], now_s)
             else:
-                self._receive(each, now_s)
+                self._receive(ready, now_s)
 
     def close(self) -> None:
         """End all connections and remove the socket."""

@@ -7,9 +7,9 @@ from typing import Any
 from msp_range.recording.topics import FUSED_TOPIC, HEALTH_TOPIC, RANGE_PREFIX, Message
 
 GONE = "/gone"
-"""Topic of the packet that a server makes where the bridge has ended."""
+"""Topic of the packet that the page's server makes when the bridge has ended."""
 FRESH_S = 2.0
-"""A fused distance that is older is not shown as the present one [s]."""
+"""A fused distance that is older is not shown as the present one [s]; the bridge makes several a second."""
 TEXTS_KEPT = 50
 """Reports to the pilot that are remembered."""
 

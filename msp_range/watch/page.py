@@ -7,7 +7,7 @@ from pathlib import Path
 from msp_range.log import Log
 
 START_S = 1.0
-"""The page is started so long after the bridge [s]: the first distances matter more."""
+"""The page is started this long after the bridge [s]: the first distances matter more."""
 RESTART_S = 5.0
 """Time between two starts of a page that ends, such as on a port that is in use [s]. Starting takes 0.3 s of a
 processor, so a shorter time would take it from the polling."""

@@ -72,7 +72,7 @@ def as_object(newest: Newest) -> dict[str, Any]:
 def shown(newest: Newest) -> Group:
     """All of it, for a reader: what is wrong comes first, where a short window still shows it."""
     title = f"{newest.airframe.get('vehicle', '?')}: {newest.state}", "bold"
-    above = [Text(*each) for each in (title, *_wrong(newest))]
+    above = [Text(*line) for line in (title, *_wrong(newest))]
     style = "bold red" if newest.distance is None else "bold"
     below = [Text(fact.name + fact.text, style * (fact.name == DISTANCE)) for fact in facts_of(newest)]
     return Group(*above, _sensors(newest), *below)
@@ -93,8 +93,8 @@ def _sensors(newest: Newest) -> Table:
     status = newest.status
     table = plain_table(("sensor", "raw m", "corrected m", "used", "readings", "rejected"), align="lrrlr")
     table.width = NARROW
-    for each in newest.airframe.get("sensors", []):
-        name = each["name"]
+    for sensor in newest.airframe.get("sensors", []):
+        name = sensor["name"]
         reading = newest.readings.get(name, {})
         counts = status.get("sensors", {}).get(name, {"readings": 0, "rejected": {}, "fault": None})
         table.add_row(

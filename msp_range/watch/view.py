@@ -1,4 +1,5 @@
-"""What watchers get as well as the records: the vehicle, its state, and what the autopilot says it received.
+"""The messages that watchers get besides the records: the vehicle, its state, and the distances that the autopilot
+reports.
 
 Pure functions from the bridge's objects to messages of the feed.
 """
@@ -12,6 +13,7 @@ from msp_range.bridge import Bridge
 from msp_range.config import Airframe
 from msp_range.mavlink.dialect import dialect
 from msp_range.mavlink.transport import Transport
+from msp_range.watch.facts import status_facts
 
 BEAM_RANGES_M = (0.2, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.5, 8.0)
 """Ranges at which the width of a beam is given; between them it is drawn linearly [m]."""
@@ -50,8 +52,14 @@ def airframe_message(airframe: Airframe) -> dict[str, Any]:
     }
 
 
-def status_message(bridge: Bridge, transport: Transport, recording: Path | None, now_s: float) -> dict[str, Any]:
-    """The message of ``/status``: what counts and what is wrong, of sensors, air, link and recording.
+def status_message(
+    bridge: Bridge,
+    transport: Transport,
+    recording: Path | None,
+    now_s: float,
+    received: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The message of ``/status``: counts and faults of sensors, air, link and recording, and what watchers show of it.
 
     Parameters
     ----------
@@ -59,20 +67,23 @@ def status_message(bridge: Bridge, transport: Transport, recording: Path | None,
         The file that is written; None: none.
     now_s
         Now on the bridge's clock [s].
+    received
+        The distance that the autopilot has, as `autopilot_message` gives it; None: it sends none.
     """
     verdict, link, air = bridge.verdict, bridge.link, bridge.air
     faults = bridge.health.sensor_faults
+    uptime_s = round(now_s - bridge.started_s, 1)
     return {
         "state": verdict.state,
-        "uptime_s": round(now_s - bridge.started_s, 1),
+        "uptime_s": uptime_s,
         "sensors": {
             name: {
                 "fault": faults.get(name),
-                "readings": each.readings,
-                "rejected": each.rejected,
+                "readings": counts.readings,
+                "rejected": counts.rejected,
                 "findings": [found.text for found in bridge.sensor_findings if found.sensor == name],
             }
-            for name, each in bridge.counts().items()
+            for name, counts in bridge.counts().items()
         },
         "sensor_watch_off": bridge.sensor_watch_off,
         "faults": [finding._asdict() | {"severity": finding.severity.name.lower()} for finding in verdict.findings],
@@ -88,6 +99,7 @@ def status_message(bridge: Bridge, transport: Transport, recording: Path | None,
             "reconnects": transport.stats.reconnects,
         },
         "recording": None if recording is None else str(recording),
+        "facts": [fact._asdict() for fact in status_facts(bridge, transport, recording, uptime_s, received)],
     }
 
 

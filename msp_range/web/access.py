@@ -22,15 +22,15 @@ TOKEN_BYTES = 16
 def refusal(
     token: str | None, target: str | None, host: str | None, origin: str | None
 ) -> tuple[HTTPStatus, str] | None:
-    """Why a request is refused; None where it is not.
+    """Status and text of the refusal of a request; None if it is allowed.
 
     Parameters
     ----------
     token
-        Token that must be in the address as ``?token=``; None: not needed.
+        Token that the request's address must have as ``?token=``; None: not needed.
     target
-        Path and query of the request; None for what says nothing of the vehicle (styles, scripts), which needs no
-        token.
+        Path and query of the request; None for files that need no token because they show nothing of the vehicle
+        (styles, scripts).
     host, origin
         Its headers; None where there is none.
 

@@ -36,10 +36,10 @@ class BridgeMetrics(Collector):
         )
         good = GaugeMetricFamily("msp_range_sensor_good", "1 if the sensor has no fault.", labels=["sensor"])
         distance = GaugeMetricFamily("msp_range_range_m", "Last corrected range of each sensor.", labels=["sensor"])
-        for name, each in status["sensors"].items():
-            readings.add_metric([name], each["readings"])
-            good.add_metric([name], each["fault"] is None)
-            for reason, count in each["rejected"].items():
+        for name, counts in status["sensors"].items():
+            readings.add_metric([name], counts["readings"])
+            good.add_metric([name], counts["fault"] is None)
+            for reason, count in counts["rejected"].items():
                 rejected.add_metric([name, reason], count)
             corrected_m = newest.readings.get(name, {}).get("corrected_m")
             if corrected_m is not None:

@@ -24,7 +24,6 @@ from websockets.http11 import Request, Response
 
 from msp_range.recording.topics import MOTION_TOPIC, SENT_TOPIC, WITHHELD_TOPIC
 from msp_range.watch.client import LONGEST_PACKET, parsed
-from msp_range.watch.facts import facts_of
 from msp_range.watch.feed import LONGEST_MARK
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.place import Listen
@@ -32,7 +31,7 @@ from msp_range.web.access import refusal
 from msp_range.web.metrics import BridgeMetrics
 
 BATCH_S = 0.05
-"""Packets of so long go to the browsers together [s]: the eye sees no delay, and a phone wakes 20 times a second."""
+"""Packets of this time go to the browsers together [s]: the eye sees no delay, and a phone wakes 20 times a second."""
 HISTORY_PACKETS = 4000
 """Packets that a new browser gets at once: a minute of four sensors. Each takes 400 bytes of memory."""
 SLOW_BYTES = 1 << 20
@@ -173,9 +172,6 @@ class Page:
             return
         message = parsed(packet)
         self._newest.update(message)
-        if message.topic == "/status":
-            message.message["facts"] = [(fact.name, fact.text) for fact in facts_of(self._newest) if fact.in_list]
-            packet = json.dumps(message._asdict()).encode()
         if message.topic in ("/airframe", "/status", GONE):
             self._kept = ({} if message.topic == "/airframe" else self._kept) | {message.topic: packet}
         else:

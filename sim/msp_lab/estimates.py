@@ -25,8 +25,8 @@ STRAY = 1e-4
 order has, spread over a hundred steps. At 0 one such reading widens the spread of readings that are nearly all alike,
 and their mean moves by a tenth of a step with it; larger, tails count as strays."""
 NEAR_STEPS, MOST_NEAR = 3.0, 0.9
-"""Readings within so many steps of the median decide whether they scatter by more than `DITHERED`, where they are at
-least this share of all: the others are strays then, and no second group."""
+"""Only readings within this number of steps of the median decide whether they scatter by more than `DITHERED`, if they
+are at least this share of all: the others are then strays, not a second group."""
 GROUPS = 3
 """Set-ups with readings of two steps or more that a spread of all is taken from."""
 USUAL_WITHIN = 0.3
@@ -196,7 +196,7 @@ def between_points(residual: Array, variance: Array, known: float = 0.0, fitted:
     freedom = residual.size - fitted
     wanted = (freedom, *chdtri(freedom, [0.025, 0.975]).tolist())
     mean = np.ones((residual.size, 1))
-    value, low, high = (math.sqrt(_variance_between(mean, residual, variance + known, each)) for each in wanted)
+    value, low, high = (math.sqrt(_variance_between(mean, residual, variance + known, total)) for total in wanted)
     return IntervalEstimate(value, low, high, "cm", residual.size, "points")
 
 
@@ -267,7 +267,7 @@ def common_spread(groups: Sequence[Array], step: float) -> float | None:
     None where fewer than `GROUPS` of them show anything of it: values of two steps or more that scatter little.
     """
     few = [group for group in groups if _is_of_few_steps(group, step)]
-    shown = [each for each in few if np.unique(each).size > 1]
+    shown = [values for values in few if np.unique(values).size > 1]
     if len(shown) < GROUPS:
         return None
     spreads = np.geomspace(*_SPREADS, 41)
@@ -308,7 +308,7 @@ def _of_rounded(values: Array, step: float, usual: float | None) -> MeanAndSprea
         IntervalEstimate(mean, *mean_ends, "cm", values.size),
         IntervalEstimate(spread, least, largest, "cm", values.size),
     )
-    return MeanAndSpread(*(each.mapped(lambda steps: step * steps) for each in found))
+    return MeanAndSpread(*(estimate.mapped(lambda steps: step * steps) for estimate in found))
 
 
 def _log_likelihood(values: Array, means: Array, spreads: Array) -> Array:

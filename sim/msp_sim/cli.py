@@ -35,7 +35,8 @@ OwnEffects = Annotated[
         "--effects", metavar="FILE.py", callback=_add_effects, help="file with effects of your own; may be repeated"
     ),
 ]
-"""They are in the catalogue before the command starts, and those of installed packages too."""
+"""Effects of the files that are named, and of installed packages, are added to the catalogue before the command
+starts."""
 
 Jobs = Annotated[int, typer.Option(min=1, help="number of processes on this machine; more than 1 need the extra fleet")]
 Scheduler = Annotated[

@@ -9,7 +9,7 @@ CONFIDENCE = 0.95
 """Level of all intervals."""
 Z = float(ndtri(0.5 + CONFIDENCE / 2))
 LIKELIHOOD_DROP = Z**2 / 2
-"""By so much a log-likelihood is below its top at the ends of an interval: 1.92, half of chi squared's quantile."""
+"""Drop of the log-likelihood from its maximum at the ends of an interval: 1.92, half of chi squared's quantile."""
 
 
 def wilson(count: float, of: float) -> tuple[float, float]:

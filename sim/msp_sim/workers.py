@@ -67,7 +67,7 @@ Row = TypeVar("Row", bound=Any)
 
 @dataclass(frozen=True)
 class ItemOutcome(Generic[Result]):
-    """What became of an item."""
+    """Result of one item, or why it has none."""
 
     index: int
     """Place of the item in the list."""
@@ -116,9 +116,9 @@ class Workers:
         function
             At the top level of a module that the workers can import.
         items, shared
-            What it is called with; ``shared`` is sent to each worker once per part and kept there.
+            Arguments of the function; ``shared`` is sent to each worker once per part and kept there.
         what
-            What the items are, in the plural, for progress bar and dashboard.
+            Noun for the items, in the plural, for progress bar and dashboard.
 
         Yields
         ------
@@ -158,18 +158,19 @@ class Workers:
         *,
         what: str,
     ) -> list[Row]:
-        """A row for each of many, in order, and as they come in a CSV table, which is replaced.
+        """Make a row for each item, in order; the rows also go into a CSV table, which is replaced, as they are
+        computed.
 
         Parameters
         ----------
         function, shared, what
             As for `map`.
         items
-            Name of each -> what it is.
+            Items by name.
         table
             The file.
         kind
-            Dataclass of a row; that of an item that failed is made of the item's name and ``error``.
+            Dataclass of a row; for an item that failed it is made of the item's name and ``error``.
         """
         names, rows = list(items), []
         with table.open("w", encoding="utf-8", newline="") as file:
@@ -182,7 +183,8 @@ class Workers:
         return rows
 
     def show_rows(self, rows: Sequence[Any], table: Table, failed: str, files: str) -> None:
-        """End a command: a table of rows, why some ``failed`` with `EXIT_SOME_FAILED`, and where the files are."""
+        """Print the end of a command: the table, the items that ``failed``, and where the files are; some failed: exit
+        code `EXIT_SOME_FAILED`."""
         out = console()
         out.print(table)
         errors = [f"{astuple(row)[0]}{failed}: {row.error}" for row in rows if row.error]
@@ -367,7 +369,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 @lru_cache(maxsize=1)
 def fingerprint() -> str:
-    """What the results depend on: versions, and the hash of the program's own files."""
+    """Everything that results depend on besides their arguments: versions, and the hash of the program's own files."""
     sha = hashlib.sha256()
     root = Path(__file__).parent
     for package in (Path(sys.modules["msp_range"].__file__ or "").parent, root, root.parent / "msp_lab"):

@@ -6,7 +6,7 @@ import pytest
 
 from msp_range.clock import VirtualClock
 from msp_range.config import load_airframe
-from msp_range.doctor.sensors import look
+from msp_range.doctor.sensors import examine_sensors
 from msp_sim.device.bus import EmulatedBus
 from msp_sim.device.mb1242 import EmulatedMB1242
 
@@ -40,7 +40,7 @@ class BusyClock(VirtualClock):
 def test_an_answer_that_is_read_late_is_no_fault(every: int, verdict: str) -> None:
     """It is asked for again; where all are late, nothing is known of the sensors."""
     clock = BusyClock(every)
-    found = look(load_airframe("configs/quad_pallet.yaml"), LateBus(clock, 0.0), clock).findings
+    found = examine_sensors(load_airframe("configs/quad_pallet.yaml"), LateBus(clock, 0.0), clock).findings
     assert [f"{each.step}: {each.text}" for each in found if each.verdict == "wrong"] == []
     assert {str(each.verdict) for each in found if each.step.startswith("readings of")} == {verdict}
 
@@ -48,5 +48,5 @@ def test_an_answer_that_is_read_late_is_no_fault(every: int, verdict: str) -> No
 @pytest.mark.parametrize("late_s", [0.0, 0.07])
 def test_a_range_command_that_is_written_late_is_answered_all_the_same(late_s: float) -> None:
     clock = VirtualClock()
-    found = look(load_airframe("configs/quad_pallet.yaml"), LateBus(clock, late_s), clock).findings
+    found = examine_sensors(load_airframe("configs/quad_pallet.yaml"), LateBus(clock, late_s), clock).findings
     assert [f"{each.step}: {each.text}" for each in found if each.verdict == "wrong"] == []

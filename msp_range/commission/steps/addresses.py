@@ -15,13 +15,13 @@ from msp_range.config import Airframe
 from msp_range.doctor.finding import wrong
 
 NEAR_M = 0.35
-"""A covered sensor reads less than this [m]: a hand on it gives the shortest report, 0.20 m for an MB1242."""
+"""A covered sensor reads less than this [m]: with a hand on it, it reports its minimum, 0.20 m for an MB1242."""
 FREE_M = 0.60
 """Without a hand each sensor needs this much room [m], or the ground itself would look like a hand."""
 COVERED_SHARE, FREE_SHARE = 0.6, 0.3
-"""The covered sensor has at least the first share of near readings while it is covered, all others at most the second.
-A hand that comes late costs a third of the readings; a sensor that sees the arm has some. Between the two nobody is
-named."""
+"""While a sensor is covered, at least the first share of its readings are near, and at most the second share of every
+other sensor's. A hand that comes late costs a third of the readings; a sensor that sees the arm has some. In any other
+case no sensor is named."""
 FREE_S, LEAD_S, COVERED_S = 4.0, 3.0, 3.0
 """Time without a hand, time to get to a sensor, and time on it [s]: seven readings of each of four sensors."""
 TEXT = """\

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msp_range.acoustics.air import FIXED, ZERO_CELSIUS_K
+from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K
 from msp_range.arrays import Array
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
@@ -59,7 +59,7 @@ class Stand:
 
 @dataclass(frozen=True)
 class Levels:
-    """What the heights show."""
+    """Results of holding the vehicle level at measured heights."""
 
     down_m: Mapping[str, Measured]
     """How far below the reference point each sensor is, by name [m]."""
@@ -98,7 +98,7 @@ def noise_m(samples: Samples) -> dict[str, Measured]:
         variance = float(np.mean(kept**2)) / 2 - 0.01**2 / 12
         std = float(np.sqrt(max(variance, 0.0)))
         # Successive differences share a reading: 1.5 times the variance of independent ones.
-        found[name] = Measured(std, 1.96 * max(std, 0.003) * float(np.sqrt(1.5 / (2 * len(kept)))))
+        found[name] = Measured(std, TWO_SIDED_95_PERCENT * max(std, 0.003) * float(np.sqrt(1.5 / (2 * len(kept)))))
     return found
 
 
@@ -146,7 +146,7 @@ def levels(stands: Sequence[Stand], vertical: Mapping[str, float], air_std_c: fl
     inverse = np.linalg.inv(covariance)
     solved = np.linalg.inv(matrix.T @ inverse @ matrix + prior)
     solution = solved @ matrix.T @ inverse @ wanted
-    half = 1.96 * np.sqrt(np.diag(solved))
+    half = TWO_SIDED_95_PERCENT * np.sqrt(np.diag(solved))
     down = {name: Measured(float(solution[i]), float(half[i])) for i, name in enumerate(names)}
     scale = Measured(1.0 + float(solution[-1]), float(half[-1])) if spread >= 0.3 else None
     return Levels(down, scale)
@@ -211,7 +211,7 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
         outcome.wrong("level", text, "put it level, or calibrate the autopilot's level, then again")
         return outcome
     noise = noise_m(still)
-    outcome.measured["noise_cm"] = {name: round(100 * each.value, 2) for name, each in noise.items()}
+    outcome.measured["noise_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in noise.items()}
     compare_noise(airframe, noise, "while still", outcome)
     answer_s = latency_s(still)
     if math.isfinite(answer_s):
@@ -274,8 +274,8 @@ def _warmer_c(airframe: Airframe, flown: Airframe, source: str) -> float:
     """How much warmer the air would be by a changed file [deg C]."""
     if source == FIXED:
         return airframe.temperature.fixed_c - flown.temperature.fixed_c
-    bias_c = {each.name: each.bias_c for each in airframe.temperature.sources}
-    bias_then_c = {each.name: each.bias_c for each in flown.temperature.sources}
+    bias_c = {thermometer.name: thermometer.bias_c for thermometer in airframe.temperature.sources}
+    bias_then_c = {thermometer.name: thermometer.bias_c for thermometer in flown.temperature.sources}
     return bias_then_c.get(source, 0.0) - bias_c.get(source, 0.0)
 
 
@@ -287,7 +287,7 @@ def _air(airframe: Airframe, measured: Measured | None, assumed_c: float, source
     if not measured.differs_from(assumed_c, WARMER_C):
         outcome.right("air temperature", text)
         return
-    sources, fixed_c = [each.name for each in airframe.temperature.sources], airframe.temperature.fixed_c
+    sources, fixed_c = [thermometer.name for thermometer in airframe.temperature.sources], airframe.temperature.fixed_c
     if source in sources:
         i = sources.index(source)
         before_c = airframe.temperature.sources[i].bias_c

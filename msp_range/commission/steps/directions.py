@@ -62,7 +62,7 @@ BOARD_M = (0.25, 0.85)
 
 @dataclass(frozen=True)
 class Axis:
-    """Where a sensor looks."""
+    """Measured direction of a sensor's axis."""
 
     boresight: tuple[float, float, float] | None
     """The likeliest axis: unit vector, forward, right, down; None where no tilt gave enough echoes."""

@@ -21,7 +21,7 @@ from msp_range.recording.topics import HEALTH_TOPIC, SENT_TOPIC, Message
 from msp_range.yaml_file import ConfigError
 
 HIGH_M, STEADY_M, HOVER_S = 0.8, 0.6, 20.0
-"""A hover: at least this high above the lowest distance [m], within so much of its median [m], for this long [s]."""
+"""A hover: at least this high above the lowest distance [m], within this of its median [m], for this long [s]."""
 SILENT_S = 0.7
 """Longest time between two fused distances that is usual [s]; ArduPilot drops a range finder after 0.5 s, and PX4 gets
 ten a second."""
@@ -117,7 +117,7 @@ def _rates(name: str, readings: SensorReadings, outcome: StepOutcome) -> None:
     """Shares of missed and rejected readings."""
     total = len(readings.status)
     missed = np.mean(~np.isin(readings.status, ("ok", "at_minimum")))
-    reasons = Counter(each for each in readings.rejected.tolist() if each not in ("", "no_echo", "suspect"))
+    reasons = Counter(reason for reason in readings.rejected.tolist() if reason not in ("", "no_echo", "suspect"))
     rejected = np.mean(np.isin(readings.rejected, [*reasons.keys() - {"no_answer", "clock_fault", "impossible"}]))
     listed = ", ".join(
         f"{reason.replace('_', ' ')} {100 * count / total:.0f} %" for reason, count in reasons.most_common(3)
@@ -137,7 +137,7 @@ def _residuals(airframe: Airframe, found: Places, outcome: StepOutcome) -> None:
     for name in found.elsewhere:
         text = "its distances do not follow the ground of the others"
         outcome.wrong(f"residuals of {name}", text, "msp-range commission --step lift")
-    outcome.measured["noise_in_flight_cm"] = {name: round(100 * each.value, 2) for name, each in found.std_m.items()}
+    outcome.measured["noise_in_flight_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in found.std_m.items()}
     compare_noise(airframe, found.std_m, "in flight", outcome)
 
 

@@ -25,17 +25,18 @@ FLOOR_S, HOLD_S, TILT_S, ROCK_S, BOARD_S = 3.0, 5.0, 4.0, 40.0, 3.0
 """How long each motion is recorded [s]. Longer rocking gives smaller intervals: with 40 s
 places are known to 2.5 cm."""
 LEAD_S = 3.0
-"""Time to get there [s]; recorded too, as it moves."""
+"""Time to get into each position [s]; recorded too, since places are measured from motion."""
 TILTED_DEG = 7.0
 """A guided tilt of 15 degrees has to change the attitude by this [deg]; less is no tilt, or another axis."""
 LIFTED_M = 0.3
 """The lift has to make the distances longer by this [m]: with less, it does not show which sensors look at the
 floor."""
 FOLLOWED = 0.3
-"""A sensor looks at the floor if its distance grew as those of most, to this share of it. The sensor's minimum hides
-some centimetres of the floor's distance; a wall does not grow at all."""
+"""A sensor looks at the floor if its distance grew by the median growth, to within this share of that. The sensor's
+minimum hides some centimetres of the distance to the floor; the distance to a wall does not grow at all."""
 FOLLOWS_M = 0.15
-"""The autopilot's own distance follows the bridge's to this [m]: its last value is up to 0.5 s old."""
+"""The distance that the autopilot reports back may typically differ from the sent one by this [m]: it is up to 0.5 s
+old."""
 
 TEXT = """\
 Lift by hand. Propellers off, and nothing loose on the vehicle; two people are better for a heavy one. Put it on a flat
@@ -127,11 +128,11 @@ def compare(airframe: Airframe, recorded: Recorded) -> StepOutcome:
         outcome.unknown("lift", text, "lift it from the floor to 1 m when you are asked to, then again")
         outcome.complete = False
         return outcome
-    still = [name for name, rise_m in rises_m.items() if abs(rise_m - lifted_m) > FOLLOWED * lifted_m]
+    not_on_floor = [name for name, rise_m in rises_m.items() if abs(rise_m - lifted_m) > FOLLOWED * lifted_m]
     try:
         found = places(
             recorded.all,
-            {sensor.name: sensor.position_m for sensor in airframe.sensors if sensor.name not in still},
+            {sensor.name: sensor.position_m for sensor in airframe.sensors if sensor.name not in not_on_floor},
         )
     except NotMeasured as error:
         if len(airframe.downward) != 1:

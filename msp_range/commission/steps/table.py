@@ -11,10 +11,10 @@ from msp_range.params.settings import Firmware, settings
 
 
 class Step(NamedTuple):
-    """One step."""
+    """A step of the commissioning."""
 
     run: Callable[[Session], StepOutcome]
-    """Does it."""
+    """Function that guides the person through it."""
     verified: Callable[[Airframe], Any]
     """The parts of the airframe that it verifies: a change of them makes it due again."""
 

@@ -18,9 +18,9 @@ export function drawNumbers() {
     `deviation ${(100 * Math.sqrt(distance.variance_m2)).toFixed(1)} cm, climbing ${distance.climb_m_s.toFixed(1)} m/s, ` +
     `slope ${(180 / Math.PI * Math.atan(Math.hypot(distance.rise_north, distance.rise_east))).toFixed(0)} deg`;
   if (!status) return;
-  // The page's server has put them there: the rows of msp_range/watch/facts.py.
+  // The rows of msp_range/watch/facts.py, which the bridge sends with its status.
   const facts = [
-    ...status.facts.map(([name, text]) => [name, text.replace(/^:? /, "")]),
+    ...status.facts.filter((fact) => fact.in_list).map(({ name, text }) => [name, text.replace(/^:? /, "")]),
     ["it received", received()],
     ["running for", duration(status.uptime_s)],
   ];

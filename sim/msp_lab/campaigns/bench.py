@@ -121,7 +121,8 @@ class KnownRanging(NamedTuple):
 
 
 class _RecordedSensor:
-    """A `RangeSensor` that keeps the time since the last ping of another sensor; None where its own was not sent.
+    """A `RangeSensor` that also keeps ``lag_s``, the time from the last ping of another sensor to its own ping [s];
+    None if its ping was not sent, or is the first.
 
     ``pings_s`` has the time of each sensor's last ping [s], taken right after its command was written.
     """
@@ -175,7 +176,7 @@ def rangings(campaign: Campaign, point: Point, columns: Columns, bus: Bus, clock
         devices[name] = _RecordedSensor(name, sensor.driver(bus, sensor.address), clock, pings_s)
         polled.append(PolledSensor(name, devices[name], answer_timing(sensor.sensor_model)))
         interval_s = max(interval_s, sensor.sensor_model.timing.ping_interval_s)
-    groups = [polled] if point.firing == "simultaneous" else [[each] for each in polled]
+    groups = [polled] if point.firing == "simultaneous" else [[single] for single in polled]
     start_s = clock.now()
     # The order of the pings is part of the set-up: a sensor that does not answer keeps its slot.
     poller = Poller(bus, clock, RoundRobin(groups, interval_s, start_s, dead_after=math.inf))

@@ -29,7 +29,7 @@ MAX_STEPS = 1000
 
 def repeated(values: Iterable[Any]) -> list[Any]:
     """Those of the values that are there more than once."""
-    return [each for each, count in Counter(values).items() if count > 1]
+    return [value for value, count in Counter(values).items() if count > 1]
 
 
 class Span(Section):
@@ -56,7 +56,7 @@ class Span(Section):
     def values(self) -> tuple[float, ...]:
         """All values."""
         count = round((self.last - self.first) / self.step)
-        return tuple(round(self.first + self.step * each, 6) for each in range(count + 1))
+        return tuple(round(self.first + self.step * i, 6) for i in range(count + 1))
 
 
 _Spread = BeforeValidator(lambda given: Span.model_validate(given).values if isinstance(given, dict) else given)
@@ -233,7 +233,7 @@ class Campaign(Section):
 
     def sensor(self, name: str) -> BenchSensor:
         """The sensor of that name."""
-        return next(each for each in self.sensors if each.name == name)
+        return next(sensor for sensor in self.sensors if sensor.name == name)
 
 
 def load_campaign(path: Path | str) -> Campaign:

@@ -22,17 +22,17 @@ from msp_range.reading import Reading
 from msp_range.yaml_file import ConfigError
 
 TROUBLE_AFTER = 20
-"""Ask the operator after so many pings in a row without a usable answer: 2 s of a sensor at 10 Hz, which no single
+"""Ask the operator after this many pings in a row without a usable answer: 2 s of a sensor at 10 Hz, which no single
 fault of the bus lasts. A smaller number asks about single faults, a larger one lets a person wait."""
 GIVE_UP_AFTER = 5
-"""Skip a point after asking so many times about it, so that an unattended collection comes to its end."""
+"""Skip a point after asking this many times about it, so that an unattended collection comes to its end."""
 STEADY_C = 0.05
 """Record a new air temperature where it differs by this or more [deg C]: 0.01 % of a range. A smaller value writes the
 thermometer's noise into every reading."""
 
 
 class Decision(Enum):
-    """What the operator wants next."""
+    """The operator's decision."""
 
     GO = "go"
     SKIP = "skip"
@@ -102,12 +102,12 @@ class Collection:
         ]
 
     def left(self, store: Store) -> str:
-        """How many points are not read yet, in words."""
+        """Text with the number of points that are not read yet."""
         return f"{sum(not store.is_done(point) for point in self.points)} of {len(self.points)} points are left"
 
 
 def load_collection(campaign_file: Path, only: Sequence[str], repeat: Sequence[str]) -> Collection:
-    """What the options of a command ask for.
+    """The campaign, and the points that a command's options select.
 
     Raises
     ------
@@ -127,13 +127,13 @@ def collect_readings(collection: Collection, bench: Bench, store: Store, operato
     Parameters
     ----------
     collection
-        What is to be measured.
+        The campaign, and its points to be read.
     bench
-        Where the sensors are.
+        The bench with the sensors.
     store
-        Where readings are recorded.
+        The folder in which readings are recorded.
     operator
-        Who sets up.
+        The person or program that sets points up.
     """
     _Session(collection, bench, store, operator).go_through(collection.todo(store))
 
@@ -239,7 +239,8 @@ class _Session:
         return Decision.GO, watches
 
     def _end_s(self, point: Point, start_cm: float) -> float:
-        """When a movement that begins now has arrived [s]; a target at rest is read for as long as it takes."""
+        """Time at which a movement that begins now ends [s]; infinite for a target at rest, which is read until it has
+        its readings."""
         movement = point.setup.movement
         if movement is None:
             return float("inf")

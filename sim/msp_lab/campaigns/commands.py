@@ -59,14 +59,16 @@ def _asking(console: Console) -> Callable[[str], str]:
     """Return a prompt that a signal ends; it returns q then, and at the end of the input."""
 
     def ask(text: str) -> str:
-        handlers = {each: signal.signal(each, signal.default_int_handler) for each in (signal.SIGINT, signal.SIGTERM)}
+        handlers = {
+            signum: signal.signal(signum, signal.default_int_handler) for signum in (signal.SIGINT, signal.SIGTERM)
+        }
         try:
             return console.input(text)
         except (KeyboardInterrupt, EOFError):
             console.print()
             return "q"
         finally:
-            for each, handler in handlers.items():
-                signal.signal(each, handler)
+            for signum, handler in handlers.items():
+                signal.signal(signum, handler)
 
     return ask

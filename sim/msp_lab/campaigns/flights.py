@@ -67,7 +67,7 @@ class FlightCampaign(Section):
 
     @model_validator(mode="after")
     def _once_each(self) -> "FlightCampaign":
-        if twice := repeated(each.flight for each in self.flights):
+        if twice := repeated(flight.flight for flight in self.flights):
             raise ValueError(f"flights: flight {twice[0]} is given more than once; each needs its own name")
         return self
 

@@ -106,7 +106,7 @@ class Point:
             "external_distance_cm": source.distance_cm,
             "external_frequency_khz": source.frequency_khz,
         }
-        return {name: each for name, each in columns.items() if each is not None}
+        return {name: value for name, value in columns.items() if value is not None}
 
 
 def make_plan(campaign: Campaign) -> tuple[Point, ...]:
@@ -232,7 +232,7 @@ def _words(setup: Setup, varied: set[str]) -> Iterator[str]:
     """The parts of a point's name: what varies in its experiment, and always the range."""
     if "air" in varied:
         known = [setup.air.air_temperature_c, setup.air.humidity_pct]
-        yield "_".join(f"{each:g}{unit}" for each, unit in zip(known, ("C", "pct"), strict=True) if each is not None)
+        yield "_".join(f"{value:g}{unit}" for value, unit in zip(known, ("C", "pct"), strict=True) if value is not None)
     if "target" in varied:
         size_cm = setup.target.size_cm
         size = "" if size_cm is None else f"_{size_cm[0]:g}x{size_cm[1]:g}cm"

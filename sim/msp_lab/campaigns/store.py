@@ -42,7 +42,7 @@ class Attempt:
     """One attempt at reading a point."""
 
     number: int
-    """1, 2 ..."""
+    """Number of the attempt, from 1."""
     runs: list[str] = field(default_factory=list)
     """Names of its sessions."""
     rangings: int = 0

@@ -252,13 +252,13 @@ def _bars(watch: PointWatch) -> Iterator[tuple[str, int, str]]:
     if median_cm is not None:
         reach = MAX_ROWS // 2
         centre = round(median_cm)
-        near = {each: count for each, count in watch.counts.items() if abs(each - centre) <= reach}
-        shorter = sum(count for each, count in watch.counts.items() if each < centre - reach)
-        longer = sum(count for each, count in watch.counts.items() if each > centre + reach)
+        near = {reading_cm: count for reading_cm, count in watch.counts.items() if abs(reading_cm - centre) <= reach}
+        shorter = sum(count for reading_cm, count in watch.counts.items() if reading_cm < centre - reach)
+        longer = sum(count for reading_cm, count in watch.counts.items() if reading_cm > centre + reach)
         if shorter:
             yield "shorter", shorter, "yellow"
-        for each in range(min(near, default=centre), max(near, default=centre) + 1):
-            yield f"{each} cm", near.get(each, 0), "green"
+        for reading_cm in range(min(near, default=centre), max(near, default=centre) + 1):
+            yield f"{reading_cm} cm", near.get(reading_cm, 0), "green"
         if longer:
             yield "longer", longer, "yellow"
     if watch.no_echo:

@@ -18,8 +18,8 @@ CORE_LEAST_CM = 4.0
 """A reading this near the median is not called an outlier, however little the others scatter [cm]: a target that is
 not rigid moves by this much."""
 CORE_SPREADS = 6.0
-"""Nor is one within so many standard deviations, estimated from the median deviation: about one in a billion normal
-readings is farther. A smaller number reports ordinary noise."""
+"""Nor is a reading within this many standard deviations of the median, estimated from the median deviation: about one
+in a billion normal readings is farther. A smaller number reports ordinary noise."""
 FIRST_LOOK = 8
 """Readings before the first one can be called an outlier: with fewer the spread is not known within a factor of 2."""
 MAX_OUTLIERS = 1000

@@ -20,8 +20,8 @@ PEAK_HALF_CM = 3
 MIN_PEAK_SHARE = 0.001
 MIN_READINGS = 10
 PEAK_DEVIATIONS = 6.0
-"""A peak has this share of all readings, so many, and so many standard deviations more than readings that are spread
-evenly over the sensor's range would have."""
+"""A peak has at least this share of all readings, this number of readings, and this many standard deviations more than
+if readings were spread evenly over the sensor's range."""
 PEAK_FOOT = 0.0999
 """A peak reaches as far as a tenth of its top, and two with more than that between them are one. Higher: shoulders
 become peaks of their own."""
@@ -30,7 +30,7 @@ become peaks of their own."""
 def baseline(points: Sequence[PointReadings], reference_std_cm: float | None = None) -> Baseline | None:
     """Accuracy at the points with nothing varied; ``reference_std_cm`` as for `calibration.calibrate`."""
     found = sorted((point.found for point in points), key=lambda result: result.true_range_cm)
-    known = [(each.true_range_cm, each.error.value, each.error.standard_error**2) for each in found if each.error]
+    known = [(point.true_range_cm, point.error.value, point.error.standard_error**2) for point in found if point.error]
     if not known:
         return None
     echoes = [point for point in points if point.found.error is not None]

@@ -48,7 +48,7 @@ FEW_READINGS = 20
 
 @dataclass(frozen=True)
 class Characterisation:
-    """What a model is made from, and how."""
+    """The files from which a model is made, and the options."""
 
     data: tuple[Path, ...]
     start: Path
@@ -61,7 +61,7 @@ class Characterisation:
     """Date to record, and random seed of the goodness of fit."""
     reference_std_cm: float | None = None
     set_up_std_cm: float | None = None
-    """As for `calibration.calibrate`."""
+    """Standard deviations of the reference's error and of setting a point up [cm], as for `calibration.calibrate`."""
 
     def sensors(self) -> list[str]:
         """Names of the sensors in the readings."""
@@ -165,7 +165,7 @@ def _mixture(
 
 
 def _absent(findings: Findings, sensor: SensorModel, no_mixture: str) -> dict[str, str]:
-    """Why each part that was not found is not there."""
+    """The reason for each part that was not found."""
     no_sound = "" if sensor.medium == "sound" else f"about sound, and this sensor ranges with {sensor.medium}"
     no_box = "no three ranges with hot or cold air at the sensor and the same ranges without"
     reasons = {

@@ -185,7 +185,7 @@ def _choose(data: _Points) -> _Choice:
     for form, pieces in tried:
         # Mean square error taken off, ranges as the unit.
         saved = errors[kept_pieces] ** 2 - errors[pieces] ** 2
-        gain = mean_of_points(np.array([saved[data.range_cm == each].mean() for each in ranges]), unit="cm^2")
+        gain = mean_of_points(np.array([saved[data.range_cm == at_cm].mean() for at_cm in ranges]), unit="cm^2")
         held_out.append(HeldOut(form, _rms(errors[pieces]), gain))
         is_better = gain.ends[0] > 0.0
         if is_better and by_run:
@@ -197,7 +197,9 @@ def _choose(data: _Points) -> _Choice:
                 kept, kept_pieces = form, pieces
             except ValueError as error:
                 refused += f"; {NAMES[form]} would predict better and is no calibration: {error}"
-    others = [f"{each.rms_cm:.2f} cm by {NAMES[each.form]}" for each in held_out if each.form != kept]
+    others = [
+        f"{candidate.rms_cm:.2f} cm by {NAMES[candidate.form]}" for candidate in held_out if candidate.form != kept
+    ]
     reason = (
         f"left-out ranges are predicted to {_rms(errors[kept_pieces]):.2f} cm rms, against {' and '.join(others)}; a "
         f"more complex form is kept if its gain is significant{' and left-out runs agree' if by_run else ''}{refused}"

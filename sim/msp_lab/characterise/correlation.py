@@ -16,8 +16,8 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_sim.model.history import MAX_CORRELATION
 
 SURE_Z = 3.5
-"""A correlation goes into the file if it is so many standard errors from none (p = 2e-4, one-sided). Lower: models of
-independent readings get correlated noise; higher: weak correlation is found missing later, by the gap workflow."""
+"""A correlation goes into the file if it is this many standard errors above zero (p = 2e-4, one-sided). Lower: models
+of independent readings get correlated noise; higher: weak correlation is found missing later, by the gap workflow."""
 NEIGHBOURS = 1.5
 """Hits farther apart in time than this many usual steps are no neighbours: something between them was no hit, or the
 range was come back to."""

@@ -7,11 +7,11 @@ class ExperimentWords(NamedTuple):
     """Words for an experiment; those of a question are empty where nothing is asked."""
 
     called: str
-    """How a sentence calls it."""
+    """Name in a sentence."""
     short: str = ""
-    """How a picture calls it, which has little room."""
+    """Short name, for a picture."""
     question: str = ""
-    """What is asked."""
+    """The question that the experiment answers."""
     matters: str = ""
     """What changes the readings if the answer is yes."""
 

@@ -117,7 +117,7 @@ def _breakaway(range_cm: float, points: Sequence[AnglePoint]) -> Iterator[Breaka
     """Yield the breakaway angle at a range that was tried at two angles."""
     negative = _side([point for point in points if point.incidence_deg <= 0.0])
     positive = _side([point for point in points if point.incidence_deg >= 0.0])
-    sides = [each for each in (negative, positive) if each is not None]
+    sides = [side for side in (negative, positive) if side is not None]
     if sides:
         yield BreakawayAngle(range_cm, negative, positive, min(sides, key=lambda each: each.value))
 
@@ -157,12 +157,12 @@ def _log_likelihood(count: Array, of: Array, least: float, most: float) -> Array
 def _oblique(points: Sequence[AnglePoint]) -> Oblique:
     """Slope of what the reading grows by over what the slant range does, each range with its own start."""
     used = [(point, point.reading) for point in points if point.is_reliable and point.reading is not None]
-    growth = np.array([each.slant_cm - each.nearest_cm for each, _ in used])
+    growth = np.array([point.slant_cm - point.nearest_cm for point, _ in used])
     if len(used) < 4 or np.ptp(growth) < MIN_DIFFERENCE_CM:
         reason = f"slant and perpendicular differ by less than {MIN_DIFFERENCE_CM:g} cm at the reliable angles"
         return Oblique("unknown", None, None, None, reason)
-    excess = np.array([reading.value - each.nearest_cm for each, reading in used])
-    ranges, at = np.unique([each.range_cm for each, _ in used], return_inverse=True)
+    excess = np.array([reading.value - point.nearest_cm for point, reading in used])
+    ranges, at = np.unique([point.range_cm for point, _ in used], return_inverse=True)
     # Each range with a start of its own: how well its distance was set drops out.
     starts = at[:, None] == np.arange(ranges.size)
     design = np.column_stack([growth, starts])

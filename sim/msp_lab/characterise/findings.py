@@ -350,7 +350,7 @@ class FactorEffect:
 
 @dataclass(frozen=True)
 class Question:
-    """Does it matter?"""
+    """A question of the form 'does this factor change the readings?', and its answer."""
 
     name: str
     """Its experiment, one of `experiments.QUESTIONS`."""

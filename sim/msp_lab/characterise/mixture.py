@@ -53,7 +53,7 @@ def fit_mixture(
     if not np.array_equal(whole, reading_cm):
         notes.append(f"readings were rounded to the {grid.resolution_cm:g} cm: their own step is none, or a finer one")
     good = goodness_of_fit(result, whole, expected_cm, rng, reference_std_cm=reference_std_cm)
-    moved = tuple(each for each in set_ups if each is not None)
+    moved = tuple(set_up for set_up in set_ups if set_up is not None)
     fitted, raised = with_floors(result.parameters, saturates=grid.saturates)
     # All weights are one number together, so none of them alone can be the starting model's.
     kept = set(result.not_identified) & MixtureParameters.model_fields.keys()
@@ -84,7 +84,7 @@ def _notes(
 ) -> Iterator[str]:
     """What to know of set-ups that were moved, and of parameters at a bound or not identified."""
     if moved:
-        farthest_cm = max(abs(each.error_cm) for each in moved)
+        farthest_cm = max(abs(set_up.error_cm) for set_up in moved)
         yield (
             f"{len(moved)} of {set_ups} set-ups are fitted about the mean of their own hits, up to "
             f"{farthest_cm:.2f} cm from the calibration: sigma_cm is the scatter within a set-up, without what the "

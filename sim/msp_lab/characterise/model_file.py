@@ -35,7 +35,7 @@ def changed(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any])
     try:
         model = SensorModel.model_validate(rounded(content))
     except ValidationError as error:
-        problems = "; ".join(each["msg"] for each in error.errors())
+        problems = "; ".join(problem["msg"] for problem in error.errors())
         raise ConfigError(f"what was found does not go with the rest of the sensor model: {problems}") from None
     predicted = predict_breakaway(model) if model.medium == "sound" else None
     return model.model_copy(update={"predicted_breakaway": predicted})

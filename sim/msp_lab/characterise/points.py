@@ -28,8 +28,8 @@ GATE_CM = 8.0
 report assumes (R = 3.78 cm^2). A narrower gate makes outliers of noisy hits, a wider one hits of outliers."""
 GATE_DEVIATIONS = 4.5
 GATE_SHARE = 0.05
-"""For hits that scatter more, the gate is so many of their robust standard deviations, at most this share of the range:
-one in 150,000 normal hits is outside."""
+"""For hits that scatter more, the gate is this many of their robust standard deviations, but at most this share of the
+range: one in 150,000 normal hits is outside."""
 FARTHEST_CM, FARTHEST_SHARE = 25.0, 0.15
 """Readings with a median error above this, or this share of the range, are not of the surface [cm]: four times the
 error of 46 deg C at 260 cm, and more than that of a neighbour's ping 1 ms early."""
@@ -206,7 +206,7 @@ class PointReadings(SetUp):
             change = float(np.nanmean((self.compensation - 1.0)[self.is_hit] * self.reading_cm[self.is_hit]))
             compensated = error.mapped(lambda end: end + change)
         return PointResult(
-            **{each.name: getattr(self, each.name) for each in fields(SetUp)},
+            **{field.name: getattr(self, field.name) for field in fields(SetUp)},
             true_range_cm=self.range_cm,
             incidence_deg=_known(self.incidence_deg),
             air_temperature_c=_known(_mean(self.air_temperature_c)),
@@ -264,9 +264,9 @@ def sort_into_points(data: MeasuredData, sensor_model: SensorModel) -> list[Poin
             )
         )
     points.sort(key=lambda each: int(each.rows[0]))
-    alike = [each.reading_cm[each.is_hit] for each in points if each.condition == BASELINE and each.is_fixed]
+    alike = [set_up.reading_cm[set_up.is_hit] for set_up in points if set_up.condition == BASELINE and set_up.is_fixed]
     usual_cm = common_spread([each for each in alike if each.size >= MIN_HITS], step_cm)
-    return [replace(each, usual_spread_cm=usual_cm) if each.condition == BASELINE else each for each in points]
+    return [replace(set_up, usual_spread_cm=usual_cm) if set_up.condition == BASELINE else set_up for set_up in points]
 
 
 def conditions(data: MeasuredData) -> Texts:

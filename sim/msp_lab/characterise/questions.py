@@ -76,7 +76,7 @@ def answer_questions(points: Sequence[PointResult]) -> tuple[Question, ...]:
     asked = [question for name in QUESTIONS for question in _compared(name, points)]
     kinds = {"bias": _paired, "spread": _paired, "missed": _odds, "outliers": _odds}
     tests = [[(metric, kinds[metric](metric, question)) for metric in NAMES] for question in asked]
-    done = [(metric, test) for each in tests for metric, test in each if test is not None]
+    done = [(metric, test) for results in tests for metric, test in results if test is not None]
     different = iter(holm([test.p_value for _, test in done]))
     alike = iter(holm([test.p_alike(metric) for metric, test in done]))
 
@@ -257,8 +257,8 @@ def _exp(value: float) -> float:
 
 
 def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
-    verdict = next(each for each in VERDICTS if any(effect.verdict == each for effect in effects))
-    decisive = [each for each in effects if each.verdict == verdict]
+    verdict = next(possible for possible in VERDICTS if any(effect.verdict == possible for effect in effects))
+    decisive = [effect for effect in effects if effect.verdict == verdict]
     who = f" for {question.sensor}" if question.sensor else ""
     answer = f"{question.compared}{who}: {verdict}"
     if verdict == "matters":
@@ -268,11 +268,11 @@ def _answered(question: Question, effects: Sequence[FactorEffect]) -> Question:
             f" beyond {BOUNDS['bias']:g} cm of mean error, a factor {BOUNDS['spread']:g} of spread and "
             f"{BOUNDS['missed']:g} of the odds (or {SHARE_BOUND:.0%} of the readings) of missed and outliers"
         )
-        seen = [_size(each) for each in effects if each.p_adjusted is not None and each.p_adjusted < LEVEL]
+        seen = [_size(effect) for effect in effects if effect.p_adjusted is not None and effect.p_adjusted < LEVEL]
         answer += f"; within that there is {'; '.join(seen)}" if seen else ""
     else:
         answer += f": {'; '.join(map(_doubt, decisive))}"
-        settled = ", ".join(NAMES[each.metric] for each in effects if each.verdict == "does not matter")
+        settled = ", ".join(NAMES[effect.metric] for effect in effects if effect.verdict == "does not matter")
         answer += f"; {settled}: does not matter" if settled else ""
     return replace(question, effects=tuple(effects), verdict=verdict, answer=answer)
 

@@ -19,7 +19,7 @@ TABLE = "sensors.csv"
 
 
 def check_free(out: Path, folder: Path | None) -> None:
-    """Check before the analysis that its model file, and in the folder numbers and page, can be written.
+    """Check, before the analysis, that the model file can be written, and numbers and page into the folder.
 
     ConfigError if one of the files exists, or its folder cannot be created or is the model file.
     """
@@ -61,7 +61,8 @@ class OfSensor:
 
 
 def characterise_sensor(common: tuple[Characterisation, Path, Path | None], sensor: str) -> OfSensor:
-    """Make and write one sensor's model, as the first says, to a file in the first folder and a page in the second."""
+    """Make one sensor's model and write it; ``common`` has the options, the folder of the models, and that of the pages
+    or None."""
     how, models, pages = common
     name = quote(sensor, safe="")
     path, report = models / f"{name}.yaml", pages / name if pages is not None else None

@@ -31,8 +31,8 @@ def sensors_table(found: Sequence[OfSensor]) -> Table:
     """The models of several sensors."""
     header = ("", "readings", "sigma [cm]", "short", "missed", "random")
     rows = []
-    for each in found:
-        numbers = (each.sigma_cm, each.short, each.missed, each.random)
+    for finding in found:
+        numbers = (finding.sigma_cm, finding.short, finding.missed, finding.random)
         shown = ("-" if number is None else f"{number:.3g}" for number in numbers)
-        rows.append((each.sensor, f"{each.readings:,}", *shown))
+        rows.append((finding.sensor, f"{finding.readings:,}", *shown))
     return plain_table(header, rows)

@@ -19,8 +19,8 @@ from msp_range.arrays import Array
 from msp_range.correction.calibration import Calibration
 
 ROOM_C, ROOM_WITHIN_C = 21.1, 5.0
-"""Room temperature where nobody measured the air at the target: 70 deg F. It decides which readings of the temperature
-experiment are those of room temperature, within so much, and what air is assumed beyond a box."""
+"""Room temperature where nobody measured the air at the target, 70 deg F, and how far a temperature may be from it to
+count as room temperature [deg C]. The first is also the air that is assumed outside of a box."""
 
 
 def hot_boxes(questions: Sequence[Question], calibration_c: float) -> Iterator[HotBox]:

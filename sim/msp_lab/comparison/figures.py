@@ -31,7 +31,7 @@ _DENSITIES = (
 )
 
 Figure = tuple[str, str, Callable[..., Drawn], Any, str]
-"""File, title, what draws it, of what (None: there is only one), and what the report shows there."""
+"""File, title, function that draws it, its argument (None: it has none), and what the report shows there."""
 
 
 def entries(rows: PictureData) -> Iterator[Entry]:
@@ -106,7 +106,7 @@ def table_5_1(findings: Findings) -> PageTable:
             (
                 *compensation_cells(row),
                 number(row.implied_c.value, 1),
-                *(number(each, 3) for each in REPORT.mean_errors_at(row.range_cm) or (None, None)),
+                *(number(error_cm, 3) for error_cm in REPORT.mean_errors_at(row.range_cm) or (None, None)),
                 number(implied_temperature_c(row.range_cm), 1),
             )
             for row in findings.temperature_compensation

@@ -39,7 +39,7 @@ ANSWERS = {
     "crosstalk_sequential": "4.3.7: the errors are reduced when the sensors ping one after the other",
     "external_interference": "4.3.8: inconclusive",
 }
-"""Question (`findings.Question.name`) -> what it answers, in a sentence."""
+"""The report's answer to each question (`findings.Question.name`), in a sentence."""
 MATERIALS = ("plywood", "asphalt", "concrete")
 """Section 4.3.4: figures 4.13 to 4.15 in this order."""
 

@@ -42,7 +42,7 @@ class Band:
     """Median over the seeds."""
     below: Array
     above: Array
-    """Spread to either side."""
+    """Spread below and above the middle."""
 
     def distance(self, row: Row) -> Array:
         """Distance of each value of a row from the middle in spreads, less what its rounding explains."""
@@ -61,12 +61,12 @@ class Band:
 
     @property
     def low(self) -> Array:
-        """Lower end."""
+        """Lower end of the band of each statistic."""
         return _unscaled(_scaled(self.middle) - WIDTH * self.below)
 
     @property
     def high(self) -> Array:
-        """Upper end."""
+        """Upper end of the band of each statistic."""
         return _unscaled(_scaled(self.middle) + WIDTH * self.above)
 
 

@@ -35,8 +35,8 @@ def draw_figures(folder: Path, seed: int) -> list[Path]:
         runs = report_readings(truth(name, 1, rng), rng)
         newest_cm, _ = changepoint(runs.reading_cm, GAUSSIAN)
         for number, family in enumerate(FAMILIES, start=FIRST_FIGURE + len(FAMILIES) * scenario_index):
-            of_family = {each: variant for each, variant in AS_REPORTED.items() if variant.family == family}
-            estimates = {each: apply(variant, runs.reading_cm)[0] for each, variant in of_family.items()}
+            of_family = {name: variant for name, variant in AS_REPORTED.items() if variant.family == family}
+            estimates = {name: apply(variant, runs.reading_cm)[0] for name, variant in of_family.items()}
             paths.append(folder / f"figure_5_{number}.png")
             save(_figure(runs, estimates, newest_cm[0], f"Figure 5.{number}: {family}, {name}"), paths[-1])
     return paths
@@ -61,7 +61,8 @@ def _figure(runs: ScenarioRuns, estimates: Mapping[str, Array], newest_cm: Array
 
 
 def _interesting_s(runs: ScenarioRuns) -> float:
-    """Half a second before the largest change after the first; the middle where there is none."""
+    """Half a second before the largest change of the true range from shortly before the middle on; the middle if it
+    never changes [s]."""
     changes = np.abs(np.diff(runs.true_cm[0]))
     middle = changes.size // 2
     sample = middle if changes.max() == 0 else int(changes[middle - 40 :].argmax()) + middle - 40

@@ -41,7 +41,7 @@ class FilterResult:
     """Result for one filter."""
 
     filter: str
-    """Its name."""
+    """Name of the filter."""
     rows: Rows
     """Its rows in the table, by scenario."""
     before: Mapping[str, Band]
@@ -55,7 +55,7 @@ class FilterResult:
     nearest: Changes | None = None
     """If nothing fits all rows: the single change that comes nearest."""
     alone: Mapping[str, Changes | None] = field(default_factory=dict)
-    """If nothing fits all rows: the changes that fit each row alone; None: there are none."""
+    """If nothing fits all rows: the changes that fit each row alone; None for a row that no change fits."""
 
 
 def explain_rows(table: Table) -> tuple[bool, list[FilterResult]]:
@@ -97,7 +97,7 @@ def _is_reversed(of_filter: Mapping[str, Rows]) -> bool:
             unfit += misfit(base, rows, SEEDS)[1] > WIDTH
             lags = (change for change in single(base) if change.kind in _LAGS)
             late = [change for change in lags if change.kind != "delay" or change.value > 0]
-            total += min(misfit(each, rows, SEARCH_SEEDS)[0] for each in (base, *(one.made_in(base) for one in late)))
+            total += min(misfit(start, rows, SEARCH_SEEDS)[0] for start in (base, *(one.made_in(base) for one in late)))
         scores.append((unfit, total))
     return scores[1] < scores[0]
 

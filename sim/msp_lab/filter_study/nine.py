@@ -46,7 +46,7 @@ class Variant:
 
     @property
     def window(self) -> int:
-        """M."""
+        """M, the number of readings in the window."""
         return int(self.parameter)
 
 

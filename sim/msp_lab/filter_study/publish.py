@@ -30,7 +30,7 @@ def publish_study(
         for scenario in NAMES:
             for name, variant in AS_REPORTED.items():
                 middle = find_bands(variant)[scenario].middle
-                writer.writerow([scenario, name, *(f"{each:.3f}" for each in middle)])
+                writer.writerow([scenario, name, *(f"{value:.3f}" for value in middle)])
     figures.write_text(json.dumps(_figures(results, reverse, verdicts), indent=2) + "\n", encoding="utf-8")
     return [table, figures, *draw_figures(folder, seed)]
 

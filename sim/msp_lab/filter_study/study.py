@@ -53,9 +53,9 @@ class FilterComparison:
 
     def best(self, *, centred: bool = False, in_time: bool = False) -> tuple[str, float]:
         """The best of the nine and its mean RMS [cm]; centred: with the medians that look ahead in place of theirs."""
-        names = [each for each in CAUSAL if not (centred and each.startswith("median"))]
+        names = [name for name in CAUSAL if not (centred and name.startswith("median"))]
         if centred:
-            names += [f"centred {each}" for each in CENTRED if each.startswith("median")]
+            names += [f"centred {name}" for name in CENTRED if name.startswith("median")]
         if in_time:
             names = [f"{name} in time" if f"{name} in time" in self.rms_cm else name for name in names]
         return min(((name, self.mean(name)) for name in names), key=lambda each: each[1])
@@ -64,8 +64,8 @@ class FilterComparison:
 def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
     """Compare with the report's Gaussian noise, which is the changepoint filter's model too."""
     runs = report_readings(truth(name, seeds, rng), rng)
-    estimates = {each: apply(variant, runs.reading_cm) for each, variant in CAUSAL.items()}
-    estimates |= {f"centred {each}": apply(variant, runs.reading_cm) for each, variant in CENTRED.items()}
+    estimates = {filter_name: apply(variant, runs.reading_cm) for filter_name, variant in CAUSAL.items()}
+    estimates |= {f"centred {filter_name}": apply(variant, runs.reading_cm) for filter_name, variant in CENTRED.items()}
     estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, GAUSSIAN)
     estimates[ORACLE] = oracle(runs)
     return _compared(runs, estimates, variance_cm2)
@@ -74,10 +74,13 @@ def compare_report_noise(name: str, seeds: int, rng: np.random.Generator) -> Fil
 def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> FilterComparison:
     """Compare with some readings missing, short or random; all filters are behind the same status gate."""
     runs = outlier_readings(truth(name, seeds, rng), rng)
-    estimates = {each: behind_the_gate(partial(apply, variant), runs.reading_cm) for each, variant in CAUSAL.items()}
+    estimates = {
+        filter_name: behind_the_gate(partial(apply, variant), runs.reading_cm)
+        for filter_name, variant in CAUSAL.items()
+    }
     estimates |= {
-        f"{each} in time": over_samples(variant, runs.reading_cm)
-        for each, variant in CAUSAL.items()
+        f"{filter_name} in time": over_samples(variant, runs.reading_cm)
+        for filter_name, variant in CAUSAL.items()
         if variant.family != "kalman"
     }
     estimates[CHANGEPOINT], variance_cm2 = changepoint(runs.reading_cm, OUTLIERS)
@@ -86,12 +89,12 @@ def compare_with_outliers(name: str, seeds: int, rng: np.random.Generator) -> Fi
 
 def _compared(runs: ScenarioRuns, estimates: Mapping[str, Array], variance_cm2: Array) -> FilterComparison:
     counts = np.all([~np.isnan(estimate) for estimate in estimates.values()], axis=0)
-    errors = {each: np.where(counts, cm - runs.true_cm, np.nan) for each, cm in estimates.items()}
+    errors = {name: np.where(counts, cm - runs.true_cm, np.nan) for name, cm in estimates.items()}
     stated = counts & ~np.isnan(variance_cm2)
     normalised = errors[CHANGEPOINT][stated] ** 2 / variance_cm2[stated]
     return FilterComparison(
-        {each: error_statistics(error)[0] for each, error in errors.items()},
-        {each: float(delay_samples(cm, runs.true_cm).mean()) for each, cm in estimates.items()},
+        {name: error_statistics(error)[0] for name, error in errors.items()},
+        {name: float(delay_samples(cm, runs.true_cm).mean()) for name, cm in estimates.items()},
         float((normalised < 1.96**2).mean()),
     )
 
@@ -171,7 +174,7 @@ class Study:
 
 def run_study(seeds: int, seed: int) -> Study:
     """Run the study; every part has its own random numbers."""
-    parts = [np.random.default_rng(each) for each in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
+    parts = [np.random.default_rng(sequence) for sequence in np.random.SeedSequence(seed).spawn(3 * len(NAMES) + 1)]
     return Study(
         {name: compare_report_noise(name, seeds, parts[index]) for index, name in enumerate(NAMES)},
         {name: compare_with_outliers(name, seeds, parts[3 + index]) for index, name in enumerate(NAMES)},
@@ -184,6 +187,6 @@ def delays(results: Study) -> Mapping[str, Mapping[str, float]]:
     """Delay [samples] by scenario and filter, of the filters as the report states them: its medians look ahead."""
     return {
         name: compared.delay
-        | {each: compared.delay[f"centred {each}"] for each in CENTRED if each.startswith("median")}
+        | {name: compared.delay[f"centred {name}"] for name in CENTRED if name.startswith("median")}
         for name, compared in results.report_noise.items()
     }

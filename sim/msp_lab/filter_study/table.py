@@ -135,16 +135,18 @@ def _columns_in_order(table: Mapping[tuple[str, str], Row]) -> Table:
     swapped = {}
     for scenario in {row.scenario for row in table.values()}:
         rows = {key: _is_swapped(row) for key, row in table.items() if row.scenario == scenario}
-        decided = [each for each in rows.values() if each is not None]
+        decided = [row for row in rows.values() if row is not None]
         most = sum(decided) > len(decided) / 2
-        swapped.update({key: most if each is None else each for key, each in rows.items()})
+        swapped.update({key: most if row is None else row for key, row in rows.items()})
     return {key: _exchanged(row) if swapped[key] else row for key, row in table.items()}
 
 
 def _is_swapped(row: Row) -> bool | None:
     """Whether RMS^2 = mean^2 + (N - 1) / N variance holds with the column headed median only; None: undecided."""
     rms, _, median, mean, variance = row.values
-    as_named, exchanged = (abs(rms * rms - each * each - variance * (SAMPLES - 1) / SAMPLES) for each in (mean, median))
+    as_named, exchanged = (
+        abs(rms * rms - middle * middle - variance * (SAMPLES - 1) / SAMPLES) for middle in (mean, median)
+    )
     # What the rounding of the printed numbers explains.
     rounding = rms * 10.0 ** -row.decimals[0] + 0.5 * 10.0 ** -row.decimals[4]
     if as_named <= rounding and exchanged <= rounding:

@@ -16,18 +16,18 @@ class UnitEstimate:
 
     vehicle: str
     sensor: str
-    """Whose."""
+    """Names of the vehicle and the sensor."""
     value: float
     error: float
-    """From its own readings, and the standard error."""
+    """Estimate from the sensor's own readings, and its standard error."""
     shrunk: float
     low: float
     high: float
-    """Drawn towards the fleet's mean, with its 95 % interval."""
+    """The estimate shrunk towards the fleet's mean, with its 95 % interval."""
     odd: bool
-    """It is an odd one out."""
+    """Whether it is an odd one."""
     p_value: float
-    """That it deviates from the others by random variation."""
+    """Probability of such a deviation from the others by random variation."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class FleetEffect:
     """One number over the fleet."""
 
     kind: Kind
-    """``shared``: the fleet has it; ``odd``: only some; ``change`` or ``drift``: it became another one;
-    ``calibration``: the fleet's is another one than the sensor model's, and nothing is wrong."""
+    """``shared``: the whole fleet has it; ``odd``: only some vehicles; ``change`` or ``drift``: it changed between
+    sessions; ``calibration``: the whole fleet has another value than the sensor model, which is no fault."""
     name: str
     parameter: str
     unit: str
@@ -59,18 +59,18 @@ class FleetEffect:
     mean: float | None = None
     low: float | None = None
     high: float | None = None
-    """Of the ordinary vehicles, with its 95 % interval; None of a change."""
+    """Mean of the ordinary vehicles, with its 95 % interval; None for a change."""
     tau: float = 0.0
     i2: float = 0.0
-    """Standard deviation between vehicles, and the share of the scatter that it is."""
+    """Standard deviation between vehicles, and its share of the scatter of their estimates."""
     omega: float = 0.0
     """Standard deviation between sessions of a vehicle."""
     estimates: tuple[UnitEstimate, ...] = ()
-    """Of each sensor; of a change the size of it, of the one that changed."""
+    """Estimates of each sensor; for a change its size in the sensor that changed."""
     since: str = ""
     """First session after a change."""
     sessions: tuple[SessionEstimate, ...] = ()
-    """Of a change, the estimates by session."""
+    """For a change, the estimates by session."""
 
     @property
     def unit_label(self) -> str:
@@ -79,7 +79,7 @@ class FleetEffect:
 
     @property
     def odd(self) -> tuple[UnitEstimate, ...]:
-        """The odd ones out."""
+        """The estimates of odd sensors."""
         return tuple(estimate for estimate in self.estimates if estimate.odd)
 
 
@@ -100,12 +100,12 @@ class FleetFindings:
     """The answer, for an operator."""
     dataset: str
     model: str
-    """What was compared."""
+    """Folder of the readings, and file of the sensor model."""
     vehicles: int
     sensors: int
     sessions: int
     readings: int
-    """How many."""
+    """Numbers of vehicles, sensors, sessions and readings."""
     effects: tuple[FleetEffect, ...]
     """What was found, and if nothing was, the sensors' constant offsets."""
     found: int
@@ -120,10 +120,10 @@ class FleetFindings:
     seed: int
     date: str
     version: str
-    """For the record."""
+    """Random seed, date and version of the program."""
 
     def as_json(self) -> str:
-        """All numbers."""
+        """All findings as text in JSON."""
         return json.dumps(asdict(self), indent=2) + "\n"
 
     def as_csv(self) -> str:

@@ -34,9 +34,9 @@ Map = Callable[[Callable[[Model, Any], Any], Sequence[Any]], Iterable[ItemOutcom
 COMPARED_SHARE = 0.5
 """Share of the rate of false findings that the comparison of the numbers has, a fifth of it for each of the base's."""
 SHARED_NATS = 8.0
-"""An effect that the fleet shares gains so much in the mean ordinary sensor [nat], 4 standard errors. Twenty vehicles
-show less for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn fleet without any
-effect. Lower: shared effects that are the bench's error; higher: weak ones are missed."""
+"""An effect counts as shared by the fleet if it gains at least this much in the mean ordinary sensor [nat], 4 standard
+errors. Twenty vehicles show less for certain, but half of it is what the bench leaves open of the model: 3.8 in a drawn
+fleet without any effect. Lower: shared effects that are the bench's error; higher: weak ones are missed."""
 
 
 @dataclass(frozen=True)
@@ -44,38 +44,38 @@ class FleetFinding:
     """Something that was found."""
 
     kind: Kind
-    """``shared``: the fleet has it; ``calibration``: that too, and it is a number of the sensor model; ``odd``: some
-    units do, or have more or less of it; ``change`` or ``drift``: one unit's became another one."""
+    """``shared``: the whole fleet has it; ``calibration``: so too, and it is a number of the sensor model; ``odd``:
+    some units have it, or more or less of it; ``change`` or ``drift``: it changed in one unit between sessions."""
     number: Number
-    """What it is of, over the fleet."""
+    """The number that it is about, over the fleet."""
     units: frozenset[int] = frozenset()
-    """Places of the units that have it; of what the fleet has none."""
+    """Indices of the units that have it; empty for what the whole fleet has."""
     alternatives: tuple[tuple[FleetTerm, float], ...] = ()
     """Other effects that explain it as well, with how much less they gain [nat]."""
     change: Change | None = None
-    """Of one unit."""
+    """The change between sessions of one unit; None for other kinds."""
 
 
 class Named(NamedTuple):
-    """An effect that the own searches of some units name, or have as an alternative."""
+    """An effect that the searches in single units name, or give as an alternative."""
 
     term: FleetTerm
-    """With one shape for all: the median of theirs."""
+    """The effect with one shape for all these units: the median of theirs."""
     units: tuple[int, ...]
     lost_nats: float
-    """How much less than the first name of each it gains in these units [nat]."""
+    """How much less it gains in these units than the effect that each search named first [nat]."""
 
 
 @dataclass
 class FleetSearch:
-    """What each unit is known to have, and what was found."""
+    """State of the search: the terms that each unit is known to have, and what was found."""
 
     units: Sequence[Unit]
-    """Those that can be used."""
+    """The units whose readings can be used."""
     first: Sequence[UnitNumbers]
-    """The numbers of each, before anything was found."""
+    """The numbers of each unit, fitted before anything was found."""
     fdr: float
-    """Rate of false findings."""
+    """False-discovery rate."""
     run: Map
     """Calls functions for several units."""
     found: list[FleetFinding] = field(default_factory=list)
@@ -90,10 +90,10 @@ class FleetSearch:
         self.search_level = float(np.log((1.0 - COMPARED_SHARE) * self.fdr / (compared + asked)))
 
     def all(self) -> list[FleetFinding]:
-        """Find everything."""
+        """All findings, the simplest explanation first."""
         everyone = range(len(self.units))
         own = self._own(everyone)
-        while self._take_shared(named_by([each.effects for each in own])):
+        while self._take_shared(named_by([own_search.effects for own_search in own])):
             own = self._own(everyone)
         self._take_changes(own)
         self._take_odd(own)
@@ -101,21 +101,23 @@ class FleetSearch:
         return self.found
 
     def compared(self, units: Sequence[UnitNumbers]) -> dict[FleetTerm, Number]:
-        """Every number of these units, next to the others'."""
+        """Every number of these units, each compared with that of the others."""
         return numbers_of(units, self.number_level)
 
     def _own(self, places: Iterable[int]) -> list[OwnEffects]:
-        """What units have next to their terms."""
+        """Searches of the gap workflow in these units, each for effects in addition to its terms."""
         return values_of(self.run(search, [(self.units[k], self.terms[k], -self.search_level) for k in places]))
 
     def _with(self, term: FleetTerm) -> tuple[list[UnitNumbers], Number | None]:
-        """The numbers of all units with one more term, and the term's own; None where hardly any has it."""
+        """The numbers of all units after one more term is added, and that of the term itself; None if too few units
+        have it."""
         tasks = [(unit, (*own, term)) for unit, own in zip(self.units, self.terms, strict=True)]
         numbers: list[UnitNumbers] = values_of(self.run(examine, tasks))
         return numbers, self.compared(numbers).get(term.anywhere)
 
     def _take_shared(self, names: Sequence[Named]) -> bool:
-        """One more effect that the ordinary units have, if there is one; a calibration first: nothing is wrong then."""
+        """Add one more effect that the ordinary units have, if there is one; a calibration comes first, since it is no
+        fault."""
         for name in sorted(names, key=lambda each: not each.term.calibrates):
             numbers, number = self._with(name.term)
             if number is None or number.fleet.log_p > self.search_level:
@@ -133,7 +135,7 @@ class FleetSearch:
         return False
 
     def _take_changes(self, own: list[OwnEffects]) -> None:
-        """The clearest change of each unit, where its own effects gain no more; then it explains the unit."""
+        """Add the clearest change of each unit, unless the effects of its own search gain more."""
         of_unit: dict[int, list[tuple[Number, Change]]] = {}
         for number in self.compared(self.numbers).values():
             for unit, change in number.changes().items():
@@ -147,8 +149,8 @@ class FleetSearch:
                 own[unit] = OwnEffects((), 0.0)
 
     def _take_odd(self, own: Sequence[OwnEffects]) -> None:
-        """What some units have by their own searches, and the others have not, or not as much."""
-        left = [list(each.effects) for each in own]
+        """Add effects that the searches in some units found, and that the others do not have, or have less of."""
+        left = [list(own_search.effects) for own_search in own]
         while names := named_by(left):
             best = names[0]
             _, number = self._with(best.term)
@@ -162,7 +164,7 @@ class FleetSearch:
                 left[k] = [names for names in left[k] if best.term.key not in {term.key for term, _ in names}]
 
     def _fit(self, places: Iterable[int], term: FleetTerm) -> None:
-        """Units have one more term from now on."""
+        """Add a term to units."""
         for k in places:
             self.terms[k] = (*self.terms[k], term)
             (self.numbers[k],) = values_of(self.run(examine, [(self.units[k], self.terms[k])]))
@@ -199,7 +201,7 @@ def named_by(effects: Sequence[Iterable[Names]]) -> list[Named]:
 
 def near(name: Named, names: Iterable[Named]) -> tuple[tuple[FleetTerm, float], ...]:
     """Alternatives in the same units, with how much less they gain [nat]."""
-    lost = [(each.term, each.lost_nats - name.lost_nats) for each in names if set(each.units) >= set(name.units)]
+    lost = [(other.term, other.lost_nats - name.lost_nats) for other in names if set(other.units) >= set(name.units)]
     return tuple(each for each in lost if each[0] != name.term and each[1] <= rules.ALTERNATIVE_NATS)
 
 

@@ -1,14 +1,15 @@
 """Numbers over a fleet: their mean and spread, which vehicles are odd in them, and which changed between sessions.
 
 Numbers by unit and session enter; estimates with standard errors, and logarithms of p-values leave. A session's
-estimate scatters by its own error and by omega, by how much a number differs between sessions of one vehicle. omega is
-common to the fleet.
+estimate scatters by its own error and by omega, the standard deviation of a number between sessions of one vehicle,
+which is common to the fleet.
 
-Over the fleet ``b_u ~ N(mean, tau^2 + s_u^2)``, random-effects meta-analysis: s_u is what one vehicle's readings leave
-open, tau is by how much vehicles really differ, by Paule and Mandel. A vehicle is compared with the others by Student's
-t of as many of them, whose mean and tau are without it; where errors are 0 that is the t of one that is left out. Odd
-ones must not hide each other: the farthest is set aside, then the next one, and all are odd down to the last that the
-rest alone do not explain (generalized ESD; Rosner 1983, Technometrics 25:165).
+Over the fleet ``b_u ~ N(mean, tau^2 + s_u^2)``, random-effects meta-analysis: s_u is the standard error of one
+vehicle's estimate, tau the true standard deviation between vehicles, by Paule and Mandel. A vehicle is compared with
+the others by Student's t, with a mean and tau that are computed without it; where errors are 0 that is the
+leave-one-out t test. So that odd vehicles do not hide each other, the farthest is set aside, then the next one, and so
+on; all are odd down to the last one that the remaining ones do not explain (generalized ESD; Rosner 1983, Technometrics
+25:165).
 """
 
 from collections.abc import Sequence
@@ -25,14 +26,15 @@ from msp_lab.fleet.unit import Sessions, UnitNumbers
 from msp_range.arrays import Array, Flags, Indices
 
 MIN_OTHERS = 3
-"""Mean and spread are from at least so many vehicles: of two nobody could say which is the odd one."""
+"""Mean and spread are computed from at least this many vehicles: of two nobody could say which is the odd one."""
 ASIDE_LOG_P = float(np.log(0.0005))
 """Vehicles down to the last one that the others predict with this probability or less are left out of mean and spread.
-Lower: of three that are late one that is just not odd itself widens the spread until none is; in a drawn fleet its
-p-value was 0.0003, and 0.00025 is asked of odd ones. Higher: ordinary vehicles are left out, and the spread is too
+Lower: of three vehicles that differ, one that just misses the limit widens the spread until none is odd; in a simulated
+fleet its p-value was 0.0003, and the limit 0.00025. Higher: ordinary vehicles are left out, and the spread is too
 small."""
 MIN_SESSIONS = 4
-"""A change is asked of vehicles with so many sessions: two on each side. Fewer: a single flight is a change."""
+"""Changes are looked for in vehicles with at least this many sessions: two before and two after. Fewer: a single flight
+is a change."""
 MIN_SIDE = 2
 """Sessions before and after a change. One flight that differs is no change of the vehicle."""
 
@@ -45,13 +47,13 @@ class Pooled:
     error: float
     """Mean of the ordinary vehicles, and its standard error."""
     tau: float
-    """Standard deviation between them."""
+    """Standard deviation between the ordinary vehicles."""
     i2: float
     """Share of the scatter of their estimates that is not the estimates' own error (Higgins & Thompson 2002)."""
     log_p: float
     """Logarithm of the two-sided p-value of a mean of 0."""
     odd: Flags
-    """(units,): which vehicles do not belong."""
+    """Which vehicles are odd, (units,)."""
     deviation_log_p: Array
     """Logarithms of the two-sided p-values of each vehicle's deviation from the ordinary others, (units,)."""
 
@@ -66,7 +68,7 @@ class Change:
     """Place of the first session after a change."""
     size: float
     error: float
-    """By how much the number is larger after it, or a drift's rise from the first session to the last."""
+    """Size of the change with its standard error: after minus before; for a drift last session minus first."""
     log_p: float
     """Logarithm of its p-value, with the search for the place counted."""
 
@@ -81,11 +83,11 @@ class Number:
     """One number over the fleet."""
 
     term: FleetTerm
-    """What it is."""
+    """The effect and parameter, or number of the base, that it is."""
     units: Indices
-    """Places of the units that have it, (k,)."""
+    """Indices of the units that have it, (k,)."""
     series: tuple[Sessions, ...]
-    """By session, of each of them."""
+    """Estimates by session of each of these units."""
     value: Array
     error: Array
     """Estimates and standard errors, (k,)."""
@@ -96,20 +98,20 @@ class Number:
 
     @property
     def odd(self) -> frozenset[int]:
-        """Places of the units that do not belong to the others."""
+        """Indices of the odd units."""
         return frozenset(self.units[self.fleet.odd].tolist())
 
     def changes(self) -> dict[int, Change]:
         """The likeliest change or drift of each unit that has sessions enough."""
         found = {
-            unit: over_sessions(each, self.omega**2)
-            for unit, each in zip(self.units.tolist(), self.series, strict=True)
+            unit: over_sessions(sessions, self.omega**2)
+            for unit, sessions in zip(self.units.tolist(), self.series, strict=True)
         }
         return {unit: change for unit, change in found.items() if change is not None}
 
 
 def numbers_of(units: Sequence[UnitNumbers], level: float) -> dict[FleetTerm, Number]:
-    """Every number that more than `MIN_OTHERS` units have; a term starts nowhere here.
+    """Every number that more than `MIN_OTHERS` units have. Terms that differ only in where their fits start are one.
 
     Parameters
     ----------
@@ -183,7 +185,8 @@ def _log_p(t: float, freedom: int) -> float:
 
 
 def _fit(values: Array, errors: Array) -> PointsFit:
-    """Mean and variance between; in units of the scatter, as the numbers of effects are of any size."""
+    """Mean and variance between vehicles, fitted in units of the scatter, since numbers of effects may be of any
+    magnitude."""
     size = max(float(np.std(values)), float(np.median(errors)))
     fit = fit_points(np.ones((values.size, 1)), values / size, (errors / size) ** 2)
     return PointsFit(fit.coefficients * size, fit.covariance * size**2, fit.between * size**2, fit.freedom)

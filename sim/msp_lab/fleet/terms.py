@@ -42,17 +42,17 @@ class FleetTerm:
     effect: str
     """Name in the catalogue or in `BASE`."""
     number: str
-    """Its parameter."""
+    """Name of the parameter."""
     of: str | None = None
-    """The target that it is of, or None."""
+    """The target (kind of ground) that it applies to; None: all."""
     shape: tuple[tuple[str, float], ...] = ()
-    """Values of its other parameters, which are held, so that numbers of vehicles compare."""
+    """Values of its other parameters, which are fixed, so that numbers of vehicles can be compared."""
     start: float = 0.0
     """Its number where a fit starts, as a change from the neutral value; 0: not known."""
 
     @property
     def key(self) -> tuple[str, str | None]:
-        """Terms that differ in shape alone have the same."""
+        """Effect and target: the same for terms that differ only in shape."""
         return self.effect, self.of
 
     @property
@@ -62,7 +62,7 @@ class FleetTerm:
 
     @property
     def is_base(self) -> bool:
-        """A number that every sensor has."""
+        """Whether it is a number that every sensor has."""
         return self.effect in BASE
 
     @property
@@ -73,11 +73,11 @@ class FleetTerm:
     @property
     def parameter(self) -> Parameter:
         """The number as a parameter of its effect."""
-        return next(each for each in self.catalogued.parameters if each.name == self.number)
+        return next(parameter for parameter in self.catalogued.parameters if parameter.name == self.number)
 
     @property
     def calibrates(self) -> bool:
-        """It says what a number of the sensor model says too."""
+        """Whether a number of the sensor model means the same."""
         return self.catalogued.base is not None
 
 

@@ -33,8 +33,8 @@ MIN_READINGS = 200
 """A sensor with fewer readings is left out, with the reason. Its base has seven numbers, of which three are odds of a
 few per cent. Fewer: numbers that rest on single readings."""
 MAX_EFFECTS = 4
-"""A sensor is searched for so many effects at most that the fleet does not share: as `msp-lab gap --max-effects`, but
-of a sensor with more nobody could say what each of them is. More: slower."""
+"""At most this many effects that the fleet does not share are searched for in a sensor, as with `msp-lab gap
+--max-effects`: of a sensor with more nobody could say what each of them is. More: slower."""
 MAX_SHARE_LEFT_OUT = 0.5
 """A sensor is left out where the model cannot give a larger share of its readings: it is another kind of sensor, or its
 unit is wrong. Higher: fits to what is left of them."""
@@ -48,13 +48,14 @@ class Unit:
     """Folder of the dataset."""
     vehicle: str
     sensor: str
-    """Names."""
+    """Names of the vehicle and of its sensor."""
     sessions: tuple[str, ...]
     """Its runs, in their order."""
     seed: int
     """Random seed."""
     version: str = ""
-    """Of the dataset's files: what is kept of its readings is not taken for those of another one in the same folder."""
+    """Hash of the dataset's files: readings that a process keeps are not mistaken for those of another dataset in the
+    same folder."""
 
     def rng(self, *stream: int) -> np.random.Generator:
         """Random numbers of its own, the same ones each time."""
@@ -69,25 +70,25 @@ class Sessions(NamedTuple):
     share: Array
 
     def estimate(self, omega2: float) -> tuple[float, float]:
-        """That of all sessions and its standard error, where sessions differ with this variance."""
+        """Estimate over all sessions, and its standard error if sessions differ with the variance ``omega2``."""
         variance = (self.share**2 * (self.variance + omega2)).sum()
         return float((self.share * self.value).sum()), float(np.sqrt(variance))
 
 
 @dataclass(frozen=True)
 class UnitNumbers:
-    """What a sensor's readings say of the numbers of the base and of its terms."""
+    """Estimates of a sensor's numbers of the base and of its terms."""
 
     numbers: tuple[tuple[FleetTerm, Sessions], ...]
-    """Those of which the readings say something. By session they are one step from the fit by the session's scores;
-    their variance is the expected or the measured one, whichever is larger: a sum of few improbable readings varies by
-    more than is expected."""
+    """Numbers that the readings determine, by session. A session's estimate is one scoring step from the fit of all;
+    its variance is the expected or the measured one, whichever is larger: a sum of few improbable readings varies by
+    more than expected."""
     sessions: tuple[str, ...]
     """Sessions that have readings, in their order."""
     readings: int
-    """How many."""
+    """Number of readings."""
     gain_nats: float
-    """What the last of the terms gains next to the others [nat]."""
+    """Log likelihood that the last of the terms gains in addition to the others [nat]."""
     asked: int
     """Number of effects that the readings can show."""
     untestable: tuple[tuple[str, tuple[str, ...]], ...]
@@ -99,7 +100,7 @@ Names = tuple[tuple[FleetTerm, float], ...]
 
 
 class OwnEffects(NamedTuple):
-    """What a sensor has next to the terms that it was known to have, and what all of that gains [nat]."""
+    """Effects that a sensor has in addition to its known terms, and their gain together [nat]."""
 
     effects: tuple[Names, ...]
     gain_nats: float
@@ -157,7 +158,7 @@ def examine(model: Model, task: tuple[Unit, tuple[FleetTerm, ...]]) -> UnitNumbe
 
 def _asked(problem: Problem) -> tuple[CandidateEffect, ...]:
     """Effects that vehicles are asked for; what sessions differ by is compared over the fleet."""
-    return tuple(each for each in problem.candidates if each.effect.per != "run")
+    return tuple(candidate for candidate in problem.candidates if candidate.effect.per != "run")
 
 
 def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float]) -> OwnEffects:

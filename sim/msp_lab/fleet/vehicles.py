@@ -13,7 +13,7 @@ from msp_range.recording.error import RecordingError
 from msp_range.yaml_file import ConfigError
 
 MIN_VEHICLES = 4
-"""A fleet is so many vehicles at least: when one is left out, mean and spread of the others are from three. Fewer:
+"""A fleet has at least this many vehicles: when one is left out, mean and spread of the others are from three. Fewer:
 of two nobody can say which is the odd one."""
 
 
@@ -73,7 +73,7 @@ def natural(name: str) -> list[tuple[int, int | str]]:
 
 
 def _version(dataset: Path) -> str:
-    """Another one whenever a file of the dataset is."""
+    """Hash that changes whenever a file of the dataset does."""
     about = [(str(path), path.stat()) for path in sorted(dataset.rglob("*"))]
     return sha256(repr([(name, status.st_size, status.st_mtime_ns) for name, status in about]).encode()).hexdigest()
 

@@ -23,7 +23,7 @@ from msp_sim.model.model import load_model
 from msp_sim.workers import Workers
 
 OFFSET = FleetTerm("offset", "value")
-"""The number that is shown where nothing was found."""
+"""The number whose estimates are shown if nothing was found."""
 TWO_SIDED_95 = 1.959964
 """Standard errors on either side of a 95 % interval."""
 
@@ -86,7 +86,7 @@ def find_in_fleet(
 
 
 def _vehicles(dataset: Path, units: Sequence[Unit], left_out: Sequence[LeftOut]) -> int:
-    """How many there are; an error where they are no fleet."""
+    """Number of vehicles whose readings can be used; RecordingError if they are too few for a fleet."""
     vehicles = len({unit.vehicle for unit in units})
     if vehicles < MIN_VEHICLES:
         reasons = "; ".join(f"{left.vehicle} {left.sensor}: {left.why}" for left in left_out[:3])
@@ -137,7 +137,7 @@ def _effect(search: FleetSearch, finding: FleetFinding) -> FleetEffect:
 def _estimate(
     unit: Unit, value: float, error: float, near: float, near_error: float, odd: bool, p_value: float
 ) -> UnitEstimate:
-    """A unit's number, and the same drawn towards the fleet's with its standard error."""
+    """A unit's estimate, and the same shrunk towards the fleet's mean, each with its standard error."""
     half = TWO_SIDED_95 * near_error
     return UnitEstimate(unit.vehicle, unit.sensor, value, error, near, near - half, near + half, odd, p_value)
 

@@ -19,16 +19,16 @@ LARGEST_LAG_S = 1.5
 LAG_STEP_S = 0.01
 """Steps in which they are tried [s]; between them a parabola through the least squares is used."""
 MOST_READINGS = 10_000
-"""So many readings are drawn of a longer log: 300 lags of so many take 100 MB and half a second. More: narrower
+"""Of a longer log this many readings are drawn: with them 300 lags take 100 MB and half a second. More: narrower
 intervals than anybody needs."""
 BLOCKS = 30
-"""The log is cut into so many blocks for the bootstrap. Fewer: their number limits what the interval can know; more:
+"""The log is cut into this many blocks for the bootstrap. Fewer: their number limits what the interval can know; more:
 blocks become shorter than manoeuvres, whose errors then count twice."""
 RESAMPLES = 500
-"""The 2.5 and 97.5 % points of so many have a standard error of 3 % of the interval's width."""
+"""Replicates of the bootstrap: their 2.5 and 97.5 % points have a standard error of 3 % of the interval's width."""
 GATE = 4.5
-"""Readings whose difference is more than so many standard deviations from the median are outliers; of a normal
-distribution one good reading in 150,000 is lost."""
+"""Readings whose difference from the reference is more than this many standard deviations from the median difference
+are outliers; one normal reading in 150,000 is lost."""
 LEAST_STD_CM = 0.5
 """Differences scatter at least by this [cm] where a gate is set: the rounding of readings and logs."""
 WIDEST_SHARE = 0.25

@@ -65,7 +65,6 @@ PLACE = "place"
 """Kept like a field: where in the file each message is. No field of a log has a name in small letters only."""
 TEXTS = ("Name", "Message")
 """Fields that are texts, of all that are read; the others are numbers."""
-_FIELD = re.compile(r"\d*[a-zA-Z]")
 
 
 _WEEK_S = 604_800.0
@@ -132,7 +131,7 @@ def flight_of(found: Messages) -> LoggedFlight:
     flight = LoggedFlight()
     for message, fields in found.items():
         stamp = next((fields[name] / per_s for name, per_s in _STAMPS if name in fields), None)
-        if stamp is None or len({each.size for each in fields.values()}) > 1:
+        if stamp is None or len({column.size for column in fields.values()}) > 1:
             continue  # it has no time, or the format of some of its messages is damaged
         other_s = np.full(stamp.size, np.nan)
         if "GMS" in fields and "GWk" in fields:
@@ -150,7 +149,7 @@ def flight_of(found: Messages) -> LoggedFlight:
 
 def _rangers(flight: LoggedFlight, parameters: Mapping[str, float]) -> list[Ranger]:
     rangers = []
-    for rfnd in [each for name, each in flight.items() if name.partition("[")[0] == "RFND"]:
+    for rfnd in [messages for name, messages in flight.items() if name.partition("[")[0] == "RFND"]:
         if "Dist" in rfnd:
             number = int(rfnd.get("Instance", rfnd.get("I", 0.0)[0])[0])
             rangers.append(_ranger(number + 1, rfnd, ("Dist", "Orient"), parameters))
@@ -218,7 +217,7 @@ def _parameters(found: Messages) -> dict[str, float]:
 def _version(found: Messages) -> str:
     texts = found.get("MSG", {}).get("Message", np.zeros(0, "S1")).tolist()
     named = (text.decode("ascii", "replace") for text in texts)
-    return next((each for each in named if re.match(r"[\w:]+ V\d", each)), "unknown version")
+    return next((text for text in named if re.match(r"[\w:]+ V\d", text)), "unknown version")
 
 
 @contextlib.contextmanager
@@ -286,7 +285,7 @@ def read_messages(path: Path, wanted: Mapping[str, Sequence[str]], progress: Pro
                 bad += size - file.tell()
                 break
             newest = {piece[at + 3]: piece[at : at + _FMT_BYTES] for at in offsets[_FMT]}
-            formats = b"".join(each for each in newest.values() if len(each) == _FMT_BYTES)
+            formats = b"".join(message for message in newest.values() if len(message) == _FMT_BYTES)
             progress(file.tell() / size)
     joined = {name: {field: np.concatenate(parts) for field, parts in fields.items()} for name, fields in found.items()}
     bad += len(rest)
@@ -322,9 +321,9 @@ def _formats(piece: bytes, places: Sequence[int]) -> dict[int, Any]:
 
 def _layout(form: Any) -> np.dtype[Any]:
     """A message's fields as numpy has them; pymavlink writes them in the letters of `struct`, which are numpy's."""
-    letters = _FIELD.findall(form.msg_struct[1:])
+    letters = re.findall(r"\d*[a-zA-Z]", form.msg_struct[1:])
     types = [f"S{letter[:-1]}" if letter.endswith("s") else f"<{letter}" for letter in letters]
-    return np.dtype([(f"f{index}", each) for index, each in enumerate(types)])
+    return np.dtype([(f"f{index}", kind) for index, kind in enumerate(types)])
 
 
 def _values(piece: bytes, places: Sequence[int], form: Any, fields: Sequence[str]) -> Iterator[tuple[str, Column]]:

@@ -67,7 +67,7 @@ def _import(
     common = _common(out, wanted, sensor, column_map, align=align, seed=seed)
     found, failed = run_import(files, common, jobs, scheduler)
     if as_json:
-        print(json.dumps([asdict(each) for each in found], indent=2))
+        print(json.dumps([asdict(log) for log in found], indent=2))
     else:
         show(found, out)
     if failed:

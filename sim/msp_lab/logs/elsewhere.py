@@ -26,7 +26,7 @@ _UNITS_S = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 STEP_S = 0.1
 """Both are compared on a grid of such steps [s], which is finer than what `align` searches through."""
 LEAST_OVERLAP_S = 20.0
-"""Both have to overlap by so long [s]: in less, any two climbs look alike."""
+"""Readings and reference have to overlap for this long [s]: over less, any two climbs look alike."""
 LEAST_CORRELATION = 0.8
 """Refuse a best difference with a smaller correlation: the two do not show the same flight. A sensor that misses half
 of its echoes still has 0.9."""
@@ -38,7 +38,7 @@ samples as there are seconds. Lower: flights that repeat themselves are taken fo
 LONGEST_S = 86_400.0
 """Longer logs are refused [s]: a day takes 100 MB. Flights have an hour."""
 SMOOTHED = 5
-"""Readings are replaced by the median of so many, which takes single outliers away."""
+"""Each reading is replaced by the median of this many around it, which removes single outliers."""
 
 
 def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -> tuple[TruthSource, float]:
@@ -58,7 +58,7 @@ def reference_of(path: Path, truth: Truth, log: VehicleLog, maximum_cm: float) -
         if found is None:
             raise RecordingError(f"{path}: no reference in this file")
         reference = found
-    ranger = next((each for each in log.rangers if each.is_down), None)
+    ranger = next((candidate for candidate in log.rangers if candidate.is_down), None)
     if ranger is None:
         raise RecordingError(f"{log.path}: no range finder that looks down, to compare with {path.name}")
     try:

@@ -14,13 +14,14 @@ _ESTIMATES = (
     *("vehicle_local_position.", "vehicle_global_position.", "vehicle_odometry.", "estimator_"),  # PX4's topics
     *("GLOBAL_POSITION_INT.", "LOCAL_POSITION_NED.", "VFR_HUD.alt", "ALTITUDE.", "ODOMETRY."),  # MAVLink's messages
 )
-"""How fields begin that an autopilot's estimate of its height is logged in."""
+"""Beginnings of the names of fields in which an autopilot's estimate of its height is logged."""
 _RANGES = (
     *("RFND.", "CTUN.SAlt", "CTUN.DSAlt", "CTUN.TAlt", "XKF5.HAGL", "XKF5.rng", "NKF5.HAGL", "NKF5.rng"),
     *("distance_sensor", "vehicle_local_position.dist_bottom", "estimator_aid_src_rng_hgt"),
     *("DISTANCE_SENSOR.", "RANGEFINDER.", "ALTITUDE.bottom_clearance", "ALTITUDE.altitude_terrain"),
 )
-"""How fields begin that a range finder's readings are logged in, or a height above ground that is made of them."""
+"""Beginnings of the names of fields with a range finder's readings, or with a height above ground that is computed from
+them."""
 
 
 def is_estimate(field: str) -> bool:
@@ -86,6 +87,6 @@ def by_px4(parameters: Mapping[str, float]) -> str:
 
 
 def by_any(parameters: Mapping[str, float]) -> str:
-    """What an autopilot fuses that is known by its parameters only."""
+    """Reason for an autopilot that is recognised by its parameters only, as in a telemetry log."""
     is_px4 = not {"EKF2_HGT_REF", "EKF2_HGT_MODE"}.isdisjoint(parameters)
     return by_px4(parameters) if is_px4 else by_ekf3(parameters)

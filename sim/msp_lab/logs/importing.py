@@ -35,7 +35,7 @@ from msp_sim.workers import Workers
 Progress = Callable[[str, float], None]
 
 REPEATS_ROWS = 10
-"""Repeats are counted where the range changes by more than a centimetre a row over so many rows: there a sensor of
+"""Repeats are counted where the range changes by more than a centimetre a row over this many rows: there a sensor of
 whole centimetres repeats none. Longer: short climbs are left out; shorter: outliers count as a change."""
 OBTAINABLE = {
     TRUE_RANGE: "a true range: --truth, or a log with RTK, motion capture or a second range finder",
@@ -67,7 +67,7 @@ class FoundRanger:
     source: str
     rate_hz: float | None
     readings: int
-    """What it is called, where the log has it, how often it was logged, and how often in all."""
+    """Its name, its source in the log, its rate, and the number of its readings."""
     silent: int
     """Readings without an answer."""
     too_near: int
@@ -78,7 +78,7 @@ class FoundRanger:
     """That maximum; None: the log states none."""
     low_cm: float | None
     high_cm: float | None
-    """Smallest and largest reading of the other ones."""
+    """Smallest and largest of the other readings."""
     is_down: bool
     """Whether it looks down."""
     with_truth: int
@@ -86,9 +86,9 @@ class FoundRanger:
     repeated: float
     """Share of the readings that are the one before them, while the range changes."""
     lag_s: Interval | None = None
-    """How much later than the reference; None: cannot be seen."""
+    """Time by which the readings lag behind the reference [s]; None: it cannot be determined."""
     offset_cm: float | None = None
-    """Readings less the reference, the median; taken off where the reference does not know the ground."""
+    """Median of readings minus reference; subtracted where the reference does not know the ground's height."""
     scatter_cm: float | None = None
     """Standard deviation of the differences, without outliers."""
     reference_span_cm: float | None = None
@@ -96,11 +96,11 @@ class FoundRanger:
     reference_std_cm: Interval | None = None
     """Standard deviation of the reference's error; None: not known."""
     reference_std_from: str = ""
-    """What that is from."""
+    """Source of that standard deviation, in words."""
     notes: tuple[str, ...] = ()
     """Why readings have no true range, or what is worth knowing of it."""
     no_lag: str = ""
-    """Why the lag cannot be seen; empty: it can, or there is no reference."""
+    """Why the lag cannot be determined; empty: it is, or there is no reference."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +121,9 @@ class Imported:
     file: str
     sha256: str
     form: str
-    """Path and SHA-256 of the log, and what it is."""
+    """Path and SHA-256 of the log, and its format in words."""
     duration_s: float
-    """From the first to the last reading."""
+    """Time from the first to the last reading [s]."""
     rangers: tuple[FoundRanger, ...]
     """Its range finders."""
     series: tuple[FoundSeries, ...]
@@ -131,7 +131,7 @@ class Imported:
     truth: str
     """Kind of the reference; empty: none."""
     truth_source: str
-    """Where the log has it."""
+    """Source of the reference in the log."""
     has_datum: bool
     """Whether the reference knows the ground's height."""
     is_shifted: bool
@@ -139,9 +139,9 @@ class Imported:
     others: Mapping[str, str]
     """References that the log has too, with their source, or the reason for which they are refused."""
     refused: tuple[str, ...]
-    """Those of them that are refused."""
+    """The references among ``others`` that are refused."""
     missing: tuple[Missing, ...]
-    """What is not there, and what that costs."""
+    """Columns that the log lacks, with the effects that cannot be found without them."""
     notes: tuple[str, ...]
     """What was lost, or is worth knowing."""
 
@@ -153,12 +153,12 @@ class Import:
     out: Path
     """The dataset; runs are added to one that is there."""
     truth: Truth
-    """Which reference."""
+    """The reference that ``--truth`` asks for."""
     sensor: SensorModel
     """Its maximum is the reading of no echo in CSV files; its biases are taken off where the others are the
     reference."""
     column_map: ColumnMap | None = None
-    """For CSV files."""
+    """The map of ``--map``, for CSV files."""
     shift: bool = False
     """Whether the readings' lag is taken off; it always is where the reference is in another file."""
     seed: int = 1
@@ -268,7 +268,7 @@ def _import_run(common: Import, log: VehicleLog, run: str) -> Imported:
         reference, difference_s = reference_of(truth.file, truth, log, common.sensor.maximum_cm)
         notes.append(f"The clock of {truth.file.name} differs by {difference_s:.2f} s, apart from the lag above.")
     joined = join(log, reference, np.random.default_rng(common.seed), shift=common.shift or truth.file is not None)
-    if reference is not None and not any(TRUE_RANGE in each.data for each in joined):
+    if reference is not None and not any(TRUE_RANGE in ranger.data for ranger in joined):
         if truth.kind:
             raise RecordingError(f"{path}: --truth {truth.kind}: {_why_no_truth(joined)}")
         reference = None
@@ -287,7 +287,7 @@ def _without_truth(ranger: Ranger) -> Ranger:
 
 def _why_no_truth(joined: Sequence[Joined]) -> str:
     """Why no reading of a log has the reference that it was compared with."""
-    reasons = [f"{each.ranger.name}: {note}" for each in joined for note in each.notes]
+    reasons = [f"{one.ranger.name}: {note}" for one in joined for note in one.notes]
     if not any(each.ranger.is_down for each in joined):
         reasons = ["no range finder looks down, and of others a height says nothing"]
     return "; ".join(reasons) or "no reading has it"
@@ -408,7 +408,7 @@ def _missing(joined: Sequence[Joined]) -> tuple[Missing, ...]:
     found = []
     for column, what in OBTAINABLE.items():
         if column not in there:
-            effects = tuple(sorted(each.name for each in CATALOGUE.values() if column in each.requires))
+            effects = tuple(sorted(effect.name for effect in CATALOGUE.values() if column in effect.requires))
             found.append(Missing(column, what, effects))
     return tuple(found)
 

@@ -20,8 +20,8 @@ from msp_range.recording.csv_form import MeasuredData
 from msp_sim.effects.base import REFERENCE, REFERENCE_STD, TRUE_RANGE
 
 RATE_STEP_S = 0.1
-"""Without a vertical speed, the rate of the range is that of the reference over so long before and after [s]. Shorter:
-noise of the reference; longer: the ends of a climb are rounded."""
+"""Without a vertical speed, the rate of the range is that of the reference over this long before and after [s].
+Shorter: noise of the reference; longer: the ends of a climb are rounded."""
 OVERTURNED_DEG = 90.0
 """From this tilt on a sensor that looks down does not see the ground, by geometry. Seen in logs: before the attitude is
 known, and of a copter that crashes. It is also the largest ``incidence_deg`` of the CSV form."""
@@ -46,11 +46,11 @@ class Joined:
     ranger: Ranger
     """The range finder."""
     data: MeasuredData
-    """Its table."""
+    """Its readings as a table, with true range and context."""
     alignment: Alignment | None = None
     """How its readings fit the reference; None: no reference, or hardly any reading with one."""
     error: TruthAccuracy | None = None
-    """How well the reference is known; None: nothing says."""
+    """Accuracy of the reference; None: not known."""
     is_shifted: bool = False
     """Whether the lag was taken off."""
     notes: tuple[str, ...] = ()
@@ -74,7 +74,7 @@ def join(
         Whether the readings' lag behind the reference is taken off. It is the range finder's latency, unless the two
         have different clocks.
     """
-    joined = [_join(log, each, reference, rng, shift) for each in log.rangers]
+    joined = [_join(log, ranger, reference, rng, shift) for ranger in log.rangers]
     _add_neighbours(joined)
     return joined
 
@@ -144,7 +144,7 @@ def _is_for(log: VehicleLog, reference: TruthSource, ranger: Ranger) -> bool:
     of itself. A column may be a range along the beam where none of them looks down."""
     if reference.ranger == ranger.name:
         return False
-    return ranger.is_down or (reference.kind == "column" and not any(each.is_down for each in log.rangers))
+    return ranger.is_down or (reference.kind == "column" and not any(other.is_down for other in log.rangers))
 
 
 def _about_lost(reference: TruthSource, at_s: Array) -> list[str]:

@@ -100,7 +100,7 @@ class Series:
         return 1.0 / interval_s if interval_s > 0.0 else float("nan")
 
     def during(self, begins_s: float, ends_s: float, later_s: float) -> "Series":
-        """The samples from one time to another, on a clock that is by so much earlier [s]."""
+        """The samples between two times, moved ``later_s`` back in time [s]."""
         first, last = np.searchsorted(self.time_s, (begins_s, ends_s))
         return Series(self.source, self.time_s[first:last] - later_s, self.values[first:last])
 
@@ -136,7 +136,7 @@ class _OfSeries:
 
     def during(self, *span_s: float) -> Self:
         """All of its series from one time to another, as `Series.during`."""
-        parts = {name: each.during(*span_s) for name, each in vars(self).items() if isinstance(each, Series)}
+        parts = {name: part.during(*span_s) for name, part in vars(self).items() if isinstance(part, Series)}
         return replace(self, **parts)
 
 
@@ -226,9 +226,9 @@ class VehicleLog:
             span = (run.start_s, end_s, run.later_s)
             yield replace(
                 self,
-                rangers=tuple(ranger for each in self.rangers if len((ranger := each.during(*span)).series)),
-                context={name: found for name, each in self.context.items() if len(found := each.during(*span))},
-                references=tuple(truth for each in self.references if len((truth := each.during(*span)).series)),
+                rangers=tuple(ranger for whole in self.rangers if len((ranger := whole.during(*span)).series)),
+                context={name: found for name, whole in self.context.items() if len(found := whole.during(*span))},
+                references=tuple(truth for whole in self.references if len((truth := whole.during(*span)).series)),
                 notes=(*self.notes[: 0 if number else None], *([run.note] if number else [])),
                 clock=(),
             )
@@ -242,11 +242,11 @@ def make_log(
     rangers: Iterable[Ranger],
     context: Mapping[str, Series | None],
     references: Iterable[TruthSource | None],
-    notes: Iterable[str],
-    clock: tuple[ClockRun, ...],
+    notes: Iterable[str] = (),
+    clock: tuple[ClockRun, ...] = (),
 ) -> VehicleLog:
     """A log without the series and references that it lacks, which are None or empty."""
-    known = {name: each for name, each in context.items() if each is not None and len(each)}
+    known = {name: found for name, found in context.items() if found is not None and len(found)}
     return VehicleLog(path, form, tuple(rangers), known, tuple(filter(None, references)), tuple(notes), clock)
 
 
@@ -383,8 +383,8 @@ def make_continuous(senders: Iterable[MessageColumns]) -> tuple[ClockRun, ...]:
     """Put the times of all senders of a log on a clock that never steps; the runs between the steps."""
     senders = list(senders)
     times_s, runs = continuous([sender.stamps for sender in senders])
-    for each, time_s in zip(senders, times_s, strict=True):
-        each.restamp(time_s)
+    for sender, time_s in zip(senders, times_s, strict=True):
+        sender.restamp(time_s)
     return runs
 
 

@@ -92,13 +92,13 @@ def format_of(path: Path) -> LogFormat:
     ending = ".csv" if path.name.lower().endswith(".csv.gz") else path.suffix.lower()
     known: list[LogFormat] = []
     unusable: list[str] = []
-    for each in _formats(unusable):
-        known.append(each)
-        if each.begins and begins.startswith(each.begins):
-            return ROS_2 if each is RECORDING and begins[17:].startswith(_ROS_PROFILES) else each
-    found = next((each for each in known if each.ending == ending), None)
+    for form in _formats(unusable):
+        known.append(form)
+        if form.begins and begins.startswith(form.begins):
+            return ROS_2 if form is RECORDING and begins[17:].startswith(_ROS_PROFILES) else form
+    found = next((form for form in known if form.ending == ending), None)
     if found is None:
-        listed = ", ".join(f"{each.ending} ({each.what})" for each in known)
+        listed = ", ".join(f"{form.ending} ({form.what})" for form in known)
         words = f"no log that is known: it begins with {begins[:8]!r}; known are {listed}"
         raise RecordingError("; ".join([f"{path}: {words}", *unusable]))
     if not begins:

@@ -73,7 +73,7 @@ MOST_AFTER = 0.5
 """A height is refused if more of it than this share is after the range was first fused. Higher: a reference that
 ends after the take-off; lower: logs in which only a landing is fused are refused as a whole. Chosen by judgement."""
 MOST_READ = 20
-"""A file is given up after so many times its size was read: where its definitions are cut, pyulog goes back without
+"""A file is given up after this many times its size was read: where its definitions are cut, pyulog goes back without
 end. A damaged file is searched a few times over."""
 _EVERY_BYTES = 2**20
 
@@ -104,7 +104,7 @@ def _log(path: Path, log: ULog, named_field: str) -> VehicleLog:
         place = np.array(log.places[each.msg_id])[-each.data["timestamp"].size :]
         topics.append(messages_of(name, each.data, place))
     clock = make_continuous(topics)
-    flight = LoggedFlight({each.source: each for each in topics})
+    flight = LoggedFlight({columns.source: columns for columns in topics})
     parameters = log.initial_parameters | {name: value for _, name, value in log.changed_parameters}
     context = {
         TILT: flight.combined("vehicle_attitude", ("q[1]", "q[2]"), tilt_of_quaternion_deg, "q"),

@@ -127,7 +127,7 @@ def read_bag(path: Path, asked: LogRequest) -> VehicleLog:
         except (AttributeError, IndexError, TypeError, ValueError) as error:
             raise RecordingError(f"{path}: {name}, a {kind}, has no such number: {error}") from None
     clock = make_continuous(topics.values())
-    known = [each for each in topics.values() if each.message_type in _FIELDS]
+    known = [connection for connection in topics.values() if connection.message_type in _FIELDS]
     references = _references(known)
     references += [TruthSource("column", topics[name].series(field)) for name in names if name in topics]
     return make_log(path, "ROS bag", _rangers(known), _context(known), references, notes, clock)
@@ -149,7 +149,7 @@ def _messages(
     start_ns: int | None = None
     lost = []
     files, unpack = files_of(path)
-    size = sum(each.stat().st_size for each in files if each.is_file())
+    size = sum(file.stat().st_size for file in files if file.is_file())
     for file in files:
         try:
             for topic, arrived_ns, packed in read_messages(file, is_wanted):
@@ -247,10 +247,10 @@ def files_of(path: Path) -> tuple[list[Path], Callable[[bytes], bytes]]:
         return [path], bytes
     try:
         about = yaml.safe_load(read_text(path / "metadata.yaml", _MOST_METADATA_BYTES))["rosbag2_bagfile_information"]
-        files = [path / Path(each).name for each in about["relative_file_paths"]]
+        files = [path / Path(name).name for name in about["relative_file_paths"]]
         is_packed = str(about.get("compression_mode")).lower() == "message"
     except (OSError, KeyError, TypeError, AttributeError, yaml.YAMLError):
-        files, is_packed = sorted(each for each in path.iterdir() if each.suffix != ".yaml"), False
+        files, is_packed = sorted(file for file in path.iterdir() if file.suffix != ".yaml"), False
     return files, zstandard.ZstdDecompressor().decompress if is_packed else bytes
 
 

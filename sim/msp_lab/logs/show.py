@@ -10,34 +10,37 @@ from msp_range.terminal import console, plain_table
 from msp_sim.page.text import counted, listed
 
 MANY_REPEATS = 0.3
-"""With a larger share of repeats while the range changes, a line says so: a log with two rows a reading has half."""
+"""A larger share of repeated readings while the range changes is reported: in a log with two rows a reading it is a
+half."""
 MOST_EFFECTS = 4
-"""Names of effects in a line; the account in dataset.json has all."""
+"""Most names of effects in a line; dataset.json has all."""
 
 
 def show(found: Sequence[Imported], out: Path | None = None) -> None:
     """Print the account of an import; with the dataset's folder also how to go on."""
-    shown = console()
-    for each in found:
-        _show(shown, each)
+    terminal = console()
+    for log in found:
+        _show(terminal, log)
     if out is not None:
-        runs = counted(sum(len(each.runs) for each in found), "run")
-        rangers = [ranger for each in found for ranger in each.rangers]
+        runs = counted(sum(len(log.runs) for log in found), "run")
+        rangers = [ranger for log in found for ranger in log.rangers]
         readings = sum(ranger.readings for ranger in rangers)
         if any(ranger.with_truth for ranger in rangers):
             then = f"'msp-lab gap {out} --model MODEL.yaml --out DIR' uses it"
         else:
             then = "without a true range there is nothing that 'msp-lab gap' could compare them with"
-        shown.print(f"{out}: {readings:,} readings in {runs}; {then}", soft_wrap=True)
+        terminal.print(f"{out}: {readings:,} readings in {runs}; {then}", soft_wrap=True)
 
 
-def _show(shown: Console, found: Imported) -> None:
-    shown.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
+def _show(terminal: Console, found: Imported) -> None:
+    terminal.print(f"{found.file}: {found.form}, {found.duration_s:.0f} s", style="bold", soft_wrap=True)
     rows = [(ranger.name, ranger.source, _rate(ranger.rate_hz), _readings(ranger)) for ranger in found.rangers]
-    rows += [(each.name, each.source, _rate(each.rate_hz), f"{each.samples:,} samples") for each in found.series]
-    shown.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
+    rows += [
+        (series.name, series.source, _rate(series.rate_hz), f"{series.samples:,} samples") for series in found.series
+    ]
+    terminal.print(plain_table(("found", "in the log", "rate", ""), rows, "llrl"))
     for line in _lines(found):
-        shown.print(line)
+        terminal.print(line)
 
 
 def _lines(found: Imported) -> list[str]:
@@ -47,9 +50,9 @@ def _lines(found: Imported) -> list[str]:
     if usable := [f"{kind} ({source})" for kind, source in found.others.items() if kind not in found.refused]:
         lines.append(f"also in the log: {', '.join(usable)}")
     lines += [f"refused: {kind}: {found.others[kind]}" for kind in found.refused]
-    for each in found.missing:
-        named = listed(each.effects, MOST_EFFECTS)
-        lines.append(f"missing: {each.column}; without {each.what} these effects cannot be found: {named}")
+    for missing in found.missing:
+        named = listed(missing.effects, MOST_EFFECTS)
+        lines.append(f"missing: {missing.column}; without {missing.what} these effects cannot be found: {named}")
     return lines + [f"note: {note}" for note in found.notes]
 
 

@@ -40,12 +40,11 @@ from msp_range.recording.reader import LARGEST_FILE_BYTES
 from msp_sim.model.derived import tilt_deg
 
 LATEST_US = 4_000_000_000_000_000
-"""Times after the year 2096 are none [us]: the log is damaged there."""
+"""Later times are not believed [us], this is in the year 2096: the log is damaged there."""
 MOST_BAD_BYTES = 2**20
-"""After so many bytes in no frame nothing more is read: the log was overwritten there. Each costs a microsecond."""
+"""After this many bytes in no frame nothing more is read: the log was overwritten there. Each costs a microsecond."""
 MOST_BAD_SHARE = 0.5
 """A file of which a larger share is not in frames is no log. A damaged one has a few per cent."""
-_BLOCK_BYTES = 2**20
 _STAMP_BYTES, _LONGEST_FRAME = 8, 280
 _VERSION_1, _VERSION_2, _SIGNED = 0xFE, 0xFD, 0x01
 _INTEGER_TYPES = range(dialect.MAV_PARAM_TYPE_UINT8, dialect.MAV_PARAM_TYPE_REAL32)
@@ -124,7 +123,7 @@ class _Frames:
             self.size = file.seek(0, 2)
             file.seek(0)
             rest, skipped = b"", 0
-            while skipped <= MOST_BAD_BYTES and (block := file.read(_BLOCK_BYTES)):
+            while skipped <= MOST_BAD_BYTES and (block := file.read(2**20)):
                 data = rest + block
                 at, end = 0, len(data)
                 is_last = file.tell() >= self.size

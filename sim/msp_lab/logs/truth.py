@@ -38,7 +38,7 @@ class Truth:
     name: str = ""
     """Name of the sensor, or MESSAGE.FIELD of the column."""
     factor: float = 1.0
-    """From the column's unit to metres."""
+    """Factor from the column's unit to metres."""
     file: Path | None = None
     """Another log that has the reference, on a clock of its own; None: the log itself."""
 
@@ -148,7 +148,7 @@ def is_same(one: Series, other: Series) -> bool:
 
 
 def _other_sensor(log: VehicleLog, name: str) -> TruthSource:
-    ranger = next((each for each in log.rangers if each.name == name), None)
+    ranger = next((candidate for candidate in log.rangers if candidate.name == name), None)
     if ranger is None:
         raise RecordingError(f"{log.path}: no range finder {name!r} in this log; it has {_names(log)}")
     series = ranger.series

@@ -95,7 +95,8 @@ class FitResult:
         return value - Z * error, value + Z * error
 
     def _profile(self, name: str, sign: float) -> float:
-        """Where the log-likelihood has dropped so far, the other numbers refitted; the bound if it does not."""
+        """Value at which the profile log-likelihood has dropped by `LIKELIHOOD_DROP`; the parameter's bound if it never
+        does."""
         _, _, number, *ends = PARAMETERS[name][:5]
         k = NAMES.index(number)
         best = self._optimum
@@ -131,7 +132,8 @@ def columns(reading_cm: ArrayLike, expected_cm: ArrayLike) -> tuple[Array, Array
 
 
 def result_of(rows: Likelihood, best: Optimum, moving: Sequence[str], mean_length_m: float) -> FitResult:
-    """Convert a maximum to named parameters with errors; readings are so far from the minimum, on average."""
+    """Convert a maximum to named parameters with errors; ``mean_length_m`` is the mean distance of readings from the
+    minimum."""
     numbers, spread = best.numbers, Numbers(*np.diag(best.information))
     unknown = set()
     if spread.saturated * UNKNOWN_FRACTION**2 < 1.0:

@@ -50,7 +50,7 @@ class ReadingGrid:
 
     @property
     def codes_cm(self) -> tuple[float, ...]:
-        """Readings that may say that there was no echo."""
+        """Readings that may be codes for 'no echo'."""
         return (self.maximum_cm, SATURATED_CM) if self.saturates else (self.maximum_cm,)
 
     def nearest(self, reading_cm: ArrayLike) -> Array:

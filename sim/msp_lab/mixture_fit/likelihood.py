@@ -24,8 +24,9 @@ SAMPLE_ROWS = 20_000
 """Number of rows that are fitted before all are, where there are twice as many."""
 ENOUGH_NATS = 1e-3
 CLIMB_ROUNDS = 50
-"""A climb ends with a step that gains less, or after so many: it is at most 4 % of a standard error long. After it the
-curvature takes the place of the outer product of the scores, and errors are squared from step to step."""
+"""A climb ends with a step that gains less than this [nat], or after this many steps: a last step is at most 4 % of a
+standard error long. After it the curvature takes the place of the outer product of the scores, and errors are squared
+from step to step."""
 CURVATURE_ROWS = 100_000
 """Rows from which errors are computed, about; of twice as many and more the others are taken to be alike. The curvature
 takes eight times as long as a step. Fewer: errors of rare kinds of reading are known badly."""
@@ -70,7 +71,7 @@ class Likelihood(ByRow):
         return float(self.count.sum())
 
     def sample(self, most: int) -> "Likelihood":
-        """The likelihood of every n-th row, so that there are about so many."""
+        """The likelihood of every n-th row, about ``most`` rows."""
         return self.take(slice(None, None, max(len(self) // most, 1)))
 
     @cached_property

@@ -16,7 +16,7 @@ from msp_range.arrays import Array, Flags
 ROUNDS = 12
 """Steps at most; usual fits take three to six."""
 DAMPINGS = 8
-"""A step that gains nothing is tried again with more damping, so many times."""
+"""A step that gains nothing is tried again with more damping, up to this many times."""
 DAMPING, LEAST_DAMPING, FAILED_DAMPING, RAISED = 1e-3, 1e-6, 1e-2, 10.0
 """Share of the information's diagonal that is added: at first, at least, at least after a step that gained nothing, and
 by what it falls and is raised. Any start from 1e-5 to 1 takes as many steps within 10 %."""

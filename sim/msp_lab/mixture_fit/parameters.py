@@ -1,6 +1,7 @@
-"""The parameters of the mixture: what each is called, where it may be, and the number of the fit that moves it.
+"""The parameters of the mixture: name, bounds, and the number by which the fit changes each.
 
-Numbers of a fit enter, parameters as in a sensor model file leave, with their derivatives by the numbers.
+A fit varies `Numbers` (logarithms and odds, which have no bounds near them); here they become the parameters of a
+sensor model file, with their derivatives.
 """
 
 import math
@@ -13,7 +14,7 @@ from msp_range.arrays import Array
 from msp_range.reading_model.sensor_model import MixtureParameters
 
 LEAST_LOG_ODDS = float(np.log(1e-7))
-"""Log odds of a kind of reading that never came: of a million readings a tenth had one."""
+"""Log odds of a kind of reading that never occurred: less than once in the largest tables (a million readings)."""
 MIN_WEIGHT = 1e-4
 """Floor of a weight in a sensor model file and in a model that the gap workflow compares with, and of the odds of
 missed echoes at 3 m that depend on range. A reading of a kind with a share of 0 would decide any comparison alone.
@@ -24,26 +25,27 @@ MAX_GROWTH_PER_M = 10.0
 larger one the share at one range says nothing of another, and its derivatives overflow."""
 
 STEP = 1e-30
-"""Size of the complex step: any that is no rounding error next to a number, and no underflow, gives the same."""
+"""Step of the complex-step derivative: any value that is far below the rounding error of a number, and does not
+underflow, gives the same."""
 
 
 class Parameter(NamedTuple):
     """A parameter of the mixture."""
 
     name: str
-    """In a sensor model file; of a share without ``weights``."""
+    """Name in a sensor model file; of a share without its ``weights.``."""
     label: str
     """What a person calls it."""
     number: str = ""
-    """The number of the fit that moves it; empty: none alone does."""
+    """The field of `Numbers` that determines it; empty: several do."""
     least: float = 0.0
     most: float = 1.0
-    """What it can be; of a share 0 to 1."""
+    """Least and greatest value; 0 and 1 for a share."""
     unit: str = ""
     symbol: str = "–"
-    """In Probabilistic Robotics (Thrun, Burgard & Fox 2005, section 6.3)."""
+    """Symbol in Probabilistic Robotics (Thrun, Burgard & Fox 2005, section 6.3)."""
     grows: str = ""
-    """What depends on range where it is not 0."""
+    """What depends on range if the parameter is not 0; empty for all but the growths."""
 
     @property
     def is_share(self) -> bool:
@@ -81,7 +83,7 @@ PARAMETERS = {
         ),
     )
 }
-"""Each by its name, in the order of `named`."""
+"""The parameters by name, in the order of `named`."""
 KINDS = tuple(PARAMETERS)[:4]
 
 
@@ -89,13 +91,13 @@ class Numbers(NamedTuple):
     """The numbers of a fit."""
 
     log_sigma: Any
-    """Of the hits' spread in cm."""
+    """Logarithm of the hits' spread in cm."""
     log_odds_short: Any
     log_odds_missed: Any
     log_odds_random: Any
-    """Against hits; that of missed echoes at `WEIGHTS_RANGE_CM`."""
+    """Log odds of the other kinds against hits; those of missed echoes at `WEIGHTS_RANGE_CM`."""
     rate: Any
-    """lambda [1/m]: not its logarithm, since short readings that hardly get rarer with range have next to none."""
+    """lambda [1/m]: not its logarithm, since the rate is nearly 0 where short readings hardly get rarer with range."""
     saturated: Any
     """Share of no-echo codes that arrive as 255."""
     sigma_growth_2: Any
@@ -107,11 +109,12 @@ class Numbers(NamedTuple):
 NAMES = Numbers._fields
 LOWEST = Numbers(np.log(0.01), LEAST_LOG_ODDS, LEAST_LOG_ODDS, LEAST_LOG_ODDS, 1e-3, 0.0, 0.0, -MAX_GROWTH_PER_M)
 HIGHEST = Numbers(np.log(100.0), -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, -LEAST_LOG_ODDS, 1e3, 1.0, 1e4, MAX_GROWTH_PER_M)
-"""Where the numbers may be: within what a sensor model file takes, and any share of each kind of reading."""
+"""Bounds of the numbers: the limits of a sensor model file, and practically any share of each kind of reading."""
 
 
 def bounds_of(start: Numbers, moving: Sequence[str]) -> tuple[Array, Array]:
-    """Bounds of the numbers of which these move: with growth, missed echoes are possible anywhere."""
+    """Bounds for a fit in which the numbers ``moving`` vary and the others keep their start. With growth, the log odds
+    of missed echoes stay within those of `MIN_WEIGHT`."""
     low, high = LOWEST, HIGHEST
     if "missed_growth" in moving:
         low = low._replace(log_odds_missed=float(np.log(MIN_WEIGHT)))
@@ -121,7 +124,8 @@ def bounds_of(start: Numbers, moving: Sequence[str]) -> tuple[Array, Array]:
 
 
 def named(numbers: Numbers) -> dict[str, Any]:
-    """The parameters by these numbers, a kind that never came with a share of 0; of complex numbers complex ones."""
+    """The parameters that these numbers give, by name; a kind that never occurred has the share 0. Complex numbers give
+    complex parameters."""
     log_odds = np.array([0.0, numbers.log_odds_short, numbers.log_odds_missed, numbers.log_odds_random])
     odds = np.where(log_odds.real > LEAST_LOG_ODDS, np.exp(log_odds), 0.0)
     sigma = PARAMETERS["sigma_cm"]

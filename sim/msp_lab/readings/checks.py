@@ -22,9 +22,9 @@ MIN_NEAR_SHARE = 0.1
 """Refuse readings of which a smaller share is within a factor of 2 of the true range. Sensors that miss nearly
 everything still have a few hits; a wrong unit has none."""
 STUCK_SHARE, STUCK_CM = 0.98, 30.0
-"""Refuse readings of which a larger share is one number while the true range covers more than so many centimetres: they
-do not follow it. A large share because a dead zone repeats one reading too; 30 cm are more than any beam's blindness to
-a step."""
+"""Refuse readings of which more than this share are the same number while the true range covers more than this distance
+[cm]: they do not follow it. A large share because a dead zone repeats one reading too; 30 cm are more than any beam's
+blindness to a step."""
 
 
 def check_comparable(name: str, data: MeasuredData, sensor: SensorModel) -> None:

@@ -18,7 +18,7 @@ LEAST_BACK_S = 0.1
 """A clock that goes back by less is no step [s]: stamps of one sender may be written a little out of order, and NTP
 steps only what is off by 0.128 s or more. Smaller: such stamps begin runs; larger: so long a time is interleaved."""
 LEAST_FORWARD_S = 1.0
-"""A clock that goes forward by so much more than another one, and stays there, is a step [s]. Values are interpolated
+"""A clock that goes forward by this much more than another one, and stays there, was set [s]. Values are interpolated
 over no longer pause, so smaller steps join nothing that is apart; radio links delay messages by as much."""
 STAYS = 200
 """Messages before and after a step forward whose least differences of the clocks are compared: delays only add to them,
@@ -40,11 +40,11 @@ class Stamps:
     """Times of one sender's messages in the order of the log."""
 
     place: NDArray[np.int64]
-    """Where in the log each message is, in any unit that all senders share; it increases."""
+    """Position of each message in the log, increasing, in any unit that all senders share."""
     time_s: Array
-    """Its time."""
+    """Time of each message by the clock of the log [s]."""
     other_s: Array
-    """That time by another clock; NaN where it is not known."""
+    """Time of each message by another clock [s]; NaN where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def continuous(senders: Iterable[Stamps]) -> tuple[list[Array], tuple[ClockRun, 
         runs.append(ClockRun(start_s + later_s, later_s, cuts[number - 1][1] if runs else 0.0))
         end_s = float(times_s.max(initial=-np.inf)) + later_s
     later = np.array([run.later_s for run in runs])
-    return [each.time_s + later[part] for each, part in zip(senders, parts, strict=True)], tuple(runs)
+    return [sender.time_s + later[part] for sender, part in zip(senders, parts, strict=True)], tuple(runs)
 
 
 def _steps(sender: Stamps) -> Iterator[tuple[int, int, float]]:
@@ -149,8 +149,8 @@ def with_clock_runs(path: Path, table: MeasuredData, run_column: str = "run") ->
         for number, part in enumerate(parts[1:], start=2):
             name = f"{run or path.name.split('.')[0]}/{number}"
             notes.append(f"{part.note[:-1]}, {name}.")
-            for each, continuous_s in zip(senders, times_s, strict=True):
-                found[each[continuous_s >= part.start_s]] = name
+            for sender, continuous_s in zip(senders, times_s, strict=True):
+                found[sender[continuous_s >= part.start_s]] = name
     return (MeasuredData({**table.columns, run_column: found.astype(str)}) if notes else table), notes
 
 

@@ -189,7 +189,7 @@ def load_map(options: Sequence[str]) -> ColumnMap:
 
 
 def load_maps(options: Sequence[str] | None) -> ColumnMap | None:
-    """`load_map`; None where no option is given."""
+    """The map of the options as `load_map` makes it; None if no option is given."""
     return load_map(options) if options else None
 
 
@@ -234,7 +234,7 @@ def read_mapped(path: Path, column_map: ColumnMap, maximum_cm: float) -> Measure
     known = [name for name in header if name in KNOWN and header.count(name) == 1]
     shared = {name: MappedColumn(column=name) for name in known} | column_map.columns
     own = [part.columns for part in column_map.parts] or [{}]
-    parts = [shared | each for each in own]
+    parts = [shared | column for column in own]
     tables = [_read_part(path, header, places, column_map, maximum_cm) for places in parts]
     # What is words in one part is words in all.
     words = {name for table in tables for name, column in table.columns.items() if column.dtype.kind == "U"}
@@ -309,10 +309,10 @@ def _index(path: Path, header: list[str], name: str, column: str | int) -> int:
         return header.index(column)
     if count:
         raise RecordingError(f"{path}: the column {column!r} occurs {count} times; give its number from 1")
-    hint = suggest(column, [each[:64] for each in header])
+    hint = suggest(column, [heading[:64] for heading in header])
     if len(header) == 1 and (other := next((each for each in ";\t|" if each in header[0]), "")):
         hint = f" Are the columns separated by {other!r}? Give a map file with delimiter: {json.dumps(other)}."
-    there = short_list([each or "(no name)" for each in header])
+    there = short_list([heading or "(no name)" for heading in header])
     raise RecordingError(f"{path}: there is no column {column!r} for {name}.{hint} Columns: {there}")
 
 

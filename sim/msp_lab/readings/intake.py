@@ -179,8 +179,8 @@ def without_impossible(loaded: LoadedReadings, sensor: SensorModel) -> LoadedRea
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file, or of the names and contents of a folder's files, in hexadecimal."""
     if path.is_dir():
-        files = sorted(each for each in path.rglob("*") if each.is_file())
-        lines = [f"{each.relative_to(path).as_posix()} {sha256(each)}\n" for each in files]
+        files = sorted(member for member in path.rglob("*") if member.is_file())
+        lines = [f"{member.relative_to(path).as_posix()} {sha256(member)}\n" for member in files]
         return hashlib.sha256("".join(lines).encode()).hexdigest()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -231,8 +231,8 @@ def _about_others(columns: Mapping[str, Column]) -> list[str]:
 def _about_offsets(referenced: Sequence[Referenced]) -> list[str]:
     """By how much sensors read more than the others, over their readings of all runs."""
     found = []
-    for sensor in sorted({name for each in referenced for name in each.rows}):
-        of_runs = [(each.offsets_cm[sensor], each.rows[sensor]) for each in referenced if sensor in each.rows]
+    for sensor in sorted({name for run in referenced for name in run.rows}):
+        of_runs = [(run.offsets_cm[sensor], run.rows[sensor]) for run in referenced if sensor in run.rows]
         if len(of_runs) > 1:
             offset_cm, rows = np.array(of_runs).T
             half_cm = 2.0 * float(offset_cm.std(ddof=1)) / math.sqrt(offset_cm.size)

@@ -24,17 +24,17 @@ from msp_sim.model.model import Model
 FROM_TRUTH = frozenset({"neighbour_range_cm", "target", "target_size_cm", REFERENCE})
 """Columns that only a simulator or a real reference knows; they are left out."""
 MIN_OTHERS = 2
-"""A sensor is compared with at least so many others: of two that differ nobody knows which one is off."""
+"""A sensor is compared with at least this many others: of two that differ nobody knows which one is off."""
 MAX_STD_CM = 10.0
-"""Where the others know the range worse than this [cm], there is no reference: they got no echo, or were not read. A
-larger limit adds rows that say nothing."""
+"""There is no reference where the others' estimate has a larger standard deviation than this [cm]: they got no echo, or
+were not read. A larger limit adds rows without information."""
 LEAST_STD_CM = 0.3
 """Readings scatter by at least this much [cm]: the rounding to whole centimetres."""
 JERKS = tuple(float(10.0**power) for power in range(-4, 4))
 """Powers of the vehicle's white jerk that are tried [m^2/s^5]: from a hover, in which a second of readings is averaged,
 to one that changes its acceleration by g within a tenth of a second."""
 JERK_WINDOW_S = 1.5
-"""The power of the jerk is judged over so long before and after [s]: some thirty readings. Shorter windows follow
+"""The power of the jerk is estimated over this long before and after [s]: some thirty readings. Shorter windows follow
 noise, longer ones smooth a manoeuvre as if it were a hover."""
 SLOPES_PER_S = (1e-7, 1e-5, 1e-3)
 """Growths of the slope's variance that are tried [1/s]: one plane for the whole flight, gentle ground, and ground that
@@ -42,10 +42,10 @@ turns by 2 deg in a second."""
 MEDIAN_SQUARE = 0.4549
 """Median of the square of a standard normal number."""
 STANDING_CM, STANDING_S, LEGS_CM = 8.0, 5.0, 100.0
-"""A vehicle stands where the readings around are within so many centimetres of the lowest of the flight for so long
-[s], no farther than legs are high, in a flight that goes as far above that. No hover is as steady. A shorter time takes
-low passes for landings; higher legs a low hover. Slope and bumps below a vehicle that stands are the same in hundreds
-of readings, and count as an error of a sensor."""
+"""A vehicle stands on the ground where its readings stay within the first [cm] of the flight's lowest one for the
+second [s]; only readings up to the height of legs, the third [cm], count, and the flight has to go as far above them.
+No hover is as steady. A shorter time takes low passes for landings; higher legs a low hover. Slope and bumps below a
+vehicle that stands are the same in hundreds of readings, and count as an error of a sensor."""
 ROUNDS = 3
 """Rounds of smoothing. Each takes off the biases that the model has at the state of the round before, and leaves out
 what does not fit it; a fourth changes nothing that is printed."""
@@ -56,7 +56,7 @@ class Referenced:
     """Readings with the other sensors as reference."""
 
     data: MeasuredData
-    """In the order of time."""
+    """The readings in the order of time."""
     offsets_cm: Mapping[str, float]
     """How much more than the others each sensor with a reference read on average, which was taken off."""
     rows: Mapping[str, int]
@@ -68,9 +68,10 @@ class Mounting:
     """Where a vehicle's sensors are, and how it was turned."""
 
     sensors: Mapping[str, DownwardSensor]
-    """Those that look down, by name."""
+    """The sensors that look down, by name."""
     rotations: Callable[[Array], Sequence[Matrix | None]]
-    """From times [s] in order to body to north, east, down; None where it is not known, which counts as level."""
+    """Function from increasing times [s] to rotations from body to north, east, down; None where it is not known, which
+    counts as level."""
 
 
 def side_by_side(names: Collection[str]) -> Mounting:
@@ -101,11 +102,11 @@ def with_others_as_reference(
         Too few sensors.
     """
     names = sorted(set(data["sensor"].tolist()) & set(mounting.sensors))
-    for each in names or [""]:
-        others = set(names) - {each, *without}
+    for name in names or [""]:
+        others = set(names) - {name, *without}
         if len(others) < MIN_OTHERS:
             raise RecordingError(
-                f"found {len(others)} other downward sensors to compare {each or 'a sensor'} with, expected at least "
+                f"found {len(others)} other downward sensors to compare {name or 'a sensor'} with, expected at least "
                 f"{MIN_OTHERS}: of two that differ nobody knows which one is off"
             )
     rows = np.flatnonzero(np.isin(data["sensor"], names))
@@ -113,7 +114,7 @@ def with_others_as_reference(
     # A flight is no experiment of a campaign: its angles are the vehicle's own.
     columns: dict[str, Column] = {key: column[order] for key, column in data.columns.items() if key not in FROM_TRUTH}
     columns.setdefault("condition", np.full(order.size, "baseline"))
-    reference, offsets_cm = _reference(columns, names, model, mounting, [each not in without for each in names])
+    reference, offsets_cm = _reference(columns, names, model, mounting, [name not in without for name in names])
     known = columns["sensor"][~np.isnan(reference[TRUE_RANGE])].tolist()
     rows_of = {name: count for name in names if (count := known.count(name))}
     offsets = dict(zip(names, offsets_cm.tolist(), strict=True))
@@ -219,7 +220,7 @@ def _grounded(time_s: Array, around_cm: Array, least_cm: float) -> Flags:
 
 
 def _view(mounted: DownwardSensor, rotation: Matrix, state: Array) -> View:
-    """What a sensor should read; nothing depends on the height where it looks past the ground."""
+    """What a sensor should read; a sensor that looks past the ground does not depend on the height."""
     found = mounted.turned(rotation).view(float(state[HEIGHT]), float(state[NORTH]), float(state[EAST]))
     return View(0.0, 0.0, 0.0, 0.0, 0.0) if found is None else found
 

@@ -36,19 +36,20 @@ COMPARED_CM = (0.1, 0.2, 0.5, 1.0)
 """Steps in which readings are compared, next to the model's own. Finer ones show nothing: the finest effects of the
 catalogue are waves of 0.4 cm. Coarser ones are rounding, which is an effect (`coarse_rounding`)."""
 ON_STEP_SHARE = 0.95
-"""A file or a run comes in a step of which so many readings are multiples; a few others are means, or of another
-source. Of readings in a step half as large one in two is, by chance. Higher: one odd logger makes a file of whole
-centimetres one of millimetres, in which its values repeat for no reason; lower: steps that are none."""
+"""A step is that of a file or a run if this share of its readings are multiples of it; a few others may be means, or of
+another source. Of readings in a step half as large one in two is, by chance. Higher: one odd logger makes a file of
+whole centimetres one of millimetres, in which its values repeat for no reason; lower: steps that are none."""
 BETWEEN_STEPS = 0.2
 """A true range is between the multiples of a step if it is off by this share of it. Smaller: the set-ups' own errors
 count; larger: few ranges are left to show a step."""
 LEAST_VALUES = 8
-"""A run with fewer different readings says nothing of its step: of so many in a step half as large all are multiples
-with a probability of 0.4 %. Fewer: steps by chance; more: short runs in whole centimetres are overlooked."""
+"""A run with fewer different readings does not show its step: if the true step is half as large, all of this many are
+multiples of the larger one with a probability of 0.4 %. Fewer: steps by chance; more: short runs in whole centimetres
+are overlooked."""
 WINDOW = 100
-"""Values are compared among so many readings in a row. A step that is corrected for a temperature is one step in these
-only, as that drifts; over a whole run drift fills the gaps, and whole centimetres that repeat are named `stale`. Fewer:
-values are farther apart, and fine readings are compared in larger steps; more: quick drift is overlooked."""
+"""Values are compared among this many readings in a row. A step that is corrected for a temperature is one step in
+these only, as that drifts; over a whole run drift fills the gaps, and whole centimetres that repeat are named `stale`.
+Fewer: values are farther apart, and fine readings are compared in larger steps; more: quick drift is overlooked."""
 GAP_QUANTILE = 0.1
 """Quantile of the distances between neighbouring values, counted as often as both were read, that is their step.
 Readings that do not reach every multiple have larger ones, too; a few odd readings make smaller ones. Lower: odd
@@ -64,9 +65,9 @@ MAX_GAP = 50
 """Values that are farther apart, in steps, are not compared: 5 cm of 0.1. More: nothing; fewer: steps of that size pass
 for their parts."""
 GAPS_PER_STEP = 2.0
-"""Readings in a step that is not compared (0.017 cm: a timer's microsecond) are rounded to one that holds so many of
-theirs. With fewer, some steps hold twice as many readings as others, and readings repeat more often than the model
-says, which makes the name `stale`; more hides small effects."""
+"""Readings in a step that is not compared (0.017 cm: a timer's microsecond) are rounded to a step that is this many
+times as large. With fewer, some steps hold twice as many readings as others, and readings repeat more often than the
+model says, which makes the name `stale`; more hides small effects."""
 
 
 def to_step(reading_cm: Array, step_cm: float) -> Array:
@@ -137,10 +138,12 @@ def compared_step(reading_cm: Array, run: Indices, model_step_cm: float, limits_
     1.0 0.1
     """
     usual = {*COMPARED_CM, model_step_cm}
-    steps = sorted(each for each in usual if not any(round(limit_cm / each, 6) % 1.0 for limit_cm in limits_cm))
+    steps = sorted(
+        step_cm for step_cm in usual if not any(round(limit_cm / step_cm, 6) % 1.0 for limit_cm in limits_cm)
+    )
     least_cm, gaps, weights = 0.0, [np.zeros(0)], [np.zeros(0)]
-    for each in np.unique(run):
-        own = np.round(reading_cm[run == each], 6)
+    for name in np.unique(run):
+        own = np.round(reading_cm[run == name], 6)
         for start in range(0, own.size, WINDOW):
             values, counts = np.unique(own[start : start + WINDOW], return_counts=True)
             gaps.append(np.diff(values))

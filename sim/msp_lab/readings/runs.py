@@ -81,4 +81,4 @@ def _words_of(table: MeasuredData, path: Path, run_column: str) -> Texts:
     if run_column not in table:
         raise ConfigError(f"--run-column {run_column}: {path} has the columns {', '.join(table.columns)}")
     column = table[run_column]
-    return np.array([f"{each:g}" for each in column.tolist()]) if column.dtype.kind in "fiub" else column
+    return np.array([f"{value:g}" for value in column.tolist()]) if column.dtype.kind in "fiub" else column

@@ -23,10 +23,10 @@ a vehicle lands. The others say nothing."""
 MAX_STEP_S = 2.0
 """Longer pauses between readings count as this one [s]: the height is then unknown in any case."""
 GATE = 4.5
-"""A reading more than so many standard deviations from what the others predict is no reading of the ground. With 3 one
-hit in 370 is lost; with 6 more short readings move the reference."""
+"""A reading more than this many standard deviations from what the others predict is no reading of the ground. With 3
+one hit in 370 is lost; with 6 more short readings move the reference."""
 MOST_REFUSED = 3
-"""After so many refused readings in a row the next one is used: the ground has a step there."""
+"""After this many refused readings in a row the next one is used: the ground has a step there."""
 
 
 @dataclass(frozen=True)

@@ -12,26 +12,26 @@ from msp_range.arrays import Array, Indices, numbered
 from msp_range.recording.csv_form import MeasuredData
 
 MIN_ROWS = 20
-"""Order and rate are looked at in runs of at least so many rows. Noise repeats no sign 20 times. Fewer: short runs are
+"""Order and rate are checked in runs of at least this many rows. Noise repeats no sign 20 times. Fewer: short runs are
 called shuffled by accident."""
 BACKWARDS = -0.5
 """A rate of the range that correlates with the true range's change by less is reported as backwards. Right ones
 correlate by nearly 1 and unrelated ones by 0. Any value from -0.8 to -0.2 reports the same tables."""
 SHUFFLED = 3.0
-"""Times are reported as shuffled where the true range moves so many times as far in their order as in that of the rows.
-Right ones move as far; of shuffled runs of 20 rows or more the factor is 5 and more. Higher: partly shuffled ones
-pass."""
+"""Times are reported as shuffled where the true range moves this many times as far in the order of the times as in that
+of the rows. Right ones move as far; of shuffled runs of 20 rows or more the factor is 5 and more. Higher: partly
+shuffled ones pass."""
 LONGEST_GAP_S = 1.0
 """Rows that are farther apart in time say nothing of a rate. A vehicle turns round in a second."""
 LAG_BLOCKS = 8
-"""A table of fewer runs is cut into so many parts, whose estimates of the reference's lag are compared."""
+"""A table of fewer runs is cut into this many parts, whose estimates of the reference's lag are compared."""
 LAG_Z = 5.0
-"""A reference is reported to lag where the readings are ahead of it by so many standard errors over runs. The error
+"""A reference is reported to lag where the readings are ahead of it by this many standard errors over runs. The error
 of eight numbers is itself known to a quarter, so that this is p = 1e-3. Lower: false reports; higher: small lags
 pass."""
 LAG_S = 0.02
-"""And by at least so long [s]. Twice the time of flight of an echo from three metres, by which a reading may seem ahead
-where its time is that of the ping. Lower: that is reported."""
+"""A reference is reported to lag only where it does so by at least this long [s]. Twice the time of flight of an echo
+from three metres, by which a reading may seem ahead where its time is that of the ping. Lower: that is reported."""
 FASTEST_CM = 50.0
 """Residuals beyond this are no hits and say nothing about a lag [cm]; a quarter of a second at 2 m/s."""
 

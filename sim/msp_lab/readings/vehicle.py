@@ -1,6 +1,6 @@
 """Geometry of the vehicle that made a recording: where its sensors are, and how it was turned at each time.
 
-`Mounting` is read from a recording; a table without either is one of sensors side by side. Each run gets the other
+A recording has a `Mounting`; the sensors of a table, which has none, count as side by side. Each run gets the other
 sensors as its reference.
 """
 
@@ -22,8 +22,8 @@ from msp_range.recording.reader import Recording
 from msp_sim.model.model import Model
 
 AFTER_S = 0.1
-"""Attitudes received so long after an echo are used for it [s]: at the usual 10 Hz the next one is. A shorter time
-extrapolates, a longer one does no harm."""
+"""Attitudes received up to this long after an echo are used for it [s]: at the usual 10 Hz the next one is. A shorter
+time extrapolates, a longer one does no harm."""
 
 
 def mounting_of(recording: Recording) -> Mounting | None:
@@ -44,10 +44,10 @@ def mounting_of(recording: Recording) -> Mounting | None:
 
     def rotations(time_s: Array) -> Sequence[Matrix | None]:
         found = []
-        for each in time_s.tolist():
-            while attitudes and attitudes[0][0] <= each + AFTER_S:
+        for at_s in time_s.tolist():
+            while attitudes and attitudes[0][0] <= at_s + AFTER_S:
                 track.update(attitudes.popleft()[1])
-            found.append(track.rotation_at(each))
+            found.append(track.rotation_at(at_s))
         return found
 
     return Mounting(sensors, rotations)

@@ -9,7 +9,8 @@ import math
 
 
 def small_target_spreading(range_m: float, cross_section_m2: float) -> float:
-    """Out to an isotropic scatterer and back, sigma / (4 pi R^2)^2 = sigma / (16 pi^2 R^4) (report eq 2, corrected).
+    """Spreading to an isotropic scatterer and back, sigma / (4 pi R^2)^2 = sigma / (16 pi^2 R^4) (report eq 2,
+    corrected).
 
     Valid where the target is smaller than the first Fresnel zone, of radius sqrt(lambda R / 2): 9 cm at 2 m and
     42 kHz. Twice the range is 12 dB less.
@@ -37,7 +38,7 @@ def small_target_spreading(range_m: float, cross_section_m2: float) -> float:
 
 
 def wall_spreading(range_m: float) -> float:
-    """From the sensor's mirror image behind a large flat wall, 1 / (4 pi (2 R)^2) (erratum 2).
+    """Spreading from the sensor's mirror image behind a large flat wall, 1 / (4 pi (2 R)^2) (erratum 2).
 
     Valid where the wall is flat to a fraction of a wavelength and larger than the first Fresnel zone about the foot of
     the perpendicular. Twice the range is 6 dB less.
@@ -89,7 +90,7 @@ def plate_cross_section_m2(area_m2: float, wavelength_m: float) -> float:
 
 
 def plate_spreading(range_m: float, area_m2: float, wavelength_m: float) -> float:
-    """From a flat plate that faces the sensor: the lesser of `wall_spreading` and its own far field.
+    """Spreading by a flat plate that faces the sensor: the lesser of `wall_spreading` and the plate's far field.
 
     Both are asymptotes and meet at R = 2 A / lambda; about there the true echo swings by several dB about them.
 

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 CLOCK_FAULT_BIT = 0x8000
-"""What a read too early sets in a 16-bit answer."""
+"""Bit that reads as one in a 16-bit answer that is read too early."""
 LARGEST_CODE = 0xFFFF
-"""What two bytes hold."""
+"""Mask of a 16-bit answer."""
 
 
 class NotAcknowledged(Exception):
@@ -31,7 +31,7 @@ class DeviceTiming:
     no_echo_s: float
     """A ranging without an echo takes this long [s], and none takes longer."""
     address_change_s: float = 0.0
-    """After an address change [s]."""
+    """Time for which an address change keeps the sensor busy [s]."""
 
     def ranging_s(self, reading_cm: int, no_echo_cm: int) -> float:
         """Time from the ping until the ranging has ended [s]."""
@@ -85,9 +85,9 @@ class Fault:
     end_s: float
     """When it lasts [s on the device's clock]. A power cycle or a lock-up may have no length."""
     probability: float = 1.0
-    """That one opportunity shows the fault: one read for the kinds that change the answer, one ping for "stuck",
-    "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift", "constant",
-    "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen."""
+    """Probability that one opportunity shows the fault: one read for the kinds that change the answer, one ping for
+    "stuck", "previous_ping", "missed_read" and those that change the ranging ("no_echo", "noisy", "offset", "drift",
+    "constant", "fixed_object", "dust"), one transfer for "silent". A power cycle and a lock-up always happen."""
     word: int = 1000
     """The 16-bit answer of the kind "impossible"."""
     spread_cm: float = 100.0

@@ -34,7 +34,7 @@ KeepTruth: TypeAlias = Callable[[str, float, Ping, Mapping[str, Any]], None]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What emulated sensors are in."""
+    """The world around emulated sensors, and the vehicle's pose in it."""
 
     world: World
     pose: Callable[[float], Pose]
@@ -63,7 +63,7 @@ class FlownPath:
         return self
 
     def moved_cm(self, ago_s: Any) -> float:
-        """How far the range was from that at the ping, so long before it [cm]; NaN where there was no surface."""
+        """Range ``ago_s`` before the ping, minus that at the ping [cm]; NaN where there was no surface."""
         then_cm, now_cm = self._range_cm(self._ping_s - float(np.squeeze(ago_s))), self._now_cm
         return math.nan if then_cm is None or now_cm is None else then_cm - now_cm
 
@@ -79,11 +79,11 @@ class EmulatedSensor:
     sensor
         As mounted on the vehicle.
     model
-        What it reads.
+        The sensor model from which its readings are drawn.
     around
-        What is there, and where the vehicle is.
+        The world, and the vehicle's pose in it.
     generator
-        Its chance.
+        Draws its readings.
     others
         Time [s] and true range [cm] of the last ping of each sensor of the vehicle, by name; kept up to date here.
     """
@@ -160,9 +160,9 @@ def ranging_timing(kind: type[RangeFinder], model: SensorModel) -> DeviceTiming:
 def within_limits(echo: Callable[[float], int], model: SensorModel, kind: type[RangeFinder]) -> Callable[[float], int]:
     """Readings of a model as a device of this kind can answer them.
 
-    A model of another sensor may read less or more than the device: what is below the device's shortest reading is
-    that, and no echo or more than its longest is its code for no echo. What is below the model's own shortest is a
-    word with a lost byte, and arrives as it is.
+    A model of another sensor may read less or more than the device. A reading below the device's shortest becomes its
+    shortest; no echo, or more than its longest, becomes its code for no echo. A reading below the model's own shortest
+    is a word with a lost byte, and arrives unchanged.
     """
     if kind.minimum_cm <= model.minimum_cm and model.maximum_cm == kind.no_echo_cm:
         return echo
@@ -184,7 +184,7 @@ def emulated_bus(
     seed: SeedSequence,
     faults: Mapping[str, Sequence[Fault]],
 ) -> Bus:
-    """The airframe's sensors on an emulated bus; each draws from a stream of chance of its own."""
+    """The airframe's sensors on an emulated bus; each draws from its own random stream."""
     devices = []
     others: LastPings = {}
     for sensor, of_sensor in zip(airframe.sensors, seed.spawn(len(airframe.sensors)), strict=True):

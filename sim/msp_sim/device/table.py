@@ -18,7 +18,7 @@ EMULATED: dict[str, type[RangeFinder]] = {
     "mb1242": EmulatedMB1242,
     "lidar_lite_v3": EmulatedLidarLiteV3,
 }
-"""By the driver's name in model files."""
+"""Emulated range finders by the driver's name in model files."""
 
 
 def emulated_kind(driver: str) -> type[RangeFinder]:

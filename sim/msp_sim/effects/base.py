@@ -24,11 +24,12 @@ Channel: TypeAlias = Literal["bias", "spread", "short", "missed", "random", "com
 
 TRUE_RANGE = "true_range_cm"
 PATH = "path"
-"""Places of the readings on the reference's path (`msp_sim.effects.path`)."""
+"""Column of the readings' places on the reference's path (`msp_sim.effects.path`)."""
 REFERENCE_STD = "true_range_std_cm"
 REFERENCE = "reference"
 OTHERS = "others"
-"""Word in `REFERENCE` where the true range is what the other sensors say, less each run's mean difference from it."""
+"""Word in the column `REFERENCE` if the true range is that of the other sensors, less each run's mean difference from
+it."""
 WORD_COLUMNS = frozenset({"sensor", "run", "target"})
 """Context columns that contain words instead of numbers; an effect of one sensor, run or target is given its word."""
 
@@ -42,7 +43,7 @@ class Parameter:
     unit: str
     """Unit as people write it; "1" for a ratio."""
     meaning: str
-    """What it is, for help texts."""
+    """Its meaning, for help texts."""
     low: float
     high: float
     """Bounds."""
@@ -57,8 +58,8 @@ class Parameter:
     power: int = 1
     """Leading power of the parameter in the effect; with 2 the slope at the neutral value is zero."""
     jumps: bool = False
-    """The likelihood jumps along it, so that its slope says nothing: the values of its grid are tried, and no
-    others."""
+    """Whether the likelihood jumps as it changes, so that a slope means nothing: only the values of its grid are
+    tried."""
 
 
 def share_of_readings(meaning: str) -> Parameter:
@@ -114,8 +115,8 @@ class Scene:
         return np.where(known, self._contexts[column], otherwise)
 
     def at(self, ago_s: Any) -> "Scene":
-        """The scene so long before this one [s]: other true ranges, from the reference's path, or from the rate where
-        there is none."""
+        """The scene ``ago_s`` earlier [s]: the true ranges then, from the reference's path, or from the rate without a
+        path."""
         stamped, ago_s = self._stamped, self._ago_s + ago_s
         last = self._shifted
         if last is not None and np.array_equal(last._ago_s, ago_s):
@@ -163,7 +164,7 @@ class Contribution(NamedTuple):
     bias_cm: Any = None
     """Added to the centre of the hits [cm]."""
     ago_s: Any = None
-    """The reading is of what was there so long before its stamp [s]; the bias is by how much the range was another."""
+    """Age of the reading at its stamp [s]: it shows the range of then, and the difference becomes a bias."""
     log_spread: Any = None
     """Added to the logarithm of the hits' standard deviation."""
     run_offset_cm: float | None = None
@@ -174,19 +175,19 @@ class Contribution(NamedTuple):
     """Added to the log odds of a short, missed or random reading against a hit."""
     component: Component | None = None
     share: Any = None
-    """One more component of the mixture, and its share of the readings if it were the only one."""
+    """An additional component of the mixture, and its share of the readings if it is the only one added."""
     fault: CodeFault | None = None
     fault_share: Any = None
     """A fault of the reading's code, and the share of the readings affected."""
 
 
 def damage(fault: CodeFault) -> Callable[[Scene, Values], Contribution]:
-    """What an effect does that turns a share of the codes into others, as the fault says."""
+    """``apply`` of an effect that turns a share of the codes into others, by a fault."""
     return lambda scene, values: Contribution(fault=fault, fault_share=values["share"])
 
 
 def everywhere(field: str, parameter: str) -> Callable[[Scene, Values], Contribution]:
-    """What an effect does that sets a field of the `Contribution` to its parameter, whatever the context."""
+    """``apply`` of an effect that sets a field of the `Contribution` to its parameter, in any context."""
 
     def apply(scene: Scene, values: Values) -> Contribution:
         changed: dict[str, Any] = {field: values[parameter]}
@@ -227,21 +228,21 @@ class Effect:
     equivalent_causes: tuple[str, ...] = ()
     """Other causes that change every reading in the same way."""
     media: tuple[Medium, ...] = get_args(Medium)
-    """What the sensors range with that it happens to."""
+    """Media of the sensors that the effect concerns: sound, light or radio."""
     moves: str = ""
-    """Parameter in proportion to which it moves a part of the hits, all else as it was; empty: it does not."""
+    """Parameter to which the shift of a part of the hits is proportional, with nothing else changed; empty: none."""
     gathers: str = ""
-    """Parameter with the range [cm] at which it gathers readings, wherever the surface is; empty: it does not."""
+    """Parameter with the range [cm] at which readings accumulate, wherever the surface is; empty: none."""
     is_shift: bool = False
     """Whether it moves readings in time: all other effects then act on the scene of that moment."""
     any_step: bool = False
     """Whether a fault of the code is defined for readings in any step; others act on the bytes of whole centimetres."""
     finding: str = ""
-    """What was found of it, in words for a pilot, without a full stop: {of} and its parameters in braces, with the
-    formats of `msp_sim.effects.plain`. Empty: the sentence, and the parameters behind it."""
+    """Sentence for a pilot when the effect is found, without a full stop: {of} and its parameters in braces, with the
+    formats of `msp_sim.effects.plain`. Empty: the effect's ``sentence`` with the parameters after it."""
 
     def happens_to(self, sensor: SensorModel) -> bool:
-        """Whether it can happen to a sensor: by what it ranges with, and by the step of its readings."""
+        """Whether a sensor can have the effect, by its medium and by the step of its readings."""
         has_bytes = sensor.resolution_cm == 1.0
         return sensor.medium in self.media and ("code" not in self.channels or self.any_step or has_bytes)
 

@@ -6,8 +6,6 @@ from typing import Any
 
 from msp_sim.effects.base import Effect, Parameter
 
-_INDENT = "    "
-_WIDTH = 100
 _DESCRIBED = ("name", "sentence", "finding", "physics", "source", "channels", "requires", "optional", "per")
 _NUMBERS = ("unit", "meaning", "low", "high", "neutral", "default")
 
@@ -43,7 +41,7 @@ def _paragraph(effect: Effect) -> str:
         lines.append(f"The base model has a parameter for it: {effect.base}.")
     if effect.equivalent_causes:
         lines.append(f"Equivalent causes: {', '.join(effect.equivalent_causes)}.")
-    body = [textwrap.fill(line, _WIDTH, initial_indent=_INDENT, subsequent_indent=_INDENT) for line in lines]
+    body = [textwrap.indent(textwrap.fill(line, 96), "    ") for line in lines]
     return "\n".join([f"{effect.name} ({', '.join(effect.channels)})", *body])
 
 

@@ -72,7 +72,7 @@ def effects_of_file(path: Path) -> list[Effect]:
     """
     found = {value.name: value for value in vars(_run(path)).values() if isinstance(value, Effect)}
     # Effects that the file imports from the catalogue are not its own.
-    own = [each for each in found.values() if each is not CATALOGUE.get(each.name)]
+    own = [effect for effect in found.values() if effect is not CATALOGUE.get(effect.name)]
     if not own:
         raise ConfigError(f"{path}: found no effect; expected an msp_sim.effects.base.Effect at the top level")
     return own
@@ -88,7 +88,7 @@ def _run(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # Any exception of a user's file is an error in that file.
-        lines = [each.lineno for each in traceback.extract_tb(sys.exc_info()[2]) if each.filename == str(path)]
+        lines = [frame.lineno for frame in traceback.extract_tb(sys.exc_info()[2]) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
         place = f"{path}:{line}" if line is not None else str(path)
         raise ConfigError(f"{place}: {type(error).__name__}: {error}") from None

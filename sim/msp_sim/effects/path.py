@@ -26,9 +26,10 @@ FARTHEST_S = 1.0
 """Between rows that are farther apart in time there is no path [s]: a vehicle turns round meanwhile, and in a campaign
 at a bench the next place begins."""
 SLOPE_S = 0.1
-"""Rows so long before and after one give the rate of the true range there [s]. Shorter, and the noise of the truth is
-taken for motion: of 2 cm, 50 times a second, +-70 cm/s from neighbouring rows and +-14 from these. Longer flattens how
-a vehicle moves up and down: sin(x)/x with x = 2 pi f 0.1 s, which is 2 % less at 0.5 Hz and 6 % at 1 Hz."""
+"""Rows up to this long before and after one give the rate of the true range there [s]. Shorter, and the noise of the
+truth is taken for motion: of 2 cm, 50 times a second, +-70 cm/s from neighbouring rows and +-14 from these. Longer
+flattens how a vehicle moves up and down: sin(x)/x with x = 2 pi f 0.1 s, which is 2 % less at 0.5 Hz and 6 % at 1
+Hz."""
 LONGEST_SLOPE_S = 0.4
 """Where the nearest rows on both sides are farther apart than this, a recorded rate is taken [s]: a vehicle turns in
 between, and the ranges alone do not say how it moves at a row. Shorter: where the ground is no plane, a vertical speed
@@ -39,14 +40,15 @@ ground or to the next place of a campaign; of 10 rows a second that is an edge o
 costs little, as either side goes on at its rate. Higher: between the rows at an edge the range is half-way; lower: of
 quick turns the cubic is lost."""
 JUMP_TIMES = 10.0
-"""And by so many times the median of that, which is what noise of the reference makes of it. Lower: noise cuts paths;
-higher: edges in noise are motion."""
+"""A jump also exceeds the usual change, which noise of the reference makes, by this many times its median. Lower: noise
+cuts paths; higher: edges in noise are motion."""
 NOISIEST_CM = 5.0
-"""Ranges of which half differ by more from what those around say are in no order of time, and nothing of them is a path
-[cm]. Any value from 4 to 20 decides alike: references have 2 cm of noise, and ranges in random order are 50 cm off."""
+"""If half of the ranges differ by more than this from what their neighbours give, the rows are in no order of time, and
+no path is made of them [cm]. Any value from 4 to 20 decides alike: references have 2 cm of noise, and ranges in random
+order are 50 cm off."""
 SMOOTHED_ROWS = 3, 10
-"""A reference with noise is smoothed over the rows within twice `SLOPE_S`, so many at least and at most to either side.
-Of two, 5 % of the noise's variance counts for half intervals; more than ten take time."""
+"""Fewest and most rows to either side over which a reference with noise is smoothed, among those within twice
+`SLOPE_S`. With two, 5 % of the noise's variance counts for half intervals; more than ten take time."""
 NOISE_CM = 0.05
 """A reference is smoothed if half of its rows are off such a parabola by more than this [cm], and by no more than its
 noise, as fourth differences show it: of quick motion the parabola would be off by more. Higher: noise of a tenth of the

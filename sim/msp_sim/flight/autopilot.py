@@ -165,7 +165,7 @@ class LoopbackAutopilot:
         self._boot_s = -BOOTED_BEFORE_S
         self._mav = dialect.MAVLink(None, srcSystem=1, srcComponent=dialect.MAV_COMP_ID_AUTOPILOT1)
         self._refused = () if plan.sends_motion else _MOTION
-        self._intervals_s = {what: each for what, each in _INTERVALS_S.items() if what not in self._refused}
+        self._intervals_s = {what: interval_s for what, interval_s in _INTERVALS_S.items() if what not in self._refused}
         self._due_s = dict.fromkeys(self._intervals_s, 0.0)
         self._gauss = draw.gauss if draw else lambda mean, std: mean
         self._drift_m = self._gust_m = self._drift_s = 0.0

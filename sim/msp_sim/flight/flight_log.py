@@ -139,7 +139,7 @@ class FlightLog:
                 self._steps_m[sensor] = seen_m - ground_m
         if self._recorder is not None:
             not_recorded = ("has_echo", "slant_range_cm")
-            truth = {key: each for key, each in context.items() if each is not None and key not in not_recorded}
+            truth = {key: value for key, value in context.items() if value is not None and key not in not_recorded}
             self._recorder.write(f"/truth/{sensor}", ping_s + self._start_s, truth)
 
     def record_step(self, step: Step) -> None:

@@ -49,7 +49,7 @@ class _Arrays:
 
     def __init__(self, track: SensorTrack) -> None:
         self.time_s, self.raw_m, self.filtered_m, self.truth_m = (
-            np.array(each, dtype=float) for each in (track.time_s, track.raw_m, track.filtered_m, track.truth_m)
+            np.array(column, dtype=float) for column in (track.time_s, track.raw_m, track.filtered_m, track.truth_m)
         )
         self.why = np.array(track.why, dtype=object)
 

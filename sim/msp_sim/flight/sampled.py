@@ -37,7 +37,7 @@ class SampledFlight:
     """One flight with random parameters."""
 
     scenario: Scenario
-    """To be flown."""
+    """The scenario to be flown, with the drawn values in it."""
     seed: int
     """Random seed of the flight itself."""
     values: Mapping[str, Any]
@@ -88,8 +88,8 @@ class Sampled:
         self._source = source
         self._plain = scenario.model_dump(exclude={"airframe", "vary"})
         self._places: dict[str, list[Place]] = {}
-        for path, each in self.vary.parameters.items():
-            self._find_places(path, each)
+        for path, variation in self.vary.parameters.items():
+            self._find_places(path, variation)
         self._kinds = _kinds_by_sensor(scenario, self.vary.faults.kinds) if self.vary.faults is not None else {}
         if self.vary.faults is not None and not self._kinds:
             raise ConfigError(f"{source}: vary.faults.kinds: no sensor of the airframe can show any of them")
@@ -107,7 +107,7 @@ class Sampled:
         generator = default_rng(for_draws)
         reason = ""
         for refused in range(MOST_DRAWS):
-            values = {path: each.draw(generator) for path, each in self.vary.parameters.items()}
+            values = {path: variation.draw(generator) for path, variation in self.vary.parameters.items()}
             plain = self._plain
             for path, value in values.items():
                 plain = self._with(plain, path, value)
@@ -152,7 +152,7 @@ class Sampled:
         Raises
         ------
         ImpossibleFlight
-            Its values are possible, and its flight is not.
+            Each value is possible, but the flight is not: into the ground, or longer than the scenario.
         ConfigError
             A value is not possible.
         """
@@ -160,7 +160,7 @@ class Sampled:
         try:
             return Scenario.model_validate(content)
         except ValidationError as error:
-            causes = [each.get("ctx", {}).get("error") for each in error.errors(include_url=False)]
+            causes = [problem.get("ctx", {}).get("error") for problem in error.errors(include_url=False)]
         if len(causes) == 1 and isinstance(causes[0], ImpossibleFlight):
             raise causes[0]
         return check(source, Scenario, content, None)

@@ -15,7 +15,8 @@ from msp_sim.flight.flight_log import FlightResult, SensorTrack
 
 
 def error_of(track: SensorTrack, value_m: list[float | None]) -> dict[str, float]:
-    """Bias, root mean square, 95th percentile of the magnitude [cm], and the number of errors; only that if it is 0."""
+    """Bias, root mean square, 95th percentile of the magnitude [cm], and the number of errors; only the number if it is
+    0."""
     errors_cm = [
         (value - truth) * 100
         for truth, value, reason in zip(track.truth_m, value_m, track.why, strict=True)

@@ -40,7 +40,7 @@ class Check:
     """A requirement on an effect."""
 
     title: str
-    """What is checked."""
+    """The requirement, as it is printed."""
     find: Callable[["Trial"], str | None]
     """Returns what is wrong with an effect; None if nothing is."""
     advice: str

@@ -1,4 +1,5 @@
-"""What all effects of a model make of the readings of a flight, as the plain numbers by which the bridge watches it.
+"""The effects of a model summarised for a flight: shares and spread of the readings, by which the bridge watches the
+sensor.
 
 The bridge knows no throttle, no neighbours and no material below it, and no code of the effects. So the readings are
 drawn here for contexts like those of the flight, and counted as the bridge counts them.
@@ -14,11 +15,12 @@ from msp_sim.model.model import Model
 from msp_sim.model.streams import RandomStreams
 
 FEWEST_DRAWN = 20_000
-"""Readings drawn at least, by which a share of 1 % is known to 0.1 %. More take longer."""
+"""Least number of readings that are drawn: with it a share of 1 % is known to 0.1 %. More take longer."""
 FARTHEST = 0.8
 """Surfaces beyond this share of the maximum are left out, as in `msp_range.health.sensor_watch`."""
 OFF_SIGMAS = 4.0
-"""A reading so many deviations nearer than the surface counts as short, as there."""
+"""A reading this many standard deviations nearer than the surface counts as short, as in
+`msp_range.health.sensor_watch`."""
 
 
 def in_flight(model: Model, contexts: Mapping[str, Any], draws: np.random.Generator) -> InFlight | None:

@@ -50,9 +50,9 @@ class Term:
     values: Mapping[str, float]
     of: str | None = None
     shape: tuple[str, tuple[str, ...], tuple[Knots, ...]] | None = None
-    """For a curve: channel, variables and knots."""
+    """For an effect that is a curve: its channel, variables and knots."""
     is_added: bool = False
-    """It was added to the model with which the true range was found (`Scene.about_run_mean`)."""
+    """Whether it was added to the model by which the true range was estimated (see `Scene.about_run_mean`)."""
 
     @property
     def stream(self) -> str:
@@ -64,11 +64,11 @@ class Term:
         return self.effect.name if self.of is None else f"{self.effect.name} of {self.of}"
 
     def having(self, values: Mapping[str, float]) -> "Term":
-        """With other values of some of its parameters."""
+        """A copy with other values of some of its parameters."""
         return replace(self, values={**self.values, **values})
 
     def change(self, scene: Scene) -> Contribution:
-        """What it changes; where its contexts make no sense, NaN without a warning."""
+        """Contribution of the effect; NaN, without a warning, for contexts that make no sense."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             change = self.effect.apply(scene, self.values)
             if change.bias_cm is None or not self.is_added:
@@ -105,19 +105,19 @@ class Model:
             and the sensor's resolution is another.
         """
         effects = [_entry(entry, f"effects[{i}]") for i, entry in enumerate(sensor.effects)]
-        if sensor.oblique_reading == "slant" and all(each.effect.name != "slant_range" for each in effects):
+        if sensor.oblique_reading == "slant" and all(effect.effect.name != "slant_range" for effect in effects):
             effects.append(make_term("slant_range", None, {"share": 1.0}))
-        for i, each in enumerate(effects):
-            if "code" in each.effect.channels and not each.effect.happens_to(sensor):
+        for i, effect in enumerate(effects):
+            if "code" in effect.effect.channels and not effect.effect.happens_to(sensor):
                 step_cm = sensor.resolution_cm
                 raise ConfigError(
-                    f"effects[{i}].name: {each.effect.name} acts on bytes of whole centimetres, and resolution_cm is "
+                    f"effects[{i}].name: {effect.effect.name} acts on bytes of whole centimetres, and resolution_cm is "
                     f"{step_cm:g}"
                 )
         return cls(sensor, tuple(effects))
 
     def with_step(self, step_cm: float) -> "Model":
-        """The same model, of readings in another step [cm]."""
+        """A copy for readings in another step [cm]."""
         if step_cm == self.sensor.resolution_cm:
             return self
         content = self.sensor.model_dump() | {"resolution_cm": step_cm}
@@ -128,8 +128,8 @@ class Model:
         return replace(self, effects=(*self.effects, make_term(name, of, values)))
 
     def added_from(self, given: int) -> "Model":
-        """The same model, whose effects from this place on were added to a given one."""
-        effects = (replace(each, is_added=i >= given) for i, each in enumerate(self.effects))
+        """A copy in which the effects from this index on count as added to a given model."""
+        effects = (replace(effect, is_added=i >= given) for i, effect in enumerate(self.effects))
         return replace(self, effects=tuple(effects))
 
     @cached_property
@@ -141,7 +141,9 @@ class Model:
     def columns(self) -> frozenset[str]:
         """Context columns that the model uses."""
         history = HISTORY_COLUMNS if self.sensor.reading_model.correlation > 0.0 else ()
-        return frozenset({TRUE_RANGE, REFERENCE_STD, *history}).union(*(each.effect.columns for each in self.effects))
+        return frozenset({TRUE_RANGE, REFERENCE_STD, *history}).union(
+            *(effect.effect.columns for effect in self.effects)
+        )
 
     def sample(self, contexts: Mapping[str, Any], rng: np.random.Generator | RandomStreams) -> Array:
         """Draw one reading for each context.
@@ -214,8 +216,8 @@ class Model:
         columns = {name: _column(name, contexts[name]) for name in self.columns | about_runs if name in contexts}
         if TRUE_RANGE not in columns:
             raise ValueError(f"found the context columns {sorted(contexts)}, expected {TRUE_RANGE!r} among them")
-        if any(each.effect.is_shift for each in self.effects):
-            columns |= {name: each for name, each in with_path(contexts).items() if name == PATH}
+        if any(effect.effect.is_shift for effect in self.effects):
+            columns |= {name: column for name, column in with_path(contexts).items() if name == PATH}
         sizes = {name: column.size for name, column in columns.items()}
         if len(set(sizes.values())) > 1:
             raise ValueError(f"found context columns of different lengths: {sizes}")
@@ -244,7 +246,7 @@ def base_rows(model: Model, scene: Scene) -> ModelRows:
 
 
 def history_of(scene: Scene, correlation: float, spacing_s: float) -> History:
-    """Which reading of a scene came before which."""
+    """The history of a scene's readings: which one came before which."""
     columns = {name: scene[name] for name in HISTORY_COLUMNS if name in scene}
     return History.of(columns, int(np.size(scene.range_cm)), correlation, spacing_s)
 
@@ -255,27 +257,27 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
     logs: list[Any] = list(rows.log_weights)
     added, faults, offsets = list(rows.added), list(rows.faults), list(rows.run_offsets)
     known_offsets = len(offsets)
-    for each in shifts_first(effects):
-        known = applies(scene, each)
+    for effect in shifts_first(effects):
+        known = applies(scene, effect)
         if known is False:
             continue
-        change = each.change(scene)
+        change = effect.change(scene)
         if change.bias_cm is not None:
             centre_cm = centre_cm + _where(known, change.bias_cm)
         scene = shifted_by(scene, known, change)
         if change.log_spread is not None:
             log_spread = log_spread + _where(known, change.log_spread)
         if change.run_offset_cm is not None:
-            offsets.append(RunOffset(change.run_offset_cm, np.where(known, scene["run"], ""), each.stream))
+            offsets.append(RunOffset(change.run_offset_cm, np.where(known, scene["run"], ""), effect.stream))
         odds = (change.log_odds_short, change.log_odds_missed, change.log_odds_random)
         for i, log_odds in enumerate(odds, start=1):
             if log_odds is not None:
                 logs[i] = logs[i] + _where(known, log_odds)
         if change.component is not None:
             share = np.clip(_where(known, change.share), 0.0, LARGEST_SHARE)
-            added.append(AddedComponent(share / (1.0 - share), change.component, each.stream))
+            added.append(AddedComponent(share / (1.0 - share), change.component, effect.stream))
         if change.fault is not None:
-            faults.append(AppliedFault(_where(known, change.fault_share), change.fault, each.stream))
+            faults.append(AppliedFault(_where(known, change.fault_share), change.fault, effect.stream))
     sigma_cm = rows.wider(np.exp(log_spread)).sigma_cm if np.any(log_spread) else rows.sigma_cm
     for deviation_cm, runs, _ in offsets[known_offsets:]:
         sigma_cm = np.sqrt(sigma_cm**2 + np.where(runs != "", deviation_cm**2, 0.0))
@@ -291,21 +293,21 @@ def apply_terms(rows: ModelRows, scene: Scene, effects: Iterable[Term]) -> Model
 
 
 def shifted(scene: Scene, effects: Iterable[Term]) -> Scene:
-    """The scene that readings are of, by those of the effects that say when it was."""
-    for each in effects:
-        known = each.effect.is_shift and applies(scene, each)
+    """The scene that the readings show, shifted in time by the effects that do that."""
+    for effect in effects:
+        known = effect.effect.is_shift and applies(scene, effect)
         if known is not False:
-            scene = shifted_by(scene, known, each.change(scene))
+            scene = shifted_by(scene, known, effect.change(scene))
     return scene
 
 
 def shifts_first(effects: Iterable[Term]) -> list[Term]:
-    """The effects, first those that say when the scene was that the others are of."""
+    """The effects, those first that shift the scene in time for the others."""
     return sorted(effects, key=lambda each: not each.effect.is_shift)
 
 
 def shifted_by(scene: Scene, known: Any, change: Contribution) -> Scene:
-    """The scene for the effects after one that has this change in known rows."""
+    """The scene for later effects, after one with this change in the rows where its columns are known."""
     return scene if change.ago_s is None else scene.at(_where(known, change.ago_s))
 
 

@@ -226,11 +226,11 @@ class ModelRows(MixtureRows):
         return centre_cm, np.sqrt(np.maximum(self.sigma_cm**2 - self.between_cm2, 0.0))
 
     def arrives(self, first: Array, last: Array, part: Part) -> Array:
-        """As the base class, after the faults of the code."""
+        """Distribution of the readings that arrive, as in the base class, after all faults of the code."""
         return self._after(len(self.faults), first, last, part)
 
     def _after(self, count: int, first: Array, last: Array, part: Part) -> Array:
-        """After the first faults, so many."""
+        """Distribution after the first ``count`` faults of the code."""
         if not count:
             return super().arrives(first, last, part)
         inside = np.flatnonzero(first <= last)

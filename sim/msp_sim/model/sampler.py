@@ -68,10 +68,10 @@ class Sampler:
         sigma_cm, (hit, short, missed, random) = base.sigma_cm(centre_cm), base.log_weights(centre_cm)
         if self._model.effects:
             scene = Scene(self._model.sensor, context)
-            for each in shifts_first(self._model.effects):
-                if not applies(scene, each):
+            for effect in shifts_first(self._model.effects):
+                if not applies(scene, effect):
                     continue
-                change = each.effect.apply(scene, each.values)
+                change = effect.effect.apply(scene, effect.values)
                 centre_cm += change.bias_cm or 0.0
                 scene = shifted_by(scene, True, change)
                 sigma_cm *= math.exp(change.log_spread or 0.0)

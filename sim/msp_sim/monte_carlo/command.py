@@ -132,7 +132,7 @@ def _print(summary: Summary, again: str, where: Workers) -> None:
         shown.print(line)
     if summary.shares:
         header = [f"share of {summary.flights} flights with", "flights", "%", "95 % interval"]
-        shown.print(plain_table(header, [_share(each) for each in summary.shares]))
+        shown.print(plain_table(header, [_share(share) for share in summary.shares]))
     if summary.distributions:
         header = ["with interval, below in", *(f"{share:.0%} of flights" for share in QUANTILES)]
         shown.print(plain_table(header, [_distribution(distribution) for distribution in summary.distributions]))

@@ -161,7 +161,9 @@ def judged(
     wrong_s, errors_cm, silences = 0.0, [], []
     limit_s = max(SHORTEST_SILENCE_S, 2.0 * windows_of(airframe).turn_s)
     for stream_id, truth in truths.items():
-        sent = [each for each in received if each[1].get_type() == "DISTANCE_SENSOR" and each[1].id == stream_id]
+        sent = [
+            message for message in received if message[1].get_type() == "DISTANCE_SENSOR" and message[1].id == stream_id
+        ]
         held = list(_errors(sent, truth))
         wrong_s += _wrong_s([(time_s, error) for time_s, error, _ in held])
         errors_cm += [error for _, error, is_distance in held if is_distance]
@@ -235,7 +237,7 @@ def _listens(autopilot: AutopilotSection | None, duration_s: float) -> list[tupl
     """When the autopilot receives [s]."""
     if autopilot is None:
         return []
-    reboots_s = sorted(each for each in autopilot.reboots_at_s if each < duration_s)
+    reboots_s = sorted(reboot_s for reboot_s in autopilot.reboots_at_s if reboot_s < duration_s)
     starts_s = [autopilot.first_heartbeat_s, *(reboot_s + REBOOT_S for reboot_s in reboots_s)]
     return [(start, end) for start, end in zip(starts_s, [*reboots_s, duration_s], strict=True) if start < end]
 
@@ -245,7 +247,7 @@ def _silences(
 ) -> Iterator[tuple[float, float]]:
     """Times without a distance that are longer than the limit: begin and end [s]."""
     for start_s, end_s in listens:
-        times_s = [start_s, *(each for each in usable_s if start_s <= each < end_s), end_s]
+        times_s = [start_s, *(sent_s for sent_s in usable_s if start_s <= sent_s < end_s), end_s]
         yield from ((early, late) for early, late in pairwise(times_s) if late - early > limit_s)
 
 

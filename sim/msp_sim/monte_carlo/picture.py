@@ -12,7 +12,7 @@ from msp_sim.monte_carlo.summary import Summary
 from msp_sim.page.style import GREY, OURS, REFERENCE, intervals, label, new_panels, save, shaded, style
 
 STEPS = 99
-"""Shares for which the interval of the distribution is drawn; more are not seen."""
+"""Number of shares for which the interval of the distribution is drawn; more make no visible difference."""
 
 
 @style()
@@ -46,9 +46,9 @@ def _draw_distribution(axes: Axes, p95_cm: Sequence[float]) -> None:
 
 def _draw_shares(axes: Axes, summary: Summary) -> None:
     """How often something happened, with Wilson's interval."""
-    for place, each in enumerate(summary.shares):
-        intervals(axes, place, each.flights / max(each.of, 1), (each.low, each.high), across=True)
-        label(axes, each.what, (0.0, place), (6, 5))
+    for place, share in enumerate(summary.shares):
+        intervals(axes, place, share.flights / max(share.of, 1), (share.low, share.high), across=True)
+        label(axes, share.what, (0.0, place), (6, 5))
     axes.set(title="share of the flights with ...", yticks=[], ylim=(len(summary.shares) - 0.5, -0.8))
     axes.set_xlim(left=0.0)
 

@@ -88,7 +88,7 @@ class FlightStore:
         """The flights of an earlier run; a row that was cut off with its program is left out."""
         if not self._path.exists():
             return []
-        lines = [each for each in self._path.read_text(encoding="utf-8").splitlines(keepends=True) if "\n" in each]
+        lines = [line for line in self._path.read_text(encoding="utf-8").splitlines(keepends=True) if "\n" in line]
         return [{key: _value(key, text) for key, text in row.items()} for row in csv.DictReader(lines)]
 
 

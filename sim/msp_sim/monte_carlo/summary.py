@@ -55,7 +55,7 @@ class Summary:
     """Number of flights."""
     shares: tuple[Share, ...]
     distributions: tuple[Distribution, ...]
-    """What happened how often, and how large it was."""
+    """How often each event happened, and how large the errors and silences were."""
     worst: tuple[Row, ...]
     """Rows of the worst flights, the worst first."""
     failed: Mapping[int, str]
@@ -96,7 +96,7 @@ def summarise(rows: Sequence[Row], failed: Mapping[int, str]) -> Summary:
 
 def _share(rows: Sequence[Row], column: str) -> Share:
     known = [row[column] for row in rows if row[column] is not None]
-    count = sum(each > 0 for each in known)
+    count = sum(value > 0 for value in known)
     return Share(EVENTS[column], count, len(known), *wilson(count, len(known)))
 
 
@@ -105,7 +105,7 @@ def _distribution(rows: Sequence[Row], column: str) -> Distribution | None:
     # What never happens has no distribution.
     if not known or not any(known):
         return None
-    return Distribution(SIZES[column], column, tuple(Quantile(each, *quantile(known, each)) for each in QUANTILES))
+    return Distribution(SIZES[column], column, tuple(Quantile(share, *quantile(known, share)) for share in QUANTILES))
 
 
 def _badness(row: Row) -> tuple[Any, ...]:

@@ -88,8 +88,8 @@ def write_page(
     page
         Name of the page's file.
     values
-        Values of the names in the template, as well as ``pictures`` and ``tables`` by their names; a missing one is an
-        error. What is not marked safe there is escaped.
+        Values of the other names in the template, which also gets ``pictures`` and ``tables``, each by name; a missing
+        one is an error. Values that the template does not mark as safe are escaped.
 
     Returns
     -------
@@ -109,9 +109,9 @@ def write_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    html = environment.get_template(file_name).render(
-        pictures={each.name: each for each in pictures}, tables={each.name: each for each in tables}, **values
-    )
+    pictures_by_name = {picture.name: picture for picture in pictures}
+    tables_by_name = {table.name: table for table in tables}
+    html = environment.get_template(file_name).render(pictures=pictures_by_name, tables=tables_by_name, **values)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for picture in pictures:

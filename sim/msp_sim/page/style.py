@@ -27,7 +27,6 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 GREEN = "#009E73"
 ORANGE = "#E69F00"
-SKY = "#56B4E9"
 PURPLE = "#CC79A7"
 INK = "#1a1a1a"
 GREY = "#767676"
@@ -39,7 +38,7 @@ OURS = BLUE
 REFERENCE = VERMILION
 """Colour of what it is compared with: the report's value, the truth, the expectation."""
 
-SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), (SKY, "v"), (VERMILION, "P"))
+SERIES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PURPLE, "D"), ("#56B4E9", "v"), (VERMILION, "P"))
 """Colour and marker of the first, second ... of several series of equal importance."""
 
 BARS: dict[str, Any] = {"color": OURS, "alpha": 0.7}
@@ -67,8 +66,6 @@ DOTS: dict[str, Any] = {
 
 WIDTH_IN = 7.4
 """Width of a picture [in]: the text width of an A4 page, so that printing does not shrink the letters."""
-
-DPI = 150
 
 # Names of runs may have letters that the font lacks. They are drawn as boxes, and the user cannot change that.
 warnings.filterwarnings("ignore", "Glyph .* missing from font")
@@ -121,7 +118,7 @@ def style() -> Iterator[None]:
 
 def new_figure(height_in: float = 3.5, width_in: float = WIDTH_IN) -> Figure:
     """Make an empty figure of this size [in] on its own canvas."""
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(width_in, height_in), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
@@ -135,7 +132,7 @@ def new_axes(height_in: float, x: str = "", y: str = "") -> tuple[Figure, Axes]:
 def new_panels(
     height_in: float, rows: int, columns: int = 1, width_in: float = WIDTH_IN, **shared: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Make a figure with so many panels, row by row; what they share as for `Figure.subplots`."""
+    """Make a figure of ``rows`` times ``columns`` panels, listed row by row; ``shared`` is for `Figure.subplots`."""
     figure = new_figure(height_in, width_in)
     return figure, list(figure.subplots(rows, columns, squeeze=False, **shared).flat)
 
@@ -187,9 +184,11 @@ def _file(figure: Figure, name: str) -> bytes:
 
 def _add_legend(figure: Figure) -> None:
     """List each label once below the axes, in columns as wide as the longest; axes with a legend have their own."""
-    drawn = [each for axes in figure.axes if axes.get_legend() is None for each in axes.get_legend_handles_labels()[0]]
+    drawn = [
+        handle for axes in figure.axes if axes.get_legend() is None for handle in axes.get_legend_handles_labels()[0]
+    ]
     # Of equal labels the last: a kind of mark that one panel lacks is explained by another.
-    handles = {str(each.get_label()): each for each in drawn}
+    handles = {str(handle.get_label()): handle for handle in drawn}
     if handles:
         columns = int(figure.get_figwidth() / (_LETTER_IN * max(map(len, handles)) + _HANDLE_IN))
         figure.legend(handles=list(handles.values()), loc="outside lower center", ncols=max(columns, 1))
@@ -203,7 +202,7 @@ def note(axes: Axes, text: str, x: float = 0.99, y: float = 0.97) -> None:
 
 
 def label(axes: Axes, text: str, at: tuple[float, float], offset: tuple[float, float], **look: Any) -> None:
-    """Write a few words next to a place, so many points to the right of it and above."""
+    """Write a few words next to a place, ``offset`` points to the right of it and above."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", **{"fontsize": 8.0} | look)
 
 

@@ -42,7 +42,7 @@ def plus(number: float | None, digits: int = 1) -> str:
 
 
 def number(value: float | None, digits: int) -> str:
-    """Return a number with so many digits, and a dash where there is none."""
+    """Return a number with this many decimals; a dash for None."""
     return "–" if value is None else minus(f"{value:.{digits}f}")
 
 
@@ -75,7 +75,7 @@ def listed(names: Sequence[str], most: int = 12) -> str:
 
 
 def capitalised(text: str) -> str:
-    """With a capital first letter."""
+    """The text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 

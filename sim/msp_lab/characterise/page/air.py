@@ -48,8 +48,8 @@ def range_errors(rows: PictureData, after: bool) -> Drawn:
         air = f" Air {span(air_c)} °C; the sensor assumes {rows.model.calibration_temperature_c:g} °C."
     errors = both[int(after)]
     # A reference's mean errors where they can be compared: at a range that was measured.
-    pairs = {each: rows.reference.mean_errors_at(each) for each in np.unique(both[0].true_range_cm).tolist()}
-    earlier = {each: pair[int(after)] for each, pair in pairs.items() if pair}
+    pairs = {at_cm: rows.reference.mean_errors_at(at_cm) for at_cm in np.unique(both[0].true_range_cm).tolist()}
+    earlier = {at_cm: pair[int(after)] for at_cm, pair in pairs.items() if pair}
     figure = draw_errors([errors], scale_of(both, earlier.values()))
     if earlier:
         words = f"{rows.reference.name}'s mean error"
@@ -71,10 +71,10 @@ def compensation(rows: PictureData) -> Drawn:
     ours = [(row.range_cm - aside, row.uncompensated, row.compensated) for row in table]
     _arrows(axes, ours, SERIES[0], "ours, " if aside else "")
     if aside:
-        pairs = [(each, reference.mean_errors_at(each)) for each in range_cm]
-        theirs = [(each + aside, *map(IntervalEstimate, pair)) for each, pair in pairs if pair]
+        pairs = [(at_cm, reference.mean_errors_at(at_cm)) for at_cm in range_cm]
+        theirs = [(at_cm + aside, *map(IntervalEstimate, pair)) for at_cm, pair in pairs if pair]
         _arrows(axes, theirs, SERIES[5], f"{reference.name}'s, ")
-    axes.set_xticks(range_cm, [f"{each:g}" for each in range_cm])
+    axes.set_xticks(range_cm, [f"{at_cm:g}" for at_cm in range_cm])
     return figure, caption
 
 

@@ -160,7 +160,7 @@ def _air(findings: Findings) -> Iterator[Row]:
         )
     both = [(row.uncompensated, row.compensated) for row in findings.temperature_compensation if row.compensated]
     if both:
-        before, after = (sum(abs(each.value) for each in column) / len(both) for column in zip(*both, strict=True))
+        before, after = (sum(abs(error.value) for error in column) / len(both) for column in zip(*both, strict=True))
         answer = f"mean error of the ranges {before:.2f} cm without, {after:.2f} cm with it"
         yield "Temperature compensation", _mark(after < before, "helps", "does not help"), answer
 

@@ -28,7 +28,7 @@ from msp_sim.page.style import (
 )
 
 MOST_RANGES, BINS = 45, 24
-"""With more ranges than this they are taken as continuous, and put into so many bins."""
+"""With more different ranges than this, ranges are treated as continuous, and put into this number of bins."""
 MOST_TICKS = 16
 """Ranges that have room for a tick each, and for their counts in full."""
 LINEAR_CM = 5.0
@@ -91,10 +91,11 @@ def draw_errors(panels: Sequence[Errors], scale: Scale | None = None) -> Figure:
         edges_cm, words = np.linspace(ranges_cm[0], ranges_cm[-1], BINS + 1), f"true range, in {BINS} bins [cm]"
         ranges_cm = (edges_cm[1:] + edges_cm[:-1]) / 2.0
         panels = [
-            replace(each, true_range_cm=ranges_cm[np.digitize(each.true_range_cm, edges_cm[1:-1])]) for each in panels
+            replace(panel, true_range_cm=ranges_cm[np.digitize(panel.true_range_cm, edges_cm[1:-1])])
+            for panel in panels
         ]
     figure, rows = new_panels(3.5 if len(panels) == 1 else max(6.1, 1.1 + 1.7 * len(panels)), len(panels), sharex=True)
-    for each, row in zip(panels, rows, strict=True):
+    for panel, row in zip(panels, rows, strict=True):
         if scale.is_compressed:
             row.set_yscale("symlog", linthresh=LINEAR_CM, linscale=0.8)
             row.set_yticks([tick for tick in TICKS_CM if scale.low <= tick <= scale.high])
@@ -102,9 +103,9 @@ def draw_errors(panels: Sequence[Errors], scale: Scale | None = None) -> Figure:
         row.yaxis.set_major_formatter("{x:g}")
         row.set_ylim(scale.low, scale.high)
         line_at_zero(row)
-        _draw_panel(row, each, ranges_cm, scale)
+        _draw_panel(row, panel, ranges_cm, scale)
         if len(panels) > 1:
-            row.set_title(each.label)
+            row.set_title(panel.label)
     figure.supylabel("reading − true range [cm]", fontsize=9.0)
     rows[-1].set_xlabel(words)
     return figure

@@ -50,9 +50,9 @@ def sweep(rows: PictureData, range_cm: float) -> Drawn:
     """Draw the readings over angle at a range [cm]."""
     found = rows.of("field_of_view")
     view = rows.needed(rows.findings.field_of_view, "field_of_view")
-    angle = next((each for each in view.angles if each.range_cm == range_cm), None)
+    angle = next((candidate for candidate in view.angles if candidate.range_cm == range_cm), None)
     if angle is None:
-        there = ", ".join(f"{each.range_cm:g}" for each in view.angles[:12])
+        there = ", ".join(f"{candidate.range_cm:g}" for candidate in view.angles[:12])
         raise Absent(f"The field of view was not measured at {range_cm:g} cm at several angles, but at {there} cm.")
     breakaway = "Breakaway not found: no angle is reliable to both sides"
     if angle.half_angle.value:
@@ -130,13 +130,13 @@ def _sonar(rows: PictureData) -> Drawn:
     equation = Sonar(sonar.source_level_db, sonar.piston_diameter_m, sonar.gain_db_per_m, rows.model.frequency_hz)
     span_cm = np.linspace(0.6 * np.min(used_cm), np.max(used_cm), 120)
     # Where there is no echo, None becomes NaN.
-    span_deg = np.array([equation.half_angle_deg(each / 100.0) for each in span_cm.tolist()], dtype=float)
+    span_deg = np.array([equation.half_angle_deg(at_cm / 100.0) for at_cm in span_cm.tolist()], dtype=float)
     figure, axes = new_axes(4.0, "perpendicular range [cm]", "half angle of the beam [deg]")
     words = f"± one step of the motor, {STEP_DEG:g}°"
     axes.fill_between(span_cm, span_deg - STEP_DEG, span_deg + STEP_DEG, label=words, **shaded())
     axes.plot(span_cm, span_deg, color=GREEN, label="sonar equation, fitted")
     axes.plot(used_cm, used_deg, "--", color=INK, label="what the bridge uses")
-    ends_deg = {each.range_cm: each.half_angle.ends for each in view.angles}
+    ends_deg = {angle.range_cm: angle.half_angle.ends for angle in view.angles}
     missed_deg = [abs(row.fitted_deg - row.measured_deg) for row in sonar.rows if row.fitted_deg is not None]
     others_deg = {row.range_cm: row.left_out_deg for row in sonar.rows if row.left_out_deg is not None}
     highest_deg = max([*used_deg, *others_deg.values()])

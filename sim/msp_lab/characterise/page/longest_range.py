@@ -60,7 +60,7 @@ class _FixedRange:
 
     @property
     def is_outside(self) -> Flags:
-        """Distances beyond the limits."""
+        """Which distances are beyond the limits of the picture."""
         low, high = self.limits_cm
         return np.asarray((self.distance_cm < low) | (self.distance_cm > high))
 

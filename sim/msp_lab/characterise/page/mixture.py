@@ -139,8 +139,10 @@ def densities(rows: PictureData) -> Densities:
     steps_cm, rows_at = np.unique(np.round(at_cm - mean_cm, 1), return_counts=True)
     set_ups = () if rows.findings.mixture is None else rows.findings.mixture.set_ups
     condition = points[0].condition
-    here = [each for each in set_ups if each.condition == condition and math.isclose(each.true_range_cm, true_cm)]
-    apparent_cm = mean_cm + sum(each.error_cm for each in here) / max(len(here), 1)
+    here = [
+        set_up for set_up in set_ups if set_up.condition == condition and math.isclose(set_up.true_range_cm, true_cm)
+    ]
+    apparent_cm = mean_cm + sum(set_up.error_cm for set_up in here) / max(len(here), 1)
     # Drawn, and counted, in whole centimetres, whatever the step of the model.
     whole = replace(ReadingModel.of(rows.model), resolution_cm=1.0, minimum_cm=minimum_cm, maximum_cm=maximum_cm)
     at_each = [_probabilities(whole, k, apparent_cm + step_cm) for step_cm in steps_cm]

@@ -42,7 +42,7 @@ class ReferenceNumbers:
 
     def mean_errors_at(self, range_cm: float) -> tuple[float, float] | None:
         """Mean error without and with compensation within a centimetre of a range [cm]; None where it has none."""
-        return next((self.mean_error_cm[each] for each in self.mean_error_cm if abs(each - range_cm) < 1.0), None)
+        return next((self.mean_error_cm[at_cm] for at_cm in self.mean_error_cm if abs(at_cm - range_cm) < 1.0), None)
 
 
 @dataclass(frozen=True)

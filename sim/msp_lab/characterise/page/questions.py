@@ -31,7 +31,7 @@ Row = tuple[float, FactorEffect, IntervalEstimate]
 
 
 def entries(rows: PictureData) -> list[Entry]:
-    """The only picture."""
+    """The picture of all questions."""
     return [("questions", "The questions in one picture", partial(_forest, rows))]
 
 

@@ -74,19 +74,19 @@ def _draw_linearity(found: CalibrationFindings, by_sound: bool) -> Figure:
     if found.knots:
         curve = curve_through(found.knots)
         axes.plot(span_cm, curve.forward(span_cm) - span_cm, color=GREEN, label="calibration that is kept")
-        knots_cm = np.array([each.true_cm for each in found.knots if span_cm[0] <= each.true_cm <= span_cm[-1]])
+        knots_cm = np.array([knot.true_cm for knot in found.knots if span_cm[0] <= knot.true_cm <= span_cm[-1]])
         axes.plot(knots_cm, curve.forward(knots_cm) - knots_cm, "s", color=GREEN, markeredgecolor="white")
     where = ", in air of the calibration temperature" if by_sound else ""
     axes.set(xlabel=f"true range [cm]{where}", ylabel="mean reading − true range [cm]")
-    for each in side:
+    for panel in side:
         forms = [one.form.replace(" ", "\n", 1) for one in found.held_out]
         colours = [GREEN if one.form == found.form else PALE for one in found.held_out]
-        bars = each.bar(forms, [one.rms_cm for one in found.held_out], width=0.7, color=colours)
-        each.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
-        each.tick_params(axis="x", labelsize=7)
-        each.set_ylabel("rms on points left out [cm]")
-        each.set_title(f"kept: {found.form}", fontsize=8)
-        each.margins(y=0.15)
+        bars = panel.bar(forms, [one.rms_cm for one in found.held_out], width=0.7, color=colours)
+        panel.bar_label(bars, fmt="{:.2f}", fontsize=8, padding=2)
+        panel.tick_params(axis="x", labelsize=7)
+        panel.set_ylabel("rms on points left out [cm]")
+        panel.set_title(f"kept: {found.form}", fontsize=8)
+        panel.margins(y=0.15)
     return figure
 
 
@@ -121,7 +121,7 @@ def material(rows: PictureData, name: str) -> Drawn:
 
 def _one_of(groups: Mapping[str, Sequence[PointReadings]], name: str) -> Drawn:
     """Draw one of several groups of points, on the scale that all of them need."""
-    errors = {each: errors_of(points) for each, points in groups.items() if points}
+    errors = {group: errors_of(points) for group, points in groups.items() if points}
     return draw_errors([errors[name]], scale_of(list(errors.values()))), summary(errors[name])
 
 
@@ -137,7 +137,7 @@ def temperature(rows: PictureData, kind: str) -> Drawn:
     }
     here = kinds[kind]
     if not here:
-        there = ", ".join(f"{each:.0f}" for each in np.unique(np.rint([air_c for _, air_c in known]))[:8])
+        there = ", ".join(f"{degrees_c:.0f}" for degrees_c in np.unique(np.rint([air_c for _, air_c in known]))[:8])
         raise Absent(f"No readings at {kind} temperature; the air was at {there} °C.")
     figure, counts = _one_of(kinds, kind)
     far_c = np.array([point.target_temperature_c for point in here])
@@ -188,4 +188,4 @@ def external(rows: PictureData) -> Drawn:
 def _answers(rows: PictureData, name: str, level: str = "") -> str:
     """Answers to the questions of an experiment, or of one of its levels, one sentence each."""
     asked = [question for question in rows.findings.questions if question.name == name]
-    return "".join(f" {sentence(each.answer)}" for each in asked if level in ("", each.level))
+    return "".join(f" {sentence(question.answer)}" for question in asked if level in ("", question.level))

@@ -91,12 +91,12 @@ def mixture_table(findings: Findings) -> PageTable:
         header=("parameter", "Thrun", "fitted, 95 % interval", "before"),
         rows=tuple(
             (
-                each.name,
-                PARAMETERS[each.name.removeprefix("weights.")].symbol,
-                interval(each.fitted) + (" at its bound" if each.at_bound else ""),
-                "–" if each.before is None else f"{each.before:.4g}",
+                parameter.name,
+                PARAMETERS[parameter.name.removeprefix("weights.")].symbol,
+                interval(parameter.fitted) + (" at its bound" if parameter.at_bound else ""),
+                "–" if parameter.before is None else f"{parameter.before:.4g}",
             )
-            for each in (mixture.parameters if mixture else ())
+            for parameter in (mixture.parameters if mixture else ())
         ),
         align="llr",
         caption=" ".join([fitted, *map(sentence, mixture.notes if mixture else ())]),
@@ -126,7 +126,7 @@ def _point(point: PointResult) -> tuple[str, ...]:
         f"{point.true_range_cm:g}",
         "" if point.incidence_deg is None else number(point.incidence_deg, 1),
         *(f"{count:,}" for count in counts),
-        *("–" if each is None else number(each.value, 2) for each in (point.error, point.spread)),
+        *("–" if estimate is None else number(estimate.value, 2) for estimate in (point.error, point.spread)),
     )
 
 

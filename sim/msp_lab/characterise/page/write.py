@@ -29,7 +29,7 @@ def write_report(rows: PictureData, folder: Path) -> Path:
     sections = []
     for anchor, title, parts in SECTIONS:
         drawn = pictures_of(chain.from_iterable(part.entries(rows) for part in parts))
-        if pictures := [each for each in drawn if each.files]:
+        if pictures := [picture for picture in drawn if picture.files]:
             sections.append((anchor, title, pictures))
     return write_page(
         folder,

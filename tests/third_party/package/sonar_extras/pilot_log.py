@@ -25,4 +25,4 @@ def read_pilot_log(path: Path, asked: LogRequest) -> VehicleLog:
     references = [truth_source("mocap", box.series("height"))]
     if asked.field == "box.height":
         references.append(truth_source("column", box.series("height")))
-    return make_log(path, "log of the pilot's box", [ranger], {}, references, (), ())
+    return make_log(path, "log of the pilot's box", [ranger], {}, references)

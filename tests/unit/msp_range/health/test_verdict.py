@@ -1,8 +1,10 @@
 """The one verdict on a running bridge, and that all who show its state show this one."""
 
 import errno
+from importlib.resources import files
 from typing import Any
 
+import orjson
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.parser import text_string_to_metric_families
@@ -14,6 +16,8 @@ from msp_range.doctor.examination import findings
 from msp_range.health import BridgeState, BridgeVerdict
 from msp_range.recording.topics import Message
 from msp_range.terminal import PlainConsole
+from msp_range.watch import view
+from msp_range.watch.facts import Fact
 from msp_range.watch.newest import GONE, Newest
 from msp_range.watch.terminal import shown
 from msp_range.watch.view import airframe_message, status_message
@@ -24,6 +28,9 @@ from tests.support.known import known
 
 NOBODY = "Range: no autopilot, nobody gets the distances"
 NAMES = "abcd"
+SHOWN = ("name", "text", "in_list")
+"""What the page shows of a field."""
+NUMBERS_JS = (files("msp_range.web") / "static" / "numbers.js").read_text()
 
 
 def causes(bench: Bench) -> list[tuple[str, str | None]]:
@@ -150,6 +157,18 @@ def test_all_who_show_the_state_show_this_one(dead_bus: bool, monkeypatch: pytes
     wrong = [each for each in findings(newest) if each.verdict == "wrong"]
     assert (wrong[0].step, wrong[0].text, wrong[0].remedy) == (first.what, first.text, first.remedy)
     assert len(wrong) == len(bench.bridge.verdict.findings)
+
+
+def test_a_field_that_is_named_once_is_shown_by_terminal_page_and_metrics(monkeypatch: pytest.MonkeyPatch) -> None:
+    added = Fact("processor", " 51.0 C", {"msp_range_processor_c": ("Temperature of the processor.", 51.0)})
+    before = view.status_facts
+    monkeypatch.setattr(view, "status_facts", lambda *state: [*before(*state), added])
+    newest = watched(Bench(airframe(), 300).fly(5.0, with_autopilot=True))
+    newest.status = orjson.loads(orjson.dumps(newest.status))  # as it goes through the socket
+    assert "processor 51.0 C" in [line.rstrip() for line in terminal(newest)]
+    assert metrics(newest)["msp_range_processor_c"][0].value == 51.0
+    assert ("processor", " 51.0 C", True) in [tuple(each[key] for key in SHOWN) for each in newest.status["facts"]]
+    assert all(key in NUMBERS_JS for key in SHOWN)
 
 
 @pytest.mark.parametrize("absent", ["", "c"])
