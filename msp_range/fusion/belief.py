@@ -139,7 +139,7 @@ class Belief:
         self.surfaces: list[Surface] = []
         self.proven: Surface | None = None
         self.reference: Surface | None = None
-        self._proven_s = float("-inf")  # Since when most sensors see the proven ground.
+        self._proven_s = float("-inf")  # Since when more sensors see the proven ground than the one before.
         self._known: Known | None = None
         self._response: MotionResponse | None = None  # Of the last ground.
         self._time_s = float("-inf")
@@ -314,6 +314,8 @@ class Belief:
         total = sum(other.values())
         nothing += total
         scores = {each: total - other[each] + each.prior + each.evidence for each in self.surfaces}
+        if self.proven is not None and (leads := self._leads(self.proven, counts)):
+            scores[self.proven] -= self.proven.prior
         for each, count in counts.items():
             if not count and each is not self.proven:
                 scores[each] += UNSEEN
@@ -347,11 +349,10 @@ class Belief:
             self.sure = (weights[self.proven] + max(others, default=0.0)) / total * (1 - self.noise)
             return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
-        is_most = 2 * counts[best] > len({*in_order, *voters})
-        if best is not self.proven and self.sure > SURE and is_most:
+        if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
             self._prove(best)
-        if self.proven is not None and self.proven.prior:
-            self._refer_to(self.proven, best is self.proven and is_most)
+        elif self.proven is not None and self.proven.prior:
+            self._refer_to(self.proven, leads)
 
     def _as_fault(self, surface: Surface) -> float:
         """Log probability, over the ground's, that a surface is a fault of several sensors."""
@@ -379,15 +380,18 @@ class Belief:
         ground.common = max(ground.common, _common(ground))
         ground.response.is_in_doubt = ground.common > math.log(COMMON)
 
-    def _refer_to(self, ground: Surface, is_most: bool) -> None:
+    def _leads(self, ground: Surface, counts: Mapping[Surface, float]) -> bool:
+        """Whether more sensors see a new ground than the one before, and not with one constant."""
+        return ground.raw is None and (self.reference in (None, ground) or counts[ground] > counts[self.reference] + 0.5)
+
+    def _refer_to(self, ground: Surface, leads: bool) -> None:
         """From when on the priors count from a new ground: every other surface is then a step away from it.
 
-        Not before one answer differs from the first; nor while the ground before may be seen again, as beside a box.
+        It has to lead for so long that the one before would have been seen again, as beside a box.
         """
-        if not is_most:
+        if not leads:
             self._proven_s = self._time_s
-        lasts = self._time_s - self._proven_s > self._windows.memory_s
-        if ground.raw is None and (self.reference is ground or lasts):
+        elif self.reference is ground or self._time_s - self._proven_s > self._windows.memory_s:
             self.reference = ground
             for each in self.surfaces:
                 off_m = each.filter.height_m - ground.filter.height_m
