@@ -237,6 +237,21 @@ def test_a_tape_leaves_the_scale_open() -> None:
     assert generator.case("one:10@tape", 1).truth["base"]["correlation"] == 0.0
 
 
+def test_vapour_is_at_the_bench_too_and_not_in_its_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Air of 22.5 deg C holds 2.7 % of vapour at most, in which sound is 0.43 % faster."""
+    made = {}
+    for percent in (0.0, 100.0):
+        monkeypatch.setattr(generator, "BENCH_HUMIDITY_PCT", percent)
+        made[percent] = generator.case("humid:10", 2)
+    (effect,) = made[0.0].truth["effects"]
+    assert effect["title"] == "humidity"
+    dry, humid = (each.bench for each in made.values())
+    assert "humidity_pct" not in dry
+    nearer = np.nanmedian((dry["reading_cm"] - humid["reading_cm"]) / dry["true_range_cm"])
+    assert nearer == pytest.approx(0.0043 * effect["size"], rel=0.1)
+    np.testing.assert_array_equal(made[0.0].runs["true_range_cm"], made[100.0].runs["true_range_cm"])
+
+
 def test_last_seeds_are_kept_for_a_final_run() -> None:
     with pytest.raises(generator.SeedError, match="--final"):
         generator.case("null:0", generator.FINAL_SEED)
