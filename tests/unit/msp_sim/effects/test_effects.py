@@ -74,16 +74,6 @@ def test_humidity_is_cramers_to_a_twentieth() -> None:
         assert 500.0 - read_cm == pytest.approx(500.0 * (1.0 - dry / humid), rel=0.06)
 
 
-def test_humidity_counts_from_what_the_calibration_assumes() -> None:
-    """A sensor that was calibrated in humid air reads right in it, and too far in dry air."""
-    assumed = {"share": 1.0, "assumed_pct": 60.0}
-    at_bench, dry = ({"true_range_cm": 500.0, "air_temperature_c": 22.5, "humidity_pct": each} for each in (60.0, 0.0))
-    assert centre_cm("humidity", assumed, **at_bench) == pytest.approx(500.0)
-    too_far_cm = 500.0 - centre_cm("humidity", {"share": 1.0}, **at_bench)
-    assert too_far_cm > 1.0
-    assert centre_cm("humidity", assumed, **dry) == pytest.approx(500.0 + too_far_cm)
-
-
 def test_a_thermometer_that_shows_too_much() -> None:
     """10 C too much at 15 C shown: the air has 5."""
     read_cm = centre_cm("thermometer_offset", {"offset_c": 10.0}, true_range_cm=300.0, air_temperature_c=15.0)
