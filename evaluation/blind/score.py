@@ -16,6 +16,7 @@ NAMES = Path(__file__).parent / "names.csv"
 IN_THE_BASE = {
     "spread_with_range": "sigma_growth_cm_per_m",
     "missed_with_range": "missed_growth_per_m",
+    "range_scale": "calibration.scale",
 }
 """Names that the base model has a parameter for: reported as a calibration, they are reported."""
 

@@ -1,15 +1,16 @@
 """Cases: a table with a known truth, and a bench table of the same sensor in which nothing is hidden.
 
 ``case("one:10", 7)`` is always the same case. Kinds: ``null:0``, ``null:0.3``, ``null:0.5``, ``null:0.8`` (correlation
-of successive readings), ``null:drift`` (a slow wander inside runs), and ``one:Z``, ``two:Z``, ``three:Z``,
-``unknown:Z`` (effects of Z standard errors each). Behind ``@`` may stand the correlation of successive readings, which
-is drawn otherwise: ``one:10@0.9``; ``null:0.9`` has it too.
+of successive readings), ``null:drift`` (a slow wander inside runs), ``null:tape`` (the bench's ranges err), and
+``one:Z``, ``two:Z``, ``three:Z``, ``unknown:Z`` (effects of Z standard errors each), and ``humid:Z`` (vapour is in the
+air of the bench, too, which has no column for it). Behind ``@`` may stand the correlation of successive readings, which
+is drawn otherwise: ``one:10@0.9``; ``null:0.9`` has it too. ``one:10@tape`` has such a bench and no correlation.
 """
 
 import re
 import zlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from operator import or_
 from typing import Any
@@ -32,8 +33,10 @@ FINAL_SEED = 3_000_000_000
 """Seeds from here on are for a final run and refused without ``final``: nothing has been tuned on them."""
 SENSORS = ("left", "right")
 NUMBER = r"\d+(\.\d+)?"
-COUNTS = {"one": 1, "two": 2, "three": 3, "unknown": 1}
-NULLS = ("null:0", "null:0.3", "null:0.5", "null:0.8", "null:drift")
+COUNTS = {"one": 1, "two": 2, "three": 3, "unknown": 1, "humid": 1}
+HUMID = tuple(each for each in KNOWN if each.title == "humidity")
+BENCH_HUMIDITY_PCT = 50.0
+NULLS = ("null:0", "null:0.3", "null:0.5", "null:0.8", "null:drift", "null:tape")
 ATTEMPTS = 40
 """Most draws of runs and effects for one case; an effect that would be impossibly large is drawn again."""
 ATTEMPTS_OF_ONE = 20
@@ -106,16 +109,19 @@ def drawn(kind: str, seed: int, final: bool = False, within: Design | None = Non
     within = within or Design()
     family, _, rest = kind.partition(":")
     number, _, correlation = rest.partition("@")
-    if not re.fullmatch(rf"null:(drift|{NUMBER})|({'|'.join(COUNTS)}):{NUMBER}(@{NUMBER})?", kind):
-        raise ValueError(f"kind {kind!r}: expected null:R, null:drift, or {', '.join(COUNTS)} with :Z or :Z@R")
+    if not re.fullmatch(rf"null:(drift|tape|{NUMBER})|({'|'.join(COUNTS)}):{NUMBER}(@({NUMBER}|tape))?", kind):
+        raise ValueError(f"kind {kind!r}: expected null:R, drift or tape, or {', '.join(COUNTS)} with :Z or :Z@R")
     rng = rng_of(kind, seed)
+    if "tape" in (number, correlation):
+        number, correlation = ("0" if family == "null" else number), "0"
+        within = within | Design(tape=True)
     if family == "null":
         drift = number == "drift"
         base = draw_base(rng, rng.choice([0.0, 0.3]) if drift else float(number), drift)
         rows = draw_flights(rng, within)
-        return Hidden(draw_bench(rng, rows), rows, base), rng
+        return Hidden(draw_bench(rng, rows, within.tape), rows, base), rng
     given = float(correlation) if correlation else None
-    known = UNKNOWN if family == "unknown" else KNOWN
+    known = {"unknown": UNKNOWN, "humid": HUMID}.get(family, KNOWN)
     return _hidden(kind, seed, rng, known, COUNTS[family], float(number), given, within), rng
 
 
@@ -139,7 +145,7 @@ def _hidden(
         base = draw_base(rng, correlation)
         design = reduce(or_, (each.design for each in picked), within)
         rows = draw_flights(rng, design)
-        bench = draw_bench(rng, rows)
+        bench = draw_bench(rng, rows, design.tape)
         effects = [each.draw(rng, rows) for each in picked]
         sizes = sizes_of(rows, bench, base, effects, asked, seed % 2**31)
         if sizes is not None:
@@ -178,8 +184,13 @@ def _finish(kind: str, seed: int, hidden: Hidden, rng: Generator) -> Case:
         ],
     }
     law = law_with(rows, base, hidden.effects, hidden.sizes)
+    at_bench = base_law(bench, base)
+    if kind.startswith("humid"):
+        air = {**bench.contexts, "humidity_pct": np.full(len(bench), BENCH_HUMIDITY_PCT)}
+        effects = [each.kind.draw(rng, replace(bench, contexts=air)) for each in hidden.effects]
+        at_bench = law_with(bench, base, effects, hidden.sizes)
     return Case(
-        bench=_columns(bench, base, base_law(bench, base), rng, "bench{:02d}"),
+        bench=_columns(bench, base, at_bench, rng, "bench{:02d}"),
         runs=_columns(rows, base, law, rng, "run{:02d}"),
         truth=truth,
     )

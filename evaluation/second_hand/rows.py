@@ -29,6 +29,8 @@ class Rows:
     """Further columns, numbers or words."""
     spacing_s: float = 0.1
     """Mean time between readings of one sensor."""
+    placed_cm: Floats | float = 0.0
+    """Error of the true range that the table says."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -40,7 +42,7 @@ class Rows:
             "sensor": np.array(sensors)[self.sensor],
             "run": np.array([run.format(number + 1) for number in self.run]),
             "reading_cm": reading_cm,
-            "true_range_cm": np.round(self.true_cm, 2),
+            "true_range_cm": np.round(self.true_cm + self.placed_cm, 2),
             **self.contexts,
         }
 

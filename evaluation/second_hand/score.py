@@ -17,6 +17,7 @@ from evaluation.shares import share_of
 BASE_NUMBERS = {
     "spread_with_range": "sigma_growth_cm_per_m",
     "missed_with_range": "missed_growth_per_m",
+    "range_scale": "calibration.scale",
 }
 """Effects that the base mixture has too, and its number, as `msp-lab effects` lists them."""
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from evaluation.second_hand.base import Base
 from evaluation.second_hand.density import Drawn, log_probability
 from evaluation.second_hand.effect import Effect, law_with
+from evaluation.second_hand.flights import TAPE_STD_CM
 from evaluation.second_hand.rows import Floats, Rows
 from evaluation.second_hand.sample import draw
 
@@ -100,6 +101,10 @@ def known_from_bench(bench: Rows, base: Base, effects: Sequence[Effect], seed: i
     if not same:
         return np.zeros(len(NUISANCE))
     variances = _variances(information(bench, base, [], [], seed))
+    if np.any(bench.placed_cm):
+        # Of the placements' errors, each once.
+        placements = np.unique(bench.true_cm)
+        variances[list(NUISANCE).index("scale")] += TAPE_STD_CM**2 / (placements.size * placements.var())
     return np.array([1 / variance if name in same else 0.0 for name, variance in zip(NUISANCE, variances, strict=True)])
 
 

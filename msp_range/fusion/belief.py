@@ -382,7 +382,8 @@ class Belief:
 
     def _leads(self, ground: Surface, counts: Mapping[Surface, float]) -> bool:
         """Whether more sensors see a new ground than the one before, and not with one constant."""
-        return ground.raw is None and (self.reference in (None, ground) or counts[ground] > counts[self.reference] + 0.5)
+        before = self.reference
+        return ground.raw is None and (before is None or before is ground or counts[ground] > counts[before] + 0.5)
 
     def _refer_to(self, ground: Surface, leads: bool) -> None:
         """From when on the priors count from a new ground: every other surface is then a step away from it.

@@ -228,6 +228,10 @@ class SensorModel(Section):
     calibration: tuple[CalibrationKnot, ...] = ()
     """Mean reading over true range: linear between the knots, and beyond them. None: the reading is the range."""
 
+    calibration_scale_std_pct: float | None = Field(None, ge=0.0, le=100.0)
+    """Standard error of the calibration's scale [%], by the bench that it is from. A scale within it is none that the
+    gap workflow names; left out: it counts as exact. The bridge does not use it."""
+
     reading_model: MixtureParameters
     """Parameters of the base mixture that the readings follow."""
 

@@ -17,7 +17,7 @@ _SECTIONS = (
     ("breakaway",),
     ("predicted_breakaway",),
     ("heard_on_axis_cm",),
-    ("calibration",),
+    ("calibration", "calibration_scale_std_pct"),
     ("reading_model",),
     ("effects", "in_flight"),
     ("evidence",),

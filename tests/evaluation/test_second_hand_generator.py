@@ -12,7 +12,7 @@ from evaluation.second_hand import generator
 from evaluation.second_hand.base import MAXIMUM_CM, SATURATED_CM, Base, draw_base
 from evaluation.second_hand.density import base_law, log_probability, normal_score
 from evaluation.second_hand.effect import Effect, Kind, law_with
-from evaluation.second_hand.flights import draw_bench, draw_flights
+from evaluation.second_hand.flights import TAPE_RANGES, TAPE_STD_CM, draw_bench, draw_flights
 from evaluation.second_hand.physics import KNOWN
 from evaluation.second_hand.rows import Rows
 from evaluation.second_hand.sample import MISSED, RANDOM, SHORT, draw
@@ -219,6 +219,37 @@ def test_a_scale_is_known_from_the_bench_only() -> None:
     assert standard_errors(rows, base, [effect], [0.5], 1)[0] > 100
     bench_error_pct = 100 / np.sqrt(known.max())
     assert bench_error_pct < standard_errors(rows, base, [effect], [0.5], 1, known=known)[0] < 2 * bench_error_pct
+
+
+def test_a_tape_leaves_the_scale_open() -> None:
+    """The table says other ranges than the sensor is at, and a scale is known by a straight line through them."""
+    rng = np.random.default_rng(10)
+    kind = of_title("scale")
+    base, rows = draw_base(rng, 0.0), draw_flights(rng, kind.design)
+    bench = draw_bench(rng, rows, tape=True)
+    error_cm = bench.columns(bench.true_cm, "bench{}")["true_range_cm"] - bench.true_cm
+    placed, first = np.unique(bench.true_cm, return_index=True)
+    assert placed.size == TAPE_RANGES
+    assert 0.6 < error_cm[first].std() / TAPE_STD_CM < 1.5
+    slopes = np.polyfit(placed, TAPE_STD_CM * rng.standard_normal((placed.size, 2000)), 1)[0]
+    known = known_from_bench(bench, base, [kind.draw(rng, rows)], 1)
+    assert 1.0 / np.sqrt(known.max()) == pytest.approx(slopes.std(), rel=0.1)
+    assert generator.case("one:10@tape", 1).truth["base"]["correlation"] == 0.0
+
+
+def test_vapour_is_at_the_bench_too_and_not_in_its_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Air of 22.5 deg C holds 2.7 % of vapour at most, in which sound is 0.43 % faster."""
+    made = {}
+    for percent in (0.0, 100.0):
+        monkeypatch.setattr(generator, "BENCH_HUMIDITY_PCT", percent)
+        made[percent] = generator.case("humid:10", 2)
+    (effect,) = made[0.0].truth["effects"]
+    assert effect["title"] == "humidity"
+    dry, humid = (each.bench for each in made.values())
+    assert "humidity_pct" not in dry
+    nearer = np.nanmedian((dry["reading_cm"] - humid["reading_cm"]) / dry["true_range_cm"])
+    assert nearer == pytest.approx(0.0043 * effect["size"], rel=0.1)
+    np.testing.assert_array_equal(made[0.0].runs["true_range_cm"], made[100.0].runs["true_range_cm"])
 
 
 def test_last_seeds_are_kept_for_a_final_run() -> None:

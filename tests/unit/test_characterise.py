@@ -163,6 +163,11 @@ def test_numbers_and_page_go_into_a_folder(tmp_path: Path) -> None:
     run(tmp_path / "a.csv", "--out", tmp_path / "m.yaml", "--report", tmp_path / "r", "--sensor", SENSOR)
     numbers = json.loads((tmp_path / "r" / "findings.json").read_text(encoding="utf-8"))
     assert numbers["calibration"]["form"] == "none"
+    # Its own error, and that of a scale that was not sure enough to be kept.
+    scale = numbers["calibration"]["scale"]
+    error = (scale["high"] - scale["low"]) / (2.0 * 1.959964)
+    stated_pct = load_sensor_model(tmp_path / "m.yaml").calibration_scale_std_pct
+    assert stated_pct == pytest.approx(100.0 * np.hypot(error, scale["value"] - 1.0), rel=1e-3)
     assert len(numbers["points"]) == 12
     assert (tmp_path / "r" / "report.html").exists()
 

@@ -62,6 +62,23 @@ def test_readings_from_the_future_are_ahead_of_the_reference() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("bench_pct", [None, 0.03, 0.15])
+def test_a_scale_that_the_bench_leaves_open_is_calibration(bench_pct: float | None) -> None:
+    """2,000 readings in flight know the scale to 0.03 %: what they find may be the bench's own error."""
+    contexts = flown(5)
+    stated = MODEL.sensor.model_copy(update={"calibration_scale_std_pct": bench_pct})
+    found = named(contexts, read(contexts, 5, 0.003 * contexts["true_range_cm"]), Model(stated, ()))
+    changed = [each.after for each in found.calibration if each.name == "calibration.scale"]
+    if bench_pct == 0.15:
+        assert (found.effects, found.unknown) == ((), ())
+        assert changed == [pytest.approx(0.3, abs=0.1)]
+    else:
+        (effect,) = found.effects
+        assert "range_scale" in (effect.name, *(each.name for each in effect.alternatives))
+        assert not changed
+
+
+@pytest.mark.slow
 def test_what_the_runs_leave_open_is_suggested() -> None:
     contexts = flown(4)
     for size in (0.0012, 0.004, 0.006):

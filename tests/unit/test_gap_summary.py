@@ -15,6 +15,7 @@ from msp_lab.gap.findings import (
     FoundEffect,
     GapFindings,
     Measure,
+    PossibleCause,
     ReadingAge,
     UnknownEffect,
 )
@@ -152,6 +153,20 @@ def test_a_column_that_was_not_recorded_comes_after_one_that_did_not_vary() -> N
     assert (causes[0].column, causes[0].recorded) == ("incidence_deg", True)
     assert {each.column for each in causes[1:]} == {"throttle", "vibration_hz"}
     assert not any(each.recorded for each in causes[1:])
+
+
+@pytest.mark.parametrize(("spread_cm", "asked"), [(5.0, True), (100.0, False)])
+def test_an_offset_may_be_a_scale_where_the_range_hardly_varied(spread_cm: float, asked: bool) -> None:
+    numbers = (CalibrationFinding("offset_cm", "", 0.0, 2.0, 1.8, 2.2, "cm"),)
+    contexts = {"true_range_cm": np.linspace(200.0 - spread_cm, 200.0 + spread_cm, 1000)}
+    causes = possible_causes(numbers, PLAIN, contexts)
+    assert [each.effect for each in causes if each.column == "true_range_cm"] == ["range_scale"] * asked
+    if asked:
+        # The plainest first.
+        assert causes[0] == PossibleCause("offset_cm", "range_scale", "true_range_cm", True, causes[0].experiment)
+        said = with_words(findings(verdict="absorbed", effects=(), calibration=numbers, causes=causes))
+        assert said.sentence.endswith("constant offset; true range did not vary enough to say why.")
+        assert said.next_step.startswith("to see whether it is range scale: ranges from 50 to 500 cm")
 
 
 def test_every_effect_has_its_own_words_with_its_number() -> None:

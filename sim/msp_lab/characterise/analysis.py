@@ -4,6 +4,7 @@ What the data do not determine stays as in the starting model, and the findings 
 """
 
 import difflib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
@@ -247,6 +248,10 @@ def _changes(
     # Without held-out ranges nothing was decided, and the starting model's stays.
     if calibration is not None and calibration.held_out:
         changes["calibration"] = [asdict(knot) for knot in calibration.knots]
+        if calibration.scale is not None and calibration.scale.low is not None:
+            # A line that is not sure enough to be kept says all the same how far off none may be.
+            left_off = 0.0 if calibration.knots else calibration.scale.value - 1.0
+            changes["calibration_scale_std_pct"] = 100.0 * math.hypot(calibration.scale.standard_error, left_off)
     # An offset between sessions enters if its interval excludes 0.
     if calibration is not None and calibration.set_up_offset and calibration.set_up_offset.low:
         offset = calibration.set_up_offset.mapped(lambda end: round(end, 3))

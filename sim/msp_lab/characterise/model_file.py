@@ -56,7 +56,7 @@ def commented(sensor: SensorModel, findings: Findings, changes: Mapping[str, Any
     content, kept, fitted = sensor.model_dump(mode="json"), _kept(sensor, findings), _fitted(findings)
     comments = {
         name: fitted[name]
-        if name in (*changes, "predicted_breakaway", "evidence")
+        if name in fitted and name in (*changes, "predicted_breakaway", "evidence")
         else [f"Kept from {start}{': ' if kept.get(name) else ''}{kept.get(name, '')}."]
         for name in content
     }

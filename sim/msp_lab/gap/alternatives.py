@@ -128,10 +128,12 @@ def _in_its_place(
     # Offsets of runs excuse a worse name where runs differ, and no name that explains the readings much less.
     lost_nats, lost_share = rules.EXCHANGE_LOSES
     most_lost = max(lost_nats, lost_share * (own_fit.log_likelihood - less.fit.log_likelihood))
+    own_is_open = problem.is_left_open(state.fit, k, state.by_run)
 
     def lead(other: CandidateFit, nats: float, correlation: float) -> float:
-        """By how much another does better; a number of the base comes before an effect that does as well, and of two
-        that say nearly the same that which has fewer numbers."""
+        """By how much another does better; a number of the base comes before an effect that does as well, a scale that
+        the bench leaves open before its alternatives, and of two that say nearly the same that which has fewer
+        numbers."""
         if abs(correlation) < rules.RELATED:
             # It explains something else: it is added, and takes nobody's place.
             return -np.inf
@@ -140,6 +142,7 @@ def _in_its_place(
         nats += term.cost_nats - other.term.cost_nats
         if abs(correlation) > rules.SAME_FORM:
             nats += rules.SIMPLER_NATS * (term.numbers - other.term.numbers)
+        nats += rules.ALTERNATIVE_NATS * (problem.is_left_open(other.fit, last, state.by_run) - own_is_open)
         return nats + rules.BASE_PREFERENCE_NATS * other.term.is_base
 
     leads = [lead(*each) for each in zip(others, ahead, correlations, strict=True)]

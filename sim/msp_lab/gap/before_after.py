@@ -9,7 +9,7 @@ would change it, with the column that did not vary. A gap that calibration close
 scatter over a throttle that never changes is rotor noise or is not.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -38,6 +38,7 @@ from msp_lab.mixture_fit.parameters import MIN_WEIGHT
 from msp_sim.effects import CATALOGUE
 from msp_sim.effects.base import TRUE_RANGE, WORD_COLUMNS, Channel, Effect
 from msp_sim.effects.latency import LATENCY
+from msp_sim.effects.range_scale import RANGE_SCALE
 from msp_sim.effects.stale import STALE
 from msp_sim.model.model import Model
 
@@ -196,9 +197,11 @@ def _share(model: Model) -> float:
 
 
 def possible_causes(
-    calibration: Iterable[CalibrationFinding], model: Model, contexts: Mapping[str, Any]
+    calibration: Sequence[CalibrationFinding], model: Model, contexts: Mapping[str, Any]
 ) -> tuple[PossibleCause, ...]:
     """Effects that calibration may have absorbed, those first whose column explains most numbers.
+
+    A scale, which the range would show, comes before all others: it is the plainest.
 
     Parameters
     ----------
@@ -211,7 +214,21 @@ def possible_causes(
     """
     found = [cause for each in calibration for cause in _causes_of(each.name, model, contexts)]
     columns = [each.column for each in found]
-    return tuple(sorted(found, key=lambda each: (not each.recorded, -columns.count(each.column))))
+    found.sort(key=lambda each: (not each.recorded, -columns.count(each.column)))
+    offset_cm = next((each.after for each in calibration if each.name == "offset_cm"), None)
+    if offset_cm is not None and _may_be_a_scale(offset_cm, model, contexts):
+        found.insert(0, PossibleCause("offset_cm", RANGE_SCALE.name, TRUE_RANGE, True, RANGE_SCALE.experiment))
+    return tuple(found)
+
+
+def _may_be_a_scale(offset_cm: float, model: Model, contexts: Mapping[str, Any]) -> bool:
+    """Whether a scale that is the offset at the mean range would have been an alternative to it."""
+    if any(each.effect is RANGE_SCALE for each in model.effects) or TRUE_RANGE not in contexts:
+        return False
+    range_cm = known_values(contexts[TRUE_RANGE])
+    differ_cm = offset_cm * (range_cm / range_cm.mean() - 1.0)
+    nats = 0.5 * float((differ_cm**2).sum()) / model.sensor.reading_model.sigma_cm**2
+    return nats < rules.ALTERNATIVE_NATS
 
 
 def _causes_of(number: str, model: Model, contexts: Mapping[str, Any]) -> Iterator[PossibleCause]:

@@ -23,9 +23,10 @@ from msp_lab.gap.screen import Screen
 from msp_lab.gap.validation import Gain, Validated
 from msp_range.arrays import Array, Indices
 from msp_sim.effects import CATALOGUE
-from msp_sim.effects.base import TRUE_RANGE
+from msp_sim.effects.base import TRUE_RANGE, Effect
 from msp_sim.effects.curve import Ripple, hats
 from msp_sim.effects.plain import MOST_TIMES
+from msp_sim.effects.range_scale import RANGE_SCALE
 from msp_sim.model.model import Term
 
 NUMBERS = (
@@ -40,6 +41,8 @@ NUMBERS = (
 )
 """What the base's numbers change, in their order, as in a sensor model file."""
 UNITS = {"offset_cm": "cm", "sigma_cm": "cm", "short_rate_per_m": "1/m"}
+CALIBRATION_SCALE = "calibration.scale"
+"""Name of the calibration's scale among the numbers of the base."""
 STEP_SHARE = 0.01
 """Two knots that are closer than this share of the column's span are a step, and are written as one."""
 AT_BOUND = 1e-3
@@ -106,9 +109,9 @@ def found_terms(
             name, neutral = term.candidate.parameter.name, term.candidate.neutral
             if values[name].may_be(neutral) or _is_of_all(term.candidate, values[name].value):
                 values[name] = _by_likelihood(term, active, final)
-        base = active.effect.base
         number = next(iter(values.values()))
-        if base is not None and not near and not _is_beyond_bench(base, number, final.width):
+        base = _number_of_base(problem, active.effect, number, final.width, bool(near))
+        if base:
             if number.low is not None and number.high is not None and not number.may_be(0.0):
                 calibration.append(_calibration(base, 0.0, number.value, number.low, number.high, number.unit))
             continue
@@ -136,12 +139,20 @@ def found_terms(
     return effects, unknown, calibration
 
 
-def _is_beyond_bench(base: str, number: FittedValue, width: float) -> bool:
-    """Whether a number of the base has grown by more than a bench leaves open: then its effect is missing."""
-    if base not in rules.BENCH_ERROR or number.low is None or number.high is None:
-        return False
-    error = np.hypot((number.high - number.low) / (2.0 * width), rules.BENCH_ERROR[base])
-    return bool(number.value > rules.SURE_Z * error)
+def _number_of_base(problem: Problem, effect: Effect, number: FittedValue, width: float, has_alternatives: bool) -> str:
+    """The number of the base that an effect calibrates; empty where it differs by more than the bench leaves open.
+
+    The bench's scale stands for all that does as well. Growth that is less than the model's is calibration.
+    """
+    is_scale, bench_error = effect is RANGE_SCALE, problem.bench_error(effect)
+    base = effect.base if bench_error is None or not is_scale else CALIBRATION_SCALE
+    if base is None or (has_alternatives and not is_scale):
+        return ""
+    if bench_error is None or number.low is None or number.high is None:
+        return base
+    error = np.hypot((number.high - number.low) / (2.0 * width), bench_error)
+    is_beyond = (abs(number.value) if is_scale else number.value) > rules.SURE_Z * error
+    return "" if is_beyond else base
 
 
 def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedValue:

@@ -24,10 +24,11 @@ from msp_lab.gap.screen import Screen, best_by_score, information_of, replicate,
 from msp_lab.readings.intake import PREVIOUS
 from msp_range.arrays import Array, Indices, numbered
 from msp_range.reading_model.rows import Base
-from msp_sim.effects.base import REFERENCE, TRUE_RANGE
+from msp_sim.effects.base import REFERENCE, TRUE_RANGE, Effect
 from msp_sim.effects.codes import Coarser
 from msp_sim.effects.component import Normal
 from msp_sim.effects.path import with_path
+from msp_sim.effects.range_scale import RANGE_SCALE
 from msp_sim.model.model import Model, Term
 from msp_sim.model.rows import log_prob
 
@@ -204,6 +205,23 @@ class Problem:
             if np.array_equal(fault.arrives(received), received):
                 alike = received
         return clumping(slope, self.run, alike)
+
+    def bench_error(self, effect: Effect) -> float | None:
+        """Standard error of what the bench says of an effect's number; None: it says nothing, or counts as exact."""
+        if effect is RANGE_SCALE:
+            return self.model.sensor.calibration_scale_std_pct
+        return rules.BENCH_ERROR.get(effect.base or "")
+
+    def is_left_open(self, fit: JointFit, k: int, by_run: bool) -> bool:
+        """Whether the k-th effect of a fit is a scale that the bench leaves open: the calibration's own error."""
+        term = fit.effects[k]
+        bench_error = self.bench_error(term.effect) if term.effect is RANGE_SCALE else None
+        if bench_error is None:
+            return False
+        (name,) = term.values
+        place = fit.names.index(f"{k}.{name}")
+        variance = float(fit.covariance(self.unit if by_run else None)[place, place])
+        return abs(term.values[name]) < rules.SURE_Z * float(np.hypot(bench_error, np.sqrt(variance)))
 
     def refit(self, terms: Sequence[Term], base: Base) -> JointFit:
         """A joint fit of these terms."""
