@@ -38,6 +38,10 @@ LOST_S, GAP_S = (20.0, 20.3), (48.0, 48.7)
 """Without its range finder, and without a distance; at 1 m/s these are metres north, too."""
 
 
+BEAM_DEG = 12.0
+"""A crate this far beside the axis is met 3 m up, at its corner [deg]; at 13 deg none is."""
+
+
 def test_ground_has_its_edges_slope_and_boxes(tmp_path: Path) -> None:
     world = load_scenario(write_course(tmp_path)).world()
     for at_m, rise_m in EDGES:
@@ -47,12 +51,15 @@ def test_ground_has_its_edges_slope_and_boxes(tmp_path: Path) -> None:
         slope_m = 1.2 + GRADE * (north_m - first_m)
         assert world.elevation_m(north_m, 0.0) == pytest.approx(slope_m, abs=abs(GRADE) * TREAD_M + 1e-9)
     assert [world.elevation_m(north_m, 0.0) for north_m in (0.0, END_M)] == pytest.approx([0.0, 0.0], abs=1e-9)
-    below = []
+    met = []
     for box in BOXES:
-        north_m, _ = cast("list[float]", box["centre_m"])
-        places = [sensor.position_m for sensor in load_airframe(AIRFRAME).sensors]
-        below.append([world.elevation_m(north_m + ahead_m, right_m) > 0.1 for ahead_m, right_m, _ in places])
-    assert below == [[True] * 4, [False, True, False, True], [True, False, True, False]]
+        (_, right_m), (_, width_m) = cast("list[list[float]]", [box["centre_m"], box["size_m"]])
+        beside_m = [
+            max(abs(sensor.position_m[1] - right_m) - width_m / 2, 0.0) for sensor in load_airframe(AIRFRAME).sensors
+        ]
+        down_m = HEIGHT_M - cast("float", box["height_m"])
+        met.append([math.degrees(math.atan2(each_m, down_m)) < BEAM_DEG for each_m in beside_m])
+    assert met == [[True] * 4, [False, True, False, True], [True, False, True, False]]
 
 
 def test_judge_finds_what_a_flight_has(tmp_path: Path) -> None:
