@@ -313,9 +313,9 @@ class Belief:
                 nothing += surface.prior if surface.raw is None else 0.0
         total = sum(other.values())
         nothing += total
-        scores = {each: total - other[each] + each.prior + each.evidence for each in self.surfaces}
-        if self.proven is not None and (leads := self._leads(self.proven, counts)):
-            scores[self.proven] -= self.proven.prior
+        leader = self._leader(counts)
+        priors = {each: 0.0 if each is leader else each.prior for each in self.surfaces}
+        scores = {each: total - other[each] + priors[each] + each.evidence for each in self.surfaces}
         for each, count in counts.items():
             if not count and each is not self.proven:
                 scores[each] += UNSEEN
@@ -351,8 +351,6 @@ class Belief:
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
         if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
             self._prove(best)
-        elif self.proven is not None and self.proven.prior:
-            self._refer_to(self.proven, leads)
 
     def _as_fault(self, surface: Surface) -> float:
         """Log probability, over the ground's, that a surface is a fault of several sensors."""
@@ -380,23 +378,24 @@ class Belief:
         ground.common = max(ground.common, _common(ground))
         ground.response.is_in_doubt = ground.common > math.log(COMMON)
 
-    def _leads(self, ground: Surface, counts: Mapping[Surface, float]) -> bool:
-        """Whether more sensors see a new ground than the one before, and not with one constant."""
-        before = self.reference
-        return ground.raw is None and (before is None or before is ground or counts[ground] > counts[before] + 0.5)
+    def _leader(self, counts: Mapping[Surface, float]) -> Surface | None:
+        """The proven ground, where more sensors see it than the ground before, and not with one constant.
 
-    def _refer_to(self, ground: Surface, leads: bool) -> None:
-        """From when on the priors count from a new ground: every other surface is then a step away from it.
-
-        It has to lead for so long that the one before would have been seen again, as beside a box.
+        When it has led for so long that the ground before would have been seen again, as next to a box, priors count
+        from it: every other surface is then a step away.
         """
-        if not leads:
+        ground, before = self.proven, self.reference
+        if ground is None or before is None:
+            return None
+        if ground.raw is not None or (ground is not before and counts[ground] <= counts[before] + 0.5):
             self._proven_s = self._time_s
-        elif self.reference is ground or self._time_s - self._proven_s > self._windows.memory_s:
+            return None
+        if ground.prior and (ground is before or self._time_s - self._proven_s > self._windows.memory_s):
             self.reference = ground
             for each in self.surfaces:
                 off_m = each.filter.height_m - ground.filter.height_m
                 each.prior = 0.0 if each is ground else ground_prior(off_m, RETURNS_M, each.filter.height_m)
+        return ground
 
     def forget(self, surface: Surface) -> None:
         """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""

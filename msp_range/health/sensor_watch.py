@@ -36,7 +36,6 @@ from msp_range.health.evidence import Evidence, Occurrences
 from msp_range.health.expected import Expected
 from msp_range.health.finding import Kind, SensorFinding
 from msp_range.health.neighbours import GroundUse, Sighting, reference
-from msp_range.numbers import limited
 
 FALSE_ALARM_H = 2000.0
 """Mean flying time between two false findings of a vehicle, at least [h], where all holds that the bound assumes. At
@@ -128,16 +127,16 @@ class _Sensor:
     def learn(self, change_m: float, e: float, limit: float) -> None:
         """Offset and scatter, by a reading of the ground."""
         self.readings += 1
-        change_m /= limited(self.readings, 1, OFFSET_READINGS)
+        change_m /= min(self.readings, OFFSET_READINGS)
         if abs(e) > limit:
             change_m *= limit / abs(e)
         else:
-            self.scale += (e * e - self.scale) / limited(self.readings, 1, SCALE_READINGS)
+            self.scale += (e * e - self.scale) / min(self.readings, SCALE_READINGS)
         self.offset_m += change_m
         offsets_m = [other.offset_m for other in self.others]
         if len(offsets_m) >= LEVEL_SENSORS:
             variance_m2 = fmean([offset_m**2 for offset_m in offsets_m]) - fmean(offsets_m) ** 2
-            self.rough_m2 += (variance_m2 - self.rough_m2) / limited(self.readings, 1, ROUGH_READINGS)
+            self.rough_m2 += (variance_m2 - self.rough_m2) / min(self.readings, ROUGH_READINGS)
 
     def happens(self, kind: Kind, probability: float) -> None:
         """Something rare happens, which has this probability by the model."""
@@ -204,8 +203,7 @@ class SensorWatch:
         self._successive_s = TURNS_APART * turn_s
         self._middle = min(count - 1, MOST_NEIGHBOURS)
         self._window: list[Sighting] = []
-        least = max([0.0, *(each.correlation for each in sensors.values())])
-        self._correlations = least, max(least, MOST_CORRELATION)
+        self._model_correlation = max([each.correlation for each in sensors.values()], default=0.0)
         self._product, self._square = 0.0, 1.0
 
     def update(self, sighting: Sighting) -> None:
@@ -259,7 +257,7 @@ class SensorWatch:
     def _compare(self, own: _Sensor, sighting: Sighting) -> None:
         """A reading with the others' around it."""
         scales = [other.scale for other in own.others if not other.wider.is_found]
-        scale = limited(fmean(scales or [1.0]), 1.0, math.inf)
+        scale = max(fmean(scales or [1.0]), 1.0)
         others = reference(self._window, self._middle, scale)
         if others is None or not others.height_m > NEAREST_M:
             return
@@ -281,7 +279,7 @@ class SensorWatch:
         x = (off_m - own.offset_m) / deviation_m
         e = x
         if is_successive:
-            phi = limited(self._product / self._square, *self._correlations)
+            phi = max(min(self._product / self._square, MOST_CORRELATION), self._model_correlation, 0.0)
             e = (x - phi * before) / math.sqrt(1.0 - phi * phi)
         limit = OFF * math.sqrt(scale)
         agrees = own.seen_m is not None and abs(off_m - own.seen_m) < AGREE_M
@@ -303,7 +301,7 @@ class SensorWatch:
                 own.wider.retract()
             elif is_ground:
                 square = e * e / scale
-                ratio = math.exp(limited(square, 0.0, MOST_SQUARE) * WIDER_SLOPE) * WIDER_NORM
+                ratio = math.exp(min(square, MOST_SQUARE) * WIDER_SLOPE) * WIDER_NORM
                 # The rest of the variance is the reference's.
                 own_share = std_m * std_m / variance_m2
                 if own.wider.update(ratio, own_share, square - 1.0 + own_share):

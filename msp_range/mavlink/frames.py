@@ -73,14 +73,14 @@ class Frame(NamedTuple):
         if len(values) > len(kind.lengths):  # Some fields are arrays.
             each = iter(values)
             values = [next(each) if length == 1 else tuple(islice(each, length)) for length in kind.lengths]
-        return _fields(self.message_id)((kind.msgname, *values))
+        return _message_type(self.message_id)(kind.msgname, *values)
 
 
 @cache
-def _fields(message_id: int) -> Any:
-    """The function that makes a message of its name and the values of its fields, in their order on the wire."""
+def _message_type(message_id: int) -> Any:
+    """The type of a message: its name, and the values of its fields in their order on the wire."""
     kind = dialect.mavlink_map[message_id]
-    return namedtuple(kind.msgname, ("msgname", *kind.ordered_fieldnames))._make  # type: ignore[attr-defined]
+    return namedtuple(kind.msgname, ("msgname", *kind.ordered_fieldnames))
 
 
 def text_of(field: bytes) -> str:

@@ -39,7 +39,7 @@ LOST_S, GAP_S = (20.0, 20.3), (48.0, 48.7)
 
 
 BEAM_DEG = 12.0
-"""A crate this far beside the axis is met 3 m up, at its corner [deg]; at 13 deg none is."""
+"""A crate this far from the axis gives an echo from its corner, 3 m below [deg]; at 13 deg none does."""
 
 
 def test_ground_has_its_edges_slope_and_boxes(tmp_path: Path) -> None:

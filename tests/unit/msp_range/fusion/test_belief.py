@@ -67,7 +67,7 @@ def test_an_edge_that_two_of_four_have_passed_silences_nothing(rise_m: float) ->
 
 
 @pytest.mark.parametrize("names", ["abc", "abcd"])
-def test_the_ground_beside_a_box_is_found_again_whose_corner_more_than_two_of_four_have_seen(names: str) -> None:
+def test_the_ground_next_to_a_box_is_found_again_after_three_of_four_have_seen_its_corner(names: str) -> None:
     sent = sent_m(lambda name, time_s: 3.0 - 0.8 * (8.0 < time_s < (14.0 if name in "ab" else 8.7) and name in names))
     assert all(abs(range_m - 3.0) < 0.1 for time_s, range_m in sent.items() if time_s > 9.5)
     assert sum(9.5 < time_s < 14.0 for time_s in sent) > 40
