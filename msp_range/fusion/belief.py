@@ -320,7 +320,9 @@ class Belief:
             if not count and each is not self.proven:
                 scores[each] += UNSEEN
         best = max(scores, key=lambda each: scores[each], default=None)
-        self.noise = all_noise([mode.noise for mode in voters]) if voters else 0.0
+        # A sensor that sees something else says nothing about whether the others see the ground.
+        witnesses = [mode for mode in voters if mode.sees in (None, best) or mode.noise > 0.0]
+        self.noise = all_noise([mode.noise for mode in witnesses]) if witnesses else 0.0
         if best is None:
             self.ground, self.sure = None, 0.0
             if not any(mode.is_fixed for mode in self._modes):

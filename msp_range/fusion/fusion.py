@@ -408,6 +408,9 @@ class Fusion:
         known, view = ground.filter, seen.view
         sloping_m = (view.by_north * known.rise_north + view.by_east * known.rise_east) / view.by_height
         self.level_height_m = seen.height_m + sloping_m
+        stray, mode.stray = mode.stray, None
+        if stray is not None and stray.evidence <= 0.0:
+            self._update_fit(FIT_OUTLIER)
         if rejected in (SUSPECT, REPEATED, FIXED):
             return rejected
         if mode.sees is ground:
@@ -418,10 +421,12 @@ class Fusion:
         words = look.garbled_words(round(view.expected_m / look.by_raw_m))
         longer_m = [abs(word * look.by_raw_m - look.range_m) for word in words]
         mode.is_ground_in_doubt = min(longer_m, default=math.inf) < AGAIN_M
-        if mode.readings < 2:
-            self._update_fit(FIT_OUTLIER)
-        elif mode.sees is not None:
-            self._agree.append(True)  # Something is below this sensor, which says nothing against the ground.
+        # Beams meet the edges of an object, too: that says nothing against the ground.
+        is_beside = any(each.object_m is not None for each in self._modes.values())
+        if is_beside or mode.readings > 1:
+            self._agree.append(True)
+        else:
+            mode.stray = mode.sees
         return OUTLIER if mode.object_m is None else OBJECT
 
     def _is_seen(self, ground: Surface) -> bool:

@@ -272,6 +272,8 @@ class SensorMode:
         [s].
     works
         Whether its last reading was none of a fault.
+    stray
+        The surface that its last reading was of, where no other one has been of that; None: it was of what is known.
     object_m
         Height over the ground of what is below it [m]; None: the ground, or nothing.
     """
@@ -287,6 +289,7 @@ class SensorMode:
         self.since_s = float("inf")
         self.works = False
         self.foot_m = mounted.foot_m(0.0)
+        self.stray: Surface | None = None
         self.object_m: float | None = None
         self._offs_m: deque[float | None] = deque(maxlen=OF_THE_LAST)
         self.is_ground_in_doubt = False

@@ -39,6 +39,7 @@ class Hover:
         self.sent: list[tuple[float, float]] = []
         self.doubted_s: list[float] = []
         self.scattered_s: list[float] = []
+        self.fits: list[float] = []
         draw = random.Random(seed)
         for i in range(round(END_S / SLOT_S)):
             time_s, name = i * SLOT_S, names[i % len(names)]
@@ -51,6 +52,7 @@ class Hover:
             out = self.fusion.update(Reading(time_s, name, Status.OK, raw / 100, noise_m, raw), time_s + 0.03)
             if out.fused is not None:
                 self.sent.append((time_s, out.fused.range_m))
+            self.fits.append(self.fusion.fit)
             texts = [each.text for each in self.fusion.conditions()]
             if DOUBTED in texts:
                 self.doubted_s.append(time_s)
@@ -140,6 +142,27 @@ def test_in_dust_nothing_is_sent_and_it_is_reported(names: str, widest_m: float)
     flight = Hover(Dust(0.9, widest_m), names)
     assert JUMP_S < flight.scattered_s[0] <= JUMP_S + 2.5
     assert not flight.sent_m(JUMP_S + 2.5)
+
+
+def test_dust_below_two_sensors_is_no_ground_where_the_others_see_payload() -> None:
+    """Two that see something else say nothing about the ground: what is left of it are answers at random."""
+    dust = Dust(0.8, 1.7, "cd", 2.3)
+    flight = Hover(lambda name, time_s: 0.26 if name in "ab" and time_s >= JUMP_S else dust(name, time_s))
+    assert all(abs(distance_m - 2.3) < 0.1 for distance_m in flight.sent_m(1.0))
+    assert JUMP_S < flight.scattered_s[0] <= JUMP_S + 4.0
+
+
+def test_the_edges_of_a_box_say_nothing_against_the_ground_and_answers_at_random_do() -> None:
+    """The mean square of the deviations makes 'readings are noisy' beyond 4."""
+
+    def at_edge(name: str, time_s: float) -> float:
+        if time_s < JUMP_S or name in "ab":
+            return 2.0
+        return draw.uniform(1.0, 2.0) if draw.random() < 0.5 else 1.0
+
+    draw = random.Random(2)
+    assert max(Hover(at_edge).fits) < 3.0
+    assert max(Hover(Dust(0.9, 2.5, "ab")).fits) > 4.0
 
 
 @pytest.mark.parametrize("dust", [Dust(0.2), Dust(0.9, names="a"), Dust(0.9, names="ab")])
