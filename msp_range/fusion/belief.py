@@ -200,12 +200,6 @@ class Belief:
         """Whether the readings of all sensors are more probably noise than not."""
         return self.noise > 0.5
 
-    @property
-    def is_disputed(self) -> bool:
-        """Whether two sensors see the same surface that is not the ground: the others decide, and no second look."""
-        since_s = self._time_s - self._windows.fresh_s
-        return any(each is not self.ground and len(self.sees(each, since_s)) > 1 for each in self.surfaces)
-
     def travel_m(self, mode: SensorMode) -> float | None:
         """How far the vehicle has climbed by the surface that most others see which do not repeat themselves [m].
 
@@ -395,9 +389,15 @@ class Belief:
         if ground.prior and (ground is before or self._time_s - self._proven_s > self._windows.memory_s):
             self.reference = ground
             for each in self.surfaces:
-                off_m = each.filter.height_m - ground.filter.height_m
-                each.prior = 0.0 if each is ground else ground_prior(off_m, RETURNS_M, each.filter.height_m)
+                self._place(each)
+            ground.prior = 0.0
         return ground
+
+    def _place(self, surface: Surface) -> None:
+        """How probable a surface is as the ground, by where that should be."""
+        expected, height_m = self.expected(), surface.filter.height_m
+        if expected is not None:
+            surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
 
     def forget(self, surface: Surface) -> None:
         """A surface is fixed to the vehicle; if it was the ground, where that is was not known since it appeared."""
@@ -415,10 +415,8 @@ class Belief:
 
     def _appraise(self, surface: Surface, raw: int | None) -> None:
         """How probable a new surface is as the ground and as a fault, by where the ground should be, and its answer."""
-        expected, height_m = self.expected(), surface.filter.height_m
         surface.common = _common(surface)
-        if expected is not None:
-            surface.prior = ground_prior(height_m - expected[0], expected[1], height_m)
+        self._place(surface)
         is_again = self._was_no_ground or any(mode.is_fixed for mode in self._modes)
         is_same = raw is not None and raw in [mode.fixed_raw for mode in self._modes]
         if is_same or (surface.filter.height_m < LOW_M and is_again):

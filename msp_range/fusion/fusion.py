@@ -141,9 +141,10 @@ class Fusion:
         return self._belief.sure * sum(self._agree) / CONFIDENCE_READINGS
 
     def asks_again(self, outcome: Outcome) -> bool:
-        """Whether a reading's sensor is to be asked out of turn: for an outlier, or for what shows late answers.
+        """Whether a reading's sensor is to be asked out of turn: for the first of an outlier, or for late answers.
 
-        For late answers one sensor after the other is asked: two that are both asked again are in turn again.
+        Where another sensor sees something else, too, it would delay the readings that decide. For late answers one
+        sensor after the other is asked: two that are both asked again are in turn again.
         """
         ground, mode = self._belief.ground, self._modes[outcome.reading.sensor]
         is_next = not self._waits and mode is not self._asked
@@ -153,7 +154,8 @@ class Fusion:
         if is_next and ground.response.may_be_late:
             self._asked, self._waits = mode, True
             return True
-        return outcome.rejected == OUTLIER and not self._belief.is_disputed
+        alone = all(each.sees in (None, ground) for each in self._modes.values() if each is not mode)
+        return outcome.rejected == OUTLIER and mode.readings < 2 and alone
 
     def conditions(self) -> list[Condition]:
         """Answers a ping late, readings of nothing, and what is perhaps no ground: for `msp_range.health`."""

@@ -5,7 +5,7 @@ import pytest
 
 from msp_range.assembly import fusion_of
 from msp_range.config import load_airframe
-from msp_range.fusion import OUTLIER, AttitudeTrack
+from msp_range.fusion import AttitudeTrack
 from msp_range.reading import Reading
 from msp_range.reading_model.mixture import ReadingModel
 from msp_range.sensors.mb1242 import MB1242, decode, encode
@@ -57,7 +57,7 @@ class Hover:
         outcome = self.fusion.update(reading, time_s + ANSWERED_S)
         # The next turn is planned before this reading's outcome is known.
         self.next = self.order.turn(time_s, True)[1][0].name
-        if outcome.rejected == OUTLIER and outcome.fused is not None:
+        if self.fusion.asks_again(outcome):
             self.order.again(name)
         return name, time_s + ANSWERED_S, self.fusion.object_m(name)
 

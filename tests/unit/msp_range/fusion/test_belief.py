@@ -73,6 +73,14 @@ def test_the_ground_next_to_a_box_is_found_again_after_three_of_four_have_seen_i
     assert sum(9.5 < time_s < 14.0 for time_s in sent) > 40
 
 
+def test_a_sensor_that_goes_on_seeing_an_earlier_level_says_nothing_about_the_next_step() -> None:
+    """As one that is stuck: where the ground was two steps before is as unlikely as any other level."""
+    sent = sent_m(lambda name, time_s: 2.65 if name == "a" or time_s < 5.0 else 2.4 if time_s < 12.0 else 1.9)
+    after = [range_m for time_s, range_m in sent.items() if time_s > 12.6]
+    assert len(after) > 70
+    assert all(abs(range_m - 1.9) < 0.1 for range_m in after)
+
+
 def test_a_level_that_three_of_four_have_seen_for_long_goes_on_through_a_tie() -> None:
     def range_m(name: str, time_s: float) -> float:
         return 3.0 if time_s < 8.0 or name == "d" or (name == "c" and time_s > 12.0) else 2.2
