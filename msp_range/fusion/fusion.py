@@ -143,8 +143,8 @@ class Fusion:
     def asks_again(self, outcome: Outcome) -> bool:
         """Whether a reading's sensor is to be asked out of turn: for the first of an outlier, or for late answers.
 
-        Where another sensor sees something else, too, it would delay the readings that decide. For late answers one
-        sensor after the other is asked: two that are both asked again are in turn again.
+        Where another sensor sees something else, too, the extra turn would delay the readings that decide. For late
+        answers one sensor after the other is asked: two that are both asked again are in turn again.
         """
         ground, mode = self._belief.ground, self._modes[outcome.reading.sensor]
         is_next = not self._waits and mode is not self._asked
@@ -212,6 +212,11 @@ class Fusion:
                 mode.works = False
         belief.weigh()
         ground = belief.ground
+        stray, mode.stray = mode.stray, None
+        if stray is not None:
+            again = [each for each in self._modes.values() if each is not mode or reading.range_m is not None]
+            if not any(each.sees is stray for each in again):
+                self._update_fit(FIT_OUTLIER)
         if reading.range_m is not None:
             rejected = self._against(ground, look, rejected)
             is_known = mode.sees is not None and mode.sees.evidence > 0.0
@@ -410,22 +415,18 @@ class Fusion:
         known, view = ground.filter, seen.view
         sloping_m = (view.by_north * known.rise_north + view.by_east * known.rise_east) / view.by_height
         self.level_height_m = seen.height_m + sloping_m
-        stray, mode.stray = mode.stray, None
-        if stray is not None and stray.evidence <= 0.0:
-            self._update_fit(FIT_OUTLIER)
         if rejected in (SUSPECT, REPEATED, FIXED):
             return rejected
         if mode.sees is ground:
             mode.below(None, True)
             return None if self._belief.sure >= SURE or ground is self._belief.proven else UNCONFIRMED
         lower_m = seen.height_m if mode.sees is None else mode.sees.filter.height_m
-        mode.below(lower_m - known.height_m, self._belief.sure >= SURE and self._is_seen(ground))
+        off_m = lower_m - known.height_m
+        mode.below(off_m, self._belief.sure >= SURE and self._is_seen(ground))
         words = look.garbled_words(round(view.expected_m / look.by_raw_m))
         longer_m = [abs(word * look.by_raw_m - look.range_m) for word in words]
         mode.is_ground_in_doubt = min(longer_m, default=math.inf) < AGAIN_M
-        # Beams meet the edges of an object, too: that says nothing against the ground.
-        is_beside = any(each.object_m is not None for each in self._modes.values())
-        if is_beside or mode.readings > 1:
+        if mode.readings > 1 or any(each.has_edge_at(off_m) for each in self._modes.values()):
             self._agree.append(True)
         else:
             mode.stray = mode.sees

@@ -273,7 +273,8 @@ class SensorMode:
     works
         Whether its last reading was none of a fault.
     stray
-        The surface that its last reading was of, where no other one has been of that; None: it was of what is known.
+        What its last reading was the first of, if that was not the ground: it counts as an outlier unless another
+        reading is of the same by the sensor's next one.
     object_m
         Height over the ground of what is below it [m]; None: the ground, or nothing.
     """
@@ -356,6 +357,11 @@ class SensorMode:
             self._on_ground = 0
             before_m = -off_m if self.object_m is None else self.object_m
             self.object_m = before_m + (-off_m - before_m) / 2
+
+    def has_edge_at(self, off_m: float) -> bool:
+        """Whether a beam that meets an edge of what is below it would read this much farther than the ground [m]."""
+        object_m = self.object_m
+        return object_m is not None and min(-object_m, 0.0) - NEAR_M < off_m < max(-object_m, 0.0) + NEAR_M
 
     def is_stuck(
         self,

@@ -73,7 +73,7 @@ class OutputWatch:
         self._limits_s[stream] = now_s + self._silence_s
 
     def on_range(self, used: bool, fit: float) -> None:
-        """Note whether a reading with a range was used, and the mean square of the normalised innovations."""
+        """Note whether a reading agrees with what is sent, and the mean square of the normalised innovations."""
         self._used.append(used)
         self._fit = fit
 

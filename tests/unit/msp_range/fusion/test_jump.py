@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import pytest
 
@@ -160,9 +161,30 @@ def test_the_edges_of_a_box_say_nothing_against_the_ground_and_answers_at_random
             return 2.0
         return draw.uniform(1.0, 2.0) if draw.random() < 0.5 else 1.0
 
+    def at_random(name: str, time_s: float) -> float:
+        if name == "c" and time_s >= JUMP_S:
+            return 1.5
+        return draw.uniform(0.3, 7.0) if time_s >= JUMP_S and draw.random() < 0.35 else 2.0
+
     draw = random.Random(2)
     assert max(Hover(at_edge).fits) < 3.0
     assert max(Hover(Dust(0.9, 2.5, "ab")).fits) > 4.0
+    assert max(Hover(at_random).fits) > 4.0, "an object below one sensor excuses only what lies between"
+
+
+def test_an_outlier_is_counted_once_whatever_comes_after_it() -> None:
+    for after_m in (2.0, None):
+        fusion = Hover(lambda name, time_s: 2.0).fusion
+        fits: list[float] = []
+        for i in range(round(END_S / SLOT_S), round(END_S / SLOT_S) + 12):
+            time_s, name = i * SLOT_S, "abcd"[i % 4]
+            seen_m = 4.0 if not fits else after_m if name == "a" else 2.0
+            status = Status.NO_ECHO if seen_m is None else Status.OK
+            raw = 765 if seen_m is None else round(100 * seen_m) + i % 2
+            fusion.update(Reading(time_s, name, status, seen_m, 0.02, raw), time_s + 0.03)
+            fits.append(fusion.fit)
+        rises = [late > early + 0.5 for early, late in pairwise(fits)]
+        assert sum(rises) == 1
 
 
 @pytest.mark.parametrize("dust", [Dust(0.2), Dust(0.9, names="a"), Dust(0.9, names="ab")])
