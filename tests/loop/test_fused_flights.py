@@ -11,7 +11,7 @@ from msp_range.clock import VirtualClock
 from msp_sim.flight.flight import Simulation
 from msp_sim.flight.flight_log import FlightResult, SensorTrack
 from msp_sim.flight.scenario import PlannedFault, Scenario, load_scenario
-from tests.support.slow import slow
+from tests.support.slow import slow, slow_but
 
 SCENARIOS = Path(__file__).parents[2] / "configs" / "scenarios"
 
@@ -57,6 +57,36 @@ def test_the_height_is_known_to_half_of_the_best_raw_streams_error(name: str) ->
     times_s = np.array(flight.fused.time_s)
     assert np.diff(times_s).max() < 0.65
     assert len(times_s) / (times_s[-1] - times_s[0]) > 9.7
+
+
+LASTING: dict[str, dict[str, float]] = {
+    "stuck": {},
+    "no_echo": {},
+    "or_ed": {},
+    "saturated": {},
+    "lost_high_byte": {},
+    "previous_ping": {},
+    "constant": {"constant_cm": 120},
+    "offset": {"offset_cm": 40},
+    "drift": {"rate_cm_s": 2},
+    "noisy": {"spread_cm": 150},
+    "fixed_object": {"object_cm": 45},
+    "dust": {"dust_cm": 120},
+}
+"""Kinds of faults, and their values."""
+
+
+@pytest.mark.parametrize("kind", slow_but({"stuck"}, LASTING))
+@pytest.mark.parametrize("name", slow_but({"steps"}, ["steps", "boxes"]))
+def test_a_fault_of_one_sensor_that_lasts_silences_nothing_at_steps_and_boxes(name: str, kind: str) -> None:
+    """A sensor that is stuck goes on seeing the level before the step: it is one against three."""
+    scenario = load_scenario(SCENARIOS / f"{name}.yaml")
+    fault = PlannedFault.model_validate(
+        {"sensor": "front_left", "kind": kind, "from_s": 12.0, "to_s": scenario.duration_s, **LASTING[kind]}
+    )
+    track = fly(scenario.model_copy(update={"faults": (fault,)}), seed=0).fused
+    times_s = [time_s for time_s, sent_m in zip(track.time_s, track.filtered_m, strict=True) if sent_m is not None]
+    assert np.diff(times_s).max() < 1.0
 
 
 @pytest.mark.parametrize("kind", ["stuck", *slow("silent")])
