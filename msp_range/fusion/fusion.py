@@ -426,10 +426,9 @@ class Fusion:
         words = look.garbled_words(round(view.expected_m / look.by_raw_m))
         longer_m = [abs(word * look.by_raw_m - look.range_m) for word in words]
         mode.is_ground_in_doubt = min(longer_m, default=math.inf) < AGAIN_M
-        if mode.readings > 1 or any(each.has_edge_at(off_m) for each in self._modes.values()):
-            self._agree.append(True)
-        else:
-            mode.stray = mode.sees
+        is_explained = mode.readings > 1 or any(each.has_edge_at(off_m) for each in self._modes.values())
+        mode.stray = None if is_explained else mode.sees
+        self._agree.append(is_explained)
         return OUTLIER if mode.object_m is None else OBJECT
 
     def _is_seen(self, ground: Surface) -> bool:
@@ -445,11 +444,11 @@ class Fusion:
         change_m2 = (min(square, FIT_CAP) - 1.0) * variance_m2 / ROUGH_READINGS
         self._rough_m2 = limited(self._rough_m2 + change_m2, 0.0, ROUGHEST_M**2)
         self._update_fit(square)
+        self._agree.append(square < FIT_OUTLIER)
 
     def _update_fit(self, square: float) -> None:
         """Update with a reading's squared deviation from the ground over its variance."""
         self.fit += (min(square, FIT_CAP) - self.fit) / FIT_READINGS
-        self._agree.append(square < FIT_OUTLIER)
 
     def _down_axis(self, known: GroundFilter, rotation: Matrix) -> Fused:
         """d = h / (e . G) along the body's down axis e; autopilots correct it for the tilt themselves."""
