@@ -315,8 +315,8 @@ class Belief:
                 scores[each] += UNSEEN
         best = max(scores, key=lambda each: scores[each], default=None)
         # A sensor that sees something else says nothing about whether the others see the ground.
-        ground = None, best, self.proven
-        witnesses = [mode for mode in voters if mode.sees in ground or mode.readings < 2 or mode.noise > 0.0]
+        no_others = None, best, self.proven
+        witnesses = [mode for mode in voters if mode.sees in no_others or mode.readings < 2 or mode.noise > 0.0]
         self.noise = all_noise([mode.noise for mode in witnesses]) if witnesses else 0.0
         if best is None:
             self.ground, self.sure = None, 0.0
