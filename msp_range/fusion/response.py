@@ -67,8 +67,9 @@ OWN_STD_M, OWN_SHARE = 0.1, 0.2
 see different things, whether ground or parts of the vehicle. Larger takes more of a response for that, smaller takes
 more of the differences for noise."""
 OWN_TURNS = 3.0
-"""Without a reading for so many turns a sensor has seen something else, and what it sees higher or lower is learned
-anew. Longer takes the step between the two for answers that are late, shorter forgets it with each missed echo."""
+"""Without a reading for so many turns, in which two others had some, a sensor has seen something else, and what it sees
+higher or lower is learned anew. Longer takes the step between the two for answers that are late, shorter forgets it
+with each missed echo."""
 NEAR_M = 0.15
 """A reading that is not of the ground is taken where it is this near to one of the predictions [m]: in a hard climb
 what is fixed leaves the ground within a turn. Larger takes readings of an edge."""
@@ -247,7 +248,8 @@ class MotionResponse:
         if self._time_s is None:
             self._states = [(height_m, climb_m_s, 0.0)] * 3
         before_s = time_s if self._time_s is None else self._time_s
-        if time_s - self._taken_s.get(sensor, time_s) > OWN_TURNS * self._turn_s:
+        left_s = time_s - OWN_TURNS * self._turn_s
+        if self._taken_s.get(sensor, time_s) < left_s and len(self.sees(left_s)) > 1:
             self._own_m.pop(sensor, None)
         self._time_s = self._taken_s[sensor] = time_s
         up_m_s2 = self._motion.measured(before_s, time_s)
