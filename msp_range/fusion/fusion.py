@@ -154,8 +154,9 @@ class Fusion:
         if is_next and ground.response.may_be_late:
             self._asked, self._waits = mode, True
             return True
-        alone = all(each.sees in (None, ground) for each in self._modes.values() if each is not mode)
-        return outcome.rejected == OUTLIER and mode.readings < 2 and alone
+        if outcome.rejected != OUTLIER or mode.readings > 1:
+            return False
+        return all(each.sees in (None, ground) for each in self._modes.values() if each is not mode)
 
     def conditions(self) -> list[Condition]:
         """Answers a ping late, readings of nothing, and what is perhaps no ground: for `msp_range.health`."""

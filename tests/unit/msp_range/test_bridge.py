@@ -291,7 +291,7 @@ def test_at_an_edge_no_sensor_gets_more_turns_than_the_others() -> None:
 
 
 def test_a_sensor_that_sees_something_else_gets_one_more_turn() -> None:
-    """More would delay the readings of those that see the ground: beside an edge it would be lost."""
+    """More would delay the readings of those that see the ground: at an edge it would be lost."""
     bench = Bench(airframe(), lambda name, time_s: 240 if name == "c" and time_s > 5.0 else 300).fly(9.0)
     turns_s = [ping_s for ping_s, name, _ in bench.pings if name == "c"]
     assert sum(late - early < 0.3 for early, late in pairwise(turns_s)) == 1

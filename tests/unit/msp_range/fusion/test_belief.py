@@ -81,6 +81,17 @@ def test_a_sensor_that_goes_on_seeing_an_earlier_level_says_nothing_about_the_ne
     assert all(abs(range_m - 1.9) < 0.1 for range_m in after)
 
 
+def test_one_sensor_at_an_earlier_level_and_one_at_a_new_one_leave_no_ground_sure() -> None:
+    """The others get no echo: where the ground was a step before is no likelier than any other level."""
+    fusion, draw = four(), np.random.default_rng(1)
+    for i in range(200):
+        name, time_s = NAMES[i % 4], i * SLOT_S
+        level_m = 2.65 if name == "a" or time_s < 5.0 else 2.4 if time_s < 12.0 else 1.9
+        is_heard = time_s < 12.0 or name in "ad"
+        fused = take(fusion, reading(name, time_s, level_m + draw.normal(scale=SIGMA_M) if is_heard else None))
+        assert fused is None or time_s < 14.0
+
+
 def test_a_level_that_three_of_four_have_seen_for_long_goes_on_through_a_tie() -> None:
     def range_m(name: str, time_s: float) -> float:
         return 3.0 if time_s < 8.0 or name == "d" or (name == "c" and time_s > 12.0) else 2.2
@@ -531,3 +542,30 @@ def test_what_is_as_near_as_a_part_of_the_vehicle_is_one_more_of_it() -> None:
     assert math.exp(near.common) == pytest.approx(COMMON_AGAIN)
     assert math.exp(ground.common) == pytest.approx(COMMON_LOW * COMMON)
     assert math.exp(far.common) == pytest.approx(COMMON)
+
+
+def noise_of(sees: Sequence[int | None], noise: Sequence[float], readings: Sequence[int], evidence: float) -> float:
+    """How probable it is that all is noise, of sensors that see the ground so far (0), a box (1), an outlier (2)."""
+    motion = VerticalMotion()
+    modes = [SensorMode(DownwardSensor((0.0, 0.0, 0.0), DOWN, "slant")) for _ in sees]
+    belief = Belief(modes, motion, Windows())
+    belief.predict(0.0)
+    ground, box, outlier = surfaces = [
+        Surface(GroundFilter(height_m, 1e-4, Rate(0.0, 0.01)), prior, math.log(COMMON), MotionResponse(motion, 0.4))
+        for height_m, prior in ((2.0, 0.0), (1.0, -6.0), (3.0, -6.0))
+    ]
+    ground.evidence, box.evidence, outlier.evidence = evidence, 15.0, 0.0
+    belief.surfaces, belief.proven, belief.reference = surfaces, ground, ground
+    for mode, seen, nats, count in zip(modes, sees, noise, readings, strict=True):
+        mode.sees, mode.seen_s = None if seen is None else surfaces[seen], 0.0
+        mode.noise, mode.readings = nats, count
+    belief.weigh()
+    return belief.noise
+
+
+def test_whether_all_is_noise_is_asked_of_those_that_may_see_the_ground() -> None:
+    """Not of one that goes on seeing a box; of one that sees the ground so far, and of one with an outlier."""
+    noise, readings = (10.0, 10.0, -4.0, -4.0), (1, 1, 5, 5)
+    assert noise_of((None, None, 1, 0), noise, readings, 15.0) == pytest.approx(0.165, abs=0.01)
+    assert noise_of((None, None, 1, 0), noise, readings, -6.0) == pytest.approx(0.004, abs=0.001)
+    assert noise_of((None, None, 1, 2), (10.0, 10.0, -4.0, -0.6), (1, 1, 5, 1), 15.0) == pytest.approx(0.855, abs=0.01)
