@@ -427,9 +427,10 @@ class Fusion:
         words = look.garbled_words(round(view.expected_m / look.by_raw_m))
         longer_m = [abs(word * look.by_raw_m - look.range_m) for word in words]
         mode.is_ground_in_doubt = min(longer_m, default=math.inf) < AGAIN_M
-        is_explained = mode.readings > 1 or any(each.has_edge_at(off_m) for each in self._modes.values())
-        mode.stray = None if is_explained else mode.sees
-        self._agree.append(is_explained)
+        is_new = mode.readings < 2
+        is_stray = is_new and not any(each.has_edge_at(off_m) for each in self._modes.values())
+        mode.stray = mode.sees if is_stray else None
+        self._agree.append(not is_new)
         return OUTLIER if mode.object_m is None else OBJECT
 
     def _is_seen(self, ground: Surface) -> bool:
