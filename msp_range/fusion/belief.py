@@ -87,18 +87,12 @@ class Surface:
         self.prior, self.common = prior, common
         self.response = response
         self.evidence = 0.0
-        self.steps_m = 0.0
         self.began_m = self.marked_m = ground.height_m
         self.mark: Mark | None = None
         self.seen_s = self.kept_s = self.least_s = float("-inf")
         self.raw: int | None = None
         self.same = 0.0
         self.again = 0.0
-
-    @property
-    def travel_m(self) -> float:
-        """How far the vehicle has climbed, from any level [m]."""
-        return self.filter.height_m - self.steps_m
 
 
 class Belief:
@@ -200,8 +194,8 @@ class Belief:
         """Whether the readings of all sensors are more probably noise than not."""
         return self.noise > 0.5
 
-    def travel_m(self, mode: SensorMode) -> float | None:
-        """How far the vehicle has climbed by the surface that most others see which do not repeat themselves [m].
+    def best_seen(self, mode: SensorMode) -> Surface | None:
+        """The surface that most others see which do not repeat themselves.
 
         One sensor that sees something else may be the one that is wrong, unless there are only two.
         """
@@ -212,7 +206,7 @@ class Belief:
             enough = sees > 1 or (sees == 1 and (surface is self.ground or len(self._modes) == 2))
             if enough and (sees > most or (sees == most and surface is self.ground)):
                 best, most = surface, sees
-        return None if best is None else best.travel_m
+        return best
 
     def hit(self, mode: SensorMode, surface: Surface, density: float, raw: int | None, least: bool) -> None:
         """A reading is of a surface; ``least``: it stands for this range or less, as on the ground."""
@@ -268,7 +262,6 @@ class Belief:
         new.raw = None if self.expected() is None else raw
         new.seen_s = self._time_s
         self._began_late(mode, new, raw)
-        new.steps_m = height_m - (parent.travel_m if parent is not None else 0.0)
         if len(self.surfaces) >= SURFACES:
             self._drop(min([each for each in self.surfaces if each is not self.proven], key=lambda each: each.evidence))
         self.surfaces.append(new)
@@ -331,7 +324,8 @@ class Belief:
         most_seen = max(counts, key=lambda each: counts[each])
         seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
         share, is_open = weights[most_seen] / total, self.sure < SURE
-        if is_there and seen > len(voters) - 0.5 and share < SURE and most_seen.response.log_odds <= UNANSWERED:
+        is_most = seen > len(voters) - 0.5 * is_open
+        if is_there and is_most and share < SURE and most_seen.response.log_odds <= UNANSWERED:
             self.doubt = Text.NO_RESPONSE
         elif is_there and seen > len(voters) and share < SURE < _were_it_level(share, most_seen):
             self.doubt = Text.STEEP
@@ -357,8 +351,12 @@ class Belief:
         return surface.common + surface.same - answers + self._rises(surface) + _steep(surface)
 
     def _rises(self, surface: Surface) -> float:
-        """How much less likely a surface that is in doubt is the ground, since by the barometer the vehicle rises."""
-        if not surface.response.is_in_doubt:
+        """How much less likely a surface that is near and has not answered is the ground, where the vehicle has risen.
+
+        By the barometer: without accelerations nothing else shows a take-off.
+        """
+        has_answered = surface is self.proven and not surface.response.is_in_doubt
+        if has_answered or surface.common <= math.log(COMMON):
             return 0.0
         if surface.mark is None:
             surface.mark, surface.marked_m = self._motion.mark(self._time_s), surface.filter.height_m
@@ -369,6 +367,8 @@ class Belief:
         return 0.5 * max(rises_m, 0.0) ** 2 / (climb.std_m**2 + RISES_M**2)
 
     def _prove(self, ground: Surface) -> None:
+        if self.proven is not None:
+            ground.response.confirm_late(self.proven.response)
         self._suspect_late(ground.again)
         ground.again = 0.0
         self.proven, self.reference, self._proven_s = ground, self.reference or ground, self._time_s
@@ -424,7 +424,7 @@ class Belief:
             surface.common = max(surface.common, math.log(COMMON_AGAIN))
         if self.proven is not None and self.proven.response.log_odds < UNANSWERED:
             # What did not answer to the motion may be here now.
-            surface.common = max(surface.common, self.proven.common - self.proven.response.log_odds)
+            surface.common = max(surface.common, self.proven.common + UNANSWERED - self.proven.response.log_odds)
 
     def _began_late(self, mode: SensorMode, surface: Surface, raw: int | None) -> None:
         """A sensor sees a surface for the first time, perhaps with the answer of its ping before."""

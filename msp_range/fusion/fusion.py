@@ -56,6 +56,10 @@ ROUGHEST_M = 0.08
 NEARER_M = 0.15
 """The surface may be nearer than a sensor's minimum by this, as on the ground [m]: such a reading shows a response to
 the vehicle's motion no closer. Less takes a landing that bounces for one, more finds ice on the sensors later."""
+LIFTS = 0.75
+"""A reading beyond the minimum is of a take-off where it is farther from where the acceleration puts the vehicle by no
+more than this share of the way from the minimum, else an outlier: 0.99 in a landed vehicle, 0.67 in a take-off that
+the sensors see late. Smaller loses such a take-off."""
 FIT_READINGS = 10.0
 """The mean square of the normalised innovations is taken over so many readings: a second of four sensors."""
 FIT_CAP, FIT_OUTLIER = 25.0, 12.0
@@ -258,9 +262,9 @@ class Fusion:
         """The reading; without its range where the sensor is stuck."""
         if reading.raw is None:
             return reading
-        travel_m = self._belief.travel_m(mode)
+        others_see = self._belief.best_seen(mode)
         least = reading.status is Status.AT_MINIMUM
-        stuck = mode.is_stuck(reading.raw, reading.range_m, travel_m, self._motion, self._time_s, least)
+        stuck = mode.is_stuck(reading.raw, reading.range_m, others_see, self._motion, self._time_s, least)
         if not stuck or reading.range_m is None:
             return reading
         mode.sees, mode.seen_s = None, float("-inf")
@@ -370,8 +374,8 @@ class Fusion:
         While the sensors read their minimum the filter of the height does not see that the vehicle climbs.
         """
         off_m = seen.height_m - parent.filter.height_m
-        is_in_flight = self._time_s - parent.least_s > self._windows.fresh_s
-        if is_in_flight or parent.response.offs_m(self._height_reading(look, seen))[0] > min(NEAR_M, abs(off_m)):
+        by_motion_m = parent.response.offs_m(self._height_reading(look, seen))[0]
+        if self._time_s - parent.least_s > self._windows.fresh_s or by_motion_m > min(NEAR_M, LIFTS * abs(off_m)):
             return False
         parent.filter.shift(off_m, STEP_STD_M**2, STEP_CLIMB_STD_M_S**2)
         return True

@@ -9,7 +9,7 @@ modes of one sensor are a chain: it stays with what it has seen before unless a 
     object or hole       `OBJECT_READINGS` of `OF_THE_LAST`               `GROUND_READINGS` in a row
     outlier              `P_OUTLIER` is likelier than each surface        a reading of a surface
     garbled              `P_GARBLED` is likelier than an outlier          any other reading
-    stuck                `STUCK_READINGS` alike, others by `STUCK_M`      `ANEW_READINGS`, or one within `ANEW_M`
+    stuck                `STUCK_READINGS` alike, others by `STUCK_M`      `ANEW_READINGS`, one within `ANEW_M`, no echo
     fixed to the vehicle log odds of `DECIDED`                            `ANEW_READINGS` off by `FIXED_M`
     a ping late          log odds of `LATE`                               even odds
     noise, of all        `P_NOISE_ALL`, by `noise_density`                readings of surfaces
@@ -299,7 +299,8 @@ class SensorMode:
         self._raw: int | None = None
         self._range_m: float | None = None
         self._times = self._others = 0
-        self._since_m: float | None = None
+        self._level: Surface | None = None
+        self._level_m = self._climbed_m = 0.0
         self._mark: Mark | None = None
         self._stuck = False
         self._fixed_m: float | None = None
@@ -367,15 +368,15 @@ class SensorMode:
         self,
         raw: int,
         range_m: float | None,
-        travel_m: float | None,
+        others_see: "Surface | None",
         motion: VerticalMotion,
         time_s: float,
         least: bool,
     ) -> bool:
         """Whether its answers do not follow the vehicle, by the newest one.
 
-        ``travel_m`` is how far the vehicle has climbed by the others, from any level [m]; ``least``: the answer stands
-        for this range or less.
+        ``others_see``: the vehicle climbs by what they see, while that is one surface; ``least``: the answer
+        stands for this range or less.
         """
         if self._fixed_m is not None and range_m is not None:
             self._others = 0 if abs(range_m - self._fixed_m) < FIXED_M else self._others + 1
@@ -384,17 +385,21 @@ class SensorMode:
             self._fixed_m = None
         if raw != self._raw:
             self._others += 1
-            near = range_m is not None and self._range_m is not None and abs(range_m - self._range_m) < ANEW_M
+            near = range_m is None or (self._range_m is not None and abs(range_m - self._range_m) < ANEW_M)
             if self._stuck and self._others < ANEW_READINGS and not near:
                 return False
-            self._raw, self._times, self._stuck, self._since_m = raw, 0, False, None
+            self._raw, self._times, self._stuck = raw, 0, False
+            self._level, self._climbed_m = None, 0.0
             self._mark = motion.mark(time_s)
         self._range_m, self._others = self._range_m if range_m is None else range_m, 0
         self._times += 1
-        if self._since_m is None:
-            self._since_m = travel_m
-        if travel_m is not None and self._since_m is not None and self._times >= STUCK_READINGS:
-            self._stuck |= abs(travel_m - self._since_m) >= STUCK_M
+        if others_see is not None:
+            height_m = others_see.filter.height_m
+            if self._level is others_see:
+                self._climbed_m += height_m - self._level_m
+            self._level, self._level_m = others_see, height_m
+            if self._times >= STUCK_READINGS:
+                self._stuck |= abs(self._climbed_m) >= STUCK_M
         if self.repeated and not self._stuck and not least:
             climb = motion.climbed(self._mark, time_s)
             self._stuck = climb is not None and abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m)

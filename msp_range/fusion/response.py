@@ -202,6 +202,11 @@ class MotionResponse:
             self._time_s, self._states = other._time_s, [follows, (0.0, 0.0, 0.0), late]
             self._covariance = (_ANYWHERE_M2, 0.0, 0.0, *other._covariance[3:])
 
+    def confirm_late(self, other: "MotionResponse") -> None:
+        """Answers that seem late here are so where they have been on the ground before, meanwhile."""
+        if other.is_late and self._late < UNANSWERED:
+            self._late, self.is_late = min(self._late, other._late), True
+
     def suspect_late(self, nats: float) -> None:
         """Answers seem to begin to be those of the pings before; that they do not says nothing of earlier ones."""
         if self._turn_s >= LATE_S:

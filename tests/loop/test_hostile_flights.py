@@ -35,6 +35,7 @@ from evaluation.faults.plans import draw_plan
         pytest.param(824, 1_000_483, 0.0, None, id="one constant of all, as far as the ground could be, in a hover"),
         pytest.param(824, 1_000_963, 0.0, None, id="one constant of two sensors, as likely as a step"),
         pytest.param(825, 1_000_129, 1.0, None, id="an outlier of one sensor at a height that two others are wrong by"),
+        pytest.param(827, 1_000_770, 0.0, None, id="eight slow sensors see a strap, and the barometer a climb"),
         pytest.param(821, 1_000_557, 0.0, 1.0, id="the ground next to a box that more than half have met for a moment"),
         pytest.param(1, 445, 0.0, None, id="a ground that more sensors find again than see the wrong one"),
         pytest.param(1, 497, 0.0, 1.0, id="an outlier in a hover that follows the motion and not what is fixed"),
@@ -59,6 +60,7 @@ def test_a_hostile_flight(seed: int, index: int, most_wrong_s: float, most_silen
     [
         pytest.param(815, 1_000_173, id="late answers are reported as soon as nothing is sent"),
         pytest.param(822, 1_000_173, id="late answers are reported as soon if the flight before them was long"),
+        pytest.param(827, 1_000_333, id="late answers on a new surface that the sensors have seen before it was known"),
     ],
 )
 def test_what_is_wrong_is_reported_in_time(seed: int, index: int) -> None:
@@ -71,3 +73,9 @@ def test_where_half_of_the_sensors_see_what_does_not_follow_the_motion_a_text_sa
     """One of two, with a strap at another height below the other."""
     warnings = fly_plan(draw_plan(820, 1_000_150))["verdict"]["warnings"]
     assert any("do not follow the motion" in warning for warning in warnings if float(warning.split()[0]) < 7.0)
+
+
+def test_where_nothing_is_sent_and_sensors_have_no_echo_outliers_do_not_disagree() -> None:
+    """A vehicle above the maximum that leans: the silence is reported, and is all that there is to say."""
+    warnings = fly_plan(draw_plan(827, 1_000_125))["verdict"]["warnings"]
+    assert {warning.split(": ", 1)[1] for warning in warnings} == {"Range: no distance to the ground"}

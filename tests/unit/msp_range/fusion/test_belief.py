@@ -450,6 +450,17 @@ def test_two_sensors_that_drift_alike_are_a_slope_until_it_is_too_steep(seed: in
     assert not flight.sent_s(2.0 + 0.75 / 0.075)
 
 
+def test_what_two_of_four_see_that_does_not_follow_the_motion_is_no_doubt_of_the_ground() -> None:
+    """They pass boxes that lie higher and higher while the vehicle rises by as much: the others see the ground."""
+
+    def range_m(name: str, time_s: float, height_m: float) -> float:
+        return 2.5 if name in "ab" and time_s > 4.0 else 3.0 + height_m
+
+    flight = Moving(range_m, [5.0], 0.6)
+    assert flight.sent_s(4.0)
+    assert set(flight.doubts.values()) == {None}
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_does_not_follow_the_motion_is_reported_when_it_is_not_sent_any_more(seed: int) -> None:
     flight = Moving(lambda name, time_s, height_m: min(0.2 + height_m, 0.57), [5.0, 9.0], 1.0, seed)

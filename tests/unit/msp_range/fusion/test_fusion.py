@@ -425,6 +425,38 @@ def test_sensors_at_their_minimum_on_the_ground_are_not_stuck() -> None:
     assert known(fused).range_m == pytest.approx(height_m, abs=0.05)
 
 
+def test_a_landed_vehicle_does_not_take_one_outlier_for_a_take_off() -> None:
+    """All sensors read 20 for as long as it stands: what another one reads once moves nothing and makes none stuck."""
+    motion, draw = VerticalMotion(), np.random.default_rng(3)
+    fusion = four(motion=motion)
+    for i in range(200):
+        accelerate(motion, i * SLOT_S, lambda moment_s: 0.0, draw)
+        status, range_m = (Status.OK, 0.35) if i == 150 else (Status.AT_MINIMUM, 0.20)
+        each = Reading(i * SLOT_S, NAMES[i % 4], status, range_m, SIGMA_M, round(100 * range_m))
+        outcome = fusion.update(each, each.time_s)
+        assert outcome.reading is each
+        assert i < 10 or known(outcome.fused).range_m == pytest.approx(0.20, abs=0.03)
+
+
+def test_a_sensor_that_repeats_itself_while_the_others_pass_a_box_is_not_stuck() -> None:
+    """They see its flank, its top and the ground by turns: that is no motion of the vehicle."""
+    fusion, draw = four(), np.random.default_rng(2)
+    for i in range(200):
+        name, t = NAMES[i % 4], i * SLOT_S
+        seen_m = 3.0 if name in "ad" or t % 4.0 < 2.0 else 2.7 if t % 4.0 < 2.5 else 2.2
+        seen_m = 3.0 if name == "a" else seen_m + draw.normal(scale=SIGMA_M)
+        each = reading(name, t, seen_m, raw=300 if name == "a" else round(100 * seen_m))
+        assert fusion.update(each, each.time_s).reading is each
+
+
+def test_no_echo_shows_that_a_sensor_is_not_stuck() -> None:
+    """Above the maximum no echo and answers of 255 come by turns, and the latter several times in a row by chance."""
+    fusion, _ = climbing("a", 0.3)
+    stuck, no_echo, again = reading("a", 8.0, 3.01, raw=301), reading("a", 8.4, None), reading("a", 8.8, 3.01, raw=301)
+    statuses = [fusion.update(each, each.time_s).reading.status for each in (stuck, no_echo, again)]
+    assert statuses == [Status.STUCK, Status.NO_ECHO, Status.OK]
+
+
 # Attitude and slope.
 
 

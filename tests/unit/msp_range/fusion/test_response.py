@@ -284,6 +284,18 @@ def test_late_answers_stay_late_at_rest_and_on_another_surface_until_they_are_in
     assert not verdicts[330]
 
 
+@pytest.mark.parametrize("nats", [5.0, 0.0])
+def test_answers_that_seem_late_on_a_surface_are_so_where_they_have_been_on_the_one_before(nats: float) -> None:
+    """What was shown meanwhile counts; but on the ground before it may have been by readings of the new one."""
+    before, new = MotionResponse(VerticalMotion(), TURN_S), MotionResponse(VerticalMotion(), TURN_S)
+    new.suspect_late(nats)
+    new.confirm_late(before)
+    assert not new.is_late
+    before.suspect_late(20.0)
+    new.confirm_late(before)
+    assert new.is_late is (nats > 0.0)
+
+
 def test_a_turn_as_short_as_an_accelerometers_delay_decides_nothing() -> None:
     climb = ramp(5.0, 1.5, 10.0)
     motion, draw = VerticalMotion(), random.Random(1)
