@@ -1,9 +1,9 @@
 """Whether the vehicle is above its sensors' range, or they miss a ground that is near.
 
-What the downward sensors report and the last known distance to the ground enter. 'Above the maximum' is an answer that
-an autopilot believes, so it is given only where the vehicle can be there: where it may have climbed so far since the
-ground was last seen, or, where no ground was ever seen, where all sensors have had no echo for some turns. Sensors that
-lean away from the ground get no echo at any height: then it must have climbed so far for sure.
+'Above the maximum' is an answer that an autopilot believes, so it is given only where the vehicle can be there: where
+it may have climbed so far since the ground was last seen, or, where no ground was ever seen, where all sensors have had
+no echo for some turns. Sensors that lean away from the ground get no echo at any height: then it must have climbed so
+far for sure.
 """
 
 from msp_range.fusion.modes import ABOVE_CODES, ABOVE_MARGIN_M, ABOVE_RANGES, ABOVE_SIGMAS, ABOVE_TURNS

@@ -1,7 +1,7 @@
 """How the vehicle is turned at the time of an echo, from the autopilot's ATTITUDE messages.
 
-The angles of the newest two messages enter, a rotation leaves: a straight line through them, since an echo is older
-than the message that comes after it. Where none is sent, or the last one is old, there is none.
+Between the newest two messages the angles are interpolated, since an echo is older than the message that comes after
+it. Where none is sent, or the last one is old, the rotation is not known.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Several downward sensors -> the ground below the vehicle, and the one distance that an autopilot expects.
 
-Corrected readings enter, in the order of their times; with each leaves what the stream says now (`Outcome`): the
-distance along the vehicle's down axis, 'above the maximum', or nothing. What each reading is of, and which surface is
-the ground, is decided in `msp_range.fusion.belief`.
+`Fusion` is updated with each corrected reading, in the order of their times, and answers with what the stream says now
+(`Outcome`): the distance along the vehicle's down axis, 'above the maximum', or nothing. What each reading is of, and
+which surface is the ground, is decided in `msp_range.fusion.belief`.
 """
 
 import math

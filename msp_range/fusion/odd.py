@@ -2,8 +2,8 @@
 
 A sensor that drifts tilts the plane that is fitted to all: each reading is a little off, none is an outlier. On a
 rectangle the plane leaves one residual, which shows that one drifts, and only the prior of slopes says which: had
-another one drifted, the ground would be steep. What each sensor sees higher than the known ground enters, were that
-level; the sensor that is odd leaves, with the plane of the others.
+another one drifted, the ground would be steep. Planes are fitted to how much higher each sensor sees the ground than
+the known one, were that level.
 """
 
 import math

@@ -3,7 +3,7 @@
 A strap, a payload or ice in the beams gives the same range whatever the vehicle does; so do sensors that are stuck
 together. A hill that the vehicle follows gives the same range, too, and the barometer tells the two apart only where no
 hill rises so fast. What does is the response to single movements: over ground a range changes with the vehicle's
-acceleration. Readings of one surface enter, a verdict leaves.
+acceleration. There is one `MotionResponse` for each surface.
 
 Three predictions of each reading are compared, by Kalman filters of the height h [m], its rate w [m/s] and a slow
 acceleration b [m/s^2] that differ in one thing only:

@@ -1,8 +1,8 @@
 """How the vehicle moves up and down by its accelerometer and its barometer: a witness that no range has a part in.
 
-Vertical accelerations and pressures enter as the autopilot sends them, never an estimate of its height, which may rest
-on the stream that is to be judged. What leaves is the acceleration between two readings, for the prediction of the
-ground filter, and how far the vehicle has climbed since some time, for decisions that ranges alone cannot make.
+It uses vertical accelerations and pressures as the autopilot sends them, never its estimate of the height, which may
+rest on the stream that is to be judged. The ground filter predicts with the acceleration between two readings; how far
+the vehicle has climbed since some time is for decisions that ranges alone cannot make.
 
 A Kalman filter of height z [m], climb w [m/s] and accelerometer bias b [m/s^2] joins them:
 

@@ -1,7 +1,7 @@
 """How long what a sensor saw counts, from how often it is read.
 
-The airframe's polling order enters, durations leave. Each is a number of turns (from a sensor's reading to its next
-one) or of gaps (from any downward sensor's reading to the next one's), so that one sensor at 20 Hz and eight sensors at
+Each duration is a number of turns (from a sensor's reading to its next one) or of gaps (from any downward sensor's
+reading to the next one's), computed from the airframe's polling order, so that one sensor at 20 Hz and eight sensors at
 2 s each keep the same number of readings in view. None is shorter than with four sensors 100 ms apart, for which
 the times were chosen: more readings in the same time only make them surer.
 """

@@ -1,7 +1,4 @@
-"""The fleet in one picture: every vehicle's number with its interval, next to the fleet's mean and spread.
-
-Findings enter, a figure leaves. Nothing is decided here.
-"""
+"""The fleet in one picture: every vehicle's number with its interval, next to the fleet's mean and spread."""
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -1,8 +1,7 @@
 """Numbers over a fleet: their mean and spread, which vehicles are odd in them, and which changed between sessions.
 
-Numbers by unit and session enter; estimates with standard errors, and logarithms of p-values leave. A session's
-estimate scatters by its own error and by omega, the standard deviation of a number between sessions of one vehicle,
-which is common to the fleet.
+A session's estimate scatters by its own error and by omega, the standard deviation of a number between sessions of one
+vehicle, which is common to the fleet.
 
 Over the fleet ``b_u ~ N(mean, tau^2 + s_u^2)``, random-effects meta-analysis: s_u is the standard error of one
 vehicle's estimate, tau the true standard deviation between vehicles, by Paule and Mandel. A vehicle is compared with

@@ -1,8 +1,8 @@
 """One sensor of one vehicle: estimates of the numbers that the fleet is compared by, and what else it has.
 
-A `Unit` and the terms that it is known to have enter; plain data leave. `examine` and `search` are pure
-functions of what they are given, so that another process can do them; the latest prepared readings and joint fits are
-kept for the next question about the same unit, which changes how long an answer takes and nothing else.
+`examine` and `search` are pure functions of a `Unit` and the terms that it is known to have, and return plain data, so
+that another process can call them; the latest prepared readings and joint fits are kept for the next question about the
+same unit, which changes how long an answer takes and nothing else.
 
 Everything is asked of the gap workflow: the joint fit of base and terms, and its own search for what else is missing.
 """

@@ -1,6 +1,6 @@
 """The vehicles of a dataset: which runs are of which vehicle, and in which order they were flown.
 
-A dataset enters, a `Unit` for each sensor of each vehicle leaves. Nothing but the list of files is read.
+Each sensor of each vehicle is a `Unit`. Nothing but the list of files is read.
 """
 
 import re

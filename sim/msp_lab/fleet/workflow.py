@@ -1,6 +1,6 @@
 """From a dataset to the findings: examine every sensor, search, and estimate what was found for every sensor.
 
-A dataset and a model enter, `FleetFindings` leave. A sensor whose readings cannot be used is left out with the reason.
+A sensor whose readings cannot be used is left out with the reason.
 """
 
 from collections.abc import Sequence

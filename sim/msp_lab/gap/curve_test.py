@@ -1,10 +1,10 @@
 """Whether what a fit leaves depends on a column, or on two together: one test for each channel, and ripples.
 
-Scores at the present fit enter, curves by their probability under random variation leave. The values of a curve are
-those of a random walk along its column, and independent of each other over words: the variance of its steps is tested
-by the score (a variance component: Zhang & Lin 2003, Biostatistics 4, 57; Wood 2013, Biometrika 100, 1005). The first
-directions of a walk are nearly a line and a parabola; the smaller its variance, the less the others count. A sum of
-weighted chi-squared numbers has its tail by the saddle point (Kuonen 1999, Biometrika 86, 929).
+A curve is tested by the scores at the present fit. Its values are those of a random walk along its column, and
+independent of each other over words: the variance of its steps is a variance component (Zhang & Lin 2003, Biostatistics
+4, 57; Wood 2013, Biometrika 100, 1005). The first directions of a walk are nearly a line and a parabola; the smaller
+its variance, the less the others count. A sum of weighted chi-squared numbers has its tail by the saddle point (Kuonen
+1999, Biometrika 86, 929).
 
 A ripple is no walk: a periodogram sees every period. Its power is judged against that of neighbouring frequencies, so
 that a slow wander raises both, and by the number of independent frequencies (Baluev 2008, MNRAS 385, 1279).

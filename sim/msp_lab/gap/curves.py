@@ -1,7 +1,7 @@
 """Curves for what no effect explains.
 
-A state enters, a state with curves among its terms leaves. A curve is taken when a refit gains what its score promises,
-and goes when an effect gains nearly as much.
+A curve is added to the terms of a state when a refit gains what its score promises, and removed when an effect gains
+nearly as much.
 """
 
 from dataclasses import replace

@@ -1,8 +1,7 @@
 """Fit the base mixture by maximum likelihood: weights, sigma, lambda and their errors from readings at known ranges.
 
-Readings and their expected ranges enter, one row per reading; parameters leave, with standard errors
-from the curvature (by some 100,000 of the readings), intervals, and the log-likelihood. The likelihood is that of
-`ReadingModel` (report 5.2.1 with erratum 6): intervals of the readings' grid, limits, and codes as point masses.
+Standard errors are by the curvature, of some 100,000 of the readings. The likelihood is that of `ReadingModel` (report
+5.2.1 with erratum 6): intervals of the readings' grid, limits, and codes as point masses.
 """
 
 import math

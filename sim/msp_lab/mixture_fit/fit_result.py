@@ -1,7 +1,7 @@
 """The result of a fit of the base mixture: parameters with errors and intervals, and probabilities of readings.
 
-The maximum of a likelihood enters; named parameters leave with standard errors from the observed information (for the
-weights by the delta method) and with intervals that respect the bounds of the parameters.
+Standard errors are from the observed information at the maximum of the likelihood, for the weights by the delta method,
+and intervals respect the bounds of the parameters.
 """
 
 import math

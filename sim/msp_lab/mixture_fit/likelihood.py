@@ -1,7 +1,7 @@
 """The log-likelihood of readings under the base mixture, by the numbers that its fit moves, and their maximum.
 
-Readings with their expected ranges enter, with counts of equal pairs. The distribution is that of
-`msp_range.reading_model.rows`, and so are its slopes: here they are those of all readings together.
+The distribution of one reading, and its slopes, are those of `msp_range.reading_model.rows`; here they are summed over
+all readings, equal pairs of reading and expected range once with their count.
 """
 
 from collections.abc import Sequence

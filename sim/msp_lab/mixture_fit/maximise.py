@@ -1,9 +1,8 @@
 """The maximum of a log-likelihood within bounds, by damped steps of scoring.
 
-A function, its slopes and a start enter; the maximum leaves. Numbers at a bound that want to go beyond it are held, the
-others step by the inverse of their information, and the step is damped until it gains (Levenberg 1944; Bertsekas 1982,
-SIAM J. Control Optim. 20). With the outer product of the scores as information (Berndt et al. 1974) no second
-derivatives are needed.
+Numbers at a bound that want to go beyond it are held, the others step by the inverse of their information, and the step
+is damped until it gains (Levenberg 1944; Bertsekas 1982, SIAM J. Control Optim. 20). With the outer product of the
+scores as information (Berndt et al. 1974) no second derivatives are needed.
 """
 
 from collections.abc import Callable

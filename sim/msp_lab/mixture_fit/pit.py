@@ -1,8 +1,8 @@
 """Goodness of fit of a reading model by the randomised probability integral transform (PIT).
 
-A fitted mixture, readings and their expected ranges enter; a p-value and a histogram leave. Where the model is right,
-the probability of a smaller reading plus a random share of the reading's own is uniform from 0 to 1, also for whole
-centimetres and codes (Czado, Gneiting & Held 2009, Predictive model assessment for count data, Biometrics 65).
+Where the model is right, the probability of a smaller reading plus a random share of the reading's own is uniform from
+0 to 1, also for whole centimetres and codes (Czado, Gneiting & Held 2009, Predictive model assessment for count data,
+Biometrics 65).
 """
 
 from dataclasses import dataclass
