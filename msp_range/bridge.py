@@ -389,6 +389,7 @@ class Bridge:
         if is_sent != self._fused_is_sent:
             # Why it has stopped, or that it is back, is reported at once.
             self._fused_is_sent, self._next_conditions_s = is_sent, now_s
+        # No echo agrees with silence, and with 'above the maximum'.
         agrees = outcome.fused is None and reading.status is Status.NO_ECHO
         if agrees or (reading.range_m is not None and rejected != SUSPECT):
             self._output.on_range(agrees or rejected in (None, OBJECT), fusion.fit)

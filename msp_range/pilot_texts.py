@@ -130,7 +130,7 @@ class Text:
         remedy="if nothing else here is the reason, the sensors get no echo, or do not agree on the ground",
     )
     SILENT = FUSED_SILENT._replace(text="Range {sensor}: no distance", over="Range {sensor}: distance is back")
-    # More than half of the last eight readings with a range were not used.
+    # More than half of the last eight readings were not used, where no echo agrees with silence.
     DISAGREE = Condition("disagree", "Range: readings disagree", "Range: readings agree")
     # They scatter by twice what their models state; or one sensor differs from its model, see `FINDINGS`.
     NOISY = Condition("noisy", "Range: readings are noisy", "Range: readings are steady", renews=True)

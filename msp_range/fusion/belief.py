@@ -117,9 +117,10 @@ class Belief:
     noise
         The probability that the readings of all sensors are noise.
     doubt
-        Why what most sensors see is perhaps no ground: `Text.CHANGE`, a ground was known, and this is more probably a
-        fault; `Text.NO_RESPONSE`, it does not follow the vehicle's motion; or `Text.STEEP`, it would be ground, were it
-        level. It lasts until some ground is sure; None: no reason.
+        Why what more than half of the sensors see, or half of them where nothing is sure, is perhaps no ground:
+        `Text.CHANGE`, a ground was known, and this is more probably a fault; `Text.NO_RESPONSE`, it does not follow the
+        vehicle's motion; or `Text.STEEP`, it would be ground, were it level. It lasts until some ground is sure; None:
+        no reason.
     proven
         The ground that more than half of the sensors have seen, until another one is more probable; None: none was.
     reference
@@ -321,6 +322,11 @@ class Belief:
         total = sum(weights.values()) + math.exp(min(nothing - most, 50.0))
         self.ground, self.sure = best, weights[best] / total * (1 - self.noise)
         self._response = best.response
+        if self.sure < SURE and self.proven is not None and counts[self.proven]:
+            # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
+            self.ground = self.proven
+            others = [weights[each] for each in weights if counts[each] and each is not self.proven]
+            self.sure = (weights[self.proven] + max(others, default=0.0)) / total * (1 - self.noise)
         most_seen = max(counts, key=lambda each: counts[each])
         seen, is_there = 2 * counts[most_seen], most_seen.evidence >= EVIDENCE_MOST
         share, is_open = weights[most_seen] / total, self.sure < SURE
@@ -333,14 +339,8 @@ class Belief:
             self.doubt = Text.CHANGE
         elif not is_open:
             self.doubt = None
-        if self.sure < SURE and self.proven is not None and counts[self.proven]:
-            # At an edge, perhaps: the ground so far is still below some sensors, whichever is below the middle.
-            self.ground = self.proven
-            others = [weights[each] for each in weights if counts[each] and each is not self.proven]
-            self.sure = (weights[self.proven] + max(others, default=0.0)) / total * (1 - self.noise)
-            return
         in_order = [mode for mode in self._modes if mode.works or mode.read_s == float("-inf")]
-        if best is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
+        if self.ground is not self.proven and self.sure > SURE and 2 * counts[best] > len({*in_order, *voters}):
             self._prove(best)
 
     def _as_fault(self, surface: Surface) -> float:
@@ -351,17 +351,18 @@ class Belief:
         return surface.common + surface.same - answers + self._rises(surface) + _steep(surface)
 
     def _rises(self, surface: Surface) -> float:
-        """How much less likely a surface that is near and has not answered is the ground, where the vehicle has risen.
+        """How much less likely a surface is the ground that was near at first, where the vehicle has risen over it.
 
         By the barometer: without accelerations nothing else shows a take-off.
         """
         has_answered = surface is self.proven and not surface.response.is_in_doubt
         if has_answered or surface.common <= math.log(COMMON):
             return 0.0
-        if surface.mark is None:
-            surface.mark, surface.marked_m = self._motion.mark(self._time_s), surface.filter.height_m
         climb = self._motion.climbed(surface.mark, self._time_s)
         if climb is None:
+            # The barometer has just come, or begins anew.
+            if (mark := self._motion.mark(self._time_s)) is not None:
+                surface.mark, surface.marked_m = mark, surface.filter.height_m
             return 0.0
         rises_m = climb.height_m - (surface.filter.height_m - surface.marked_m)
         return 0.5 * max(rises_m, 0.0) ** 2 / (climb.std_m**2 + RISES_M**2)

@@ -57,9 +57,9 @@ NEARER_M = 0.15
 """The surface may be nearer than a sensor's minimum by this, as on the ground [m]: such a reading shows a response to
 the vehicle's motion no closer. Less takes a landing that bounces for one, more finds ice on the sensors later."""
 LIFTS = 0.75
-"""A reading beyond the minimum is of a take-off where it is farther from where the acceleration puts the vehicle by no
-more than this share of the way from the minimum, else an outlier: 0.99 in a landed vehicle, 0.67 in a take-off that
-the sensors see late. Smaller loses such a take-off."""
+"""A reading beyond the minimum is of a take-off where it is off from the height that the acceleration predicts by at
+most this share of how far it is off the ground known so far, else an outlier: 0.99 in a landed vehicle, 0.67 in a
+take-off that the sensors see late. Smaller loses such a take-off."""
 FIT_READINGS = 10.0
 """The mean square of the normalised innovations is taken over so many readings: a second of four sensors."""
 FIT_CAP, FIT_OUTLIER = 25.0, 12.0
@@ -260,7 +260,7 @@ class Fusion:
 
     def _unless_stuck(self, mode: SensorMode, reading: Reading) -> Reading:
         """The reading; without its range where the sensor is stuck."""
-        if reading.raw is None:
+        if reading.raw is None or reading.status.is_fault:
             return reading
         others_see = self._belief.best_seen(mode)
         least = reading.status is Status.AT_MINIMUM

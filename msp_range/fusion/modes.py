@@ -11,7 +11,7 @@ modes of one sensor are a chain: it stays with what it has seen before unless a 
     garbled              `P_GARBLED` is likelier than an outlier          any other reading
     stuck                `STUCK_READINGS` alike, others by `STUCK_M`      `ANEW_READINGS`, one within `ANEW_M`, no echo
     fixed to the vehicle log odds of `DECIDED`                            `ANEW_READINGS` off by `FIXED_M`
-    a ping late          log odds of `LATE`                               even odds
+    a ping late          log odds of `LATE`, or `UNANSWERED` once more    even odds
     noise, of all        `P_NOISE_ALL`, by `noise_density`                readings of surfaces
     odd                  likelier by `ODD`, the others fit (`ODD_FITS`)   likelier by less
     above the maximum    `ABOVE_TURNS` without an echo, or a climb to it  `ABOVE_RANGES` or `ABOVE_CODES` in a row
@@ -170,7 +170,8 @@ DECIDED_APART = -4.0
 """So much less likely than either verdict must be the other one: in the first turn of a climb what is fixed and what is
 late look alike. More decides later."""
 UNANSWERED, ANSWERED, ANSWERED_MOST, AWAY_M = -3.0, 5.0, 6.0, 0.8
-"""Below the first log odds a surface is not thought to move with the measured acceleration any more. Above the second,
+"""Below the first log odds a surface is not thought to move with the measured acceleration any more, and answers that
+were late on the ground before are late on a new one, too. Above the second,
 more than one reading can show, one that was low when it was first seen, as before a take-off, is no payload; nor is one
 that is farther away by now than the last [m]. The third is how much an answer counts at most: it says that a surface is
 not fixed to the vehicle, not that two sensors see no drift. Larger believes slopes of 80 %."""
@@ -179,12 +180,12 @@ not fixed to the vehicle, not that two sensors see no drift. Larger believes slo
 STUCK_READINGS, REPEATED_READINGS = 3, 5
 """The same answer so many times in a row may be stuck while the others move; so many are evidence for nothing new."""
 STUCK_M = 0.15
-"""While the height over the ground has changed by this much by all others [m]: three times what noise hides."""
+"""While the height over a surface that most others see has changed by this much [m]: three times what noise hides."""
 STUCK_ALONE_M, STUCK_SIGMAS = 0.5, 3.0
 """Or while the vehicle has climbed by this much by its barometer [m], and so many standard deviations."""
 ANEW_READINGS, ANEW_M, FIXED_M = 3, 0.05, 0.08
-"""A stuck sensor answers anew after so many other answers, or one as near as the second [m]; what is fixed to the
-vehicle moves by less than the third [m]."""
+"""A stuck sensor answers anew after so many other answers, one as near as the second [m], or no echo; what is fixed to
+the vehicle moves by less than the third [m]."""
 
 # Which sensor does not fit into the plane of the others, see `msp_range.fusion.odd`.
 ODD_GAP_S = 0.3
@@ -375,8 +376,8 @@ class SensorMode:
     ) -> bool:
         """Whether its answers do not follow the vehicle, by the newest one.
 
-        ``others_see``: the vehicle climbs by what they see, while that is one surface; ``least``: the answer
-        stands for this range or less.
+        ``others_see``: the surface that most others see, whose height shows how the vehicle climbs; ``least``: the
+        answer stands for this range or less.
         """
         if self._fixed_m is not None and range_m is not None:
             self._others = 0 if abs(range_m - self._fixed_m) < FIXED_M else self._others + 1

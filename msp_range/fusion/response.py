@@ -203,7 +203,7 @@ class MotionResponse:
             self._covariance = (_ANYWHERE_M2, 0.0, 0.0, *other._covariance[3:])
 
     def confirm_late(self, other: "MotionResponse") -> None:
-        """Answers that seem late here are so where they have been on the ground before, meanwhile."""
+        """Answers that seem late on this surface are so if those on the ground before were found late meanwhile."""
         if other.is_late and self._late < UNANSWERED:
             self._late, self.is_late = min(self._late, other._late), True
 

@@ -17,8 +17,8 @@ DISAGREE_READINGS = 8
 """The share of readings that were not used is taken over so many, two turns of four sensors. Fewer report what two
 outliers can do, more report later."""
 DISAGREE_SHARE = 0.5
-"""Where more than this share of the readings with a range was not used, the readings disagree [share]. At half of them
-one sensor of two, or two of four, are faulty and the others still agree."""
+"""Where more than this share of the readings was not used, the readings disagree [share]; no echo agrees with silence.
+At half of them one sensor of two, or two of four, are faulty and the others still agree."""
 NOISY_FIT = 4.0
 """Mean square of the normalised innovations from which the readings are noisy: twice the deviation that their model
 states. The variance that is sent grows with it already; this is where the pilot should know."""

@@ -185,6 +185,8 @@ class Moving:
         When each sensor begins to answer with its ping before [s].
     in_cm
         Whether readings are as whole centimetres, and have no noise.
+    no_pressure_s
+        Between these times the barometer says nothing [s].
     """
 
     def __init__(
@@ -197,6 +199,7 @@ class Moving:
         names: str = NAMES,
         late_from_s: float = math.inf,
         in_cm: bool = False,
+        no_pressure_s: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self._climbs, self._climb_m = climbs, climb_m
         motion, draw = VerticalMotion(), np.random.default_rng(seed)
@@ -210,7 +213,7 @@ class Moving:
             if time_s > measured_from_s[0]:
                 accelerate(motion, time_s - 0.075, lambda moment_s: self._at(moment_s)[1], draw)
             by_pressure_m = 100.0 + self._at(time_s)[0] + draw.normal(0.0, 0.1)
-            if time_s > measured_from_s[1]:
+            if time_s > measured_from_s[1] and not no_pressure_s[0] < time_s < no_pressure_s[1]:
                 motion.on_pressure_height(time_s, by_pressure_m)
             name = names[i % len(names)]
             seen_m = range_m(name, time_s, self._at(time_s)[0]) + (0.0 if in_cm else draw.normal(scale=SIGMA_M))
@@ -351,6 +354,9 @@ def test_a_strap_is_not_sent_where_the_vehicle_has_risen_before_its_acceleration
     begins_s = (30.0, 1.0)
     strap = Moving(lambda name, time_s, height_m: 0.4, (2.0, 4.0), 2.0, seed, begins_s)
     assert not strap.sent_s(5.0, 15.0)
+    strap = Moving(lambda name, time_s, height_m: 0.4, (6.0, 8.0), 2.0, seed, begins_s, no_pressure_s=(2.0, 5.0))
+    assert strap.sent_s(3.0, 6.0)
+    assert not strap.sent_s(10.0, 15.0), "the climb counts from where the barometer begins anew"
     ground = Moving(lambda name, time_s, height_m: 0.3 + 0.1 * height_m, (2.0, 4.0), 0.5, seed, begins_s)
     assert len(ground.sent_s(5.0)) > 140
 

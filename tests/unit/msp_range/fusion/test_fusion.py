@@ -449,12 +449,14 @@ def test_a_sensor_that_repeats_itself_while_the_others_pass_a_box_is_not_stuck()
         assert fusion.update(each, each.time_s).reading is each
 
 
-def test_no_echo_shows_that_a_sensor_is_not_stuck() -> None:
+@pytest.mark.parametrize(("between", "after"), [(Status.NO_ECHO, Status.OK), (Status.CLOCK_FAULT, Status.STUCK)])
+def test_no_echo_shows_that_a_sensor_is_not_stuck_and_a_fault_does_not(between: Status, after: Status) -> None:
     """Above the maximum no echo and answers of 255 come by turns, and the latter several times in a row by chance."""
     fusion, _ = climbing("a", 0.3)
-    stuck, no_echo, again = reading("a", 8.0, 3.01, raw=301), reading("a", 8.4, None), reading("a", 8.8, 3.01, raw=301)
-    statuses = [fusion.update(each, each.time_s).reading.status for each in (stuck, no_echo, again)]
-    assert statuses == [Status.STUCK, Status.NO_ECHO, Status.OK]
+    answers = [reading("a", time_s, 3.01, raw=301) for time_s in (8.0, 8.8)]
+    answers.insert(1, Reading(8.4, "a", between, raw=765))
+    statuses = [fusion.update(each, each.time_s).reading.status for each in answers]
+    assert statuses == [Status.STUCK, between, after]
 
 
 # Attitude and slope.
