@@ -401,6 +401,9 @@ class SensorMode:
             self._level, self._level_m = others_see, height_m
             if self._times >= STUCK_READINGS:
                 self._stuck |= abs(self._climbed_m) >= STUCK_M
+            if least and others_see.least_s == others_see.seen_s:
+                # All are on the ground, where they repeat themselves.
+                self._stuck, self._climbed_m = False, 0.0
         if self.repeated and not self._stuck and not least:
             climb = motion.climbed(self._mark, time_s)
             self._stuck = climb is not None and abs(climb.height_m) >= max(STUCK_ALONE_M, STUCK_SIGMAS * climb.std_m)

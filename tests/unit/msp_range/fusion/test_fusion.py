@@ -438,6 +438,22 @@ def test_a_landed_vehicle_does_not_take_one_outlier_for_a_take_off() -> None:
         assert i < 10 or known(outcome.fused).range_m == pytest.approx(0.20, abs=0.03)
 
 
+def test_a_sensor_that_missed_a_bounce_is_not_stuck_on_the_ground() -> None:
+    """It was read at each touch, while the others saw half a metre between; a sensor that stays so in flight is."""
+    fusion, statuses = four(), {}
+    for i in range(300):
+        time_s, name = i * SLOT_S, NAMES[i % 4]
+        above_m = 0.5 * math.sin(math.pi * (time_s - 5.0) / 2.0) if 5.0 < time_s < 7.0 else max(time_s - 25.0, 0.0)
+        range_m = 0.20 if name == "d" else 0.20 + round(above_m, 2)
+        status = Status.OK if range_m > 0.20 else Status.AT_MINIMUM
+        each = Reading(time_s, name, status, range_m, SIGMA_M, round(100 * range_m))
+        judged = fusion.update(each, each.time_s).reading.status
+        if name == "d":
+            statuses[time_s] = judged
+    assert {judged for time_s, judged in statuses.items() if 9.0 < time_s < 25.0} == {Status.AT_MINIMUM}
+    assert {judged for time_s, judged in statuses.items() if 6.5 < time_s < 7.0 or time_s > 27.0} == {Status.STUCK}
+
+
 def test_a_sensor_that_repeats_itself_while_the_others_pass_a_box_is_not_stuck() -> None:
     """They see its flank, its top and the ground by turns: that is no motion of the vehicle."""
     fusion, draw = four(), np.random.default_rng(2)
