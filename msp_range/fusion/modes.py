@@ -354,11 +354,13 @@ class SensorMode:
                 self.object_m = None
             return
         near = [each for each in self._offs_m if each is not None and abs(each - off_m) < NEAR_M]
-        is_object = self.object_m is not None or len(near) >= OBJECT_READINGS
-        if ground_is_seen and abs(off_m) >= OBJECT_M and is_object:
+        is_object = len(near) >= OBJECT_READINGS
+        if ground_is_seen and abs(off_m) >= OBJECT_M and (self.object_m is not None or is_object):
             self._on_ground = 0
-            before_m = -off_m if self.object_m is None else self.object_m
-            self.object_m = before_m + (-off_m - before_m) / 2
+            if self.object_m is not None and abs(self.object_m + off_m) < NEAR_M:
+                self.object_m -= (self.object_m + off_m) / 2
+            elif is_object:
+                self.object_m = -off_m
 
     def has_edge_at(self, off_m: float) -> bool:
         """Whether a beam that meets an edge of what is below it would read this much farther than the ground [m]."""

@@ -344,6 +344,16 @@ def test_a_fault_code_that_is_a_range_passes_only_for_ground_that_is_there() -> 
     assert known(fused).range_m == pytest.approx(2.55, abs=0.03)
 
 
+def test_a_box_that_follows_a_hole_has_its_own_height() -> None:
+    """And not a mean of the two, which would be none of either."""
+    fusion, draw = four(), np.random.default_rng(1)
+    for i in range(120):
+        off_m = 0.0 if i < 40 or NAMES[i % 4] != "c" else 0.6 if i < 80 else -0.7
+        take(fusion, reading(NAMES[i % 4], i * SLOT_S, 2.0 + off_m + draw.normal(scale=SIGMA_M)))
+        if i > 60:
+            assert fusion.object_m("c") == pytest.approx(-0.6 if i < 90 else 0.7, abs=0.08)
+
+
 def test_an_object_whose_distance_does_not_vary_stays_known() -> None:
     fusion = four()
     draw = np.random.default_rng(3)
