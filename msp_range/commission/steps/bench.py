@@ -20,7 +20,6 @@ from msp_range.arrays import Array
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
 from msp_range.commission.noise import compare_noise
-from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
@@ -179,7 +178,7 @@ def run(session: Session) -> StepOutcome:
         if height_m is None and (stands or loose):
             break
         with session.live() as live:
-            operator.instruct(Motion.STAND, f"Leave it still for {STILL_S:.0f} s.", f"{height_m or 0:g}")
+            operator.instruct(f"Leave it still for {STILL_S:.0f} s.")
             live.record(LEAD_S)
             samples = samples_of(live.record(STILL_S))
         if height_m is None:
