@@ -160,14 +160,11 @@ def places(samples: Samples, from_file: Mapping[str, Sequence[float]]) -> Places
                 "a flat hard floor, 0.5 to 1.5 m high"
             )
         fit = _robust(samples, rows)
-        typical_m = [float(np.median(np.abs(fit.residual_m[rows.sensor == i]))) for i in range(len(rows.names))]
+        typical_m = [np.median(np.abs(fit.residual_m[rows.sensor == i])) for i in range(len(rows.names))]
         moved_m = np.abs(fit.solution[len(rows.knots) :].reshape(-1, 3)).max(axis=1)
-        typical_m = [
-            max(residual_m, OTHER_M * moved / FARTHEST_M)
-            for residual_m, moved in zip(typical_m, moved_m.tolist(), strict=True)
-        ]
-        worst = int(np.argmax(typical_m))
-        if typical_m[worst] <= OTHER_M:
+        off_m = np.maximum(typical_m, OTHER_M * moved_m / FARTHEST_M)
+        worst = int(np.argmax(off_m))
+        if off_m[worst] <= OTHER_M:
             break
         if len(rows.names) == 2:
             raise NotMeasured(

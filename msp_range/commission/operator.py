@@ -2,7 +2,6 @@
 
 import sys
 import textwrap
-from enum import Enum
 from typing import TextIO
 
 from msp_range.doctor.command import INDENT
@@ -13,20 +12,6 @@ from msp_range.yaml_file import ConfigError
 LEAST_HEIGHT_M, MOST_HEIGHT_M = 0.1, 10.0
 """Heights over the floor that a sensor can measure and a person too [m]; another number is in another unit."""
 EXPECTED_HEIGHT = f"expected metres between {LEAST_HEIGHT_M:g} and {MOST_HEIGHT_M:g}, such as 0.85"
-
-
-class Motion(Enum):
-    """What the person is asked to do with the vehicle."""
-
-    FREE = "nothing in front of any sensor"
-    COVER = "one sensor covered by a hand"
-    STAND = "standing still and level at a measured height"
-    FLOOR = "on the floor"
-    HOLD = "held level about 1 m over the floor"
-    NOSE_UP = "nose up"
-    RIGHT_DOWN = "right side down"
-    ROCK = "rocked to all sides"
-    BOARD = "a board half a metre in front of one side"
 
 
 class PersonAtTerminal:
@@ -61,11 +46,8 @@ class PersonAtTerminal:
         if not self._accepts_all:
             self._answer("Press Enter when you are ready, Ctrl-C to go on another time. ")
 
-    def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
-        """Say what is to be done from now on, with the terminal's bell: the person looks at the vehicle.
-
-        ``subject`` is the sensor or the side that it is about.
-        """
+    def instruct(self, text: str) -> None:
+        """Say what is to be done from now on, with the terminal's bell: the person looks at the vehicle."""
         self._show(f">> {text}")
         if self._out.isatty():
             self._out.write("\a")

@@ -31,7 +31,7 @@ class SensorReadings:
     rejected: Texts
     """Why each was not used, n words; empty where it was."""
     latency_s: float
-    """Shortest time from an echo to its answer [s]; NaN where there was none."""
+    """Shortest time from an echo to its answer [s]; infinite where there was none."""
     air_c: float | None
     air_source: str | None
     """Temperature of the last correction [deg C], and its source; None for a sensor that needs none."""
@@ -114,7 +114,7 @@ def _readings(messages: list[Mapping[str, Any]]) -> SensorReadings:
         np.array([_distance_m(record) for record in messages]),
         np.array(["suspect" if record.get("suspect") else record["status"] for record in messages]),
         np.array([record.get("rejected") or "" for record in messages]),
-        min(latencies_s, default=np.nan),
+        min(latencies_s, default=np.inf),
         messages[-1].get("temperature_c"),
         messages[-1].get("temperature_source"),
     )

@@ -4,6 +4,7 @@ Distances that the sensors have just measured are sent for some seconds, and onl
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import closing
 
 from msp_range.clock import Clock
 from msp_range.config import Airframe
@@ -211,15 +212,11 @@ def _silent_network(url: NetworkUrl, tap: Tap, clock: Clock) -> Finding:
 
 def _systems_at(url: str, clock: Clock) -> list[int]:
     """Systems whose messages arrive at a port of this computer; none where another program listens there."""
-    transport = open_transport(url, clock)
-    tap = Tap(transport)
-    try:
+    with closing(Tap(open_transport(url, clock))) as tap:
         end_s = clock.now() + LISTEN_S
         while not tap.frames and clock.now() < end_s:
             tap.receive()
             clock.sleep_until(clock.now() + SENT_INTERVAL_S)
-    finally:
-        transport.close()
     return sorted({frame.system for frame in tap.frames})
 
 

@@ -13,7 +13,7 @@ from msp_range.clock import Clock
 from msp_range.config import Airframe, load_airframe
 from msp_range.doctor.autopilot import check_autopilot
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, unknown, wrong
+from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, unknown, while_right, wrong
 from msp_range.doctor.port import check_clock, check_interface, check_port
 from msp_range.doctor.sensors import SensorExamination, examine_sensors
 from msp_range.doctor.storage import check_date, check_disk, check_supply
@@ -104,7 +104,7 @@ def examine(
         yield unknown("airframe file", doubt, "correct it if that is so")
     examined, in_use = SensorExamination([], {}, None), False
     bus_path = str(KernelBus(airframe.bus).path)
-    if (yield from check_interface(computer, bus_path)):
+    if (yield from while_right(check_interface(computer, bus_path))):
         if any(sensor.driver.stretches_clock for sensor in airframe.sensors):
             yield check_clock(computer, bus_path)
         bus = make_bus(airframe.bus)
@@ -135,7 +135,7 @@ def _link(
     make_transport: Callable[[str, Clock], Transport],
 ) -> Iterator[Finding]:
     url = parse_url(airframe.link.url)
-    if isinstance(url, SerialUrl) and not (yield from check_port(computer, url)):
+    if isinstance(url, SerialUrl) and not (yield from while_right(check_port(computer, url))):
         return
     with closing(make_transport(airframe.link.url, clock)) as transport:
         yield from check_autopilot(airframe, computer, transport, clock, examined.ranges_m, examined.latency_s)

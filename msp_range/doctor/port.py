@@ -4,10 +4,10 @@ Nothing is transferred here, and the port is not opened.
 """
 
 import re
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 
 from msp_range.doctor.computer import Computer
-from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, while_right, wrong
+from msp_range.doctor.finding import UNKNOWN, Finding, first_of, right, wrong
 from msp_range.mavlink.transport.serial import UARTS
 from msp_range.mavlink.transport.url import SerialUrl, TransportUrl
 from msp_range.state_folder import SERVICE_USER
@@ -26,12 +26,8 @@ STEP = "serial port in use"
 _CONSOLE = re.compile(r"console=(tty[A-Z]+\d+|serial\d)")
 
 
-def check_interface(computer: Computer, path: str) -> Generator[Finding, None, bool]:
-    """The steps before the first transfer, up to the first one that is wrong; returns whether none is."""
-    return while_right(_interface(computer, path))
-
-
-def _interface(computer: Computer, path: str) -> Iterator[Finding]:
+def check_interface(computer: Computer, path: str) -> Iterator[Finding]:
+    """The steps before the first transfer; each is tried only while those before it are right, see `while_right`."""
     yield _device_file(computer, path)
     yield computer.permission("I2C permission", path, "i2c")
 
@@ -87,12 +83,8 @@ def check_clock(computer: Computer, path: str) -> Finding:
     )
 
 
-def check_port(computer: Computer, url: SerialUrl) -> Generator[Finding, None, bool]:
-    """The steps before the port is opened, up to the first one that is not right; returns whether all are."""
-    return while_right(_port(computer, url))
-
-
-def _port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
+def check_port(computer: Computer, url: SerialUrl) -> Iterator[Finding]:
+    """The steps before the port is opened; each is tried only while those before it are right, see `while_right`."""
     yield _there(computer, url.path)
     yield computer.permission("serial permission", computer.target(url.path), "dialout")
     yield _free(computer, url)

@@ -19,6 +19,7 @@ from msp_range.mavlink.participants import AUTOPILOTS
 from msp_range.mavlink.signing import Signing, signing_of
 from msp_range.mavlink.transport import Transport
 from msp_range.params.settings import Firmware, Vehicle
+from msp_range.yaml_file import ConfigError
 
 COMPONENT_ID = 192
 """MAV_COMP_ID_ONBOARD_COMPUTER2: the bridge itself uses that of the first computer, and may be running."""
@@ -39,10 +40,6 @@ _VEHICLES: dict[int, Vehicle] = {
     dialect.MAV_TYPE_SURFACE_BOAT: "rover",
 }
 """Kinds of vehicles by the heartbeat's type; all others are copters."""
-
-
-class NotSet(Exception):
-    """A parameter that was not set; the text says why, for the person who wants to set it."""
 
 
 class ParameterClient:
@@ -193,25 +190,25 @@ class ParameterClient:
 
         Raises
         ------
-        NotSet
+        ConfigError
             The vehicle is armed, the autopilot does not know the parameter, or it has another value afterwards.
         """
         if self.read(name) is None:
-            raise NotSet(f"the autopilot does not know {name}")
+            raise ConfigError(f"the autopilot does not know {name}")
         kind = self._values[name][1]
         for _ in range(TRIES):
             # Checked for each try: somebody may arm the vehicle meanwhile.
             if self.armed is None:
-                raise NotSet("no heartbeat of the autopilot: whether the vehicle is armed is not known")
+                raise ConfigError("no heartbeat of the autopilot: whether the vehicle is armed is not known")
             if self.armed:
-                raise NotSet("the vehicle is armed: parameters are set only while it is disarmed")
+                raise ConfigError("the vehicle is armed: parameters are set only while it is disarmed")
             encoded = _as_type("<i", "<f", round(value)) if self._is_whole(kind) else value
             self.link.send(dialect.MAVLink_param_set_message(*self._target, name.encode(), encoded, kind))
             self.wait(lambda: False, 0.1)
             found = self.read(name)
             if found is not None and same(found, value):
                 return found
-        raise NotSet(f"{name} was set to {value:g}, and reads back as {found}")
+        raise ConfigError(f"{name} was set to {value:g}, and reads back as {found}")
 
     @property
     def _target(self) -> tuple[int, int]:

@@ -13,7 +13,7 @@ from msp_range.clock import Clock, stamp_of
 from msp_range.config import Airframe
 from msp_range.mavlink.signing import Signing
 from msp_range.mavlink.transport import open_transport
-from msp_range.params.client import NotSet, ParameterClient, same
+from msp_range.params.client import ParameterClient, same
 from msp_range.params.settings import Firmware, Setting, remarks, settings
 from msp_range.yaml_file import ConfigError, read_config, write_file
 
@@ -178,7 +178,7 @@ def write(
         write_file(undo, parm_text([f"{vehicle}: msp-range params --restore {undo} sets these again."], before))
         try:
             done[setting.name] = client.write(setting.name, setting.value)
-        except NotSet as error:
+        except ConfigError as error:
             raise ConfigError(f"{setting.name}: {error}. Set so far: {', '.join(done) or 'nothing'}") from None
         show(f"{setting.name}: {text_of(done[setting.name])}, read back")
     return done

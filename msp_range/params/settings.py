@@ -24,6 +24,8 @@ PROXIMITY_ORIENTATIONS = frozenset({*range(8), 24})
 DISTANCE_SENSOR_BY_MAVLINK = 10
 PX4_TELEM_BASE = 100
 """PX4's number of the port TELEM n is this plus n (Tools/serial/generate_config.py)."""
+DOCUMENT = "docs/flying.md, Set up the autopilot"
+"""Source of the settings that the documents explain."""
 USB_PATHS = ("/dev/ttyACM", "/dev/autopilot")
 """Serial ports that are an autopilot's own USB: it speaks MAVLink there without being set up."""
 
@@ -143,22 +145,21 @@ def downward_stream(airframe: Airframe) -> Stream | None:
 
 
 def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Setting]:
-    document = "docs/flying.md, Set up the autopilot"
     baud = _baud(airframe)
     if baud is not None:
-        yield Setting(f"SERIAL{port}_PROTOCOL", 2, "MAVLink 2 on the port that the bridge is wired to", document)
+        yield Setting(f"SERIAL{port}_PROTOCOL", 2, "MAVLink 2 on the port that the bridge is wired to", DOCUMENT)
         yield Setting(f"SERIAL{port}_BAUD", baud // 1000, f"{baud} baud, as this file says", "link.url")
     if airframe.send.nothing:
         return
     stream = downward_stream(airframe)
     if stream is not None:
-        yield Setting("RNGFND1_TYPE", DISTANCE_SENSOR_BY_MAVLINK, "distances come as MAVLink messages", document)
-        yield Setting("RNGFND1_ORIENT", DOWN, "down: the orientation selects the stream", document)
+        yield Setting("RNGFND1_TYPE", DISTANCE_SENSOR_BY_MAVLINK, "distances come as MAVLink messages", DOCUMENT)
+        yield Setting("RNGFND1_ORIENT", DOWN, "down: the orientation selects the stream", DOCUMENT)
         reason = (
             "every id is taken; from 4.8 on another value takes only that id, so that one left over from a sensor on "
             "the autopilot's own I2C or CAN (112: an MB1242) rejects all distances without a word"
         )
-        yield Setting(ADDRESS, 0, reason, document, as_good=stream.id)
+        yield Setting(ADDRESS, 0, reason, DOCUMENT, as_good=stream.id)
         nearest_cm, farthest_cm = stream.min_distance_cm, 10 * math.ceil(stream.max_distance_cm / 10 - 1)
         nearest = "below the shortest report, which is out of range otherwise: that is the reading on the ground"
         farthest = "below the longest report, which stands for 'no echo'"
@@ -175,24 +176,23 @@ def _ardupilot(airframe: Airframe, firmware: Firmware, port: int) -> Iterator[Se
     ]
     # ArduPlane has no proximity (ArduPlane/Parameters.cpp).
     if around and firmware.vehicle != "plane":
-        yield Setting("PRX1_TYPE", 2, f"{len(around)} of the streams look around the vehicle", document)
+        yield Setting("PRX1_TYPE", 2, f"{len(around)} of the streams look around the vehicle", DOCUMENT)
 
 
 def _px4(airframe: Airframe, _: Firmware, port: int) -> Iterator[Setting]:
-    document = "docs/flying.md, Set up the autopilot"
     baud = _baud(airframe)
     if baud is not None:
         instance = port - 1
         what = "MAVLink on the port that the bridge is wired to"
-        yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", document)
-        yield Setting(f"MAV_{instance}_MODE", 2, "onboard mode: for a companion computer", document)
+        yield Setting(f"MAV_{instance}_CONFIG", PX4_TELEM_BASE + port, f"{what}, TELEM {port}", DOCUMENT)
+        yield Setting(f"MAV_{instance}_MODE", 2, "onboard mode: for a companion computer", DOCUMENT)
         yield Setting(f"SER_TEL{port}_BAUD", baud, f"{baud} baud, as this file says", "link.url")
     if airframe.send.nothing:
         return
     stream = downward_stream(airframe)
     if stream is not None:
-        yield Setting("EKF2_RNG_CTRL", 2, "the range is used always; with 1 only when slow and low", document)
-        yield Setting("EKF2_HGT_REF", 1, "with 2 the vehicle cannot be armed from PX4 1.17 on", document)
+        yield Setting("EKF2_RNG_CTRL", 2, "the range is used always; with 1 only when slow and low", DOCUMENT)
+        yield Setting("EKF2_HGT_REF", 1, "with 2 the vehicle cannot be armed from PX4 1.17 on", DOCUMENT)
         yield _standing("EKF2_MIN_RNG", airframe, stream)
         yield _position("EKF2_RNG_POS_Z", airframe)
 

@@ -15,7 +15,7 @@ from io import FileIO
 from pathlib import Path
 from queue import SimpleQueue
 
-from msp_range.clock import Clock, SystemClock
+from msp_range.clock import SystemClock
 
 REST_S = 0.1
 """After each write that the disk has confirmed, the thread rests for this long [s]. On a vehicle a block comes every
@@ -30,8 +30,6 @@ class BackgroundFile:
     ----------
     open_file
         Makes and opens the file. It is called in the thread, and may raise OSError.
-    clock
-        Real time: a disk is no quicker in a simulated flight.
 
     Attributes
     ----------
@@ -43,11 +41,12 @@ class BackgroundFile:
         What the disk has promised to keep.
     """
 
-    def __init__(self, open_file: Callable[[], FileIO], clock: Clock | None = None) -> None:
+    def __init__(self, open_file: Callable[[], FileIO]) -> None:
         self.path: Path | None = None
         self.error: OSError | None = None
         self.kept_bytes = 0
-        self._clock = clock or SystemClock()
+        # Real time: a disk is no quicker in a simulated flight.
+        self._clock = SystemClock()
         self._given_bytes = 0
         self._block: list[bytes | bytearray] = []
         self._blocks: SimpleQueue[list[bytes | bytearray] | Callable[[], object]] = SimpleQueue()

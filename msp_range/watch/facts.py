@@ -1,7 +1,7 @@
 """The fields of a running bridge's state: each is named here alone, and terminal, page and metrics show it.
 
 The bridge makes them for each status, and sends them with it (`status_facts`). The fused distance is not among them: it
-changes with each reading, so a watcher makes its field of the newest record (`distance_fact`).
+changes with each reading, so a watcher makes its field of the newest record (`facts_of`).
 """
 
 from collections.abc import Iterator
@@ -66,12 +66,17 @@ def status_facts(
     yield Fact("running for", f" {uptime_s:.0f} s", uptime, in_list=False)
 
 
-def distance_fact(newest: Newest) -> Fact | None:
-    """The fused distance; None where the vehicle has none."""
-    fused = newest.distance
-    if fused is None:
-        has_none = newest.airframe.get("reference_down_m") is None
-        return None if has_none else Fact(DISTANCE, ": none", {}, in_list=False)
+def facts_of(newest: Newest) -> Iterator[Fact]:
+    """All fields of a watched bridge, in the order in which they are shown; a distance, if the vehicle has one."""
+    if newest.distance is not None:
+        yield _distance_fact(newest, newest.distance)
+    elif newest.airframe.get("reference_down_m") is not None:
+        yield Fact(DISTANCE, ": none", {}, in_list=False)
+    for field in newest.status.get("facts", []):
+        yield Fact(**field)
+
+
+def _distance_fact(newest: Newest, fused: dict[str, Any]) -> Fact:
     climb = f", climbing {fused['climb_m_s']:+.1f} m/s" if abs(fused["climb_m_s"]) >= SHOWN_CLIMB_M_S else ""
     not_sent = " (not sent)" * newest.airframe.get("sends_nothing", False)
     text = f" {fused['range_m']:.2f} m{not_sent}, deviation {100 * fused['variance_m2'] ** 0.5:.1f} cm{climb}"
@@ -80,11 +85,3 @@ def distance_fact(newest: Newest) -> Fact | None:
         "msp_range_distance_variance_m2": ("Variance of its error.", fused["variance_m2"]),
     }
     return Fact(DISTANCE, text, gauges, in_list=False)
-
-
-def facts_of(newest: Newest) -> Iterator[Fact]:
-    """All fields of a watched bridge, in the order in which they are shown."""
-    if (distance := distance_fact(newest)) is not None:
-        yield distance
-    for field in newest.status.get("facts", []):
-        yield Fact(**field)

@@ -57,7 +57,7 @@ def status_message(
     transport: Transport,
     recording: Path | None,
     now_s: float,
-    received: dict[str, Any] | None = None,
+    received: dict[str, Any] | None,
 ) -> dict[str, Any]:
     """The message of ``/status``: counts and faults of sensors, air, link and recording, and what watchers show of it.
 

@@ -16,7 +16,7 @@ from numpy.random import SeedSequence, default_rng
 from msp_range.bus import Bus
 from msp_range.bus.smbus import KernelBus
 from msp_range.clock import Clock, VirtualClock
-from msp_range.commission.operator import Motion, PersonAtTerminal
+from msp_range.commission.operator import PersonAtTerminal
 from msp_range.commission.steps.directions import SIDES
 from msp_range.config import Airframe
 from msp_range.geometry import angle_between, boresight
@@ -31,6 +31,11 @@ from msp_sim.world.world import AirSection, World
 
 RESTS_M = 0.25
 """Height of the reference point when the vehicle stands on the floor."""
+FREE, COVER, STILL, FLOOR, HOLD = "Hands off", "Cover ", "Leave it still", "Leave it on the floor", "Lift it"
+NOSE_UP, RIGHT_DOWN, ROCK, DONE = "Tilt its nose up", "Level, then tilt its right side down", "Rock it", "Done"
+BOARD = "Hold the board"
+MOTIONS = (FREE, COVER, STILL, FLOOR, HOLD, NOSE_UP, RIGHT_DOWN, ROCK, DONE, BOARD)
+"""First words of the instructions."""
 
 
 @dataclass(frozen=True)
@@ -295,35 +300,38 @@ class Person(PersonAtTerminal):
         self.asked.append(text)
         return self.agrees_to(text)
 
-    def instruct(self, motion: Motion, text: str, subject: str = "") -> None:
-        """Move the vehicle."""
+    def instruct(self, text: str) -> None:
+        """Move the vehicle as the instruction's first words say."""
         self.instructed.append(text)
         if self.is_idle:
             return
         vehicle, draw = self._vehicle, self._draw
-        vehicle.covered = subject if motion is Motion.COVER else None
-        vehicle.board = subject if motion is Motion.BOARD else None
+        motion = next(words for words in MOTIONS if text.startswith(words))
+        subject = text.split()[-1].removesuffix(".")
+        vehicle.covered = subject if motion == COVER else None
+        vehicle.board = subject if motion == BOARD else None
         before = vehicle.held(vehicle.flight_s())
         tilt_deg = draw.uniform(12, 18)
         periods_s = draw.uniform(3.0, 4.0), draw.uniform(4.0, 5.0)
         swing_deg = draw.uniform(15, 19)
         goals = {
-            Motion.FREE: Held(2.0),
-            Motion.COVER: Held(2.0),
-            Motion.BOARD: Held(0.9),
-            Motion.FLOOR: Held(RESTS_M),
-            Motion.HOLD: Held(draw.uniform(0.85, 1.05)),
-            Motion.NOSE_UP: Held(before.height_m, 0.0, tilt_deg),
-            Motion.RIGHT_DOWN: Held(before.height_m, tilt_deg, 0.0),
-            Motion.ROCK: Held(before.height_m),
+            FREE: Held(2.0),
+            COVER: Held(2.0),
+            BOARD: Held(0.9),
+            FLOOR: Held(RESTS_M),
+            DONE: Held(RESTS_M),
+            HOLD: Held(draw.uniform(0.85, 1.05)),
+            NOSE_UP: Held(before.height_m, 0.0, tilt_deg),
+            RIGHT_DOWN: Held(before.height_m, tilt_deg, 0.0),
+            ROCK: Held(before.height_m),
         }
-        if motion not in goals:
+        if motion == STILL:
             return
         goal = goals[motion]
 
         def course(time_s: float) -> Held:
             share = 0.5 - 0.5 * math.cos(math.pi * min(max((time_s - 0.5) / 2.0, 0.0), 1.0))
-            swing = share * swing_deg if motion is Motion.ROCK else 0.0
+            swing = share * swing_deg if motion == ROCK else 0.0
             return Held(
                 before.height_m + share * (goal.height_m - before.height_m),
                 before.roll_deg
@@ -334,4 +342,4 @@ class Person(PersonAtTerminal):
                 + swing * math.sin(2 * math.pi * time_s / periods_s[1] + 1.0),
             )
 
-        vehicle.move(course, steady=motion in (Motion.FREE, Motion.COVER, Motion.BOARD, Motion.FLOOR))
+        vehicle.move(course, steady=motion in (FREE, COVER, BOARD, FLOOR, DONE))

@@ -8,6 +8,7 @@ import pytest
 from msp_range.config import load_airframe
 from msp_range.doctor.computer import Computer, User
 from msp_range.doctor.examination import findings
+from msp_range.doctor.finding import while_right
 from msp_range.doctor.port import check_port
 from msp_range.doctor.sensors import disagreeing
 from msp_range.doctor.storage import check_disk
@@ -42,7 +43,7 @@ def seen(files: FakeComputer) -> Computer:
 def test_a_program_of_another_user_is_known_by_its_command(files: FakeComputer, command: str, verdict: str) -> None:
     # Without a folder of what it has open: that of root's processes cannot be read.
     files.write("/proc/800/cmdline", command.replace(" ", "\0") + "\0")
-    last = list(check_port(seen(files), SerialUrl("/dev/serial0", 921600)))[-1]
+    last = list(while_right(check_port(seen(files), SerialUrl("/dev/serial0", 921600))))[-1]
     assert (last.step, last.verdict) == ("serial port in use", verdict)
     assert verdict == "right" or "process 800" in last.text
 
@@ -65,7 +66,7 @@ def test_the_port_of_bluetooth_is_not_that_of_the_pins(
     files.link("/dev/serial0", serial0)
     if serial1 is not None:
         files.link("/dev/serial1", serial1)
-    found = list(check_port(seen(files), SerialUrl(path, 57600)))
+    found = list(while_right(check_port(seen(files), SerialUrl(path, 57600))))
     assert (found[0].verdict == "right") is is_right
     if not is_right:
         assert f"/dev/{serial0}" in found[0].text
@@ -76,10 +77,10 @@ def test_a_missing_port_lists_those_that_are_there(files: FakeComputer) -> None:
     files.write("/proc/device-tree/model", "NVIDIA Jetson Nano Developer Kit\0")
     files.remove("/dev/serial0")
     files.remove("/dev/ttyAMA0")
-    (found,) = check_port(seen(files), SerialUrl("/dev/serial0", 57600))
+    (found,) = while_right(check_port(seen(files), SerialUrl("/dev/serial0", 57600)))
     assert "no other serial port" in found.text
     files.device("/dev/ttyTHS1")
-    (found,) = check_port(seen(files), SerialUrl("/dev/serial0", 57600))
+    (found,) = while_right(check_port(seen(files), SerialUrl("/dev/serial0", 57600)))
     assert "there is /dev/ttyTHS1" in found.text
 
 

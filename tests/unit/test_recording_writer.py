@@ -28,7 +28,7 @@ from mcap.records import Attachment, Chunk, ChunkIndex, Footer, MessageIndex, Me
 from mcap.stream_reader import get_chunk_data_stream
 
 from msp_range.clock import VirtualClock
-from msp_range.recording import writer
+from msp_range.recording import background_file, writer
 from msp_range.recording.background_file import BackgroundFile
 from msp_range.recording.error import RecordingError
 from msp_range.recording.reader import Recording
@@ -381,9 +381,16 @@ def test_a_slow_disk_does_not_hold_up_the_bridge(tmp_path: Path, stopped_disk: S
     assert not recording_threads()
 
 
-def test_simulated_time_waits_for_a_slow_disk(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
-    real = VirtualClock()
-    file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"), real)
+@pytest.fixture
+def real(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
+    """What counts as real time of the disk: it stands still unless a test or the recorder moves it."""
+    clock = VirtualClock()
+    monkeypatch.setattr(background_file, "SystemClock", lambda: clock)
+    return clock
+
+
+def test_simulated_time_waits_for_a_slow_disk(tmp_path: Path, stopped_disk: StoppedDisk, real: VirtualClock) -> None:
+    file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"))
     recorder = Recorder(file, VirtualClock(), waits=True)
     assert stopped_disk.entered.wait(LIMIT_S)
     recorder.write("/health", 1.0, {"text": "waits"})
@@ -397,10 +404,11 @@ def test_simulated_time_waits_for_a_slow_disk(tmp_path: Path, stopped_disk: Stop
     file.join(LIMIT_S)
 
 
-def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(tmp_path: Path, stopped_disk: StoppedDisk) -> None:
+def test_a_disk_that_hangs_is_a_fault_after_ten_seconds_of_real_time(
+    tmp_path: Path, stopped_disk: StoppedDisk, real: VirtualClock
+) -> None:
     """However little is waiting: at 3 kB a second a limit of bytes would be reached after hours."""
-    real = VirtualClock()
-    file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"), real)
+    file = BackgroundFile(lambda: FileIO(tmp_path / "flight.mcap", "x"))
     recorder = Recorder(file, VirtualClock())
     assert stopped_disk.entered.wait(LIMIT_S)
     faults = []

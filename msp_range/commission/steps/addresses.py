@@ -7,7 +7,6 @@ import numpy as np
 
 from msp_range.arrays import Flags
 from msp_range.commission.edit import Address, Edit
-from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Samples, SensorReadings, samples_of
 from msp_range.commission.session import Session
@@ -66,7 +65,7 @@ def run(session: Session) -> StepOutcome:
     session.operator.begin(TEXT)
     found: dict[str, str | None] = {}
     with session.live() as live:
-        session.operator.instruct(Motion.FREE, "Hands off all sensors.")
+        session.operator.instruct("Hands off all sensors.")
         live.record(LEAD_S)
         closed = blocked(samples_of(live.record(FREE_S)))
         if closed:
@@ -76,10 +75,10 @@ def run(session: Session) -> StepOutcome:
         for name in [*names, *names]:
             if found.get(name) is not None:
                 continue
-            session.operator.instruct(Motion.COVER, f"Cover {name}.", name)
+            session.operator.instruct(f"Cover {name}.")
             live.record(LEAD_S)
             found[name] = covered(samples_of(live.record(COVERED_S)))
-        session.operator.instruct(Motion.FREE, "Hands off.")
+        session.operator.instruct("Hands off.")
     return compare(airframe, found)
 
 

@@ -16,11 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from msp_range.acoustics.air import FIXED, TWO_SIDED_95_PERCENT, ZERO_CELSIUS_K
-from msp_range.arrays import Array
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import Measured, NotMeasured, without_outliers
 from msp_range.commission.noise import compare_noise
-from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import StepOutcome, shown
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
@@ -162,12 +160,6 @@ def mean_air_c(samples: Samples) -> tuple[float, str] | None:
     return known[-1] if known else None
 
 
-def latency_s(samples: Samples) -> float:
-    """Shortest time from an echo to its answer [s]; NaN without one. A busy computer adds to the others."""
-    known: Array = np.array([of_sensor.latency_s for of_sensor in samples.readings.values()])
-    return float(np.nanmin(known)) if np.isfinite(known).any() else float("nan")
-
-
 def run(session: Session) -> StepOutcome:
     """Measure at each height that the person gives."""
     operator = session.operator
@@ -179,7 +171,7 @@ def run(session: Session) -> StepOutcome:
         if height_m is None and (stands or loose):
             break
         with session.live() as live:
-            operator.instruct(Motion.STAND, f"Leave it still for {STILL_S:.0f} s.", f"{height_m or 0:g}")
+            operator.instruct(f"Leave it still for {STILL_S:.0f} s.")
             live.record(LEAD_S)
             samples = samples_of(live.record(STILL_S))
         if height_m is None:
@@ -213,7 +205,8 @@ def compare(airframe: Airframe, stands: Sequence[Stand], still: Samples, flown: 
     noise = noise_m(still)
     outcome.measured["noise_cm"] = {name: round(100 * std_m.value, 2) for name, std_m in noise.items()}
     compare_noise(airframe, noise, "while still", outcome)
-    answer_s = latency_s(still)
+    # A busy computer adds to the others.
+    answer_s = min((of_sensor.latency_s for of_sensor in still.readings.values()), default=math.inf)
     if math.isfinite(answer_s):
         outcome.measured["echo_to_answer_s"] = round(answer_s, 4)
         outcome.right("latency", f"{1e3 * answer_s:.0f} ms from the echo to its answer")

@@ -9,7 +9,6 @@ from msp_range.arrays import Array
 from msp_range.assembly import streams_of
 from msp_range.commission.edit import Edit
 from msp_range.commission.motion import NotMeasured, places
-from msp_range.commission.operator import Motion
 from msp_range.commission.outcome import StepOutcome
 from msp_range.commission.samples import Samples, samples_of
 from msp_range.commission.session import Session
@@ -67,24 +66,23 @@ def run(session: Session) -> StepOutcome:
     everything: list[Message] = []
     parts: list[Samples] = []
     guided = (
-        (Motion.FLOOR, "Leave it on the floor.", FLOOR_S),
-        (Motion.HOLD, "Lift it to about 1 m and hold it level.", HOLD_S),
-        (Motion.NOSE_UP, "Tilt its nose up by about 15 degrees, and hold it so.", TILT_S),
-        (Motion.RIGHT_DOWN, "Level, then tilt its right side down by about 15 degrees, and hold it so.", TILT_S),
+        ("Leave it on the floor.", FLOOR_S),
+        ("Lift it to about 1 m and hold it level.", HOLD_S),
+        ("Tilt its nose up by about 15 degrees, and hold it so.", TILT_S),
+        ("Level, then tilt its right side down by about 15 degrees, and hold it so.", TILT_S),
         (
-            Motion.ROCK,
             f"Rock it slowly for {ROCK_S:.0f} s: nose up and down, left and right, by 15 to 20 degrees, at 1 m.",
             ROCK_S,
         ),
     )
     with session.live() as live:
-        for motion, text, duration_s in guided:
-            operator.instruct(motion, text)
+        for text, duration_s in guided:
+            operator.instruct(text)
             everything += live.record(LEAD_S)
             part = live.record(duration_s)
             everything += part
             parts.append(samples_of(part))
-        operator.instruct(Motion.FLOOR, "Done: put it down.")
+        operator.instruct("Done: put it down.")
     airframe = session.airframe()
     floor, level, nose_up, right_down, _ = parts
     recorded = Recorded(samples_of(everything), floor, level, nose_up, right_down, _returned(everything), {})
@@ -99,7 +97,7 @@ def _boards(session: Session) -> dict[str, Samples]:
     found = {}
     with session.live() as live:
         for side in SIDES:
-            session.operator.instruct(Motion.BOARD, f"Hold the board half a metre from its {side}.", side)
+            session.operator.instruct(f"Hold the board half a metre from its {side}.")
             live.record(LEAD_S)
             found[side] = samples_of(live.record(BOARD_S))
     return found
