@@ -91,9 +91,9 @@ class OldReadings:
     def run_offset_cm(self) -> float:
         """Standard deviation of offsets between runs, of the model and as found [cm]."""
         found = [
-            each.values["deviation_cm"]
-            for each in (*self.model.effects, *self.terms)
-            if each.effect.name == "run_offsets"
+            term.values["deviation_cm"]
+            for term in (*self.model.effects, *self.terms)
+            if term.effect.name == "run_offsets"
         ]
         return float(np.hypot.reduce([0.0, *found]))
 
@@ -125,13 +125,13 @@ class OldReadings:
 
 def fit_answers(old: OldReadings, question: OpenQuestion) -> list[FittedAnswer]:
     """Each answer of a question, fitted to the old readings with all else that was found."""
-    own = {(each.name, each.of) for each in question.answers}
+    own = {(answer.name, answer.of) for answer in question.answers}
     others = [term for term in old.terms if (term.effect.name, term.of) not in own]
     without = refit(old.prepared, others)
-    return [_fitted(old, answer, others, without) for answer in question.answers]
+    return [_fitted(old, answer, without) for answer in question.answers]
 
 
-def _fitted(old: OldReadings, answer: Answer, others: Sequence[Term], without: JointFit) -> FittedAnswer:
+def _fitted(old: OldReadings, answer: Answer, without: JointFit) -> FittedAnswer:
     def as_answer(terms: Sequence[Term], base: Base, fitted: JointFit | None) -> FittedAnswer:
         likelihood = None if fitted is None else fitted.log_likelihood
         model = extended(old.model, base, terms, old.prepared.spacing_s)

@@ -100,9 +100,9 @@ class BenchSessions:
         seconds = sum(reading_s(campaign, point) for point in points)
         setups_s = [setup_s(before, point) for before, point in zip([None, *points], points, strict=False)]
         # A point that follows itself is placed anew too.
-        seconds += sum(each or SETUP_S["range_cm"] for each in setups_s)
+        seconds += sum(needed_s or SETUP_S["range_cm"] for needed_s in setups_s)
         words = {
-            name: f"{', '.join(f'{each:g}' for each in levels[name])} {unit_of(name)}{MEANT.get(name, '')}"
+            name: f"{', '.join(f'{level:g}' for level in levels[name])} {unit_of(name)}{MEANT.get(name, '')}"
             for name in varied
         }
         contexts = _contexts(campaign, points)
@@ -135,7 +135,7 @@ class BenchSessions:
             sizes = levels.get("target_size_cm", (100.0,))
             condition["targets"] = [{"material": "plywood", "size_cm": [size, size]} for size in sizes]
         if "neighbour_lag_ms" in levels:
-            condition["firing"] = [FIRING[each] for each in levels["neighbour_lag_ms"]]
+            condition["firing"] = [FIRING[lag_ms] for lag_ms in levels["neighbour_lag_ms"]]
         if "external_level_db" in levels:
             condition["external"] = {
                 "levels_db": list(levels["external_level_db"]),

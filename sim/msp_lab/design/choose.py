@@ -215,8 +215,8 @@ def cheapest(decision: Decision, places: Sequence[SessionPlace], max_minutes: fl
         return Design(question, decision.answers, None, why=_why_not(record, places))
     # What is largest at the ends of its range is seen best without the middle.
     richest = [
-        each.session(each.factors(record)[:MOST_VARIED], ends_only, record, TRIED_READINGS, VISITS[0])
-        for each, ends_only in product(usable, (False, True))
+        place.session(place.factors(record)[:MOST_VARIED], ends_only, record, TRIED_READINGS, VISITS[0])
+        for place, ends_only in product(usable, (False, True))
     ]
     contexts = richest[0].sampled(DRAWN_ROWS)
     answers = [with_strength(answer, decision.given, contexts, decision.rng) for answer in decision.answers]
@@ -225,13 +225,12 @@ def cheapest(decision: Decision, places: Sequence[SessionPlace], max_minutes: fl
     reach = dict.fromkeys(decision.pairs, 0.0)
     for most in richest:
         for each in decision.separations(most, decision.pairs, DRAWN_ROWS):
-            pair = each.truth, each.alternative
-            reach[pair] = max(reach[pair], each.nats(MOST_READINGS, VISITS[-1] * most.runs))
+            reach[each.pair] = max(reach[each.pair], each.nats(MOST_READINGS, VISITS[-1] * most.runs))
     same: list[Same] = []
     for one, other in combinations(range(len(answers)), 2):
         short = [nats for pair, nats in reach.items() if {*pair} == {one, other} and nats < decision.needed(*pair)]
         same += [Same(one, other, min(short))] if short else []
-    trials = sorted(_trials(record, usable), key=lambda each: each[1].minutes)
+    trials = sorted(_trials(record, usable), key=lambda trial: trial[1].minutes)
     known: dict[int, list[Separation]] = {}
     why = "no session that can be held here tells them apart"
     while True:
@@ -275,7 +274,7 @@ def _quickest(
         report(f"trying sessions for {decision.question.label}", 0.2 + 0.8 * number / len(trials))
         if number not in known:
             known[number] = decision.separations(shortest, left, DRAWN_ROWS)
-        found = [each for each in known[number] if (each.truth, each.alternative) in left]
+        found = [each for each in known[number] if each.pair in left]
         session = _long_enough(make, shortest, found, decision.needed)
         if session is not None and session.minutes < quickest:
             quickest, power = session.minutes, _power(session, found, decision.answers)
@@ -310,8 +309,8 @@ def _trials(record: frozenset[str], places: Sequence[SessionPlace]) -> Iterator[
 
 def _classes(answers: int, same: Sequence[Same]) -> tuple[frozenset[int], ...]:
     classes = [frozenset({place}) for place in range(answers)]
-    for each in same:
-        joined = [group for group in classes if group & {each.one, each.other}]
+    for pair in same:
+        joined = [group for group in classes if group & {pair.one, pair.other}]
         classes = [frozenset().union(*joined), *(group for group in classes if group not in joined)]
     return tuple(sorted(classes, key=min))
 
@@ -347,7 +346,7 @@ def _readings_needed(
     """Readings with which every pair has enough nats in as many runs; above `MOST_READINGS` where none are enough."""
     readings = float(session.readings)
     while readings <= MOST_READINGS and any(
-        each.nats(int(readings), session.runs) < needed(each.truth, each.alternative) for each in found
+        each.nats(int(readings), session.runs) < needed(*each.pair) for each in found
     ):
         readings *= LONGER
     return readings
@@ -363,9 +362,9 @@ def _checked(design: Design, decision: Decision) -> Design:
     assert make is not None
 
     def is_hard(each: Separation) -> bool:
-        return each.nats(session.readings, session.runs) < HARD * decision.needed(each.truth, each.alternative)
+        return each.nats(session.readings, session.runs) < HARD * decision.needed(*each.pair)
 
-    hard = [(each.truth, each.alternative) for each in design.separations if is_hard(each)]
+    hard = [each.pair for each in design.separations if is_hard(each)]
     easy = [each for each in design.separations if not is_hard(each)]
     found = [*easy, *decision.separations(session, hard, CHECKED_ROWS)]
     longer = _long_enough(make, session, found, decision.needed)

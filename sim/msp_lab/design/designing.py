@@ -34,17 +34,17 @@ LENGTHENED = 1.5
 class Options:
     """What a user asks of a design."""
 
-    bench: bool | None = None
+    bench: bool | None
     """Only at the bench, or only in flight; None: whichever is cheaper."""
-    max_minutes: float = 240.0
+    max_minutes: float
     """No session may take longer."""
-    power: float = 0.95
+    power: float
     """Probability that the right answer is named."""
-    sessions: int = 20
+    sessions: int
     """Simulated sessions; 0: none."""
-    seed: int = 1
+    seed: int
     """Seed of all draws."""
-    airframe: str = "quad_pallet"
+    airframe: str
     """Airframe of the vehicle that flies."""
 
 
@@ -97,7 +97,7 @@ def _places(old: OldReadings, question: OpenQuestion, options: Options) -> list[
 def _sensors(old: OldReadings, question: OpenQuestion) -> tuple[str, ...]:
     """The sensors of the old readings where an answer is about one of them, two for neighbours, else the first."""
     names = np.unique(old.columns["sensor"]).tolist() if "sensor" in old.columns else []
-    names = [each for each in names if re.fullmatch(NAME, each)] or ["sensor_1"]
+    names = [name for name in names if re.fullmatch(NAME, name)] or ["sensor_1"]
     if "neighbour_lag_ms" in question.columns and len(names) < 2:
         names.append("neighbour")
     return tuple(names if "sensor" in question.columns else names[: 2 if "neighbour_lag_ms" in question.columns else 1])

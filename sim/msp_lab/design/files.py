@@ -59,8 +59,8 @@ def write_plans(plans: Sequence[Plan], findings: GapFindings, out: Path) -> None
         folder = folder_of(plan, number, out)
         make_folder(folder)
         heading = f"# To decide: {plan.design.question.label}. Made by msp-lab design.\n"
-        contents = {CAMPAIGN: session.campaign, **{f"{name}.yaml": each for name, each in session.scenarios.items()}}
-        for name, content in contents.items():
+        scenarios = {f"{name}.yaml": scenario for name, scenario in session.scenarios.items()}
+        for name, content in {CAMPAIGN: session.campaign, **scenarios}.items():
             text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=118)
             (folder / name).write_text(heading + text, encoding="utf-8")
         save(draw_session(plan.design), folder / PICTURE)
@@ -78,7 +78,7 @@ def commands(plan: Plan, number: int, findings: GapFindings, out: Path) -> tuple
     if settings.run_column is not None and plan.joined:
         words += ["--run-column", settings.run_column]
     if plan.joined:
-        words += [word for each in settings.map for word in ("--map", each)]
+        words += [word for mapping in settings.map for word in ("--map", mapping)]
     words += ["--out", str(folder / "gap")]
     return shlex.join(["msp-lab", "collect", str(folder / CAMPAIGN), "--out", str(new)]), shlex.join(words)
 

@@ -115,7 +115,7 @@ class Pilot:
         if does not in self.flown:
             scenario = check(content["name"], Scenario, content, {"folder": self.airframe_file.parent})
             pinged = pings_in_flight(scenario, None, np.random.default_rng(1))
-            rows = [each | {"time_s": each["uptime_s"]} for each in pinged if each["has_echo"]]
+            rows = [ping | {"time_s": ping["uptime_s"]} for ping in pinged if ping["has_echo"]]
             self.flown[does] = {key: np.array([row[key] for row in rows]) for key in TRUTH}
         pings = self.flown[does]
         size = np.size(pings["time_s"])
@@ -183,10 +183,10 @@ class Pilot:
 
 def _words(varied: Sequence[str], ends_only: bool, air_c: Sequence[float]) -> dict[str, str]:
     words = {
-        "true_range_cm": f"hover at {', '.join(f'{each:g}' for each in chosen(HEIGHTS_M, ends_only))} m",
+        "true_range_cm": f"hover at {', '.join(f'{height_m:g}' for height_m in chosen(HEIGHTS_M, ends_only))} m",
         "range_rate_cm_s": f"climb and descend by {SWING_M:g} m every {GENTLE_S:g} s",
         "throttle": f"climb and descend by {SWING_M:g} m every {BRISK_S:g} s",
         "incidence_deg": f"dash forwards and back, {DASH_S:g} s each, with {DASH_M_S2:g} m/s^2",
-        "air_temperature_c": f"flights in air of {', '.join(f'{each:g}' for each in air_c)} C",
+        "air_temperature_c": f"flights in air of {', '.join(f'{temperature_c:g}' for temperature_c in air_c)} C",
     }
     return {name: words[name] for name in varied}

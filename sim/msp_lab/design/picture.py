@@ -33,7 +33,7 @@ def draw_session(design: Design) -> Figure:
     readings = SHARES * session.readings
     for separation in design.separations:
         words = f"{labels[separation.truth]}, not {labels[separation.alternative]}"
-        nats = [separation.nats(int(each), session.runs) for each in readings]
+        nats = [separation.nats(int(count), session.runs) for count in readings]
         own.plot(readings / session.runs, nats, label=words)
     own.axhline(design.needed_nats, color=VERMILION, linestyle="--", label="needed")
     own.axvline(session.readings / session.runs, color=GREY, linestyle=":", label="planned")

@@ -53,8 +53,8 @@ def with_old(old: OldReadings, answers: Sequence[FittedAnswer], new_rows: int) -
     Not where they lack a column that an effect needs, since readings without it are left out; and not where they are so
     many that the workflow would compare alternatives on only some of the new ones.
     """
-    effects = [each.answer.effect for each in answers if each.answer.effect is not None]
-    required = {column for each in effects for column in each.requires}
+    effects = [answer.answer.effect for answer in answers if answer.answer.effect is not None]
+    required = {column for effect in effects for column in effect.requires}
     rows = old.columns["reading_cm"].size
     most = rules.READINGS if len(effects) > 1 else 2 * rules.READINGS
     return required <= {*old.columns} and rows + new_rows <= most

@@ -113,11 +113,11 @@ def _all(findings: GapFindings) -> Iterator[OpenQuestion]:
 
 
 def _not_testable(findings: GapFindings) -> Iterator[OpenQuestion]:
-    for each in findings.not_testable if findings.verdict in OPEN_VERDICTS else ():
-        if each.name in CATALOGUE and CATALOGUE[each.name].per is None:
-            missing = " and ".join(each.columns)
-            are = "are" if len(each.columns) > 1 else "is"
-            yield OpenQuestion("not testable", (Answer(each.name), NONE), f"{missing} {are} not recorded")
+    for untested in findings.not_testable if findings.verdict in OPEN_VERDICTS else ():
+        if untested.name in CATALOGUE and CATALOGUE[untested.name].per is None:
+            missing = " and ".join(untested.columns)
+            are = "are" if len(untested.columns) > 1 else "is"
+            yield OpenQuestion("not testable", (Answer(untested.name), NONE), f"{missing} {are} not recorded")
 
 
 def _of_effect(effect: FoundEffect) -> OpenQuestion:

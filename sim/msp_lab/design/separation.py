@@ -56,6 +56,11 @@ class Separation:
     other_runs: int = 0
     """Runs of the old readings, if they go in."""
 
+    @property
+    def pair(self) -> tuple[int, int]:
+        """Places of both answers, that of the right one first."""
+        return self.truth, self.alternative
+
     def nats(self, readings: int, runs: int) -> float:
         """Expected nats between the two in a session; the gap workflow selects effects on all of its readings.
 

@@ -33,12 +33,12 @@ def _lines(plan: Plan) -> list[str]:
     design = plan.design
     labels = [answer.answer.label for answer in design.answers]
     lines = []
-    for each in design.same:
-        how = "the same in every session" if each.structural else "too alike for a session"
+    for pair in design.same:
+        how = "the same in every session" if pair.structural else "too alike for a session"
         lines.append(
-            f"{labels[each.one]} and {labels[each.other]} are {how} here ({each.nats:.1f} nats in the longest)"
+            f"{labels[pair.one]} and {labels[pair.other]} are {how} here ({pair.nats:.1f} nats in the longest)"
         )
-    assumed = [labels[place] for place, each in enumerate(design.answers) if each.assumed and each.answer.name]
+    assumed = [labels[place] for place, answer in enumerate(design.answers) if answer.assumed and answer.answer.name]
     session = design.session
     if session is None:
         return [*lines, f"No session: {design.why}"]
@@ -53,7 +53,7 @@ def _lines(plan: Plan) -> list[str]:
         proof = plan.proof
         interval = f"95 % interval of the power {_per_cent(low)} to {_per_cent(high)}"
         lines.append(f"Simulated: right in {proof.right} of {proof.held} sessions ({interval})")
-        lines += [f"  wrong with {each}" for each in proof.wrong[:3]]
+        lines += [f"  wrong with {what}" for what in proof.wrong[:3]]
         if proof.right < design.wanted * proof.held:
             lines.append(f"That is less often than the {_per_cent(design.wanted)} asked for: not promised")
     if not plan.joined:

@@ -118,7 +118,7 @@ class FleetSearch:
     def _take_shared(self, names: Sequence[Named]) -> bool:
         """Add one more effect that the ordinary units have, if there is one; a calibration comes first, since it is no
         fault."""
-        for name in sorted(names, key=lambda each: not each.term.calibrates):
+        for name in sorted(names, key=lambda named: not named.term.calibrates):
             numbers, number = self._with(name.term)
             if number is None or number.fleet.log_p > self.search_level:
                 continue
@@ -141,10 +141,10 @@ class FleetSearch:
             for unit, change in number.changes().items():
                 of_unit.setdefault(unit, []).append((number, change))
         for unit, changes in of_unit.items():
-            (number, change), *others = sorted(changes, key=lambda each: each[1].log_p)
+            (number, change), *others = sorted(changes, key=lambda pair: pair[1].log_p)
             if change.log_p <= self.search_level and change.nats >= own[unit].gain_nats:
                 lost = [(other.term, change.nats - less.nats) for other, less in others]
-                alternatives = tuple(each for each in lost if each[1] <= rules.ALTERNATIVE_NATS)
+                alternatives = tuple(alternative for alternative in lost if alternative[1] <= rules.ALTERNATIVE_NATS)
                 self.found.append(FleetFinding(change.kind, number, frozenset({unit}), alternatives, change))
                 own[unit] = OwnEffects((), 0.0)
 
@@ -196,13 +196,13 @@ def named_by(effects: Sequence[Iterable[Names]]) -> list[Named]:
         Named(common([term for term, _ in units.values()]), tuple(units), sum(lost for _, lost in units.values()))
         for units in found.values()
     ]
-    return sorted(named, key=lambda each: (-len(each.units), each.lost_nats))
+    return sorted(named, key=lambda name: (-len(name.units), name.lost_nats))
 
 
 def near(name: Named, names: Iterable[Named]) -> tuple[tuple[FleetTerm, float], ...]:
     """Alternatives in the same units, with how much less they gain [nat]."""
     lost = [(other.term, other.lost_nats - name.lost_nats) for other in names if set(other.units) >= set(name.units)]
-    return tuple(each for each in lost if each[0] != name.term and each[1] <= rules.ALTERNATIVE_NATS)
+    return tuple(other for other in lost if other[0] != name.term and other[1] <= rules.ALTERNATIVE_NATS)
 
 
 def common(terms: Sequence[FleetTerm]) -> FleetTerm:

@@ -186,7 +186,7 @@ def search(model: Model, task: tuple[Unit, tuple[FleetTerm, ...], float]) -> Own
     names = (
         (
             (term_of(term.active, term.candidate), 0.0),
-            *((term_of(each.active), each.loss_nats) for each in found.alternatives.get(term.key, ())),
+            *((term_of(other.active), other.loss_nats) for other in found.alternatives.get(term.key, ())),
         )
         for term in own
     )

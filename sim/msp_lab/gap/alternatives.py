@@ -62,12 +62,12 @@ class AlternativeTerm:
 
 def compete_with_tails(problem: Problem, state: State, needed_nats: float) -> State:
     """Heavier tails of the noise look like a component on one side: a component has to gain next to them too."""
-    tails = next((each for each in problem.candidates if each.key == (TAILS, None)), None)
-    components = [each for each in state.terms if each.candidate is not None and each.candidate.linear]
+    tails = next((candidate for candidate in problem.candidates if candidate.key == (TAILS, None)), None)
+    components = [term for term in state.terms if term.candidate is not None and term.candidate.linear]
     for term in components:
         if tails is None or (TAILS, None) in state.keys:
             break
-        k = next(i for i, each in enumerate(state.terms) if each.key == term.key)
+        k = next(i for i, other in enumerate(state.terms) if other.key == term.key)
         both_fit = with_candidate(problem, state.fit, tails, rules.TAILS_START)
         tails_term = SelectedTerm(both_fit.effects[-1], tails)
         both = state.having(both_fit, [*state.terms, tails_term])
@@ -115,15 +115,15 @@ def _in_its_place(
     enough_nats = rules.EXCHANGE_KEEPS * needed_nats
     found = trials(problem, less, screened(problem, less), enough_nats)
 
-    again = [each.fit for each in found if each.term.key == term.key]
-    own_fit = max([state.fit, *again], key=lambda each: each.log_likelihood)
+    again = [trial.fit for trial in found if trial.term.key == term.key]
+    own_fit = max([state.fit, *again], key=lambda fit: fit.log_likelihood)
     # Some gain less evidence than likelihood, as repeats before a wall that stands still; the evidence is what counts.
-    others = [each for each in found if each.term.key != term.key and each.gain_nats >= enough_nats]
+    others = [trial for trial in found if trial.term.key != term.key and trial.gain_nats >= enough_nats]
     last = len(less.terms)
-    correlations = _correlations([(state.fit, k, term), *((each.fit, last, each.term) for each in others)])
+    correlations = _correlations([(state.fit, k, term), *((other.fit, last, other.term) for other in others)])
     # On the readings that are refitted: more readings make two that are alike no more certain than they are.
     unit = problem.unit if state.by_run else None
-    ahead = [lead_nats(each.fit, own_fit, unit) for each in others]
+    ahead = [lead_nats(other.fit, own_fit, unit) for other in others]
 
     # Offsets of runs excuse a worse name where runs differ, and no name that explains the readings much less.
     lost_nats, lost_share = rules.EXCHANGE_LOSES
@@ -145,20 +145,20 @@ def _in_its_place(
         nats += rules.ALTERNATIVE_NATS * (problem.is_left_open(other.fit, last, state.by_run) - own_is_open)
         return nats + rules.BASE_PREFERENCE_NATS * other.term.is_base
 
-    leads = [lead(*each) for each in zip(others, ahead, correlations, strict=True)]
+    leads = list(map(lead, others, ahead, correlations))
     if term.is_base:
-        related = [each for each, nats in zip(others, leads, strict=True) if np.isfinite(nats)]
-        unseen = [each for each in related if state.keys | {each.term.key} not in visited]
+        related = [other for other, nats in zip(others, leads, strict=True) if np.isfinite(nats)]
+        unseen = [other for other in related if state.keys | {other.term.key} not in visited]
         return _next_to_base(problem, state, unseen, needed_nats), ()
     takes = [
-        -np.inf if less.keys | {each.term.key} in visited else nats for each, nats in zip(others, leads, strict=True)
+        -np.inf if less.keys | {other.term.key} in visited else nats for other, nats in zip(others, leads, strict=True)
     ]
     if takes and max(takes) > 0.0:
         best = others[int(np.argmax(takes))]
         return less.having(best.fit, [*less.terms, best.term]), ()
     lost = [
-        max(own - problem.evidence_nats(less.fit, each.fit, state.by_run), -nats)
-        for each, nats in zip(others, ahead, strict=True)
+        max(own - problem.evidence_nats(less.fit, other.fit, state.by_run), -nats)
+        for other, nats in zip(others, ahead, strict=True)
     ]
     return None, _alternatives(term, others, lost, correlations)
 
@@ -212,12 +212,12 @@ def _correlations(fits: Sequence[tuple[JointFit, int, SelectedTerm]]) -> list[fl
         own = fit.at.scores[:, fit.names.index(f"{k}.{term.candidate.parameter.name}")]
         rest = own - basis @ (basis.T @ own)
         left.append(rest / max(float(np.linalg.norm(rest)), 1e-12))
-    return [float(left[0] @ each) for each in left[1:]]
+    return [float(left[0] @ other) for other in left[1:]]
 
 
 def to_tell_apart(problem: Problem, base: JointFit, term: SelectedTerm, alternatives: Sequence[AlternativeTerm]) -> str:
     """A sentence for each alternative; `base` is the fit before any term."""
-    return "; ".join(_sentence(problem, base, term.active, each.active) for each in alternatives)
+    return "; ".join(_sentence(problem, base, term.active, other.active) for other in alternatives)
 
 
 def _sentence(problem: Problem, base: JointFit, own: Term, other: Term) -> str:
@@ -258,12 +258,12 @@ def _separation(problem: Problem, base: JointFit, own: Term, other: Term, contex
     return size * float(np.sqrt(max(1.0 - correlation**2, 0.0)))
 
 
-def _templates(scene: Scene, each: Term, weights: Array) -> Array:
-    known = applies(scene, each)
+def _templates(scene: Scene, term: Term, weights: Array) -> Array:
+    known = applies(scene, term)
     found = np.zeros((scene.range_cm.size, len(CHANNELS)))
     if known is False:
         return found
-    for i, template in templates(known, each.change(scene)).items():
+    for i, template in templates(known, term.change(scene)).items():
         found[:, i] = weights[i] * template
     found -= found.mean(axis=0)
     return found

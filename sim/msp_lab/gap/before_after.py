@@ -118,7 +118,7 @@ def later_steps(given: float, left: float, scores: Sequence[tuple[str, float]]) 
 def _measured(model: Model, comparison: Comparison, rng: np.random.Generator) -> tuple[Measures, float]:
     """The gap of a model on the held-out readings that it can give, and the share of those that it cannot."""
     can = usable(model, comparison.held_out)
-    held_out, parts = comparison.held_out.take(can), [each.take(can) for each in comparison.partitions]
+    held_out, parts = comparison.held_out.take(can), [part.take(can) for part in comparison.partitions]
     drawn = replicates(model, held_out, parts, rules.REPLICATES, rng)
     return measure(model, held_out, parts, drawn), float(1.0 - can.mean())
 
@@ -159,7 +159,7 @@ def reading_age(findings: GapFindings, model: Model, readings: HeldOutReadings) 
         With times, on which the hold is measured.
     """
     found: Mapping[str, float] = {
-        each.name: next(iter(each.parameters.values())).value for each in findings.confirmed if each.parameters
+        effect.name: next(iter(effect.parameters.values())).value for effect in findings.confirmed if effect.parameters
     }
     if not {LATENCY.name, STALE.name} <= found.keys() or "time_s" not in readings.contexts:
         return None
@@ -179,7 +179,7 @@ def mean_hold_s(model: Model, readings: HeldOutReadings) -> float:
     readings
         With times.
     """
-    fresh = replace(model, effects=tuple(each for each in model.effects if each.effect is not STALE))
+    fresh = replace(model, effects=tuple(term for term in model.effects if term.effect is not STALE))
     log_share = np.log1p(-_share(model)) + fresh.log_prob(readings.reading_cm, readings.contexts)
     repeat = -np.expm1(np.minimum(log_share - model.log_prob(readings.reading_cm, readings.contexts), 0.0))
     n = len(readings)
@@ -193,7 +193,7 @@ def mean_hold_s(model: Model, readings: HeldOutReadings) -> float:
 
 
 def _share(model: Model) -> float:
-    return next(each.values["share"] for each in model.effects if each.effect is STALE)
+    return next(term.values["share"] for term in model.effects if term.effect is STALE)
 
 
 def possible_causes(
@@ -212,10 +212,10 @@ def possible_causes(
     contexts
         Columns of the readings, (n,) each.
     """
-    found = [cause for each in calibration for cause in _causes_of(each.name, model, contexts)]
-    columns = [each.column for each in found]
-    found.sort(key=lambda each: (not each.recorded, -columns.count(each.column)))
-    offset_cm = next((each.after for each in calibration if each.name == "offset_cm"), None)
+    found = [cause for number in calibration for cause in _causes_of(number.name, model, contexts)]
+    columns = [cause.column for cause in found]
+    found.sort(key=lambda cause: (not cause.recorded, -columns.count(cause.column)))
+    offset_cm = next((number.after for number in calibration if number.name == "offset_cm"), None)
     if offset_cm is not None and _may_be_a_scale(offset_cm, model, contexts):
         found.insert(0, PossibleCause("offset_cm", RANGE_SCALE.name, TRUE_RANGE, True, RANGE_SCALE.experiment))
     return tuple(found)
@@ -223,7 +223,7 @@ def possible_causes(
 
 def _may_be_a_scale(offset_cm: float, model: Model, contexts: Mapping[str, Any]) -> bool:
     """Whether a scale that is the offset at the mean range would have been an alternative to it."""
-    if any(each.effect is RANGE_SCALE for each in model.effects) or TRUE_RANGE not in contexts:
+    if any(term.effect is RANGE_SCALE for term in model.effects) or TRUE_RANGE not in contexts:
         return False
     range_cm = known_values(contexts[TRUE_RANGE])
     differ_cm = offset_cm * (range_cm / range_cm.mean() - 1.0)
@@ -233,18 +233,18 @@ def _may_be_a_scale(offset_cm: float, model: Model, contexts: Mapping[str, Any])
 
 def _causes_of(number: str, model: Model, contexts: Mapping[str, Any]) -> Iterator[PossibleCause]:
     channel = CHANNELS.get(number.rpartition(".")[2])
-    known = {each.effect.name for each in model.effects}
+    known = {term.effect.name for term in model.effects}
     for effect in CATALOGUE.values():
         if channel not in effect.channels or effect.name in known or not effect.happens_to(model.sensor):
             continue
-        lacking = [each for each in _special(effect) if not _varied(each, contexts)]
+        lacking = [column for column in _special(effect) if not _varied(column, contexts)]
         if len(lacking) == 1:
             yield PossibleCause(number, effect.name, lacking[0], lacking[0] in contexts, effect.experiment)
 
 
 def _special(effect: Effect) -> list[str]:
     """Columns that show the effect; a word cannot be varied, and the range always is."""
-    return [each for each in effect.requires if each not in WORD_COLUMNS and each != TRUE_RANGE]
+    return [column for column in effect.requires if column not in WORD_COLUMNS and column != TRUE_RANGE]
 
 
 def _varied(column: str, contexts: Mapping[str, Any]) -> bool:

@@ -33,16 +33,16 @@ def starts_of(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, val
     bases = (fit.base, *_less_correlated(prepared, candidate, fit))
     starts = [(_best_start(prepared, fit, candidate, value, base), base) for base in bases]
     if candidate.effect.moves:
-        starts.append(max(_moved_hits(prepared, candidate, fit), key=lambda each: _height(prepared, fit, *each)))
+        starts.append(max(_moved_hits(prepared, candidate, fit), key=lambda start: _height(prepared, fit, *start)))
     return starts
 
 
 def shapes_of(candidate: CandidateEffect) -> list[dict[str, float]]:
     """Shapes that are tried: values of the first number that is searched, next to all grids of the others."""
     lines = _lines(candidate)
-    numbers = [each for each in candidate.effect.parameters if each.name in lines]
-    values = [lines[each.name] if i == 0 else each.grid for i, each in enumerate(numbers)]
-    return [dict(zip(lines, each, strict=True)) for each in product(*values)] if numbers else []
+    numbers = [parameter for parameter in candidate.effect.parameters if parameter.name in lines]
+    values = [lines[number.name] if i == 0 else number.grid for i, number in enumerate(numbers)]
+    return [dict(zip(lines, shape, strict=True)) for shape in product(*values)] if numbers else []
 
 
 def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
@@ -66,7 +66,7 @@ def gathered_cm(prepared: Prepared, fit: JointFit) -> tuple[float, ...]:
     for i in np.argsort(-gains, kind="stable"):
         if len(found) == rules.GATHERED_PLACES or gains[i] < rules.GATHERED_LEAST_NATS:
             break
-        if all(abs(places[i] - each) > 2.0 * rules.GATHERED_CM for each in found):
+        if all(abs(places[i] - place) > 2.0 * rules.GATHERED_CM for place in found):
             found.append(float(places[i]))
     return tuple(found)
 
@@ -83,11 +83,11 @@ def _best_start(prepared: Prepared, fit: JointFit, candidate: CandidateEffect, v
 
     def best(*changes: Mapping[str, float]) -> Term:
         terms = [here, *map(here.having, changes)]
-        return max(terms, key=lambda each: _height(prepared, fit, each, base))
+        return max(terms, key=lambda term: _height(prepared, fit, term, base))
 
     here = best(*shapes_of(candidate))
-    stronger = [np.clip(here.values[parameter.name] * each, parameter.low, parameter.high) for each in (0.25, 4.0)]
-    here = best(*({parameter.name: float(each)} for each in (*stronger, *parameter.grid)))
+    stronger = [np.clip(here.values[parameter.name] * times, parameter.low, parameter.high) for times in (0.25, 4.0)]
+    here = best(*({parameter.name: float(strength)} for strength in (*stronger, *parameter.grid)))
     for name in list(lines)[1:]:
         here = best(*({name: place} for place in lines[name]))
     return here

@@ -95,7 +95,7 @@ class CandidateEffect:
     @property
     def cost_nats(self) -> float:
         """What the search over its shapes gains by random variation [nat]."""
-        searched = sum(each.neutral is None and len(each.grid) > 1 for each in self.effect.parameters)
+        searched = sum(parameter.neutral is None and len(parameter.grid) > 1 for parameter in self.effect.parameters)
         if self.effect.gathers:
             return rules.GATHERED_COST_NATS
         return searched * (rules.PLACE_COST_NATS if self.linear else rules.SHAPE_COST_NATS)

@@ -266,7 +266,7 @@ def _robust_start(cells: _Cells) -> tuple[Array, Array]:
 def quantiles_of(values: Array, counts: Indices, shares: Sequence[float], of_none: float = 0.0) -> Array:
     """Quantiles of the values cell by cell, of which each has so many, (len(shares), cells); NaN are left out."""
     of_cells = np.split(values, np.cumsum(counts)[:-1])
-    return np.transpose([np.nanquantile(each, shares) if each.size else [of_none] * len(shares) for each in of_cells])
+    return np.transpose([np.nanquantile(cell, shares) if cell.size else [of_none] * len(shares) for cell in of_cells])
 
 
 def scale_of(stack: Stack, sigma_cm: Array) -> Array:

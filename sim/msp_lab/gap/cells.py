@@ -58,9 +58,9 @@ class Stack:
     @classmethod
     def of(cls, parts: Sequence[Partition]) -> "Stack":
         """Put partitions one after another."""
-        counts = np.concatenate([each.counts for each in parts])
+        counts = np.concatenate([part.counts for part in parts])
         # Words of 16 bits are sorted by their digits, in linear time.
-        readings = np.concatenate([np.argsort(each.cell.astype(np.int16), kind="stable") for each in parts])
+        readings = np.concatenate([np.argsort(part.cell.astype(np.int16), kind="stable") for part in parts])
         ends = np.concatenate([[0], np.cumsum(counts)])
         shape = counts.size, parts[0].cell.size
         return cls(tuple(parts), counts, csr_matrix((np.ones(readings.size), readings, ends), shape))
@@ -108,8 +108,8 @@ def partitions(
     Examples
     --------
     >>> contexts = {"throttle": np.linspace(0.0, 1.0, 200), "target": np.array(["grass", "tile"] * 100)}
-    >>> for each in partitions(contexts):
-    ...     print(each.variables, each.labels[:2])
+    >>> for part in partitions(contexts):
+    ...     print(part.variables, part.labels[:2])
     () ('all readings',)
     ('throttle',) ('throttle 0 to 0.25', 'throttle 0.25 to 0.5')
     ('target',) ('target grass', 'target tile')
@@ -119,7 +119,7 @@ def partitions(
     names = varying(contexts) if variables is None else [name for name in variables if name in contexts]
     whole = Partition((), ("all readings",), np.zeros(size, dtype=np.intp))
     bins = int(np.clip(size // (rules.MIN_CELL_READINGS + size // 50), 2, rules.KNOTS[-1]))
-    single = [each for name in names if (each := _split(name, contexts[name], bins)) is not None]
+    single = [part for name in names if (part := _split(name, contexts[name], bins)) is not None]
     found = [whole, *single]
     if pairs:
         coarse = {name: _split(name, contexts[name], 2 if size < rules.PAIR_BINS_READINGS else 3) for name in names}
@@ -127,7 +127,7 @@ def partitions(
             left, right = coarse[one], coarse[two]
             if left is not None and right is not None:
                 found.append(_crossed(left, right))
-    return [each for each in found if len(each.labels) > 1 or not each.variables]
+    return [part for part in found if len(part.labels) > 1 or not part.variables]
 
 
 def varying(contexts: Mapping[str, Any]) -> list[str]:

@@ -62,7 +62,7 @@ def concluded(findings: GapFindings) -> GapFindings:
 
 def found_parts(findings: GapFindings) -> list[FoundEffect | UnknownEffect]:
     """All that is a finding, that with the largest gain first; what is only suggested is none."""
-    return sorted([*findings.confirmed, *findings.unknown], key=lambda each: -(each.gain_nats or 0.0))
+    return sorted([*findings.confirmed, *findings.unknown], key=lambda finding: -(finding.gain_nats or 0.0))
 
 
 def share_of(finding: FoundEffect | UnknownEffect, findings: GapFindings) -> float:
@@ -113,11 +113,11 @@ def _random_share(findings: GapFindings) -> float | None:
         return share_of(weakest, findings)
     if findings.verdict in NOTHING_NAMED:
         return findings.p_value
-    return min((each.p_value for each in findings.slices if each.p_value is not None), default=None)
+    return min((piece.p_value for piece in findings.slices if piece.p_value is not None), default=None)
 
 
 def _weakest(findings: GapFindings) -> FoundEffect | UnknownEffect | None:
-    return max(found_parts(findings), key=lambda each: share_of(each, findings), default=None)
+    return max(found_parts(findings), key=lambda finding: share_of(finding, findings), default=None)
 
 
 def _how_sure(findings: GapFindings) -> str:
@@ -136,16 +136,16 @@ def _how_sure(findings: GapFindings) -> str:
 
 def _decision(findings: GapFindings) -> str:
     if parts := found_parts(findings):
-        plain = [in_words(each, findings) for each in parts]
+        plain = [in_words(finding, findings) for finding in parts]
         more = len(parts) - MOST_IN_SENTENCE
         others = f", and there {'is 1 more finding' if more == 1 else f'are {more} more findings'}" * (more > 0)
         return capitalised(and_list(plain[:MOST_IN_SENTENCE])) + others + _share_of_gap(findings)
-    suggested = f"; it may be that {and_list([each.plain for each in findings.effects])}" * bool(findings.effects)
+    suggested = f"; it may be that {and_list([effect.plain for effect in findings.effects])}" * bool(findings.effects)
     match findings.verdict:
         case None:
             return _compared(findings)
         case "nothing missing" if findings.random_share is not None and findings.random_share < rules.SLICE_P:
-            own = [number_label(each.name) for each in findings.refitted if each.name.startswith("effects.")]
+            own = [number_label(number.name) for number in findings.refitted if number.name.startswith("effects.")]
             what = f"{and_list(own)}, too little to matter" if own else "something, too small to have a name"
             text = f"The model is close enough: it may lack {what}"
         case "nothing missing":
@@ -162,7 +162,7 @@ def _decision(findings: GapFindings) -> str:
 def _share_of_gap(findings: GapFindings) -> str:
     if findings.verdict is None:
         return ""
-    is_ = "is" if all(is_sure(each, findings) for each in found_parts(findings)) else "would be"
+    is_ = "is" if all(is_sure(finding, findings) for finding in found_parts(findings)) else "would be"
     if findings.verdict == "improved":
         return "; the model was close enough without it"
     if findings.verdict == "explained":
@@ -187,7 +187,7 @@ def _is_left(findings: GapFindings) -> bool:
 
 
 def _absorbed(findings: GapFindings) -> str:
-    numbers = [number_label(each.name) for each in findings.refitted]
+    numbers = [number_label(number.name) for number in findings.refitted]
     text = f"The disagreement is absorbed in {and_list(numbers) if numbers else 'the numbers of the base model'}"
     if not findings.causes:
         return f"{text}; no recorded column says why"
@@ -200,7 +200,7 @@ def _compared(findings: GapFindings) -> str:
     """Before anything was added: whether readings and model disagree, on the whole and where most."""
     if findings.random_share is None or findings.random_share > rules.SLICE_P:
         return "Readings and model agree as far as random variation lets them"
-    worst = next((each for each in findings.slices if each.variables), None)
+    worst = next((piece for piece in findings.slices if piece.variables), None)
     off = findings.gap is not None and any(getattr(findings.gap, key).was_beyond_floor for key in NO_GAP)
     if worst is None:
         where = "disagree"
@@ -219,21 +219,21 @@ def _next_step(findings: GapFindings) -> str:
         if findings.p_value is not None:
             return "msp-lab add DIR measures what is left once the model's own numbers are refitted"
         return "msp-lab name DIR looks for what is missing"
-    if any(_is_ahead(each) and is_sure(each, findings) for each in findings.confirmed):
+    if any(_is_ahead(effect) and is_sure(effect, findings) for effect in findings.confirmed):
         return "shift time_s of the reference, and compare again: no sensor is ahead of it"
     bias = Measure(None) if findings.gap is None else findings.gap.bias_cm
     if verdict in STILL_OPEN and bias.is_beyond_floor and bias.has_grown:
         return f"find out why the bias grew to {short(bias.after)} cm before you fly with this model"
     if weakest is not None and not is_sure(weakest, findings):
         return f"record more runs like these: {finding_label(weakest)} is not sure yet"
-    for each in found_parts(findings):
-        if isinstance(each, UnknownEffect):
-            return _next_of_unknown(each)
-        if each.name == RUN_OFFSETS.name and each.alternatives:
-            columns = " or ".join(name_of(other.name) for other in each.alternatives)
+    for finding in found_parts(findings):
+        if isinstance(finding, UnknownEffect):
+            return _next_of_unknown(finding)
+        if finding.name == RUN_OFFSETS.name and finding.alternatives:
+            columns = " or ".join(name_of(other.name) for other in finding.alternatives)
             return f"record more runs that differ in {columns} alone"
-        if each.verdict == "indistinguishable":
-            return f"msp-lab design DIR plans the session that decides: {finding_label(each)}"
+        if finding.verdict == "indistinguishable":
+            return f"msp-lab design DIR plans the session that decides: {finding_label(finding)}"
     match verdict:
         case "explained" | "improved" if findings.runs < rules.MIN_RUNS:
             return f"record {rules.MIN_RUNS} runs or more, so that runs that were not fitted can confirm it"
@@ -249,9 +249,9 @@ def _next_step(findings: GapFindings) -> str:
             return f"to see whether it is {effect_label(cause.effect, None)}: {cause.experiment}"
         case "absorbed":
             return "record more context (throttle, temperature, tilt)"
-    for each in findings.effects:
-        if each.verdict == "suggested":
-            return f"to decide whether {each.plain} ({each.doubt}): {each.experiment}"
+    for effect in findings.effects:
+        if effect.verdict == "suggested":
+            return f"to decide whether {effect.plain} ({effect.doubt}): {effect.experiment}"
     return _likely_column(findings) or "look at the slices that are still off in report.html"
 
 
@@ -275,16 +275,16 @@ def _likely_column(findings: GapFindings) -> str:
     What else such an effect depends on is recorded, and readings and model differ over it.
     """
     measures = {} if findings.gap is None else findings.gap.measures
-    off = {CHANNEL_OF[key] for key, each in measures.items() if key in CHANNEL_OF and each.is_beyond_floor}
-    differing = [each for each in findings.slices if each.p_value is not None and each.p_value < rules.SLICE_P]
-    over = {TRUE_RANGE, *(name for each in differing for name in each.variables)}
+    off = {CHANNEL_OF[key] for key, measure in measures.items() if key in CHANNEL_OF and measure.is_beyond_floor}
+    differing = [piece for piece in findings.slices if piece.p_value is not None and piece.p_value < rules.SLICE_P]
+    over = {TRUE_RANGE, *(name for piece in differing for name in piece.variables)}
     likely: dict[str, list[str]] = {}
-    for each in findings.not_testable:
-        effect = CATALOGUE.get(each.name)
-        if len(each.columns) != 1 or effect is None or not off & set(effect.channels):
+    for untested in findings.not_testable:
+        effect = CATALOGUE.get(untested.name)
+        if len(untested.columns) != 1 or effect is None or not off & set(effect.channels):
             continue
-        if set(effect.requires) - {*each.columns} <= over:
-            likely.setdefault(each.columns[0], []).append(effect_label(each.name, None))
+        if set(effect.requires) - {*untested.columns} <= over:
+            likely.setdefault(untested.columns[0], []).append(effect_label(untested.name, None))
     if not likely:
         return ""
     column, names = max(likely.items(), key=lambda item: len(item[1]))

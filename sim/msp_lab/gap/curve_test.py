@@ -90,7 +90,7 @@ def places_of(values: Column, count: int) -> tuple[Any, ...]:
         return ()
     # Four digits of the span, not of the value: knots of a column that hardly varies stay apart.
     digits = 3 - int(np.floor(np.log10(high - low)))
-    return tuple(round(float(each), digits) for each in middle)
+    return tuple(round(float(place), digits) for place in middle)
 
 
 def _walk(knots: Sequence[Any]) -> Array:
@@ -114,13 +114,13 @@ def asked_of(contexts: Mapping[str, Any]) -> tuple[list[Asked], list[Asked]]:
         if name not in NO_VARIABLES
     }
     singles: list[Asked] = [
-        ((name,), tuple(dict.fromkeys((each,) for each in own))) for name, own in knots.items() if own
+        ((name,), tuple(dict.fromkeys((form,) for form in own))) for name, own in knots.items() if own
     ]
     pairs = []
     for one, other in combinations([name for (name,), _ in singles], 2):
         both = dict.fromkeys(zip(knots[one][:2], knots[other][:2], strict=False))
-        pairs.append(((one, other), tuple(each for each in both if _values(each) <= rules.KNOTS[-1])))
-    return singles, [each for each in pairs if each[1]]
+        pairs.append(((one, other), tuple(form for form in both if values_in(form) <= rules.KNOTS[-1])))
+    return singles, [pair for pair in pairs if pair[1]]
 
 
 def _steps(contexts: Mapping[str, Any], variables: Sequence[str], knots: Sequence[Any]) -> Array:
@@ -128,7 +128,7 @@ def _steps(contexts: Mapping[str, Any], variables: Sequence[str], knots: Sequenc
     walk = _walk(knots[0])
     if len(knots) == 2:
         # Each walk alone, and both together.
-        alone = [np.column_stack([np.ones(len(each)), _walk(each)]) for each in knots]
+        alone = [np.column_stack([np.ones(len(own)), _walk(own)]) for own in knots]
         walk = np.asarray(np.kron(alone[0], alone[1])[:, 1:], dtype=np.float64)
     return _about_mean(hats(contexts, variables, knots) @ walk, contexts, variables)
 
@@ -167,18 +167,19 @@ def scan(
     for (channel, variables, forms, degrees), log_p in zip(tests, log_p_of_sums(sums, weights).tolist(), strict=True):
         key = channel, variables
         if key not in found or log_p < found[key].log_p:
-            some = tuple(each for each in forms if degrees_of(each) <= 2 * degrees + 1) or forms[:1]
+            some = tuple(form for form in forms if degrees_of(form) <= 2 * degrees + 1) or forms[:1]
             found[key] = CandidateCurve(channel, variables, some, log_p, float(np.log(len(tests))))
-    return sorted(found.values(), key=lambda each: each.log_p)
+    return sorted(found.values(), key=lambda curve: curve.log_p)
 
 
-def _values(knots: Sequence[Knots]) -> int:
-    return int(np.prod([len(each) for each in knots]))
+def values_in(knots: Sequence[Knots]) -> int:
+    """How many values a curve with these knots has."""
+    return int(np.prod([len(own) for own in knots]))
 
 
 def degrees_of(knots: Sequence[Knots]) -> int:
     """Degrees of freedom of a curve, without its mean; a ripple has none."""
-    return _values(knots) - (not isinstance(knots[0], Ripple))
+    return values_in(knots) - (not isinstance(knots[0], Ripple))
 
 
 @dataclass(frozen=True)
@@ -220,7 +221,7 @@ class _Scores:
         if carried is not None and here.carry is not None:
             before = here.carry.before
             of_before = carried[:, None] * np.column_stack([np.ones(n), fitted])
-            totals -= np.column_stack([np.bincount(before, each, n) for each in of_before.T])
+            totals -= np.column_stack([np.bincount(before, column, n) for column in of_before.T])
             squares = squares + np.bincount(before, carried**2, n)
             crossed = own * carried
         return cls(totals, squares, by_share, crossed, before, inner, at.gradient[free] / norm)
@@ -258,9 +259,9 @@ def log_p_of(statistic: float, degrees: int) -> float:
 
 def log_p_of_sums(sums: Sequence[float] | Array, weights: Sequence[Array]) -> Array:
     """log of the probability that a sum of squares of normal numbers with these weights is larger, (n,)."""
-    size = max((each.size for each in weights), default=1)
-    largest = np.array([each.max() for each in weights])
-    w = np.array([np.pad(each / each.max(), (0, size - each.size)) for each in weights]).reshape(-1, size)
+    size = max((of_sum.size for of_sum in weights), default=1)
+    largest = np.array([of_sum.max() for of_sum in weights])
+    w = np.array([np.pad(of_sum / of_sum.max(), (0, size - of_sum.size)) for of_sum in weights]).reshape(-1, size)
     q = np.maximum(np.array(sums) / largest, 1e-9)
     low, high = -0.5 * size / q, np.full(q.size, 0.5)
     for _ in range(60):
@@ -310,7 +311,7 @@ def ripples(contexts: Mapping[str, Any], here: ChannelSlopes) -> list[CandidateC
         spacing = np.ptp(at) / max(places - 1, 1) if name == TRUE_RANGE else spacing_s(contexts)
         shortest = max(RIPPLE_SHORTEST_CM if name == TRUE_RANGE else 0.0, 2.0 * float(spacing))
         found.extend(_ripple(name, at - at.min(), score[known], shortest))
-    return sorted(found, key=lambda each: each.corrected)
+    return sorted(found, key=lambda curve: curve.corrected)
 
 
 def _ripple(name: str, at: Array, score: Array, shortest: float) -> list[CandidateCurve]:

@@ -10,7 +10,16 @@ import numpy as np
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import SelectedTerm
-from msp_lab.gap.curve_test import STEP_PLACES, CandidateCurve, degrees_of, log_p_of, ripples, scan, step_of
+from msp_lab.gap.curve_test import (
+    STEP_PLACES,
+    CandidateCurve,
+    degrees_of,
+    log_p_of,
+    ripples,
+    scan,
+    step_of,
+    values_in,
+)
 from msp_lab.gap.evidence import offsets_of, shift_between
 from msp_lab.gap.findings import Alternative
 from msp_lab.gap.problem import Problem, State, loss, screened, trials, with_terms
@@ -39,7 +48,7 @@ def _curve_of_runs(problem: Problem, state: State) -> State | None:
     It is asked before runs are said to differ at random, by runs, and among such curves only: few tell one of a few.
     """
     forms = scan(problem.contexts, problem.asked_of_runs, state.fit, ("bias",))
-    found = _likeliest_curve(problem, replace(state, by_run=True), *([each] for each in forms))
+    found = _likeliest_curve(problem, replace(state, by_run=True), *([form] for form in forms))
     return None if found is None else replace(found, by_run=state.by_run)
 
 
@@ -74,7 +83,7 @@ def far_curves(problem: Problem, state: State) -> list[CandidateCurve]:
         if gain > 0.0:
             log_p = log_p_of(2.0 * gain, len(start))
             found.append(CandidateCurve("bias", variables, (form,), log_p, np.log(len(singles)), start))
-    return sorted(found, key=lambda each: each.log_p)
+    return sorted(found, key=lambda curve: curve.log_p)
 
 
 def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve]) -> State | None:
@@ -100,17 +109,17 @@ def _likeliest_curve(problem: Problem, state: State, *asked: list[CandidateCurve
                 break
     if not found:
         return None
-    best = max(found, key=lambda each: found[each][0])
+    best = max(found, key=lambda form: found[form][0])
     if isinstance(best.forms[0][0], Ripple):
-        others = [each for each in found if each.variables != best.variables and found[each][1] < found[best][1]]
-        best = max(others, key=lambda each: found[each][0], default=best)
+        others = [form for form in found if form.variables != best.variables and found[form][1] < found[best][1]]
+        best = max(others, key=lambda form: found[form][0], default=best)
     return found[best][2]
 
 
 def _refitted(problem: Problem, state: State, form: CandidateCurve) -> tuple[State, float]:
     """The state with a curve in the least likely of its forms, and the log of that probability; 0 where there are too
     few runs for it. A step has a place as well."""
-    forms, first = [(each, 0.0) for each in form.forms], form.forms[0][0]
+    forms, first = [(knots, 0.0) for knots in form.forms], form.forms[0][0]
     if not (form.start or len(form.variables) > 1 or isinstance(first, Ripple) or isinstance(first[0], str)):
         step = step_of(problem.contexts, form.variables[0], form.channel, state.fit)
         forms.append(((step,), float(np.log(STEP_PLACES))))
@@ -172,24 +181,24 @@ def name_curves(problem: Problem, state: State, needed_nats: float) -> State:
     When the curve was added, another name stood in this one's place: a bend that begins near the nearest reading is as
     good as a scale, needs a straight line for the rest, and goes. An offset of one run is no name of what several have.
     """
-    for term in [each for each in state.terms if each.active.shape is not None]:
-        less = with_terms(problem, state, [each for each in state.terms if each.key != term.key])
+    for term in [term for term in state.terms if term.active.shape is not None]:
+        less = with_terms(problem, state, [other for other in state.terms if other.key != term.key])
         least = max(rules.FORM_SHARE * loss(problem, less.fit, state), needed_nats)
         found = trials(problem, less, screened(problem, less), rules.KEEP_SHARE * least)
-        for each in found:
+        for trial in found:
             assert term.active.shape is not None
-            effect = each.term.active.effect
-            if each.gain_nats >= least and effect.per != "run" and term.active.shape[0] in effect.channels:
-                state = less.having(each.fit, [*less.terms, each.term])
+            effect = trial.term.active.effect
+            if trial.gain_nats >= least and effect.per != "run" and term.active.shape[0] in effect.channels:
+                state = less.having(trial.fit, [*less.terms, trial.term])
                 break
     return state
 
 
 def _with_curve(problem: Problem, state: State, form: CandidateCurve, knots: tuple[Knots, ...]) -> State:
     """The state with a curve; a finer one over the same columns takes the place of a coarser one."""
-    values = form.start or [0.0] * int(np.prod([len(each) for each in knots]))
+    values = form.start or [0.0] * values_in(knots)
     active = replace(make_curve_term(form.channel, form.variables, knots, values), is_added=True)
     added = SelectedTerm(active, None)
-    terms = [*(each for each in state.terms if each.key != added.key), added]
-    fit = problem.refit([each.active for each in terms], state.fit.base)
+    terms = [*(term for term in state.terms if term.key != added.key), added]
+    fit = problem.refit([term.active for term in terms], state.fit.base)
     return state.having(fit, terms)

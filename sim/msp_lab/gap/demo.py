@@ -71,8 +71,8 @@ def clear(folder: Path, force: bool) -> None:
 def write_models(folder: Path) -> tuple[Path, Path]:
     """The model of the vehicle's sensors, and the model that is given to the workflow, which lacks `HIDDEN`."""
     content = yaml.safe_load(config_path(Path("mb1242"), "sensors").read_text(encoding="utf-8"))
-    names = {each["name"] for each in HIDDEN}
-    given = [each for each in content["effects"] if each["name"] not in names]
+    names = {hidden["name"] for hidden in HIDDEN}
+    given = [effect for effect in content["effects"] if effect["name"] not in names]
     paths = folder / "vehicle.yaml", folder / "given.yaml"
     for path, effects in zip(paths, ([*given, *HIDDEN], given), strict=True):
         path.write_text(yaml.safe_dump(content | {"effects": effects}, sort_keys=False), encoding="utf-8")
@@ -115,7 +115,7 @@ def comparisons(findings: GapFindings) -> Iterator[HiddenNumber]:
     """What was hidden, each number with what was found of it."""
     for hidden in HIDDEN:
         name = hidden["name"]
-        fitted = next((each.parameters for each in findings.effects if each.name == name), {})
+        fitted = next((effect.parameters for effect in findings.effects if effect.name == name), {})
         for parameter, value in hidden["parameters"].items():
             yield HiddenNumber(name, parameter, value, fitted.get(parameter))
 

@@ -124,15 +124,15 @@ def found_terms(
                 gained.nats_per_reading,
                 gained.z or None,
                 tuple(
-                    Alternative(each.active.effect.name, each.loss_nats, each.correlation, each.active.of)
-                    for each in near
+                    Alternative(other.active.effect.name, other.loss_nats, other.correlation, other.active.of)
+                    for other in near
                 ),
                 to_tell_apart(problem, base_fit, term, near) if near else active.effect.experiment,
                 active.of,
                 doubt,
                 splits_agree=agreement.share,
                 in_model=any(
-                    (each.effect.name, each.of) == (active.effect.name, active.of) for each in problem.model.effects
+                    (given.effect.name, given.of) == (active.effect.name, active.of) for given in problem.model.effects
                 ),
             )
         )
@@ -168,8 +168,8 @@ def _by_likelihood(term: SelectedTerm, active: Term, final: FinalFit) -> FittedV
     grid = np.unique(np.clip(neutral + (value - neutral) * parts, parameter.low, parameter.high))
     k = final.fit.effects.index(active)
     heights = []
-    for each in grid:
-        changed = active.having({parameter.name: float(each)})
+    for strength in grid:
+        changed = active.having({parameter.name: float(strength)})
         effects = [*final.fit.effects[:k], changed, *final.fit.effects[k + 1 :]]
         heights.append(final.readings.log_likelihood(final.fit.base, effects))
     inside = grid[np.array(heights) > max(heights) - 0.5 * final.width**2]
@@ -331,7 +331,7 @@ def formula(variable: str, at: Array, values: Array, deviation: Array) -> str:
         misfit = float((weight * (values - design @ solution) ** 2).sum())
         cost = misfit + 2.0 * (design.shape[1] + shapes)
         if best is None or cost < best[0] - 1e-9:
-            best = (cost, text.format(*(f"{each:.3g}" for each in solution)))
+            best = (cost, text.format(*(f"{number:.3g}" for number in solution)))
     return best[1].replace("+ -", "- ") if best else ""
 
 

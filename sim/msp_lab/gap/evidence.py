@@ -182,7 +182,7 @@ def of_one_run(nats: float, fit: JointFit, unit: Indices, run: Flags) -> float:
         Readings that are of the run with the offset.
     """
     slope, others = fit.offset_slope, np.unique(unit[~run])
-    sums, squares = (np.bincount(unit, each)[others] for each in (slope, slope**2))
+    sums, squares = (np.bincount(unit, values)[others] for values in (slope, slope**2))
     own, freedom = rules.RUN_SCATTER_FREEDOM, others.size - 1
     if nats <= 0.0 or freedom < 1:
         return min(nats, 0.0)
@@ -217,7 +217,7 @@ def clumping(slope: Array, run: Indices, alike: Array | None = None) -> float:
     clusters = list(_blocks(run))
     if alike is not None:
         clusters.append(numbered(alike))
-    return max([1.0, *(_ratio(slope, each) for each in clusters)])
+    return max([1.0, *(_ratio(slope, cluster) for cluster in clusters)])
 
 
 def _blocks(run: Indices) -> Iterator[Indices]:

@@ -58,10 +58,10 @@ def _shifted_knots(sensor: SensorModel, offset_cm: float) -> tuple[CalibrationKn
     first_cm = max(curve.inverse(LEAST_READING_CM - offset_cm), 0.0)
     true_cm = [knot.true_cm for knot in sensor.calibration] or [100.0, 500.0]
     if true_cm[0] < first_cm:
-        true_cm = [first_cm, *(each for each in true_cm if each > first_cm + 1.0)]
+        true_cm = [first_cm, *(knot_cm for knot_cm in true_cm if knot_cm > first_cm + 1.0)]
     if len(true_cm) < 2:
         true_cm.append(true_cm[0] + 100.0)
-    return tuple(CalibrationKnot(true_cm=each, reading_cm=curve.forward(each) + offset_cm) for each in true_cm)
+    return tuple(CalibrationKnot(true_cm=knot_cm, reading_cm=curve.forward(knot_cm) + offset_cm) for knot_cm in true_cm)
 
 
 def entry_of(term: Term) -> dict[str, Any]:
@@ -79,5 +79,5 @@ def entry_of(term: Term) -> dict[str, Any]:
 
 def to_sensor(model: Model) -> SensorModel:
     """The content of a sensor model file for a model, its effects as entries."""
-    effects = [entry_of(each) for each in model.effects]
+    effects = [entry_of(term) for term in model.effects]
     return SensorModel.model_validate({**model.sensor.model_dump(), "effects": effects})

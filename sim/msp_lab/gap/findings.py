@@ -361,9 +361,9 @@ class GapFindings:
     @property
     def refitted(self) -> tuple[CalibrationFinding, ...]:
         """The numbers of the base model that are others; the readings' step and codes are none."""
-        return tuple(each for each in self.calibration if each.name not in ("resolution", "code"))
+        return tuple(number for number in self.calibration if number.name not in ("resolution", "code"))
 
     @property
     def confirmed(self) -> tuple[FoundEffect, ...]:
         """The effects that are findings; what is only suggested is none."""
-        return tuple(each for each in self.effects if each.verdict != "suggested")
+        return tuple(effect for effect in self.effects if effect.verdict != "suggested")

@@ -102,11 +102,11 @@ def write_named(models: ExtendedModels, findings: GapFindings, folder: Path) -> 
     """
     given = len(models.path[0].model.effects)
     content = {
-        "terms": [entry_of(each) for each in models.training_fit.effects[given:]],
+        "terms": [entry_of(term) for term in models.training_fit.effects[given:]],
         "split": {"training_runs": findings.training_runs, "held_out_runs": findings.held_out_runs},
         "training_fit": _content(models.training_fit),
         "final_fit": _content(models.final_fit),
-        "path": [{"added": each.added, "model": _content(each.model)} for each in models.path],
+        "path": [{"added": step.added, "model": _content(step.model)} for step in models.path],
         "findings": _form().dump_python(findings, mode="json"),
     }
     with writing(folder / NAMED):
@@ -129,7 +129,7 @@ def read_named(folder: Path) -> tuple[ExtendedModels, GapFindings]:
             models = ExtendedModels(
                 _model(content["training_fit"]).added_from(given),
                 _model(content["final_fit"]).added_from(given),
-                tuple(ModelStep(each["added"], _model(each["model"]).added_from(given)) for each in content["path"]),
+                tuple(ModelStep(step["added"], _model(step["model"]).added_from(given)) for step in content["path"]),
             )
             return models, _form().validate_python(content["findings"])
         except (ValidationError, ValueError, KeyError, IndexError, TypeError):
@@ -187,8 +187,8 @@ def write_model(path: Path, model: Model, findings: GapFindings, heading: str, f
 
 def _with_evidence(entries: list[dict[str, Any]], findings: GapFindings) -> list[dict[str, Any]]:
     """The entries of the added effects, which are the last ones, with intervals and evidence."""
-    effects = {(each.name, each.of): each for each in findings.effects}
-    curves = {(each.channel, each.variables, each.period): each for each in findings.unknown}
+    effects = {(effect.name, effect.of): effect for effect in findings.effects}
+    curves = {(curve.channel, curve.variables, curve.period): curve for curve in findings.unknown}
     found = []
     for entry in reversed(entries):
         effect = effects.pop((entry["name"], entry.get("of")), None)
@@ -238,11 +238,11 @@ def _provenance(findings: GapFindings) -> dict[str, Any]:
     """Data, date, and the gap before and after."""
     found: dict[str, Any] = {
         "date": findings.date,
-        "data": [{"name": Path(each.path).name, "sha256": each.sha256, "rows": each.rows} for each in findings.sources],
+        "data": [{"name": Path(file.path).name, "sha256": file.sha256, "rows": file.rows} for file in findings.sources],
     }
     if findings.gap is not None:
         for side in ("before", "after"):
-            found[f"gap_{side}"] = {name: getattr(each, side) for name, each in findings.gap.measures.items()}
+            found[f"gap_{side}"] = {name: getattr(measure, side) for name, measure in findings.gap.measures.items()}
     return found
 
 
@@ -253,5 +253,5 @@ def _calibrated(findings: GapFindings) -> dict[str, Any]:
         "from": Path(findings.settings.model).name,
         **_provenance(findings),
         "verdict": findings.verdict,
-        "calibration": [each.finding for each in findings.calibration],
+        "calibration": [number.finding for number in findings.calibration],
     }

@@ -85,7 +85,7 @@ def read_readings(
     data = MeasuredData(with_path(data.columns))
     smoothed = _about_noise(data.columns.get(PATH))
     sources = tuple(
-        ReadingsFile(str(path), each.sha256, each.rows) for path, each in zip(paths, loaded.sources, strict=True)
+        ReadingsFile(str(path), source.sha256, source.rows) for path, source in zip(paths, loaded.sources, strict=True)
     )
     data, left_out = _compared_rows(data)
     data, copies = _without_copies(data)
@@ -161,7 +161,7 @@ class Comparison:
         if rows.all():
             return self
         return replace(
-            self, held_out=self.held_out.take(rows), partitions=[each.take(rows) for each in self.partitions]
+            self, held_out=self.held_out.take(rows), partitions=[part.take(rows) for part in self.partitions]
         )
 
 
@@ -338,9 +338,9 @@ class KnownRows:
 
     rows: Flags
     """Which readings these are, (n,)."""
-    columns: tuple[str, ...] = ()
+    columns: tuple[str, ...]
     """Columns with blank cells that are known in all of them."""
-    unasked: tuple[str, ...] = ()
+    unasked: tuple[str, ...]
     """Columns with so many blank cells that nothing is asked of them."""
 
     @classmethod
@@ -348,7 +348,7 @@ class KnownRows:
         """The readings on which all that can be asked is asked; columns with the fewest blank cells come first."""
         scene = Scene(model.sensor, contexts)
         known = {name: scene.known(name) for name in contexts if name not in BLANK_IS_NONE}
-        partly = {name: each for name, each in known.items() if isinstance(each, np.ndarray) and each.any()}
+        partly = {name: flags for name, flags in known.items() if isinstance(flags, np.ndarray) and flags.any()}
         rows = np.ones(scene.range_cm.size, dtype=bool)
         columns, unasked = [], []
         for name in sorted(partly, key=lambda name: -int(partly[name].sum())):
@@ -361,7 +361,7 @@ class KnownRows:
 
     def needed(self, model: Model, contexts: Mapping[str, Any]) -> "KnownRows":
         """The readings of which those columns are known that the model's effects need."""
-        required = {name for each in model.effects for name in each.effect.requires}
+        required = {name for term in model.effects for name in term.effect.requires}
         columns = tuple(name for name in self.columns if name in required)
         scene = Scene(model.sensor, contexts)
         rows = np.ones(scene.range_cm.size, dtype=bool)

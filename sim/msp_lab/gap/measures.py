@@ -182,7 +182,7 @@ def _noise_floor(fits: Sequence[CellFits], stack: Stack) -> dict[str, float]:
         for name, number in _measures(kept).items():
             shown.setdefault(name, []).append(number.value)
     known = {name: [value for value in values if np.isfinite(value)] for name, values in shown.items()}
-    return {name: float(np.quantile(each or [np.nan], rules.NOISE_FLOOR_SHARE)) for name, each in known.items()}
+    return {name: float(np.quantile(values or [np.nan], rules.NOISE_FLOOR_SHARE)) for name, values in known.items()}
 
 
 def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition], drawn: Replicates) -> Measures:
@@ -201,7 +201,7 @@ def measure(model: Model, readings: HeldOutReadings, parts: Sequence[Partition],
     _, scores = scores_of(rows, readings.reading_cm)
     step = one_step(stack.sums(scores), drawn.information, stack, rows.sigma_cm)
     kept = set(_kept(_by_variables(step, stack)))
-    fits = free_fits(rows, readings, [each for each in parts if each.variables in kept])
+    fits = free_fits(rows, readings, [part for part in parts if part.variables in kept])
     return Measures(
         readings, rows, stack, scores, step, fits, _measures(fits), drawn.noise_floor, log_score(model, readings)
     )
@@ -234,7 +234,7 @@ def _kept(fits: Mapping[tuple[str, ...], CellFits]) -> list[tuple[str, ...]]:
 def _measures(fits: Mapping[tuple[str, ...], CellFits]) -> dict[str, Interval]:
     nats = max(fits.values(), key=lambda fit: fit.nats)
     error = 1.96 * nats.nats_error
-    ends = (max(each, 0.0) for each in (nats.nats, nats.nats - error, nats.nats + error))
+    ends = (max(end, 0.0) for end in (nats.nats, nats.nats - error, nats.nats + error))
     return {
         "nats_per_reading": Interval(*ends),
         **{name: _largest(fits, channel) for name, channel in CHANNEL_OF.items()},
@@ -244,10 +244,10 @@ def _measures(fits: Mapping[tuple[str, ...], CellFits]) -> dict[str, Interval]:
 def _largest(fits: Mapping[tuple[str, ...], CellFits], channel: str) -> Interval:
     """Root mean square of a number over the cells of the partition in which it is surest; NaN: outliers are too few."""
     squares = [fit.mean_square(channel) for fit in fits.values()]
-    square, error = max(squares, key=lambda each: each[0] - each[1])
+    square, error = max(squares, key=lambda pair: pair[0] - pair[1])
     if not np.isfinite(error):
         return Interval(np.nan, np.nan, np.nan)
-    ends = [float(np.sqrt(max(each, 0.0))) for each in (square, square - 1.96 * error, square + 1.96 * error)]
+    ends = [float(np.sqrt(max(end, 0.0))) for end in (square, square - 1.96 * error, square + 1.96 * error)]
     return Interval(*(ends if channel == "bias" else np.exp(ends).tolist()))
 
 

@@ -67,9 +67,9 @@ class NamedModel:
     """p-value of the hypothesis that nothing is missing."""
     detectable: str
     """The smallest effects that would have been found, in words."""
-    dropped: tuple[tuple[str, str], ...] = ()
+    dropped: tuple[tuple[str, str], ...]
     """Terms on which the splits do not agree, and why."""
-    messages: tuple[str, ...] = ()
+    messages: tuple[str, ...]
     """What a reader has to know."""
 
 
@@ -81,10 +81,10 @@ def name(comparison: Comparison, findings: GapFindings, report: Progress) -> tup
     needed = known.needed(named.models.final_fit, comparison.data)
     if needed.rows.sum() > known.rows.sum():
         # Columns that no effect needs may be blank, so that there are more readings.
-        unneeded = [*known.unasked, *(each for each in known.columns if each not in needed.columns)]
+        unneeded = [*known.unasked, *(column for column in known.columns if column not in needed.columns)]
         named = replace(_name_rows(comparison, needed.rows, unneeded, report), not_testable=named.not_testable)
         needed = needed.needed(named.models.final_fit, comparison.data)
-    blank = [f"{each} is blank in most readings, so nothing is asked of it." for each in known.unasked]
+    blank = [f"{column} is blank in most readings, so nothing is asked of it." for column in known.unasked]
     findings = replace(
         findings,
         effects=named.effects,
@@ -109,7 +109,7 @@ def _name_rows(comparison: Comparison, rows: Flags, without: Sequence[str], repo
     return name_effects(
         comparison.model,
         AllReadings(
-            {key: each[rows] for key, each in comparison.data.items() if key not in ("reading_cm", *without)},
+            {key: column[rows] for key, column in comparison.data.items() if key not in ("reading_cm", *without)},
             comparison.data["reading_cm"][rows],
             comparison.splits.take(rows),
         ),
@@ -184,7 +184,7 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
 
     def refitted(state: State) -> State:
         """From the base before validation, so that the order in which terms were dropped has no part in the fit."""
-        fit = problem.refit([each.active for each in state.terms], selection.state.fit.base)
+        fit = problem.refit([term.active for term in state.terms], selection.state.fit.base)
         return state.having(fit, state.terms)
 
     kept = validated(problem, selection.state, splits)
@@ -192,14 +192,14 @@ def _validated(problem: Problem, selection: Selection, splits: Splits, max_terms
         return selection, kept
     left = replace(selection, state=refitted(kept.state))
     if selection.is_full:
-        selection = select_more(problem, left, {each.term.key for each in kept.dropped}, max_terms)
+        selection = select_more(problem, left, {lost.term.key for lost in kept.dropped}, max_terms)
     else:
         selection = settled(problem, left)
     if selection.state.keys == kept.state.keys:
         return selection, replace(kept, state=selection.state)
     again = validated(problem, selection.state, splits)
     # One that was dropped may have come back, once another one had gone.
-    dropped = tuple(each for each in (*kept.dropped, *again.dropped) if each.term.key not in again.state.keys)
+    dropped = tuple(lost for lost in (*kept.dropped, *again.dropped) if lost.term.key not in again.state.keys)
     return selection, replace(again, state=refitted(again.state), dropped=dropped)
 
 
@@ -245,14 +245,14 @@ def _named(problem: Problem, selection: Selection, kept: Validated, whole: AllRe
         tuple(_not_testable(effect, absent) for effect, absent in problem.untestable),
         selection.first.p_value,
         detectable(problem, selection.first),
-        tuple((each.term.label, each.why) for each in kept.dropped),
+        tuple((lost.term.label, lost.why) for lost in kept.dropped),
         tuple(_messages(problem, selection, by_run, whole.reading_cm.size)),
     )
 
 
 def _not_testable(effect: str, absent: Sequence[str]) -> NotTestable:
     """With the columns to record: the reading before each is known where the times are."""
-    columns = tuple("time_s" if each == PREVIOUS else each for each in absent)
+    columns = tuple("time_s" if column == PREVIOUS else column for column in absent)
     return NotTestable(effect, columns, f"{' and '.join(columns)} not recorded")
 
 
@@ -262,7 +262,7 @@ def _path(problem: Problem, selection: Selection, state: State) -> tuple[ModelSt
     steps = [ModelStep("", model), ModelStep("calibration", extended(model, fit.base, [], spacing_s))]
     for k, term in enumerate(state.terms):
         last = k == len(state.terms) - 1
-        fit = state.fit if last else problem.refit([each.active for each in state.terms[: k + 1]], fit.base)
+        fit = state.fit if last else problem.refit([earlier.active for earlier in state.terms[: k + 1]], fit.base)
         steps.append(ModelStep(term.label, extended(model, fit.base, fit.effects, spacing_s)))
     return tuple(steps)
 

@@ -110,7 +110,7 @@ def subjects(findings: GapFindings, readings: HeldOutReadings) -> list[Subject]:
         found.append(Subject(special[0], not {"bias", "spread"} & set(effect.channels)))
     first = next((piece for piece in findings.slices if piece.variables), None)
     others: list[UnknownEffect | Slice] = [*findings.unknown, *([first] if first else [])]
-    found += [Subject(each.variables[0], each.channel not in ("bias", "spread")) for each in others]
+    found += [Subject(other.variables[0], other.channel not in ("bias", "spread")) for other in others]
     found.append(Subject("true_range_cm", False))
     known = [subject for subject in dict.fromkeys(found) if subject.column in readings.contexts]
     usable = [subject for subject in known if len(partitions(readings.contexts, [subject.column], pairs=False)) > 1]

@@ -40,7 +40,7 @@ class Prepared:
     """The given model's distribution of each reading."""
     reading_cm: Array
     """Readings, multiples of the model's resolution."""
-    spacing_s: float | None = None
+    spacing_s: float | None
     """The time to which the correlation of the hits' errors refers [s]; None: it is not fitted."""
 
     @classmethod
@@ -50,7 +50,7 @@ class Prepared:
         """Prepare readings; with a spacing, the correlation of their errors is one of the base's numbers."""
         scene = Scene(model.sensor, contexts)
         rows = apply_terms(base_rows(model, scene), scene, model.effects)
-        logs = tuple(np.maximum(each, np.log(LEAST_SHARE)) for each in rows.log_weights)
+        logs = tuple(np.maximum(log, np.log(LEAST_SHARE)) for log in rows.log_weights)
         rows = replace(rows, log_weights=(logs[0], logs[1], logs[2], logs[3]))
         given = model.sensor.reading_model
         if given.correlation > 0.0:
@@ -96,27 +96,27 @@ class Prepared:
         """
         if parameter.jumps:
             return np.zeros(len(self))
-        each = effects[k]
-        value = each.values[parameter.name]
+        own = effects[k]
+        value = own.values[parameter.name]
         step = parameter.step * (1.0 if parameter.neutral is not None else max(abs(value), 1.0))
         if value + step > parameter.high:
             step = -step
-        there = each.having({parameter.name: value + step})
-        if each.effect.channels == ("component",):
-            return (self._with_component(each, there, here) - here.log_p) / step
-        if "code" in each.effect.channels or each.effect.name == "run_offsets":
+        there = own.having({parameter.name: value + step})
+        if own.effect.channels == ("component",):
+            return (self._with_component(own, there, here) - here.log_p) / step
+        if "code" in own.effect.channels or own.effect.name == "run_offsets":
             return (self.log_prob(base, [*effects[:k], there, *effects[k + 1 :]]) - here.log_p) / step
-        scene = self.scene if each.effect.is_shift else shifted(self.scene, effects)
-        known = applies(scene, each)
+        scene = self.scene if own.effect.is_shift else shifted(self.scene, effects)
+        known = applies(scene, own)
         if known is False:
             return np.zeros(len(self))
-        if each.shape is not None:
+        if own.shape is not None:
             # Linear in its values: the weights of this knot.
-            weights = knot_weights(scene, each.shape)[:, int(parameter.name.removeprefix("value_"))]
-            if each.shape[0] == "bias" and each.is_added:
+            weights = knot_weights(scene, own.shape)[:, int(parameter.name.removeprefix("value_"))]
+            if own.shape[0] == "bias" and own.is_added:
                 weights = scene.about_run_mean(weights)
-            return here.score(CHANNELS.index(each.shape[0]), np.where(known, weights, 0.0))
-        before, after = (templates(known, term.change(scene)) for term in (each, there))
+            return here.score(CHANNELS.index(own.shape[0]), np.where(known, weights, 0.0))
+        before, after = (templates(known, term.change(scene)) for term in (own, there))
         slope = np.zeros(len(self))
         for i, template in after.items():
             slope += here.score(i, (template - before[i]) / step)
@@ -127,20 +127,20 @@ class Prepared:
 
         All after the mixture is linear in the probability, so p (1 + sum of the odds) is a sum of the parts.
         """
-        odds = 1.0 + sum(np.asarray(each.odds) for each in here.rows.added)
+        odds = 1.0 + sum(np.asarray(part.odds) for part in here.rows.added)
         total = odds * np.where(here.log_p > np.log(MIN_PROBABILITY), np.exp(here.log_p), 0.0)
         for sign, term in ((-1.0, one), (1.0, other)):
             rows = apply_terms(replace(here.rows, added=()), self.scene, (term,))
-            for each in rows.added:
+            for part in rows.added:
                 own = rows.of_readings(self.reading_cm, ModelRows.last_added)[0]
-                odds, total = odds + sign * each.odds, total + sign * each.odds * own
+                odds, total = odds + sign * part.odds, total + sign * part.odds * own
         return np.asarray(np.log(np.maximum(total / odds, MIN_PROBABILITY)))
 
 
 def templates(known: Any, change: Contribution) -> dict[int, Array]:
     """What a change adds to each channel that it moves, by the channel's place; 0 where it is not known."""
     moved = {i: getattr(change, FIELDS[channel]) for i, channel in enumerate(CHANNELS)}
-    return {i: np.nan_to_num(np.where(known, each, 0.0)) for i, each in moved.items() if each is not None}
+    return {i: np.nan_to_num(np.where(known, template, 0.0)) for i, template in moved.items() if template is not None}
 
 
 def knot_weights(scene: Scene, shape: tuple[str, tuple[str, ...], tuple[Knots, ...]]) -> Array:
@@ -206,5 +206,5 @@ def channel_slopes(rows: ModelRows, reading_cm: Array) -> ChannelSlopes:
     if carry is not None:
         by[:, 0] *= 1.0 - carry.factor
         by[:, 7] = own_centre * carry.correlation_shift_cm + by[:, 1] * carry.log_sigma_slope
-    shares = [np.broadcast_to(each, reading_cm.shape) for each in shares_of(rows.log_weights)[1:]]
+    shares = [np.broadcast_to(share, reading_cm.shape) for share in shares_of(rows.log_weights)[1:]]
     return ChannelSlopes(log_p, by, np.stack(shares, axis=1), rows, own_centre, carry)

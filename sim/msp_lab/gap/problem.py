@@ -115,7 +115,7 @@ class Problem:
         """
         values = {names: numbered(self.contexts[names[0]]).astype(float) for names, _ in self.curves_asked[0]}
         constant = {names for names, own in values.items() if share_between(own, self.run) >= rules.BETWEEN_RUNS_SHARE}
-        return [each for each in self.curves_asked[0] if each[0] in constant]
+        return [asked for asked in self.curves_asked[0] if asked[0] in constant]
 
     @cached_property
     def run(self) -> Indices:
@@ -243,13 +243,13 @@ class State:
 
     def having(self, fit: JointFit, terms: Sequence[SelectedTerm]) -> "State":
         """The state with another fit; its terms get the values of the fit."""
-        placed = tuple(replace(term, active=each) for term, each in zip(terms, fit.effects, strict=True))
+        placed = tuple(replace(term, active=fitted) for term, fitted in zip(terms, fit.effects, strict=True))
         return replace(self, fit=fit, terms=placed)
 
     @property
     def keys(self) -> frozenset[tuple[str, str | None]]:
         """Which terms it has."""
-        return frozenset(each.key for each in self.terms)
+        return frozenset(term.key for term in self.terms)
 
 
 def first_state(problem: Problem) -> State:
@@ -328,7 +328,7 @@ def trials(problem: Problem, state: State, seen: Screen, least_nats: float) -> l
         found.append(CandidateFit(gained - candidate.cost_nats, SelectedTerm(fit.effects[-1], candidate), fit))
         # A screen may promise too much, and of what is large it promises too little, of one as of the other.
         top = max(top, min(found[-1].gain_nats, float(seen.gain[j])))
-    return sorted(found, key=lambda each: -each.gain_nats)
+    return sorted(found, key=lambda trial: -trial.gain_nats)
 
 
 def _moves_little(problem: Problem, fit: JointFit) -> bool:
@@ -347,9 +347,9 @@ def _has_its_form(problem: Problem, fit: JointFit) -> bool:
     if last.effect.channels != ("bias",):
         return False
     own_cm = problem.readings.bias_cm(last)
-    named = [each for each in others if each.shape is None and each.effect.channels == ("bias",)]
+    named = [term for term in others if term.shape is None and term.effect.channels == ("bias",)]
     with np.errstate(invalid="ignore"):  # One that adds nothing is like no other.
-        return any(abs(np.corrcoef(own_cm, problem.readings.bias_cm(each))[0, 1]) > rules.SAME_FORM for each in named)
+        return any(abs(np.corrcoef(own_cm, problem.readings.bias_cm(term))[0, 1]) > rules.SAME_FORM for term in named)
 
 
 def _start(candidate: CandidateEffect, seen: Screen, j: int) -> float:
@@ -364,12 +364,12 @@ def with_candidate(problem: Problem, fit: JointFit, candidate: CandidateEffect, 
     starts = starts_of(problem.readings, fit, candidate, start)
     shapes = shapes_of(candidate)
     if shapes and not candidate.linear:
-        placed = [replace(candidate, shape=tuple(each.items())) for each in shapes]
+        placed = [replace(candidate, shape=tuple(shape.items())) for shape in shapes]
         starts.append((best_by_score(problem.readings, fit, placed), fit.base))
     fits = [problem.refit([*fit.effects, term], base) for term, base in starts]
     if shapes and not candidate.linear:
-        fits = [_to_the_end(problem, each) for each in fits]
-    return max(fits, key=lambda each: each.log_likelihood)
+        fits = [_to_the_end(problem, trial) for trial in fits]
+    return max(fits, key=lambda trial: trial.log_likelihood)
 
 
 def _to_the_end(problem: Problem, fit: JointFit) -> JointFit:
@@ -380,7 +380,7 @@ def _to_the_end(problem: Problem, fit: JointFit) -> JointFit:
 
 def without(problem: Problem, state: State, k: int) -> State:
     """The state with its k-th term taken out."""
-    return with_terms(problem, state, [each for i, each in enumerate(state.terms) if i != k])
+    return with_terms(problem, state, [term for i, term in enumerate(state.terms) if i != k])
 
 
 def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) -> State:
@@ -389,9 +389,9 @@ def with_terms(problem: Problem, state: State, terms: Sequence[SelectedTerm]) ->
     Next to a strong effect the spread is small, and without it most hits would be random readings, from which no small
     step leads back: the fit starts at the base that is better, the state's or that without any term.
     """
-    active = [each.active for each in terms]
+    active = [term.active for term in terms]
     bases = (state.fit.base, problem.base.base)
-    key = (state.fit.base, *((each.stream, each.shape, *each.values.values()) for each in active))
+    key = (state.fit.base, *((term.stream, term.shape, *term.values.values()) for term in active))
     if key not in problem.kept:
         start = max(bases, key=lambda base: problem.readings.log_likelihood(base, active))
         problem.kept[key] = problem.refit(active, start)

@@ -104,7 +104,7 @@ def sums_by(unit: Indices, scores: Array, units: int | None = None) -> Array:
 
 def free_numbers(effects: Sequence[Term]) -> list[tuple[int, Parameter]]:
     """Numbers of these effects that a fit may move."""
-    return [(k, parameter) for k, each in enumerate(effects) for parameter in each.effect.parameters]
+    return [(k, parameter) for k, term in enumerate(effects) for parameter in term.effect.parameters]
 
 
 def with_values(effects: Sequence[Term], numbers: Sequence[tuple[int, Parameter]], values: Array) -> tuple[Term, ...]:
@@ -174,7 +174,7 @@ def refit(
     rounds
         At most.
     """
-    effects = [_off_neutral(each) for each in effects]
+    effects = [_off_neutral(term) for term in effects]
     numbers = free_numbers(effects)
     nb = len(BASE)
     low, high = _bounds(prepared, numbers)
@@ -242,9 +242,9 @@ def _is_open_ended(term: Term, number: Parameter) -> bool:
     return term.shape is not None or of_some
 
 
-def _off_neutral(each: Term) -> Term:
+def _off_neutral(term: Term) -> Term:
     """A share of exactly nothing has no shape: start a little away from it."""
-    numbers = each.effect.parameters if each.shape is None else ()
-    return each.having(
-        {p.name: p.neutral + p.step for p in numbers if p.neutral is not None and each.values[p.name] == p.neutral}
+    numbers = term.effect.parameters if term.shape is None else ()
+    return term.having(
+        {p.name: p.neutral + p.step for p in numbers if p.neutral is not None and term.values[p.name] == p.neutral}
     )

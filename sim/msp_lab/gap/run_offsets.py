@@ -84,7 +84,7 @@ def p_beyond_wander(slope: Array, unit: Indices) -> float:
     bounds = [(-7.0, 7.0), (-12.0, 5.0), (slowest, fastest), (-12.0, 5.0)]
     starts = [np.array([0.0, -0.7, forgets, -0.7]) for forgets in (slowest, 0.0)]
     without = min(
-        (minimize(loss, start[:3], method="L-BFGS-B", bounds=bounds[:3]) for start in starts), key=lambda each: each.fun
+        (minimize(loss, start[:3], method="L-BFGS-B", bounds=bounds[:3]) for start in starts), key=lambda fit: fit.fun
     )
     starts.append(np.append(without.x, -5.0))
     with_offsets = min(minimize(loss, start, method="L-BFGS-B", bounds=bounds).fun for start in starts)
@@ -144,7 +144,7 @@ def validated_run_offsets(
         total / len(readings),
         total / se if se > 0.0 else None,
         alternatives,
-        "; ".join(f"to tell {effect.name} from {each.name}: more runs that differ in it alone" for each in alternatives)
+        "; ".join(f"to tell {effect.name} from {one.name}: more runs that differ in it alone" for one in alternatives)
         or effect.experiment,
         splits_agree=agree,
     )
@@ -155,7 +155,7 @@ def _crossed(gains: Array, splits: Splits) -> Array:
     """What each run gains by the deviation of the grid that the runs of the other parts have, (splits, runs)."""
     crossed = np.empty((len(splits), gains.shape[1]))
     for k, part in enumerate(splits.part):
-        for left_out in (part == each for each in range(int(part.max()) + 1)):
+        for left_out in (part == number for number in range(int(part.max()) + 1)):
             crossed[k, left_out] = gains[gains[:, ~left_out].sum(axis=1).argmax(), left_out]
     return crossed
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri, stdtrit
 
 from msp_lab.gap import rules
 from msp_lab.readings.intake import PREVIOUS
@@ -176,9 +176,9 @@ class Splits:
     """Number of each run's part, (splits, runs)."""
     measured: Flags
     """Whether the gap is measured on a run, (runs,)."""
-    messages: tuple[str, ...] = ()
+    messages: tuple[str, ...]
     """What a reader has to know about them."""
-    of_blocks: bool = False
+    of_blocks: bool
     """Blocks of readings stand in for runs."""
 
     def __len__(self) -> int:
@@ -251,8 +251,6 @@ def draw_splits(contexts: Mapping[str, Any], rng: np.random.Generator) -> Splits
 
 def _dearer(runs: int) -> float:
     """By how much more standard errors an effect between so few runs needs for the p-value of `rules.DEPENDENT_P`."""
-    from scipy.special import ndtri, stdtrit
-
     return float(stdtrit(max(runs - 2, 1), rules.DEPENDENT_P) / ndtri(rules.DEPENDENT_P))
 
 

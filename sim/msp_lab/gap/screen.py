@@ -197,10 +197,10 @@ def screen(
     beyond_model = np.maximum(variance, single)
     inflation = np.maximum(_scatter(by_unit) / beyond_model, 1.0) if by_run else np.ones(count)
     z = np.where(testable, total / np.sqrt(variance * inflation), 0.0)
-    one_sided = np.array([each.one_sided for each in candidates], dtype=bool)
+    one_sided = np.array([candidate.one_sided for candidate in candidates], dtype=bool)
     z = np.where(one_sided & (z < 0.0), 0.0, z)
     # What rests on a few improbable readings is far from normal: it is worth no more than it gains.
-    rare = np.array([each.is_rare for each in candidates], dtype=bool)
+    rare = np.array([candidate.is_rare for candidate in candidates], dtype=bool)
     asked = np.flatnonzero(rare & (np.abs(z) > rules.PROFILED_Z))
     gains, best = np.full(count, np.inf), np.full(count, np.nan)
     gains[asked], best[asked] = measured.profile(asked)
@@ -211,7 +211,7 @@ def screen(
     # Noise with tails makes every score scatter more than the model's own; what is rare is worth what it gains beyond
     # the search for its shape.
     squares = z**2 * np.where(rare, 1.0, variance / beyond_model)
-    squares -= np.where(rare, 2.0 * np.array([each.cost_nats for each in candidates]), 0.0)
+    squares -= np.where(rare, 2.0 * np.array([candidate.cost_nats for candidate in candidates]), 0.0)
     deviation = np.where(testable, np.sqrt(inflation / variance), np.inf)
     largest = float(np.abs(z).max(initial=0.0))
     return Screen(z, 0.5 * z**2, deviation, largest, critical, _p_value(squares, null, candidates), best)
@@ -237,7 +237,7 @@ def _drawn(efficient: Array, testable: Flags, rng: np.random.Generator) -> Array
 
 def _p_value(squares: Array, null: Array, candidates: Sequence[CandidateEffect]) -> float:
     """How often a table without an effect has so large a score; a number of the base is calibration, and none."""
-    missing = np.array([not each.is_base for each in candidates], dtype=bool)
+    missing = np.array([not candidate.is_base for candidate in candidates], dtype=bool)
     largest = np.sqrt(max(float(squares[missing].max(initial=0.0)), 0.0))
     beyond = np.abs(null[:, missing]).max(axis=1, initial=0.0) >= largest
     return float((1 + np.sum(beyond)) / (1 + rules.SCREEN_DRAWS))
@@ -259,7 +259,7 @@ def best_by_score(prepared: Prepared, fit: JointFit, placed: Sequence[CandidateE
 
     A bend turns what is beyond it, and most of that is the scale's and the offset's to take back.
     """
-    scores = [score_of(each, prepared, fit.here) for each in placed]
+    scores = [score_of(candidate, prepared, fit.here) for candidate in placed]
     own, others = fit.at.scores[:, ~fit.at.held], np.column_stack(scores)
     left = others - own @ np.linalg.lstsq(own, others, rcond=1e-8)[0]
     information = np.maximum((left**2).sum(axis=0), 1e-12)

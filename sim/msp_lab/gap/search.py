@@ -108,7 +108,7 @@ def settled(problem: Problem, selection: Selection) -> Selection:
     return replace(
         selection,
         state=state,
-        alternatives={each.key: alternatives.get(each.key, ()) for each in state.terms},
+        alternatives={term.key: alternatives.get(term.key, ()) for term in state.terms},
         run_offset_cm=run_offset_cm(problem, state.fit) if "run" in problem.contexts else 0.0,
     )
 

@@ -126,7 +126,7 @@ class SensorGap:
     """Name of the sensor."""
     findings: GapFindings
     """Findings of its own comparison."""
-    without: tuple[str, ...] = ()
+    without: tuple[str, ...]
     """Sensors that were no reference for it, since something was named at them before."""
     doubted: str | None = None
     """The sensor that differs most from the rest. It was part of this one's reference, or without it something else is
@@ -135,15 +135,15 @@ class SensorGap:
     @property
     def named(self) -> tuple[str, ...]:
         """Effects of the catalogue that were named, and unknown ones by their channel and variables."""
-        effects = [each.name for each in self.findings.confirmed]
-        unknown = [f"unknown {each.channel} of {' and '.join(each.variables)}" for each in self.findings.unknown]
+        effects = [effect.name for effect in self.findings.confirmed]
+        unknown = [f"unknown {curve.channel} of {' and '.join(curve.variables)}" for curve in self.findings.unknown]
         return (*effects, *unknown)
 
     @property
     def words(self) -> frozenset[str]:
         """What was named, and what the readings cannot tell from it."""
         return frozenset(
-            {*self.named, *(other.name for each in self.findings.confirmed for other in each.alternatives)}
+            {*self.named, *(other.name for effect in self.findings.confirmed for other in effect.alternatives)}
         )
 
     @property
@@ -155,7 +155,7 @@ class SensorGap:
     @property
     def evidence_nats(self) -> float:
         """Gain of what was named, over all readings [nat]."""
-        return self.findings.rows * sum(each.gain_nats or 0.0 for each in found_parts(self.findings))
+        return self.findings.rows * sum(finding.gain_nats or 0.0 for finding in found_parts(self.findings))
 
 
 def compare_sensors(
@@ -192,17 +192,17 @@ def compare_sensors(
     while True:
         table, sensors, messages = _with_reference(paths, settings, folder, without)
         # Fewer others know less: they are asked whether what was named holds without the one that is off.
-        todo = [each for each in settings.of or sensors if each not in without and (not without or found[each].named)]
-        for each in todo:
-            findings = steps(folder / each).all([table], replace(settings, of=(each,), run_column=None, map=()), "add")
-            gap = SensorGap(each, findings, tuple(without))
-            if without and gap.named and not gap.words & found[each].words:
+        todo = [name for name in settings.of or sensors if name not in without and (not without or found[name].named)]
+        for name in todo:
+            findings = steps(folder / name).all([table], replace(settings, of=(name,), run_column=None, map=()), "add")
+            gap = SensorGap(name, findings, tuple(without))
+            if without and gap.named and not gap.words & found[name].words:
                 gap = replace(gap, doubted=without[-1])
-            found[each] = gap
-        named = [found[each] for each in todo if found[each].named and found[each].doubted is None]
+            found[name] = gap
+        named = [found[name] for name in todo if found[name].named and found[name].doubted is None]
         if not named:
             break
-        without.append(max(named, key=lambda each: each.evidence_nats).sensor)
+        without.append(max(named, key=lambda gap: gap.evidence_nats).sensor)
         if len(named) == 1:
             break
         # Of those that are left each needs enough others.
@@ -211,10 +211,10 @@ def compare_sensors(
             found |= {gap.sensor: replace(gap, doubted=without[-1]) for gap in left}
             break
     if draw:
-        for each in found:
-            steps(folder / each).show()
-    gaps = tuple(found[each] for each in sorted(found))
-    content = json.dumps([each.summary for each in gaps], indent=2)
+        for name in found:
+            steps(folder / name).show()
+    gaps = tuple(found[name] for name in sorted(found))
+    content = json.dumps([gap.summary for gap in gaps], indent=2)
     (folder / SUMMARY).write_text(content + "\n", encoding="utf-8")
     return gaps, messages
 

@@ -53,8 +53,8 @@ LEAST_HITS = 30
 def with_shifts(prepared: Prepared, base: Base, effects: Sequence[Term]) -> tuple[Term, ...]:
     """The effects of a fit; a shift whose value is much less likely than another one has that."""
     found = list(effects)
-    for k, each in enumerate(effects):
-        if each.effect.is_shift:
+    for k, term in enumerate(effects):
+        if term.effect.is_shift:
             shift = Shift(prepared, base, found, k)
             last, value = math.inf, shift.value
             for _ in range(ROUNDS):
@@ -106,7 +106,7 @@ class Shift:
         # What other effects make of the range at another time is that of the range here: they come in again next time.
         error_cm = hits.errors(self.prepared, self.base, self.at(value))
         still_cm = error_cm + moved_cm(value)
-        noise = min(product(SHARES, MEMORIES), key=lambda each: hits.loss(error_cm, *each))
+        noise = min(product(SHARES, MEMORIES), key=lambda tried: hits.loss(error_cm, *tried))
 
         def loss(there: float) -> float:
             return hits.loss(still_cm - moved_cm(there), *noise)

@@ -116,11 +116,6 @@ def _fits(measured: Measures, wanted: Set[tuple[str, ...]]) -> Mapping[tuple[str
     return {**known, **(free_fits(measured.rows, measured.readings, others) if others else {})}
 
 
-def noise_of(measured: Measures) -> Array:
-    """Standard deviation of the sum of a slice's scores, by units, for each of its five numbers, (K, 5)."""
-    return _by_unit(measured)[2]
-
-
 def _contributions(measured: Measures) -> tuple[Array, Array]:
     """The statistic of each slice and number (K, 5), and the units' shares in it (K, 5, U)."""
     per_cell, about_mean, deviation, few = _by_unit(measured)
@@ -201,7 +196,7 @@ def located(findings: GapFindings, extended: Model, given: int, after: Measures)
     after
         What the held-out readings show of it.
     """
-    found, noise, stack = found_parts(findings), noise_of(after), after.stack
+    found, stack, (_, _, noise, _) = found_parts(findings), after.stack, _by_unit(after)
     labels = [label for part in stack.parts for label in part.labels]
     by: dict[str, tuple[str, ...]] = {}
     where = []

@@ -177,7 +177,7 @@ class Steps:
         return Comparison.of(readings, model, settings)
 
     def _comparison_of(self, findings: GapFindings) -> Comparison:
-        return self._comparison([Path(each.path) for each in findings.sources], findings.settings)
+        return self._comparison([Path(source.path) for source in findings.sources], findings.settings)
 
     def same_comparison(self, findings: GapFindings, step: str) -> Comparison:
         """The comparison of earlier findings; an error where its files have changed since that step."""

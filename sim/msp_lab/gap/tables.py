@@ -41,13 +41,13 @@ def measures_table(findings: GapFindings, given: Model | None = None) -> PageTab
     lines = [
         (
             name,
-            short(each.before),
-            short(each.after),
-            interval(each.low, each.high),
-            short(each.noise_floor),
+            short(measure.before),
+            short(measure.after),
+            interval(measure.low, measure.high),
+            short(measure.noise_floor),
             short(limit),
         )
-        for name, each, limit in found
+        for name, measure, limit in found
     ]
     header = ("measure", "before", "after", "95 % interval", "noise floor", "closed up to")
     columns = len(header) if given is not None else len(header) - 1

@@ -146,8 +146,8 @@ def _found_table(findings: GapFindings) -> Table:
         label = effect_label(effect.name, effect.of)
         what = label if effect.verdict == "named" else f"{label} ({effect.verdict})"
         values = [
-            f"{name} {IntervalEstimate(each.value, each.low, each.high, unit_after(each.unit).strip())}"
-            for name, each in effect.parameters.items()
+            f"{name} {IntervalEstimate(number.value, number.low, number.high, unit_after(number.unit).strip())}"
+            for name, number in effect.parameters.items()
         ]
         table.add_row(
             _with_place(effect, findings), "\n".join([what, *values, *filter(None, [effect.doubt])]), effect.experiment

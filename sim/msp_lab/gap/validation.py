@@ -14,7 +14,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtr
 
 from msp_lab.gap import rules
 from msp_lab.gap.candidates import Key, SelectedTerm
@@ -177,19 +176,19 @@ class CrossFits:
 
     def recalibrated(self, ways: Sequence[tuple[int, int]], exact: Sequence[bool], runs: Flags) -> float:
         """Log-likelihood of some runs of these parts, if one base is fitted to all and the effects stay as they are."""
-        scores = [self.score(*each) for each in zip(ways, exact, strict=True)]
+        scores = list(map(self.score, ways, exact))
         of_parts = [self.left_out(way) & runs for way in ways]
         slope, information = (
-            np.array([each[place][own].sum(axis=0) for each, own in zip(scores, of_parts, strict=True)])
+            np.array([score[place][own].sum(axis=0) for score, own in zip(scores, of_parts, strict=True)])
             for place in (2, 3)
         )
-        fitted, whole = np.array([each.base for each in scores]), information.sum(axis=0)
+        fitted, whole = np.array([score.base for score in scores]), information.sum(axis=0)
         prior = np.where(np.diag(whole) > 0.0, 1.0 / np.square(rules.BASE_DEVIATION)[self.of_base], 0.0)
         towards = (slope + np.einsum("kij,kj->ki", information, fitted)).sum(axis=0)
         moved = inverse(whole + np.diag(prior)) @ towards - fitted
         # Without what the priors take: an effect may move the base by more than they expect.
         gained = (slope * moved).sum() - 0.5 * np.einsum("ki,kij,kj->", moved, information, moved)
-        return float(sum(each.by_run[own].sum() for each, own in zip(scores, of_parts, strict=True)) + gained)
+        return float(sum(score.by_run[own].sum() for score, own in zip(scores, of_parts, strict=True)) + gained)
 
 
 def _sums(scores: Array, unit: Indices, runs: int) -> tuple[Array, Array]:
@@ -205,11 +204,8 @@ class Gain:
     nats_per_reading: float
     se: float
     """Gain, and its standard error over runs."""
-    p_value: float
-    """p-value of no gain, one-sided."""
-    runs: int
     readings: int
-    """Numbers of runs and of readings."""
+    """Number of readings."""
 
     @property
     def nats(self) -> float:
@@ -222,35 +218,22 @@ class Gain:
         return self.nats_per_reading / self.se if self.se > 0.0 else 0.0
 
 
-def gain(after: Array, before: Array, unit: Indices) -> Gain:
-    """Gain of one log score over another, with errors of whole runs.
-
-    Parameters
-    ----------
-    after, before
-        Log probability of each held-out reading, (n,).
-    unit
-        Its run, numbered.
+def gain_of_runs(sums: Column, counts: Column) -> Gain:
+    """Gain from its sum over each run, (runs,), and each run's number of readings, with the error of whole runs.
 
     Examples
     --------
-    >>> better = gain(np.full(4, -1.0), np.full(4, -1.5), np.array([0, 0, 1, 1]))
-    >>> print(better.nats_per_reading, better.runs)
-    0.5 2
+    >>> better = gain_of_runs(np.array([1.0, 1.0]), np.array([2, 2]))
+    >>> print(better.nats_per_reading, better.nats)
+    0.5 2.0
     """
-    return gain_of_runs(np.bincount(unit, after - before), np.bincount(unit))
-
-
-def gain_of_runs(sums: Column, counts: Column) -> Gain:
-    """Gain from its sum over each run, (runs,), and each run's number of readings."""
     sums, counts = sums[counts > 0], counts[counts > 0]
     runs, n = sums.size, float(counts.sum())
     if runs == 0:
-        return Gain(0.0, 0.0, 1.0, 0, 0)
+        return Gain(0.0, 0.0, 0)
     mean = float(sums.sum() / n)
     se = float(np.sqrt(((sums - mean * counts) ** 2).sum() * runs / max(runs - 1, 1)) / n)
-    p_value = float(stdtr(max(runs - 1, 1), -mean / se)) if se > 0.0 else (0.0 if mean > 0.0 else 1.0)
-    return Gain(mean, se, p_value, runs, round(n))
+    return Gain(mean, se, round(n))
 
 
 class Dropped(NamedTuple):
@@ -295,8 +278,8 @@ def validated(problem: Problem, state: State, splits: Splits) -> Validated:
     crossed = CrossFits(problem, splits, state.fit)
     while state.terms:
         smaller = [without(problem, state, k) for k in range(len(state.terms))]
-        before = [CrossFits(problem, splits, each.fit) for each in smaller]
-        found = [_agreement(k, crossed, each) for k, each in enumerate(before)]
+        before = [CrossFits(problem, splits, less.fit) for less in smaller]
+        found = [_agreement(k, crossed, less) for k, less in enumerate(before)]
         worst = min(range(len(found)), key=lambda k: (found[k].share, found[k].gain.z))
         if found[worst].share >= rules.SPLITS_AGREE:
             agreement = dict(zip([term.key for term in state.terms], found, strict=True))
@@ -316,7 +299,7 @@ def _agreement(k: int, crossed: CrossFits, smaller: CrossFits) -> Agreement:
     holds: list[bool] = []
     of_runs, recalibrated_of_splits = [], []
     for split in range(splits):
-        if sum(not each for each in holds) > (1.0 - rules.SPLITS_AGREE) * splits + 1e-9:
+        if holds.count(False) > (1.0 - rules.SPLITS_AGREE) * splits + 1e-9:
             # Dropped, whatever the others say, unless another term is worse.
             break
         # What both are off by in the same way cancels: neither is fitted if the other is not.
@@ -332,7 +315,7 @@ def _agreement(k: int, crossed: CrossFits, smaller: CrossFits) -> Agreement:
             left_out &= crossed.learnt(left_out, numbers) >= rules.LEARNT_SHARE
             known |= left_out
             gained += left_out * (crossed.score(way, exact).by_run - smaller.score(way, exact).by_run)
-        more, less = (each.recalibrated([*fitted], [*fitted.values()], known) for each in (crossed, smaller))
+        more, less = (fits.recalibrated([*fitted], [*fitted.values()], known) for fits in (crossed, smaller))
         found = gain_of_runs(gained, counts)
         holds.append(min(found.nats, more - less) >= rules.VALIDATED_NATS and found.z >= rules.VALIDATED_Z)
         of_runs.append(gained)
@@ -356,12 +339,12 @@ def _inside_its_run(k: int, crossed: CrossFits, smaller: CrossFits) -> Agreement
         # Each split has its stretches begin elsewhere.
         place = np.arange(rows.size) / max(rows.size, 1) + split / (rules.SPLITS * rules.PARTS)
         part = (place * rules.PARTS).astype(np.intp) % rules.PARTS
-        slope, information = (np.bincount(part, each, rules.PARTS) for each in (score, score**2))
+        slope, information = (np.bincount(part, values, rules.PARTS) for values in (score, score**2))
         step = -slope / np.maximum(information.sum() - information, 1e-300)
         gained = np.bincount(part, difference, rules.PARTS) + slope * step - 0.5 * information * step**2
         found.append(gain_of_runs(gained, np.bincount(part, minlength=rules.PARTS)))
-    holds = [each.nats >= rules.VALIDATED_NATS and each.z >= rules.VALIDATED_Z for each in found]
-    least = min(found, key=lambda each: each.nats)
+    holds = [gain.nats >= rules.VALIDATED_NATS and gain.z >= rules.VALIDATED_Z for gain in found]
+    least = min(found, key=lambda gain: gain.nats)
     return Agreement(np.array(holds), least, least.nats)
 
 

@@ -33,7 +33,7 @@ def bounds(findings: GapFindings, model: Model, widened: float = 1.0) -> dict[st
     """
     assert findings.gap is not None
     gap, sigma_cm = findings.gap, model.sensor.reading_model.sigma_cm
-    fitted = len(BASE) + sum(len(each.parameters) for each in findings.effects)
+    fitted = len(BASE) + sum(len(effect.parameters) for effect in findings.effects)
     fitted += rules.CURVE_NUMBERS * len(findings.unknown)
     # A number fitted on one half of the readings costs half a nat on the other, and up to twice that.
     cost = fitted / max(findings.rows, 1)
